@@ -23,7 +23,7 @@ Dialect: TypeAlias = Literal["ros2", "ros1"]
 Translation: TypeAlias = Callable[[Any], Any] | None
 
 # As many as there are compiled types in protocol.messages.
-_MAX_COMPILED_TYPES = 1024
+_MAX_COMPILED_TYPES = 4096
 
 # ROS 1 type -> its name of a field -> ROS 2's name, beyond those that differ in upper and lower case alone.
 _RENAMED: Mapping[str, Mapping[str, str]] = {

@@ -2,6 +2,7 @@
 
 ProtocolError
 ├── InterfaceError    a type name that the interface tables do not know
+├── InterfaceFilesError    interface files of the user that cannot be used
 ├── MessageError      a message that does not fit its type
 ├── LargeMessageError a message that takes longer to complete than everybody may be kept waiting
 ├── OperationError    an operation that is unknown, incomplete or senseless
@@ -10,6 +11,8 @@ ProtocolError
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 # What came is quoted in one line of a log or a status message; more of it helps nobody.
 MAX_QUOTED_CHARACTERS = 60
@@ -32,6 +35,19 @@ class InterfaceError(ProtocolError):
     def __init__(self, type_name: str, problem: str) -> None:
         super().__init__(f"type {describe(type_name)}: {problem}")
         self.type_name = type_name
+
+
+class InterfaceFilesError(ProtocolError):
+    """Interface files of the user that cannot be used; ``str(error)`` has a line for each problem.
+
+    Attributes:
+        problems: each with file, line, the text there and what is wanted.
+    """
+
+    def __init__(self, problems: Sequence[object]) -> None:
+        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        super().__init__("\n".join((f"{count} in interface files:", *(f"  {each}" for each in problems))))
+        self.problems = tuple(problems)
 
 
 class MessageError(ProtocolError):

@@ -98,7 +98,7 @@ _OLDER_NAMES: Mapping[str, Mapping[str, str | None]] = {
 _OCTETS = ("uint8", "char", "byte")
 
 # Every distinct shape stays compiled: the tables hold fewer message types than this, each with two spellings.
-_MAX_COMPILED_TYPES = 1024
+_MAX_COMPILED_TYPES = 4096
 
 
 class Stamp(NamedTuple):
@@ -132,7 +132,7 @@ def complete(
     registry: Registry,
     type_name: str,
     value: object,
-    received: Stamp,
+    received: Stamp | Callable[[], Stamp],
     max_values: int = MAX_VALUES,
     max_values_at_once: int = MAX_VALUES,
 ) -> dict[str, Any]:
@@ -145,7 +145,7 @@ def complete(
         registry: where the type is looked up.
         type_name: name of a message type, in two parts or three.
         value: the message as it was decoded.
-        received: the time of receipt.
+        received: the time of receipt, or a function that tells it, called where it is wanted.
         max_values: values that the elements of all its lists of messages may have, at most `MAX_VALUES`.
         max_values_at_once: such values beyond which the message is left to the background.
 
@@ -156,7 +156,9 @@ def complete(
     """
     BUDGET.renew(type_name, max_values, max_values_at_once)
     strict = _strict_way(registry, type_name)(value)
-    return _message_shape(registry, type_name).complete(value, received) if strict is None else strict
+    if strict is not None:
+        return strict
+    return _message_shape(registry, type_name).complete(value, received() if callable(received) else received)
 
 
 @functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
@@ -177,8 +179,8 @@ class _PrimitiveShape:
     """A single primitive value."""
 
     def __init__(self, field: Field) -> None:
-        self._convert = values.converter(field.base)
-        self._default = values.zero(field.base) if field.default is None else field.default
+        self._convert = values.converter(field.base, field.max_length)
+        self._default: values.Primitive = values.default(field)
 
     def complete(self, value: object, _received: Stamp) -> values.Primitive:
         """Convert the value."""
@@ -193,10 +195,10 @@ class _PrimitiveArrayShape:
     """An array of primitive values."""
 
     def __init__(self, field: Field, bounds: ArrayBounds) -> None:
-        self._convert = values.converter(field.base)
-        self._convert_list = values.list_converter(field.base)
+        self._convert = values.converter(field.base, field.max_length)
+        self._convert_list = values.list_converter(field.base, field.max_length)
         self._bounds = bounds
-        self._default = [values.zero(field.base)] * bounds.min_length
+        self._default: list[Any] = values.default(field)
 
     def complete(self, value: object, _received: Stamp) -> list[Any]:
         """Convert the elements, all at once where they are as they should be."""
@@ -205,7 +207,7 @@ class _PrimitiveArrayShape:
         return values.to_list(elements, self._convert) if converted is None else converted
 
     def default(self, _received: Stamp) -> list[Any]:
-        """Return zeros for an array of fixed size, else an empty list."""
+        """Return the definition's default, else zeros for an array of fixed size, else an empty list."""
         return self._default.copy()
 
 
@@ -217,6 +219,7 @@ class _OctetArrayShape:
         # rosbridge packs uint8[] and char[] alone (message_conversion), so clients expect integers in a byte[].
         self._as_text = field.base != "byte"
         self._bounds = bounds
+        self._default = bytes(values.default(field))
 
     def complete(self, value: object, _received: Stamp) -> str | list[int]:
         """Take base64 text or a list; whichever came, the spelling that goes out is the same."""
@@ -228,8 +231,8 @@ class _OctetArrayShape:
         return self._spell(octets)
 
     def default(self, _received: Stamp) -> str | list[int]:
-        """Return zeros for an array of fixed size, else an empty one."""
-        return self._spell(bytes(self._bounds.min_length))
+        """Return the definition's default, else zeros for an array of fixed size, else an empty one."""
+        return self._spell(self._default)
 
     def _spell(self, octets: bytes) -> str | list[int]:
         return values.octets_text(octets) if self._as_text else list(octets)

@@ -2,7 +2,8 @@
 
 A `Registry` speaks one generation of ROS. The one of ROS 2, which the server works with, also knows the types
 that exist only in ROS 1, in ROS 2 spelling; `Registry.ros1` holds them as ROS 1 declares them. The tables are package
-data; the messages that ROS 1 makes of each action are derived from the action when the tables are read.
+data; the messages that ROS 1 makes of each action are derived from the action when the tables are read. Those of the
+user's own packages are added by `protocol.interface_packages`.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from protocol.errors import InterfaceError
 Definition: TypeAlias = Mapping[str, Any]
 Table: TypeAlias = Mapping[str, Definition]
 
+Scalar: TypeAlias = bool | int | float | str
+
 # ROS 1 has these as primitives; as messages of two fields everything that walks a type can walk them too.
 ROS1_TIMES: Table = {
     "time": {"kind": "msg", "fields": [["secs", "uint32"], ["nsecs", "uint32"]], "consts": []},
@@ -36,9 +39,28 @@ def read_ros2() -> Table:
 
 def read_ros1() -> Table:
     """Read the ROS 1 table, with the messages of its actions."""
-    table = _read("ros1.json")
+    return with_action_messages(_read("ros1.json"))
+
+
+def with_action_messages(table: Table) -> Table:
+    """Return a table of ROS 1 with the messages of its actions."""
     messages = {name: row for action in table for name, row in _action_messages(action, table[action]).items()}
     return {**messages, **table}
+
+
+def same_definition(one: Definition, other: Definition) -> bool:
+    """Tell whether two definitions declare the same, however their values are spelled."""
+    return bool(_normalized(one) == _normalized(other))
+
+
+def _normalized(definition: Definition) -> Any:
+    if definition["kind"] != "msg":
+        return {
+            key: part if key == "kind" else _normalized({"kind": "msg", **part}) for key, part in definition.items()
+        }
+    rows = definition["fields"]
+    fields = [(name, declared, *(_default(declared, text) for text in rest)) for name, declared, *rest in rows]
+    return fields, [(base, name, _value(base, text)) for base, name, text in definition["consts"]]
 
 
 def _read(file_name: str) -> Table:
@@ -77,13 +99,15 @@ def _message(fields: list[list[str]]) -> Definition:
 Kind: TypeAlias = Literal["msg", "srv", "action"]
 
 _INTEGERS = ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
-PRIMITIVES = frozenset((*_INTEGERS, "bool", "byte", "char", "float32", "float64", "string"))
+TEXTS = frozenset(("string", "wstring"))
+PRIMITIVES = frozenset((*_INTEGERS, *TEXTS, "bool", "byte", "char", "float32", "float64"))
 
-# `float64`, `geometry_msgs/Point`, `float64[]`, `float64[9]`, `float64[<=3]`
-_TYPE_PATTERN = re.compile(r"(?P<base>[\w/]+)(?P<array>\[(?P<bounded><=)?(?P<size>\d+)?\])?")
+# `float64`, `geometry_msgs/Point`, `float64[]`, `float64[9]`, `float64[<=3]`, `string<=20`, `string<=20[<=3]`
+_TYPE_PATTERN = re.compile(r"(?P<base>[\w/]+)(?:<=(?P<length>\d+))?(?P<array>\[(?P<bounded><=)?(?P<size>\d+)?\])?")
 
 # A text constant of ROS 2: quoted, perhaps with a comment behind it.
-_QUOTED_PATTERN = re.compile(r"(?P<quote>[\"'])(?P<text>.*?)(?P=quote)\s*(#.*)?")
+_QUOTED_PATTERN = re.compile(r"(?P<quote>[\"'])(?P<text>(?:\\.|(?!(?P=quote)).)*)(?P=quote)\s*(#.*)?")
+_ESCAPED_PATTERN = re.compile(r"\\(.)")
 
 _KIND_WORDS: dict[str, str] = {"msg": "a message type", "srv": "a service type", "action": "an action type"}
 
@@ -120,13 +144,16 @@ class Field:
         name: the field's name.
         base: a name of `PRIMITIVES`, or the canonical name of a message type.
         array: bounds of an array field, None for a single value.
-        default: default of the interface definition, None where it gives none (then zero, false or empty).
+        default: default of the interface definition, of an array its elements; None where it gives none (then zero,
+            false or empty).
+        max_length: greatest number of characters of a text, or of each text of an array; None for no bound.
     """
 
     name: str
     base: str
     array: ArrayBounds | None
-    default: bool | int | float | str | None
+    default: Scalar | tuple[Scalar, ...] | None
+    max_length: int | None = None
 
     @property
     def primitive(self) -> bool:
@@ -140,7 +167,7 @@ class Constant:
 
     base: str
     name: str
-    value: bool | int | float | str
+    value: Scalar
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,8 +295,9 @@ class Registry:
         match = _TYPE_PATTERN.fullmatch(declared)
         if match is None:
             raise InterfaceError(declared, f"of field {name} cannot be read")
-        base = self._base(match["base"])
-        return Field(name, base, _array_bounds(match), _value(base, defaults[0]) if defaults else None)
+        default = _default(declared, defaults[0]) if defaults else None
+        length = int(match["length"]) if match["length"] else None
+        return Field(name, self._base(match["base"]), _array_bounds(match), default, length)
 
     def _base(self, name: str) -> str:
         if name in PRIMITIVES:
@@ -300,10 +328,15 @@ def _array_bounds(match: re.Match[str]) -> ArrayBounds | None:
     return ArrayBounds(0 if match["bounded"] or size is None else size, size)
 
 
-def _value(base: str, text: str) -> bool | int | float | str:
-    if base == "string":
+def _default(declared: str, text: str) -> Scalar | tuple[Scalar, ...]:
+    # The elements of an array are written in JSON.
+    return tuple(json.loads(text)) if declared.endswith("]") else _value(declared.partition("<=")[0], text)
+
+
+def _value(base: str, text: str) -> Scalar:
+    if base in TEXTS:
         quoted = _QUOTED_PATTERN.fullmatch(text)
-        return quoted["text"] if quoted else text
+        return _ESCAPED_PATTERN.sub(r"\1", quoted["text"]) if quoted else text
     if base == "bool":
         return text.lower() in ("true", "1")
     return float(text) if base.startswith("float") else int(text, 0)

@@ -16,17 +16,16 @@ import msgspec
 
 from protocol import values
 from protocol.operations import MAX_ID_CHARACTERS, MAX_NAME_CHARACTERS
-from protocol.registry import ArrayBounds, Field, MessageType, Registry
+from protocol.registry import TEXTS, ArrayBounds, Field, MessageType, Registry
 
 # Every distinct struct stays made: the tables hold fewer message types than this, each with two spellings.
-MAX_STRUCTS = 1024
+MAX_STRUCTS = 4096
 
 # The largest finite number of IEEE 754 single precision.
 _FLOAT32_MAX = 3.4028234663852886e38
 
 _PLAIN: dict[str, Any] = {
     "bool": bool,
-    "string": str,
     "float64": float,
     "float32": Annotated[float, msgspec.Meta(ge=-_FLOAT32_MAX, le=_FLOAT32_MAX)],
 }
@@ -182,6 +181,8 @@ class _Writer:
     def _single(self, field: Field, *, in_list: bool) -> Any:
         if not field.primitive:
             return self.struct(self._registry.message(field.base), in_list=in_list)
+        if field.base in TEXTS:
+            return str if field.max_length is None else Annotated[str, msgspec.Meta(max_length=field.max_length)]
         if field.base not in values.INTEGER_RANGES:
             return _PLAIN[field.base]
         lowest, highest = values.INTEGER_RANGES[field.base]

@@ -17,11 +17,11 @@ from typing import Any, TypeAlias
 
 from protocol import values
 from protocol.dialect import Dialect, declared_in_ros1, spell_type
-from protocol.registry import ROS1_TIMES, ArrayBounds, Constant, Field, MessageType, Registry
+from protocol.registry import ROS1_TIMES, TEXTS, ArrayBounds, Constant, Field, MessageType, Registry, Scalar
 
 # Definitions that are kept, for headers and poses are in most descriptions; there are fewer message types, in two
 # dialects, than this.
-MAX_DECLARED_TYPES = 1024
+MAX_DECLARED_TYPES = 4096
 
 # What readers split the text at (genmsg's gendeps).
 _SEPARATOR = "=" * 80
@@ -78,7 +78,8 @@ def _with_dependencies(registry: Registry, type_name: str, dialect: Dialect) -> 
 def _spell(name: str, dialect: Dialect) -> str:
     """Return the two-part name, which is what both generations write in definitions."""
     if dialect == "ros1":
-        return spell_type(name, dialect)
+        # It has one kind of text.
+        return "string" if name in TEXTS else spell_type(name, dialect)
     first, *others = name.split("/")
     return f"{first}/{others[-1]}" if others else first
 
@@ -109,7 +110,8 @@ def _field_line(field: Field, dialect: Dialect) -> str:
         # It has neither defaults nor bounds.
         brackets = _brackets(field.array) if field.array is None or field.array.fixed else "[]"
         return f"{_spell(field.base, dialect)}{brackets} {field.name}"
-    line = f"{_spell(field.base, dialect)}{_brackets(field.array)} {field.name}"
+    bound = "" if field.max_length is None else f"<={field.max_length}"
+    line = f"{_spell(field.base, dialect)}{bound}{_brackets(field.array)} {field.name}"
     return line if field.default is None else f"{line} {_literal(field.default)}"
 
 
@@ -121,9 +123,9 @@ def _brackets(bounds: ArrayBounds | None) -> str:
     return f"[{bounds.max_length}]" if bounds.fixed else f"[<={bounds.max_length}]"
 
 
-def _literal(value: bool | int | float | str) -> str:
-    """Write a value as definitions do, which for these is as JSON does."""
-    return json.dumps(value)
+def _literal(value: Scalar | tuple[Scalar, ...]) -> str:
+    """Write a value as definitions do, which for these is as JSON does, but that they have no escapes for letters."""
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _typedef(message_type: MessageType, dialect: Dialect) -> dict[str, Any]:
@@ -147,17 +149,15 @@ def _array_length(bounds: ArrayBounds | None) -> int:
 
 def _example(field: Field) -> str:
     if field.array is not None:
-        return "[]"
-    if not field.primitive:
-        return "{}"
-    return str(values.zero(field.base) if field.default is None else field.default)
+        return "[]" if field.default is None else _literal(field.default)
+    return str(values.default(field)) if field.primitive else "{}"
 
 
 # Name and version of this way to hash.
 PREFIX = "RIHS01_"
 
 # As many as there are compiled types in protocol.codecs.
-MAX_HASHED_TYPES = 1024
+MAX_HASHED_TYPES = 4096
 
 # type_description_interfaces/msg/FieldType; ROS 2 generates code for a char as for a uint8.
 _IDS = {
@@ -175,11 +175,14 @@ _IDS = {
     "bool": 15,
     "byte": 16,
     "string": 17,
+    "wstring": 18,
 }
+# Of bounded text, more than that of text.
+_BOUNDED_TEXT = 4
 _NESTED, _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 1, 48, 96, 144
 
+# Part of every service since ROS 2 Iron.
 _EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
-_STAMP = "builtin_interfaces/msg/Time"
 
 _Row: TypeAlias = dict[str, Any]
 
@@ -215,8 +218,7 @@ def service_hash(registry: Registry, name: str) -> str:
     fields = {
         **_with_nested(registry, request),
         **_with_nested(registry, response),
-        **_with_nested(registry, _STAMP),
-        _EVENT_INFO: _EVENT_INFO_ROWS,
+        **_with_nested(registry, _EVENT_INFO),
         event: [
             _row("info", _NESTED, nested=_EVENT_INFO),
             _row("request", _BOUNDED_SEQUENCE + _NESTED, capacity=1, nested=request),
@@ -256,21 +258,15 @@ def _field_row(field: Field) -> _Row:
         bound = field.array.max_length
         type_id += _SEQUENCE if bound is None else _ARRAY if field.array.fixed else _BOUNDED_SEQUENCE
         capacity = bound or 0
-    return _row(field.name, type_id, capacity, "" if field.primitive else field.base)
+    if field.max_length is not None:
+        type_id += _BOUNDED_TEXT
+    return _row(field.name, type_id, capacity, "" if field.primitive else field.base, field.max_length or 0)
 
 
-def _row(name: str, type_id: int, capacity: int = 0, nested: str = "") -> _Row:
-    kind = {"type_id": type_id, "capacity": capacity, "string_capacity": 0, "nested_type_name": nested}
+def _row(name: str, type_id: int, capacity: int = 0, nested: str = "", max_length: int = 0) -> _Row:
+    kind = {"type_id": type_id, "capacity": capacity, "string_capacity": max_length, "nested_type_name": nested}
     return {"name": name, "type": kind}
 
 
 # What stands for no fields, as in protocol.codecs.cdr.
 _PLACEHOLDER = _row("structure_needs_at_least_one_member", _IDS["uint8"])
-
-# Part of every service since ROS 2 Iron; nobody sends one here, so the interface tables do without it.
-_EVENT_INFO_ROWS = [
-    _row("event_type", _IDS["uint8"]),
-    _row("stamp", _NESTED, nested=_STAMP),
-    _row("client_gid", _ARRAY + _IDS["char"], capacity=16),
-    _row("sequence_number", _IDS["int64"]),
-]

@@ -15,6 +15,7 @@ from typing import Any, TypeAlias, TypeVar
 import pybase64
 
 from protocol.errors import MessageError, describe
+from protocol.registry import TEXTS, Field
 
 T = TypeVar("T")
 Primitive: TypeAlias = bool | int | float | str
@@ -31,6 +32,7 @@ INTEGER_RANGES = {
 
 # What the elements of a list may be.
 _ONLY_INT, _ONLY_FLOAT, _NUMBERS = frozenset((int,)), frozenset((float,)), frozenset((int, float))
+_ONLY_BOOL, _ONLY_STR = frozenset((bool,)), frozenset((str,))
 
 
 def zero(name: str) -> Primitive:
@@ -39,7 +41,16 @@ def zero(name: str) -> Primitive:
         return 0
     if name == "bool":
         return False
-    return "" if name == "string" else 0.0
+    return "" if name in TEXTS else 0.0
+
+
+def default(field: Field) -> Any:
+    """Return the value of a primitive field that nobody set: its default, else zeros; of an array a list of its own."""
+    if field.array is None:
+        return zero(field.base) if field.default is None else field.default
+    if isinstance(field.default, tuple):
+        return list(field.default)
+    return [zero(field.base)] * field.array.min_length
 
 
 def to_bool(value: object) -> bool:
@@ -48,13 +59,6 @@ def to_bool(value: object) -> bool:
     if type(value) is bool:
         return value
     raise MessageError("bool", describe(value))
-
-
-def to_string(value: object) -> str:
-    """Take text."""
-    if type(value) is str:
-        return value
-    raise MessageError("string", describe(value))
 
 
 def to_float64(value: object) -> float:
@@ -79,24 +83,37 @@ def to_float32(value: object) -> float:
     raise MessageError("float32", describe(value))
 
 
-def converter(name: str) -> Convert:
-    """Return the converter of a primitive type."""
+def converter(name: str, max_length: int | None = None) -> Convert:
+    """Return the converter of a primitive type.
+
+    Args:
+        name: the type.
+        max_length: greatest number of characters of a text; None for no bound.
+    """
     if name in INTEGER_RANGES:
         return _integer_converter(name)
+    if name in TEXTS:
+        return _text_converter(name, max_length)
     return _CONVERTERS[name]
 
 
-def list_converter(name: str) -> ConvertList:
+def list_converter(name: str, max_length: int | None = None) -> ConvertList:
     """Return the quick way for lists in which every element is as it should be.
 
     The converter returned gives None for any other list: then the elements are looked at one by one, which is
     slower but finds what can be forgiven and the index of what cannot.
+
+    Args:
+        name: type of the elements.
+        max_length: greatest number of characters of each text; None for no bound.
     """
     if name in INTEGER_RANGES:
         return _integer_list_converter(name)
+    if name in TEXTS:
+        return _text_list_converter(max_length)
     if name == "float32":
         return _floats32
-    return _floats64 if name == "float64" else _same_type_list_converter({"bool": bool, "string": str}[name])
+    return _floats64 if name == "float64" else _bools
 
 
 def to_list(values: list[Any], convert: Callable[[object], T]) -> list[T]:
@@ -152,7 +169,6 @@ _LAST_CHARACTERS = {1: "AEIMQUYcgkosw048", 2: "AQgw"}
 
 _CONVERTERS: dict[str, Convert] = {
     "bool": to_bool,
-    "string": to_string,
     "float32": to_float32,
     "float64": to_float64,
 }
@@ -210,14 +226,34 @@ def _fit_float32(numbers: list[float]) -> bool:
     return True
 
 
-def _same_type_list_converter(kind: type) -> ConvertList:
-    only_kind = frozenset((kind,))
+def _bools(values: list[Any]) -> list[Any] | None:
+    return values.copy() if _ONLY_BOOL.issuperset(map(type, values)) else None
 
-    def to_same_type(values: list[Any]) -> list[Any] | None:
-        """Take values of exactly this type."""
-        return values.copy() if only_kind.issuperset(map(type, values)) else None
 
-    return to_same_type
+def _text_converter(name: str, max_length: int | None) -> Callable[[object], str]:
+    wanted = name if max_length is None else f"{name} of at most {max_length} characters"
+
+    def to_text(value: object) -> str:
+        """Take text of at most the type's length."""
+        if type(value) is not str:
+            raise MessageError(wanted, describe(value))
+        # Characters, as the Python classes of ROS 2 count them (rosidl_generator_py); DDS has no rule of its own.
+        if max_length is not None and len(value) > max_length:
+            raise MessageError(wanted, f"{len(value)}")
+        return value
+
+    return to_text
+
+
+def _text_list_converter(max_length: int | None) -> ConvertList:
+    def to_texts(values: list[Any]) -> list[Any] | None:
+        """Take texts of at most the type's length."""
+        if not _ONLY_STR.issuperset(map(type, values)):
+            return None
+        fits = max_length is None or max(map(len, values), default=0) <= max_length
+        return values.copy() if fits else None
+
+    return to_texts
 
 
 _octet = _integer_converter("uint8")

@@ -13,7 +13,6 @@ import uvloop
 
 from planners.pool import PlannerPool
 from planners.shared_pool import SharedPlanners
-from protocol.registry import Registry
 from robot.arm import Arm
 from robot.messages import ArmHealth, ArmState, EndState, Mode
 from robot.processes import StartedChild
@@ -28,6 +27,7 @@ from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, Route, page_is_built
 from server.gateway.listener import Listener
 from server.graph.topics import Graph
+from server.interfaces import load_registry
 from server.lifecycle import BackgroundTask, Part, start_in_order, stop_in_reverse, stop_signals, unless_ended
 from server.monitoring.health import Sources
 from server.monitoring.memory import SWITCH_INTERVAL_S, CollectorPolicy, MemoryKeeper
@@ -99,7 +99,7 @@ class App:
         self._settings = settings
         self._description = description
         graph = self._graph = Graph(
-            Registry.load(),
+            load_registry(settings.server.interfaces),
             relay_unknown_types=settings.server.relay_unknown_types,
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )

@@ -96,6 +96,8 @@ class ServerSettings(SettingsSection):
     """lines for people, or a JSON object a line for programs."""
     relay_unknown_types: bool = False
     """take topics and services whose types the server does not know, and relay them unchecked."""
+    interfaces: list[Path] = Field(default_factory=list)
+    """ROS packages, or folders of them, whose msg, srv and action files the server reads for types of yours."""
     tls_certificate: Path | None = None
     """PEM file of the certificate, with those that lead to its issuer, for wss and https; None for neither."""
     tls_key: Path | None = None

@@ -20,15 +20,16 @@ from binascii import a2b_base64, b2a_base64
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeAlias
 
+from protocol import values
 from protocol.codecs.cbor import OCTETS
 from protocol.errors import MessageError
-from protocol.registry import Field, Registry
+from protocol.registry import TEXTS, Field, Registry
 
 # Representation CDR_LE, no options.
 HEADER = b"\x00\x01\x00\x00"
 
 # As many as there are compiled types in protocol.messages.
-MAX_COMPILED_TYPES = 1024
+MAX_COMPILED_TYPES = 4096
 
 # Element types of `array` and `struct`: the same letters, and without alignment of the library's own the same sizes.
 CODES = {
@@ -48,6 +49,9 @@ CODES = {
 }
 
 _LENGTH = struct.Struct("<I")
+
+# Of UTF-16.
+_CODE_UNIT_BYTES = 2
 
 
 def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> bytes:
@@ -91,6 +95,16 @@ class _StringCoder:
         _write_length(body, len(octets) + 1)
         body += octets
         body.append(0)
+
+
+class _WideStringCoder:
+    """Text in UTF-16: its number of code units and these, without a zero (Fast CDR 2, which ROS 2 has since Jazzy)."""
+
+    def write(self, body: bytearray, value: str) -> None:
+        """Append length and text."""
+        octets = value.encode("utf-16-le")
+        _write_length(body, len(octets) // _CODE_UNIT_BYTES)
+        body += octets
 
 
 class _NumbersCoder:
@@ -173,7 +187,9 @@ def _field_coder(registry: Registry, field: Field) -> _Coder:
 def _element_coder(registry: Registry, field: Field) -> _Coder:
     if not field.primitive:
         return _message_coder(registry, field.base)
-    return _StringCoder() if field.base == "string" else _PrimitiveCoder(field.base)
+    if field.base in TEXTS:
+        return _StringCoder() if field.base == "string" else _WideStringCoder()
+    return _PrimitiveCoder(field.base)
 
 
 def _align(body: bytearray, size: int) -> None:
@@ -273,12 +289,18 @@ def _field_reader(registry: Registry, field: Field) -> _Read:
 def _element_reader(registry: Registry, field: Field) -> _Read:
     if not field.primitive:
         return _message_reader(registry, field.base)
-    return _read_text if field.base == "string" else _primitive_reader(field.base)
+    return _text_reader(field) if field.base in TEXTS else _primitive_reader(field.base)
 
 
 def _primitive_reader(base: str) -> _Read:
     number = struct.Struct("<?" if base == "bool" else f"<{CODES[base]}")
     return lambda body: number.unpack_from(body.octets, body.take(number.size, number.size))[0]
+
+
+def _text_reader(field: Field) -> _Read:
+    convert = values.converter(field.base, field.max_length)
+    read_text = _read_text if field.base == "string" else _read_wide_text
+    return read_text if field.max_length is None else lambda body: convert(read_text(body))
 
 
 def _read_text(body: _Body) -> str:
@@ -288,6 +310,15 @@ def _read_text(body: _Body) -> str:
         return body.octets[start : start + length].removesuffix(b"\0").decode()
     except UnicodeDecodeError:
         raise MessageError("text in UTF-8", f"other octets at byte {start}") from None
+
+
+def _read_wide_text(body: _Body) -> str:
+    size = body.length() * _CODE_UNIT_BYTES
+    start = body.take(size)
+    try:
+        return body.octets[start : start + size].decode("utf-16-le")
+    except UnicodeDecodeError:
+        raise MessageError("text in UTF-16", f"other octets at byte {start}") from None
 
 
 def _numbers_reader(base: str, fixed_length: int | None) -> _Read:

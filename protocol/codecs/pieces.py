@@ -20,6 +20,7 @@ PIECE_BYTES = 8_192
 
 _TEXTS = frozenset((str, bytes))
 _COSTLY = _TEXTS | {dict, list}
+_PLAIN = frozenset((str, int, float, bool))
 
 
 def encoding_cost_bytes(value: object, limit_bytes: int) -> int:
@@ -29,6 +30,11 @@ def encoding_cost_bytes(value: object, limit_bytes: int) -> int:
         value: the message.
         limit_bytes: the most that is returned.
     """
+    if type(value) is dict and _PLAIN.issuperset(map(type, value.values())):
+        # Most messages that are asked about are small, and this takes a fifth of the time.
+        return min(
+            limit_bytes, len(value) * VALUE_BYTES + sum(len(text) for text in value.values() if type(text) is str)
+        )
     # Level by level, as what is done with all members of a level at once is done without the interpreter: a mesh of
     # 80,000 triangles takes 30 ms instead of 200.
     cost_bytes, level = 0, [value]

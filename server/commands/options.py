@@ -41,6 +41,17 @@ def add_calibration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
 
 
+def add_interfaces(parser: argparse.ArgumentParser) -> None:
+    """Describe ``--interfaces``."""
+    parser.add_argument(
+        "--interfaces",
+        type=Path,
+        action="append",
+        metavar="FOLDER",
+        help="a ROS package, or a folder of packages, with msg, srv and action files of your own; may be repeated",
+    )
+
+
 def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROBOT) -> None:
     """Describe ``--robot``."""
     names = ", ".join(robot_folder.built_in_names())
@@ -106,6 +117,7 @@ _KEYS = {
     "host": ("server", "host"),
     "port": ("server", "port"),
     "log_level": ("server", "log_level"),
+    "interfaces": ("server", "interfaces"),
     "serial": ("arm", "serial"),
     "robot": ("arm", "robot"),
     "calibration": ("arm", "calibration"),
@@ -129,6 +141,7 @@ def add_setting_options(parser: argparse.ArgumentParser) -> None:
         help="serve an address that others can reach without tokens: everybody there may move the arm",
     )
     _add_arm_options(parser)
+    add_interfaces(parser)
     parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record every message to this file")
     parser.add_argument(
         "--record-limit-mb", type=int, metavar="MB", help="begin the next file when one has so many megabytes"

@@ -8,7 +8,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from robot import logs
-from server.commands.options import Subparsers, add_setting_options, read_settings
+from server.commands.options import Subparsers, add_interfaces, add_setting_options, read_settings
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.config import Settings
 from server.errors import ConfigurationError, StartError
@@ -95,6 +95,7 @@ def add_replay_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--host", help="address to listen on (127.0.0.1)")
     parser.add_argument("--port", type=_number(int, 0, MAX_PORT), help="TCP port (9090); 0: a free one")
     parser.add_argument("--insecure", action="store_true", help="serve an address that others can reach without tokens")
+    add_interfaces(parser)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="settings in TOML, of which [server] and [access] count"
     )
@@ -143,7 +144,7 @@ def run_replay(options: argparse.Namespace) -> int:
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
     """The settings that options override, by section and key."""
-    place = {name: value for name in ("host", "port") if (value := getattr(options, name)) is not None}
+    place = {name: value for name in ("host", "port", "interfaces") if (value := getattr(options, name)) is not None}
     return {"server": place, "access": {"insecure": True} if options.insecure else {}}
 
 

@@ -132,8 +132,9 @@ class ClientStatus:
     def acknowledge(self, operation: Operation) -> None:
         """Confirm an operation that has no answer of its own."""
         done = _DONE.get(type(operation))
-        if done is not None:
-            self.tell("info", operation, f"{done.field} {getattr(operation, done.field)}: {done.words}")
+        if done is None:
+            return
+        self.tell("info", operation, f"{done.field} {getattr(operation, done.field)}: {done.words}")
         if isinstance(operation, Advertise | Subscribe) and operation.qos:
             self.tell("warning", operation, "field qos: has no effect")
 
@@ -182,11 +183,12 @@ class MessageTranslator:
             type_name: canonical name of a message type or of a member of a service or action.
             msg: the message; it is not changed.
         """
-        if not self._registry.knows(type_name):
+        speaks_bson, speaks_ros1 = self._session.speaks_bson, self._session.dialect == "ros1"
+        if not (speaks_bson or speaks_ros1) or not self._registry.knows(type_name):
             return msg
-        if self._session.speaks_bson:
+        if speaks_bson:
             msg = cbor.with_octets(self._registry, type_name, msg)
-        return dialect.to_ros1(self._registry, type_name, msg) if self._session.dialect == "ros1" else msg
+        return dialect.to_ros1(self._registry, type_name, msg) if speaks_ros1 else msg
 
     def from_client(self, message: ReceivedMessage) -> ReceivedMessage:
         """Note the dialect of a message of the client, to be translated when it is completed."""

@@ -187,14 +187,14 @@ class MessageTypes:
             PostponedError: a client's message is too large to be completed at once.
         """
         if not isinstance(value, ReceivedMessage):
-            return self._complete(type_name, value, received or self.now(), MAX_VALUES, MAX_VALUES)
+            return self._complete(type_name, value, received, MAX_VALUES, MAX_VALUES)
         completed = value.completed(type_name)
         if completed is not None:
             return completed
         if not value.light and value.size_bytes > (BYTES_AT_ONCE if value.dialect == "ros2" else ROS1_BYTES_AT_ONCE):
             raise PostponedError(value, type_name)
         try:
-            return self.complete_received(type_name, value, received or self.now(), VALUES_AT_ONCE)
+            return self.complete_received(type_name, value, received, VALUES_AT_ONCE)
         except LargeMessageError:
             raise PostponedError(value, type_name) from None
 
@@ -215,14 +215,14 @@ class MessageTypes:
         return self.complete(type_name, self._by_name(type_name, arguments))
 
     def complete_received(
-        self, type_name: str, message: ReceivedMessage, received: Stamp, max_values_at_once: int
+        self, type_name: str, message: ReceivedMessage, received: Stamp | None, max_values_at_once: int
     ) -> dict[str, Any]:
         """Complete a message of a client, in any thread.
 
         Args:
             type_name: as for :meth:`complete`.
             message: the message.
-            received: when it came.
+            received: when it came, None for now.
             max_values_at_once: values beyond which it is left to the background.
 
         Raises:
@@ -240,10 +240,12 @@ class MessageTypes:
         return completed
 
     def _complete(
-        self, type_name: str, value: object, received: Stamp, max_values: int, max_values_at_once: int
+        self, type_name: str, value: object, received: Stamp | None, max_values: int, max_values_at_once: int
     ) -> dict[str, Any]:
         try:
-            return messages.complete(self.registry, type_name, value, received, max_values, max_values_at_once)
+            return messages.complete(
+                self.registry, type_name, value, received or self.now, max_values, max_values_at_once
+            )
         except InterfaceError:
             # Only types that `canonical` let through get here: nothing is known that could be checked.
             if not isinstance(value, dict):

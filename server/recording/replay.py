@@ -25,7 +25,6 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from protocol.codecs import cdr
 from protocol.errors import ProtocolError
-from protocol.registry import Registry
 from robot.logs import LogLimiter
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
@@ -34,6 +33,7 @@ from server.errors import GraphError, RecordingError
 from server.gateway.listener import Listener
 from server.graph.node import Node
 from server.graph.topics import Graph
+from server.interfaces import load_registry
 from server.lifecycle import stop_signals
 from server.monitoring.systemd import on_hangup
 from server.recording.files import RecordedMessage, is_latched
@@ -276,7 +276,7 @@ class ReplayServer:
 
     def __init__(self, options: ReplayOptions) -> None:
         self._options = options
-        self._graph = Graph(Registry.load())
+        self._graph = Graph(load_registry(options.server.interfaces))
         RosApi(self._graph)
         # There is no arm to control, so no client needs the lease.
         access = Access(options.access.model_copy(update={"control": "shared"}))

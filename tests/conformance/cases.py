@@ -1,7 +1,8 @@
 """Conformance cases: what clients send and what must come back, as data.
 
 A case is ``{"name", "section", "steps"}``, ``"relay_unknown_types": true`` where the server is to be configured
-so, and ``"rosapi": true`` where it offers rosapi.
+so, ``"rosapi": true`` where it offers rosapi, and ``"interfaces": true`` where it has the types of the packages in
+``interfaces``.
 A step is about one client, or lets time pass; a client connects with its first step; every case starts with a fresh
 server.
 
@@ -35,6 +36,7 @@ import cbor2
 from protocol.codecs import png
 
 FOLDER = Path(__file__).parent
+INTERFACES = FOLDER / "interfaces"
 
 ANY = "<any>"
 CONTAINS = ("<... ", " ...>")

@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from protocol.interface_packages import read_packages
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage, Frame
 from protocol.registry import Registry
@@ -30,9 +31,11 @@ from server.gateway.turns import Turns, encode_or_log
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.rosapi import RosApi
+from tests.conformance.cases import INTERFACES
 from tests.helpers.clock import FakeClock
 
 REGISTRY = Registry.load()
+USER_REGISTRY = read_packages([INTERFACES]).registry()
 
 
 class AtOnce:
@@ -72,11 +75,13 @@ class InProcess:
         *,
         relay_unknown_types: bool = False,
         rosapi: bool = False,
+        interfaces: bool = False,
         access: AccessSettings | None = None,
     ) -> None:
         self.clock = FakeClock()
+        registry = USER_REGISTRY if interfaces else REGISTRY
         self.graph = Graph(
-            REGISTRY, self.clock, call_later=self.clock.call_later, relay_unknown_types=relay_unknown_types
+            registry, self.clock, call_later=self.clock.call_later, relay_unknown_types=relay_unknown_types
         )
         if rosapi:
             RosApi(self.graph, self.clock)

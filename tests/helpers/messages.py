@@ -8,7 +8,7 @@ import struct
 from base64 import b64encode
 from typing import Any
 
-from protocol.registry import Field, Registry
+from protocol.registry import TEXTS, Field, Registry
 from protocol.values import INTEGER_RANGES
 
 # Of each width in UTF-8; zero, which ends text in C, among them.
@@ -42,8 +42,9 @@ def _element(registry: Registry, field: Field, source: random.Random) -> Any:
         return source.choice((lowest, highest, source.randint(lowest, highest)))
     if field.base == "bool":
         return source.random() < 0.5
-    if field.base == "string":
-        return "".join(source.choices(CHARACTERS, k=source.randint(0, 6)))
+    if field.base in TEXTS:
+        longest = 6 if field.max_length is None else min(6, field.max_length)
+        return "".join(source.choices(CHARACTERS, k=source.randint(0, longest)))
     number = source.choice((0.0, -1e30, source.gauss(0, 1)))
     return struct.unpack("<f", struct.pack("<f", number))[0] if field.base == "float32" else number
 
@@ -91,6 +92,8 @@ class _Reader:
         return [self.element(field.base) for _ in range(length)]
 
     def element(self, base: str) -> Any:
+        if base == "wstring":
+            return self.take(2 * self.element("uint32")).decode("utf-16-le")
         if base == "string":
             octets = self.take(self.element("uint32"))
             assert octets.endswith(b"\x00")

@@ -21,7 +21,7 @@ def test_the_tables_hold_every_interface_of_the_reference(read, name):
 def test_the_ros1_table_adds_seven_messages_for_each_action():
     table = registry.read_ros1()
     actions = [name for name, definition in table.items() if definition["kind"] == "action"]
-    assert len(actions) == 13
+    assert len(actions) == 19
     for action in actions:
         package, _, name = action.split("/")
         for suffix in ("Goal", "Result", "Feedback", "ActionGoal", "ActionResult", "ActionFeedback", "Action"):
@@ -52,7 +52,7 @@ def test_a_type_is_the_same_in_two_parts_and_in_three(registry):
 
 def test_every_message_type_of_the_tables_and_all_that_it_refers_to_can_be_read(registry):
     names = every_message_name(registry)
-    assert len(names) == 241
+    assert len(names) == 333
     for name in names:
         for each in registry.message(name).fields:
             assert each.primitive or registry.message(each.base).name == each.base

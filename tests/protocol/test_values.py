@@ -76,11 +76,28 @@ def test_bool_takes_only_true_and_false(value):
         values.to_bool(value)
 
 
+@pytest.mark.parametrize("name", ["string", "wstring"])
 @pytest.mark.parametrize("value", [0, True, None, ["a"]])
-def test_string_takes_only_text(value):
-    assert values.to_string("a") == "a"
-    with pytest.raises(MessageError, match="wanted string"):
-        values.to_string(value)
+def test_a_text_type_takes_only_text(name, value):
+    assert values.converter(name)("a") == "a"
+    with pytest.raises(MessageError, match=f"wanted {name}, got"):
+        values.converter(name)(value)
+
+
+@given(st.sampled_from(["string", "wstring"]), st.text(max_size=8), st.integers(1, 6))
+def test_bounded_text_is_taken_exactly_if_it_has_no_more_characters(name, text, bound):
+    convert, convert_list = values.converter(name, bound), values.list_converter(name, bound)
+    if len(text) <= bound:
+        assert convert(text) == text
+        assert convert_list([text, ""]) == [text, ""]
+        return
+    with pytest.raises(MessageError, match=f"wanted {name} of at most {bound} characters, got {len(text)}$"):
+        convert(text)
+    assert convert_list(["", text]) is None
+
+
+def test_an_empty_list_of_bounded_texts_is_taken():
+    assert values.list_converter("string", 3)([]) == []
 
 
 @given(st.sampled_from(sorted(PRIMITIVES)), st.lists(anything, max_size=4))

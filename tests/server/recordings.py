@@ -18,13 +18,19 @@ START_NS = 1_700_000_000_000_000_000
 
 
 def entry(
-    topic: str, type_name: str, msg: dict[str, Any], at_s: float = 0.0, *, latched: bool = False
+    topic: str,
+    type_name: str,
+    msg: dict[str, Any],
+    at_s: float = 0.0,
+    *,
+    latched: bool = False,
+    registry: Registry = REGISTRY,
 ) -> RecordedMessage:
     """A message as a recording has it, published and recorded ``at_s`` after `START_NS`."""
-    canonical = REGISTRY.canonical(type_name)
-    completed = complete(REGISTRY, canonical, msg, Stamp(0, 0))
+    canonical = registry.canonical(type_name)
+    completed = complete(registry, canonical, msg, Stamp(0, 0))
     at_ns = START_NS + round(at_s * 1e9)
-    return RecordedMessage(topic, canonical, latched, at_ns, at_ns, cdr.serialize(REGISTRY, canonical, completed))
+    return RecordedMessage(topic, canonical, latched, at_ns, at_ns, cdr.serialize(registry, canonical, completed))
 
 
 def text(number: int, topic: str = "/t") -> RecordedMessage:
@@ -32,9 +38,9 @@ def text(number: int, topic: str = "/t") -> RecordedMessage:
     return entry(topic, "std_msgs/String", {"data": str(number)}, number)
 
 
-def record(path: Path, entries: Iterable[RecordedMessage]) -> Path:
+def record(path: Path, entries: Iterable[RecordedMessage], registry: Registry = REGISTRY) -> Path:
     """Write a whole recording."""
-    file = McapFile(path.open("wb"), REGISTRY, {})
+    file = McapFile(path.open("wb"), registry, {})
     for each in entries:
         file.add(each)
     file.end({})

@@ -128,3 +128,33 @@ def test_nesting_that_no_decoder_survives_is_refused():
 def test_many_brackets_that_do_not_nest_are_taken():
     assert len(json.decode("[" + ",".join(["{}"] * 1000) + "]")) == 1000
     assert json.decode('"' + "[" * 1000 + '"') == "[" * 1000
+
+
+@pytest.mark.parametrize("make", [str, str.encode])
+@pytest.mark.parametrize(
+    ("text", "light"),
+    [
+        ("x" * 2_000_000, True),
+        ("x" * 2_200_000, False),
+        ("x" * 10_000 + "\\n" * 10_000, True),
+        ("x" * 10_000 + "\\u00e9", False),
+        ("x" * 10_000 + "é", False),
+        ("x" * 10_000 + "," * 128, True),
+        ("x" * 10_000 + "," * 129, False),
+        ("x" * 10_000 + "[" * 129, False),
+        ("x" * 10_000 + "{" * 129, False),
+    ],
+    ids=[
+        "long",
+        "too long",
+        "lines",
+        "escaped",
+        "not ASCII",
+        "few values",
+        "many values",
+        "many lists",
+        "many objects",
+    ],
+)
+def test_a_long_text_of_few_values_is_light(make, text, light):
+    assert json.is_light(make(text)) is light

@@ -89,6 +89,12 @@ def test_a_recording_has_options_of_its_own():
     }
 
 
+def test_folders_of_interfaces_may_be_given_one_by_one():
+    assert overrides(options("--interfaces", "a_msgs", "--interfaces", "ws/src")) == {
+        "server": {"interfaces": [Path("a_msgs"), Path("ws/src")]}
+    }
+
+
 def test_any_setting_can_be_assigned():
     settings, _ = read_settings(options("--set", "moveit.servo.rate_hz=30", "--set", "goals.confirm = true"))
     assert settings.moveit.servo.rate_hz == 30.0

@@ -102,6 +102,18 @@ def test_an_arm_process_that_cannot_be_started_is_one_line_and_exit_1(
     assert line.startswith("armbridge: the arm process cannot be started: [Errno 2] No such file")
 
 
+@pytest.mark.parametrize("command", ["serve", "replay"])
+def test_problems_of_interface_files_are_told_together_with_exit_2(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "my_msgs" / "msg").mkdir(parents=True)
+    (tmp_path / "my_msgs" / "msg" / "Thing.msg").write_text("int33 a\nint34 b\n")
+    recording = [str(record(tmp_path / "run.mcap", [text(0)]))] if command == "replay" else []
+    arguments = [command, *recording, "--port", "0", "--interfaces", str(tmp_path / "my_msgs")]
+    assert cli.main(arguments) == ExitCode.USAGE
+    assert re.findall(r"Thing\.msg:(\d): '(int3\d)", capsys.readouterr().err) == [("1", "int33"), ("2", "int34")]
+
+
 def test_a_recording_is_played_to_its_end(tmp_path: Path) -> None:
     path = record(tmp_path / "run.mcap", [text(0), text(1)])
     assert cli.main(["replay", str(path), "--port", "0", "--rate", "100"]) == ExitCode.DONE

@@ -18,7 +18,7 @@ from tests.helpers.gateway import InProcess
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])
 async def test_conformance_in_process(case: dict[str, Any]) -> None:
-    options = {option: case.get(option, False) for option in ("relay_unknown_types", "rosapi")}
+    options = {option: case.get(option, False) for option in ("relay_unknown_types", "rosapi", "interfaces")}
     await play(case, InProcess(**options))
 
 

@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+import json
+
 import pytest
 
+from protocol.codecs import png
 from protocol.errors import FrameError
 from protocol.limits import Limits
 from protocol.session import Session
 from server.access.permissions import Identity, Role
+from server.gateway.client_topics import StrictPublication
 from server.graph import latching
 from server.graph.node import Node
-from server.graph.topics import Subscriber
+from server.graph.topics import UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from tests.helpers.gateway import InProcess
 
 
@@ -97,3 +101,88 @@ class TestLatching:
         assert told["msg"] == (
             "publish: topic /map: not latched: this client has 211 bytes latched with it, the limit is 100"
         )
+
+
+def read_strictly(world: InProcess) -> StrictPublication:
+    """A message of y on a topic to which x has subscribed, read and not published yet."""
+    world.say("x", op="subscribe", topic="/a", type="std_msgs/String")
+    frame = {"op": "publish", "topic": "/a", "msg": {"data": "text"}}
+    world.say("y", **frame)
+    publication = world.client("y").read_strictly(json.dumps(frame))
+    assert publication is not None
+    return publication
+
+
+class TestStrictWay:
+    """Messages on a topic on which the client has published before, without anything forgiven."""
+
+    def test_they_are_published_the_strict_way(self, world: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
+        world.say("x", op="subscribe", topic="/a", type="std_msgs/String")
+        world.say("y", op="publish", topic="/a", msg={"data": "0"})
+        monkeypatch.setattr(Graph, "publish", None)
+        for text in ("1", "2"):
+            world.say("y", op="publish", topic="/a", msg={"data": text})
+        assert [said["msg"] for said in world.heard("x")] == [{"data": text} for text in "012"]
+
+    def test_a_message_that_takes_the_general_way_is_followed_by_strict_ones(self, world: InProcess) -> None:
+        world.say("x", op="subscribe", topic="/a", type="geometry_msgs/Point")
+        for message in ({"x": 1.0, "y": 2.0, "z": 3.0}, {"x": 1}, {"x": 4.0, "y": 5, "z": 6.0}, {"w": 1}, {"y": 7}):
+            world.say("y", op="publish", topic="/a", msg=message)
+        assert [tuple(said["msg"].values()) for said in world.heard("x")] == [
+            (1, 2, 3),
+            (1, 0, 0),
+            (4, 5, 6),
+            (0, 7, 0),
+        ]
+
+    def test_what_was_read_before_its_topic_changed_is_read_again(self, world: InProcess) -> None:
+        publication = read_strictly(world)
+        world.say("x", op="unsubscribe", topic="/a")
+        world.client("y").leave()
+        world.clock.advance(UNREGISTER_TIMEOUT_S + 1.0)
+        world.say("x", op="subscribe", topic="/a", type="std_msgs/Int32")
+        world.heard("x")
+        assert not world.client("y").publish_strictly(publication)
+        assert world.heard("x") == []
+
+    def test_what_was_read_before_the_graph_changed_elsewhere_is_published(self, world: InProcess) -> None:
+        publication = read_strictly(world)
+        world.say("z", op="subscribe", topic="/a", type="std_msgs/String")
+        world.heard("z")
+        assert world.client("y").publish_strictly(publication)
+        assert [said["msg"] for said in world.heard("z")] == [{"data": "text"}]
+
+    def test_what_was_read_before_its_client_lost_its_role_is_read_again(self, world: InProcess) -> None:
+        publication, client = read_strictly(world), world.client("y")
+        client.node.identity = Identity("y", Role.VIEW)
+        client._authorizer.authenticate(client.node.identity)
+        assert not client.publish_strictly(publication)
+
+    def test_what_was_read_before_its_topic_was_latched_is_read_again(self, world: InProcess) -> None:
+        publication = read_strictly(world)
+        world.say("y", op="advertise", topic="/a", type="std_msgs/String", latch=True)
+        assert not world.client("y").publish_strictly(publication)
+
+    def test_a_subscriber_that_came_too_late_gets_it_in_its_own_encoding(self, world: InProcess) -> None:
+        world.say("y", op="advertise", topic="/a", type="std_msgs/Int32")
+        for _ in range(2):
+            world.say("y", op="publish", topic="/a", msg={"data": 7})
+        world.say("x", op="subscribe", topic="/a", type="std_msgs/Int32", compression="png")
+        packed = [json.loads(png.decode(said["data"])) for said in world.heard("x")]
+        assert [each["msg"] for each in packed] == [{"data": 7}] * 2
+
+    def test_a_whole_message_behind_a_piece_of_another_is_the_end_of_that(self, world: InProcess) -> None:
+        publication = read_strictly(world)
+        world.heard("x")
+        for frame in (publication.frame[:20], publication.frame, publication.frame[20:]):
+            world.client("y").receive_frame(frame)
+        assert len(world.heard("x")) == 1
+
+    def test_what_is_called_topic_elsewhere_is_not_taken_for_the_operations(self, world: InProcess) -> None:
+        for topic in ("/a", "/b"):
+            world.say("x", op="subscribe", topic=topic, type="diagnostic_msgs/KeyValue")
+            world.say("y", op="publish", topic=topic, msg={"key": "", "value": ""})
+        world.heard("x")
+        frame = '{"topic": "/b", "msg": {"key": "", "value": ""}, "op": "publish", "topic": "/a"}'
+        world.client("y").receive_frame(frame)
+        assert [said["topic"] for said in world.heard("x")] == ["/a"]

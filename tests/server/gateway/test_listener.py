@@ -47,7 +47,17 @@ from server.graph.topics import Graph, Subscriber
 from server.rosapi import RosApi
 from tests.conformance.cases import cases, play
 from tests.helpers.clock import FakeClock
-from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, limiter_of, listening, request, status, until_empty
+from tests.helpers.gateway import (
+    TIMEOUT_S,
+    UPGRADE,
+    USER_REGISTRY,
+    exchange,
+    limiter_of,
+    listening,
+    request,
+    status,
+    until_empty,
+)
 from tests.helpers.resources import Pair, make_pair, openssl
 from tests.helpers.server import ROOT
 
@@ -383,7 +393,8 @@ async def listener() -> AsyncIterator[Listener]:
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])
 async def test_conformance_over_sockets(case: dict[str, Any]) -> None:
-    graph = Graph(REGISTRY, relay_unknown_types=case.get("relay_unknown_types", False))
+    registry = USER_REGISTRY if case.get("interfaces") else REGISTRY
+    graph = Graph(registry, relay_unknown_types=case.get("relay_unknown_types", False))
     if case.get("rosapi", False):
         RosApi(graph)
     async with open_listener(graph) as listener:

@@ -51,7 +51,9 @@ def test_a_foreign_reader_decodes_what_was_recorded(tmp_path: Path) -> None:
 
 
 def test_a_foreign_reader_understands_the_schema_of_every_type(tmp_path: Path) -> None:
-    names = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]
+    # The reader has no wide text.
+    wide = {"example_interfaces/msg/WString"}
+    names = [name for name in REGISTRY.type_names() if REGISTRY.knows(name) and name not in wide]
     path = record(tmp_path / "run.mcap", [entry(f"/t/{name}", name, {}, n) for n, name in enumerate(names)])
     assert [one.schema.name for one in foreign(path)] == names
 

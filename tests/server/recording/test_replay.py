@@ -15,9 +15,11 @@ from server.config import ServerSettings
 from server.errors import RecordingError
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
+from server.interfaces import load_registry
 from server.recording import replay as replay_module
 from server.recording.files import RecordedMessage
 from server.recording.replay import Player, RecordedTopic, Recording, ReplayOptions, ReplayServer
+from tests.conformance.cases import INTERFACES
 from tests.helpers.clients import frame_client
 from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
@@ -304,3 +306,16 @@ async def test_a_file_that_disappears_is_an_error(options: ReplayOptions) -> Non
     options.path.unlink()
     with pytest.raises(RecordingError, match="No such file"):
         await ReplayServer(options).run()
+
+
+@pytest.mark.parametrize(("interfaces", "published"), [([INTERFACES], 1), ([], 0)])
+async def test_types_of_the_users_packages_are_replayed_where_the_settings_name_them(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, interfaces: list[Path], published: int
+) -> None:
+    caplog.set_level("INFO")
+    user = load_registry([INTERFACES])
+    path = record(tmp_path / "user.mcap", [entry("/sample", "lab_msgs/Sample", {}, registry=user)], user)
+    server = ServerSettings(port=0, interfaces=interfaces)
+    async with asyncio.timeout(30.0):
+        await ReplayServer(ReplayOptions(path, server, AccessSettings(), rate=100.0, delay_s=0.0, loop=False)).run()
+    assert f"replay ended: {published} messages published" in caplog.text

@@ -3,16 +3,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, cast
 
 import pytest
 
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
+from server.interfaces import load_registry
 from server.zenoh import network
 from server.zenoh.network import Declaration, NameFilter, Namespace, Network
 from server.zenoh.rmw import Endpoint, LivelinessTokens
 from server.zenoh.session import SessionThread
+from tests.conformance.cases import INTERFACES
 from tests.helpers.zenoh_network import REGISTRY
 
 # The network.
@@ -141,3 +144,9 @@ def test_without_a_namespace_names_are_the_same_on_both_sides() -> None:
     namespace = Namespace("")
     assert namespace.to_network("/a") == namespace.to_local("/a") == "/a"
     assert namespace.contains("/a")
+
+
+async def test_a_type_of_the_users_packages_has_an_endpoint(alone: Network) -> None:
+    user = replace(alone, graph=Graph(load_registry([INTERFACES])))
+    assert user.endpoint("/a", "lab_msgs/msg/Sample", "msg") is not None
+    assert user.endpoint("/a", "lab_msgs/srv/Measure", "srv") is not None

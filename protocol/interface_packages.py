@@ -1,0 +1,345 @@
+"""ROS packages of the user: their ``msg``, ``srv`` and ``action`` files become tables beside the packaged ones.
+
+A folder is a package, or has packages in it at any depth, as a workspace's ``src`` and an install's ``share`` have.
+All problems of all files are told at once.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import get_args
+
+from protocol.errors import InterfaceFilesError
+from protocol.interface_files import PACKAGE_NAME, Generation, InterfaceFile, Problem, is_spelled_as_ros1, read_file
+from protocol.registry import (
+    Definition,
+    Kind,
+    MessageType,
+    Registry,
+    Table,
+    read_ros1,
+    read_ros2,
+    same_definition,
+    with_action_messages,
+)
+
+# The largest published interface file has 40 kB, and the whole of ROS 2, as installed for a desktop, 1500 files.
+MAX_FILE_BYTES = 256 * 1024
+MAX_FILES = 10_000
+
+# Of a workspace: repositories in folders of their own, with packages in folders of their own.
+MAX_DEPTH = 6
+MAX_FOLDERS = 20_000
+
+# Values that a message has without its lists, for each of which its compiled form has a part, made when the first
+# message comes: of so many in 0.3 s, while all wait. The largest packaged type has 94.
+MAX_FIELDS = 2_000
+# Values of a message in which nothing is set, with the elements of its arrays of fixed size.
+MAX_DEFAULT_VALUES = 1_000_000
+# Of messages in messages; the packaged types have 11.
+MAX_NESTING = 32
+
+_KINDS: tuple[Kind, ...] = get_args(Kind)
+
+# Tools leave folders with one of these files alone (colcon, catkin, ament).
+_IGNORE_MARKERS = frozenset(("COLCON_IGNORE", "CATKIN_IGNORE", "AMENT_IGNORE"))
+
+
+@dataclass(frozen=True)
+class UserInterfaces:
+    """Types of the user's packages.
+
+    Attributes:
+        ros2: those of ROS 2 packages, by their canonical names.
+        ros1: those of ROS 1 packages, with the messages of their actions.
+        packages: names of the packages.
+        kept: names of types that differ from the packaged ones, which stay, for the program itself uses them.
+        replaced: names of types that take the place of packaged ones.
+    """
+
+    ros2: Table
+    ros1: Table
+    packages: tuple[str, ...] = ()
+    kept: tuple[str, ...] = ()
+    replaced: tuple[str, ...] = ()
+
+    def registry(self) -> Registry:
+        """Return the packaged types and these."""
+        return Registry({**read_ros2(), **self.ros2}, {**read_ros1(), **self.ros1})
+
+
+@dataclass
+class _Package:
+    """A package: its folder, its name, its generation as far as package.xml tells, and the texts of its files."""
+
+    folder: Path
+    name: str
+    generation: Generation | None
+    texts: list[tuple[Kind, Path, str]] = field(default_factory=list)
+
+
+def read_packages(folders: Sequence[Path], own_packages: Collection[str] = ()) -> UserInterfaces:
+    """Read the interface files of packages.
+
+    Args:
+        folders: each a package or a folder of packages.
+        own_packages: names of packages of which the packaged types stay, for the program itself uses them.
+
+    Raises:
+        InterfaceFilesError: something in them cannot be used; with everything that cannot.
+    """
+    reader = _PackageReader()
+    packages = [package for folder in folders for package in reader.read_folder(folder)]
+    files: dict[Generation, list[InterfaceFile]] = {"ros1": [], "ros2": []}
+    for package in packages:
+        generation = package.generation or "ros2"
+        files[generation] += (
+            read_file(path, text, package.name, kind, generation) for kind, path, text in package.texts
+        )
+    problems = reader.problems + [problem for each in files.values() for file in each for problem in file.problems]
+    if problems:
+        raise InterfaceFilesError(problems)
+    tables = {generation: _table(each, problems) for generation, each in files.items()}
+    merged = _merged(tables, own_packages)
+    registry = merged.registry()
+    for generation, chosen in (("ros2", registry), ("ros1", registry.ros1)):
+        problems += _unknown_types(files[generation], chosen)
+    if not problems:
+        for generation, chosen in (("ros2", registry), ("ros1", registry.ros1)):
+            problems += _Sizes(chosen).problems(files[generation])
+    if problems:
+        raise InterfaceFilesError(problems)
+    return merged
+
+
+class _PackageReader:
+    """Finds packages and reads their files, within the limits of all folders together.
+
+    Attributes:
+        problems: what is wrong with folders, and with files that cannot be read.
+    """
+
+    def __init__(self) -> None:
+        self.problems: list[Problem] = []
+        self._files_left = MAX_FILES
+        self._folders_left = MAX_FOLDERS
+        # Folders of the one that is read, without symbolic links, which may lead in a circle.
+        self._seen: set[Path] = set()
+
+    def read_folder(self, folder: Path) -> list[_Package]:
+        """Read the packages of a folder that have interfaces."""
+        if not folder.is_dir():
+            self._refuse(folder, "wanted a folder with ROS packages, and there is none")
+            return []
+        self._seen.clear()
+        found = [self._read_package(each) for each in self._packages(folder, MAX_DEPTH)]
+        packages = [package for package in found if package is not None]
+        if not packages and not self.problems:
+            self._refuse(folder, "no package in it has msg/*.msg, srv/*.srv or action/*.action files")
+        # Packages that tell no generation are those of one author, who writes for one of the two.
+        unknown = [package for package in packages if package.generation is None]
+        generation: Generation = "ros1" if any(map(_is_spelled_as_ros1, unknown)) else "ros2"
+        for package in unknown:
+            package.generation = generation
+        return packages
+
+    def _packages(self, folder: Path, depth: int) -> Iterator[Path]:
+        """Go over the folders that are packages; there are no packages inside of packages."""
+        if (place := folder.resolve()) in self._seen:
+            return
+        self._seen.add(place)
+        self._folders_left -= 1
+        if self._folders_left < 0:
+            if self._folders_left == -1:
+                self._refuse(folder, f"more than {MAX_FOLDERS} folders to look through; name the packages one by one")
+            return
+        try:
+            names = sorted(each.name for each in folder.iterdir())
+        except OSError as error:
+            self._refuse(folder, f"cannot be read: {error.strerror}")
+            return
+        if not _IGNORE_MARKERS.isdisjoint(names):
+            return
+        if "package.xml" in names or any(kind in names and _interface_files(folder, kind) for kind in _KINDS):
+            yield folder
+        elif depth:
+            for name in names:
+                if not name.startswith(".") and (folder / name).is_dir():
+                    yield from self._packages(folder / name, depth - 1)
+
+    def _read_package(self, folder: Path) -> _Package | None:
+        paths = [(kind, path) for kind in _KINDS for path in _interface_files(folder, kind)]
+        if not paths:
+            return None
+        self._files_left -= len(paths)
+        if self._files_left < 0:
+            self._refuse(folder, f"more than {MAX_FILES} interface files in all folders together")
+            return None
+        name, generation = self._identity(folder)
+        texts = [(kind, path, text) for kind, path in paths if (text := self._text(path)) is not None]
+        return _Package(folder, name, generation, texts)
+
+    def _identity(self, folder: Path) -> tuple[str, Generation | None]:
+        """Return name and generation by package.xml, else the folder's name and None."""
+        manifest = folder / "package.xml"
+        # Resolved, for the folder may be given as `.`
+        name, generation = folder.resolve().name, None
+        if manifest.is_file() and (text := self._text(manifest)) is not None:
+            try:
+                root = ET.fromstring(text)  # noqa: S314 - the user's own file, given on the command line
+            except (ET.ParseError, ValueError) as error:
+                line = error.position[0] if isinstance(error, ET.ParseError) else None
+                self.problems.append(Problem(manifest, line, "", f"is no XML: {error}"))
+                return name, None
+            name = (root.findtext("name") or name).strip()
+            generation = _generation(root)
+        if not PACKAGE_NAME.fullmatch(name):
+            place = manifest if manifest.is_file() else folder
+            sentence = "wanted a package's name of letters, digits and underscores"
+            self.problems.append(Problem(place, None, name, sentence))
+        return name, generation
+
+    def _text(self, path: Path) -> str | None:
+        try:
+            with path.open("rb") as stream:
+                octets = stream.read(MAX_FILE_BYTES + 1)
+        except OSError as error:
+            self._refuse(path, f"cannot be read: {error.strerror}")
+            return None
+        if len(octets) > MAX_FILE_BYTES:
+            self._refuse(path, f"has more than {MAX_FILE_BYTES} bytes, which no interface file has")
+            return None
+        # Older packages have comments in other encodings, which are of no interest.
+        return octets.decode("utf-8", "surrogateescape")
+
+    def _refuse(self, path: Path, sentence: str) -> None:
+        self.problems.append(Problem(path, None, "", sentence))
+
+
+def _interface_files(folder: Path, kind: Kind) -> list[Path]:
+    """Return the files of a kind; of those that builds install beside them, none."""
+    return sorted(path for path in (folder / kind).glob(f"*.{kind}") if path.is_file())
+
+
+def _generation(manifest: ET.Element) -> Generation | None:
+    """Return the generation by the build tool that a package.xml names; None where it names those of both, or none."""
+    tools = {(each.text or "").strip() for tag in ("buildtool_depend", "build_type") for each in manifest.iter(tag)}
+    ros1 = any(tool.startswith("catkin") for tool in tools)
+    ros2 = any(tool.startswith(("ament", "rosidl")) for tool in tools)
+    if ros1 == ros2:
+        return None
+    return "ros1" if ros1 else "ros2"
+
+
+def _is_spelled_as_ros1(package: _Package) -> bool:
+    has_header = any(path.stem == "Header" for _, path, _ in package.texts)
+    return any(is_spelled_as_ros1(text, has_header=has_header) for _, _, text in package.texts)
+
+
+def _table(files: Iterable[InterfaceFile], problems: list[Problem]) -> dict[str, Definition]:
+    """Return the definitions of files; a type that two files define differently is a problem."""
+    first: dict[str, InterfaceFile] = {}
+    for file in files:
+        other = first.setdefault(file.name, file)
+        if other.definition != file.definition:
+            sentence = f"defines {file.name} otherwise than {other.path} does; remove one of them"
+            problems.append(Problem(file.path, None, "", sentence))
+    return {name: file.definition for name, file in first.items()}
+
+
+def _merged(tables: Mapping[Generation, dict[str, Definition]], own_packages: Collection[str]) -> UserInterfaces:
+    """Return the types without those that are packaged alike, and without those that stay as they are packaged."""
+    packages = tuple(sorted({name.split("/")[0] for table in tables.values() for name in table}))
+    own = {"ros2": read_ros2(), "ros1": read_ros1()}
+    user = {"ros2": tables["ros2"], "ros1": dict(with_action_messages(tables["ros1"]))}
+    kept, replaced = set(), set()
+    for generation, table in user.items():
+        for name in [name for name in table if name in own[generation]]:
+            if same_definition(own[generation][name], table[name]):
+                del table[name]
+            elif name.split("/")[0] in own_packages:
+                del table[name]
+                kept.add(name)
+            else:
+                replaced.add(name)
+    return UserInterfaces(user["ros2"], user["ros1"], packages, tuple(sorted(kept)), tuple(sorted(replaced)))
+
+
+def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterator[Problem]:
+    """Go over the references to types that do not exist."""
+    known: list[str] = []
+    for file in files:
+        for reference in file.references:
+            name = reference.type_name
+            if registry.knows(name):
+                continue
+            known = known or [_spell(each) for each in registry.type_names() if registry.knows(each)]
+            # The right name in the wrong package, or in none, tells more than a similar one does.
+            suffix = f"/{name.split('/')[1]}"
+            meant = [each for each in known if each.endswith(suffix)] or get_close_matches(name, known, n=1)
+            hint = f"; did you mean {meant[0]}?" if meant else ""
+            yield Problem(file.path, reference.line, reference.text, f"type {name} is unknown{hint}")
+
+
+class _Sizes:
+    """Number of values in messages, for which no type may contain itself.
+
+    Args:
+        registry: the types of one generation.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        # Of a type: values without lists, and values of one in which nothing is set.
+        self._counted: dict[str, tuple[int, int]] = {}
+
+    def problems(self, files: Iterable[InterfaceFile]) -> Iterator[Problem]:
+        """Go over the files whose types contain themselves, or are too large."""
+        for file in files:
+            try:
+                for message in self._messages(file):
+                    self._count(message.name, ())
+            except _UnusableTypeError as error:
+                yield Problem(file.path, None, "", str(error))
+
+    def _messages(self, file: InterfaceFile) -> list[MessageType]:
+        if file.definition["kind"] == "msg":
+            return [self._registry.message(file.name)]
+        members = [member.title() for member in file.definition if member != "kind"]
+        return [self._registry.message(f"{file.name}_{member}") for member in members]
+
+    def _count(self, name: str, inside: tuple[str, ...]) -> tuple[int, int]:
+        if name in inside:
+            circle = (*inside[inside.index(name) :], name)
+            raise _UnusableTypeError(f"a type may not contain itself: {' contains '.join(map(_spell, circle))}")
+        counted = self._counted.get(name)
+        if counted is not None:
+            return counted
+        if len(inside) > MAX_NESTING:
+            raise _UnusableTypeError(f"{_spell(inside[0])} has messages in messages, more than {MAX_NESTING} deep")
+        fields = defaults = 0
+        for each in self._registry.message(name).fields:
+            inner_fields, inner_defaults = (1, 1) if each.primitive else self._count(each.base, (*inside, name))
+            fields += inner_fields if each.array is None else 1
+            defaults += inner_defaults * (1 if each.array is None else each.array.min_length)
+        for count, limit, what in (
+            (fields, MAX_FIELDS, "fields"),
+            (defaults, MAX_DEFAULT_VALUES, "values in its arrays of fixed size"),
+        ):
+            if count > limit:
+                raise _UnusableTypeError(f"{_spell(name)} has {count} {what}, more than {limit}")
+        self._counted[name] = fields, defaults
+        return fields, defaults
+
+
+class _UnusableTypeError(Exception):
+    """A type that contains itself, or is too large."""
+
+
+def _spell(name: str) -> str:
+    first, *_, last = name.split("/")
+    return f"{first}/{last}"

@@ -1,0 +1,333 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap_ros2._dynamic import generate_dynamic
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from protocol import interface_packages
+from protocol.codecs import cdr
+from protocol.errors import InterfaceFilesError, MessageError
+from protocol.interface_packages import UserInterfaces, read_packages
+from protocol.messages import Stamp, complete
+from protocol.registry import Registry
+from protocol.strict_messages import strict_type
+from protocol.type_descriptions import full_text, message_hash, service_hash
+from tests.conformance.cases import INTERFACES
+from tests.helpers.messages import deserialize, made_up
+
+
+def package(folder: Path, *files: tuple[str, str], tool: str | None = "ament_cmake", name: str | None = None) -> Path:
+    """Write a package with files, each a path such as ``msg/Thing.msg`` and its text."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if tool is not None:
+        text = f"<package><name>{name or folder.name}</name><buildtool_depend>{tool}</buildtool_depend></package>"
+        (folder / "package.xml").write_text(text)
+    for path, content in files:
+        (folder / path).parent.mkdir(exist_ok=True)
+        (folder / path).write_text(content)
+    return folder
+
+
+def problems(*folders: Path) -> list[str]:
+    with pytest.raises(InterfaceFilesError) as refusal:
+        read_packages(folders)
+    assert str(refusal.value).splitlines()[1:] == [f"  {each}" for each in refusal.value.problems]
+    return [str(each) for each in refusal.value.problems]
+
+
+def problem(*folders: Path) -> str:
+    (only,) = problems(*folders)
+    return only
+
+
+def test_a_package_is_read_with_messages_services_and_actions(tmp_path: Path) -> None:
+    files = ("msg/A.msg", "int32 a"), ("srv/B.srv", "A a\n---\n"), ("action/C.action", "---\nA a\n---\n")
+    interfaces = read_packages([package(tmp_path / "my_msgs", *files)])
+    assert list(interfaces.ros2) == ["my_msgs/msg/A", "my_msgs/srv/B", "my_msgs/action/C"]
+    assert interfaces.packages == ("my_msgs",)
+    registry = interfaces.registry()
+    assert registry.service("my_msgs/B").request.fields[0].base == "my_msgs/msg/A"
+    assert registry.action("my_msgs/C").result.fields[0].base == "my_msgs/msg/A"
+    assert registry.knows("std_msgs/String")
+
+
+def test_the_name_is_that_of_package_xml_else_that_of_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named = package(tmp_path / "some_clone", ("msg/A.msg", ""), name="my_msgs")
+    unnamed = package(tmp_path / "your_msgs", ("msg/A.msg", ""), tool=None)
+    monkeypatch.chdir(unnamed)
+    assert list(read_packages([named, Path()]).ros2) == ["my_msgs/msg/A", "your_msgs/msg/A"]
+
+
+def test_a_workspace_is_looked_through_for_packages_but_not_inside_of_them(tmp_path: Path) -> None:
+    package(tmp_path / "src" / "repository" / "one_msgs", ("msg/A.msg", "two_msgs/A a"))
+    package(tmp_path / "src" / "two_msgs", ("msg/A.msg", "int32 a"))
+    package(tmp_path / "src" / "two_msgs" / "test" / "three_msgs", ("msg/A.msg", "not read"))
+    package(tmp_path / "src" / "tools")
+    package(tmp_path / "src" / "old" / "four_msgs", ("msg/A.msg", "not read"))
+    (tmp_path / "src" / "old" / "COLCON_IGNORE").touch()
+    assert list(read_packages([tmp_path]).ros2) == ["one_msgs/msg/A", "two_msgs/msg/A"]
+
+
+def test_links_in_a_workspace_are_followed_but_not_in_circles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package(tmp_path / "elsewhere" / "one_msgs", ("msg/A.msg", "int32 a"))
+    (tmp_path / "src").mkdir()
+    (tmp_path / "src" / "one").symlink_to(tmp_path / "elsewhere")
+    for name in ("back", "again", "once_more"):
+        (tmp_path / "src" / name).symlink_to(tmp_path / "src")
+    monkeypatch.setattr(interface_packages, "MAX_FOLDERS", 10)
+    assert list(read_packages([tmp_path / "src"]).ros2) == ["one_msgs/msg/A"]
+
+
+def test_files_that_an_install_has_beside_them_are_left_alone(tmp_path: Path) -> None:
+    files = [
+        ("srv/B.srv", "int32 a\n---"),
+        ("srv/B_Request.msg", "int32 a"),
+        ("srv/B.idl", "module"),
+        ("msg/A.json", "{"),
+    ]
+    assert list(read_packages([package(tmp_path / "my_msgs", *files)]).ros2) == ["my_msgs/srv/B"]
+
+
+@pytest.mark.parametrize(
+    ("tool", "text", "ros1"),
+    [
+        ("catkin", "int32 a", True),
+        ("ament_cmake", "int32 a", False),
+        ("ament_cmake_ros", "int32 a", False),
+        (None, "int32 a", False),
+        (None, "time a", True),
+        (None, "Header a", True),
+    ],
+)
+def test_the_generation_is_told_by_the_build_tool_else_by_the_files(
+    tmp_path: Path, tool: str | None, text: str, *, ros1: bool
+) -> None:
+    interfaces = read_packages([package(tmp_path / "my_msgs", ("msg/A.msg", text), tool=tool)])
+    assert ("my_msgs/msg/A" in interfaces.ros1, "my_msgs/msg/A" in interfaces.ros2) == (ros1, not ros1)
+
+
+def test_a_package_for_both_generations_is_told_by_its_files(tmp_path: Path) -> None:
+    folder = package(tmp_path / "my_msgs", ("msg/A.msg", "time a"))
+    (folder / "package.xml").write_text(
+        "<package><name>my_msgs</name><buildtool_depend>catkin</buildtool_depend>"
+        "<buildtool_depend>ament_cmake</buildtool_depend></package>"
+    )
+    assert "my_msgs/msg/A" in read_packages([folder]).ros1
+
+
+def test_an_action_of_ros1_has_its_seven_messages_also_where_a_build_has_written_them(tmp_path: Path) -> None:
+    files = ("action/Do.action", "int32 a\n---\n---\n"), ("msg/DoGoal.msg", "# generated\nint32 a")
+    interfaces = read_packages([package(tmp_path / "my_msgs", *files, tool="catkin")])
+    assert len(interfaces.ros1) == 8
+    assert interfaces.registry().message("my_msgs/DoActionGoal").fields[2].base == "my_msgs/msg/DoGoal"
+
+
+def test_all_problems_of_all_packages_are_told(tmp_path: Path) -> None:
+    package(tmp_path / "a_msgs", ("msg/A.msg", "int33 a\nint32 B"), ("srv/C.srv", ""))
+    package(tmp_path / "b_msgs", ("msg/A.msg", "int32[0] a"))
+    told = problems(tmp_path, tmp_path / "nowhere")
+    assert [each.split("/")[-1].split(" ")[0] for each in told] == [
+        "nowhere:",
+        "A.msg:1:",
+        "A.msg:2:",
+        "C.srv:",
+        "A.msg:1:",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    [
+        ("geometry_msgs/Pont a", "geometry_msgs/Point"),
+        ("Pose a", "geometry_msgs/Pose"),
+        ("Thingy a", "my_msgs/Thing"),
+        ("std_msgs/Point a", "geometry_msgs/Point"),
+    ],
+)
+def test_a_type_that_does_not_exist_is_told_with_the_nearest(tmp_path: Path, line: str, meant: str) -> None:
+    told = problem(package(tmp_path / "my_msgs", ("msg/A.msg", f"int32 b\n{line}"), ("msg/Thing.msg", "")))
+    assert told.endswith(f"my_msgs/msg/A.msg:2: {line!r}: {told.split(': ')[-1]}")
+    assert told.endswith(f"is unknown; did you mean {meant}?")
+
+
+def test_types_of_ros2_alone_are_unknown_to_a_package_of_ros1(tmp_path: Path) -> None:
+    folder = package(tmp_path / "my_msgs", ("msg/A.msg", "builtin_interfaces/Time a"), tool="catkin")
+    assert "type builtin_interfaces/Time is unknown" in problem(folder)
+
+
+def test_a_type_that_contains_itself_is_refused(tmp_path: Path) -> None:
+    files = ("msg/A.msg", "B b"), ("msg/B.msg", "int32 a\nC[] c"), ("msg/C.msg", "A a"), ("msg/D.msg", "D d")
+    told = problems(package(tmp_path / "my_msgs", *files))
+    assert [each.partition(": ")[2] for each in told] == [
+        "a type may not contain itself: my_msgs/A contains my_msgs/B contains my_msgs/C contains my_msgs/A",
+        "a type may not contain itself: my_msgs/B contains my_msgs/C contains my_msgs/A contains my_msgs/B",
+        "a type may not contain itself: my_msgs/C contains my_msgs/A contains my_msgs/B contains my_msgs/C",
+        "a type may not contain itself: my_msgs/D contains my_msgs/D",
+    ]
+
+
+def test_a_type_of_too_many_values_is_refused(tmp_path: Path) -> None:
+    tenfold = [(f"msg/T{n}.msg", "\n".join(f"T{n - 1} a{m}" for m in range(10))) for n in range(1, 5)]
+    wide = package(tmp_path / "wide_msgs", ("msg/T0.msg", "int32 a"), *tenfold)
+    long = package(tmp_path / "long_msgs", ("msg/A.msg", "float64[1000000000] a"))
+    assert "wide_msgs/T4 has 10000 fields, more than 2000" in problem(wide)
+    assert "long_msgs/A has 1000000000 values in its arrays of fixed size, more than 1000000" in problem(long)
+
+
+def test_messages_in_messages_without_end_are_refused(tmp_path: Path) -> None:
+    files = [(f"msg/T{n}.msg", f"T{n + 1}[] a") for n in range(40)]
+    told = problems(package(tmp_path / "deep_msgs", *files, ("msg/T40.msg", "int32 a")))
+    assert "deep_msgs/T0 has messages in messages, more than 32 deep" in told[0]
+
+
+def test_files_folders_and_their_size_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    large = package(tmp_path / "large_msgs", ("msg/A.msg", "#" * 300_000))
+    assert problem(large).endswith("large_msgs/msg/A.msg: has more than 262144 bytes, which no interface file has")
+    many = package(tmp_path / "many_msgs", *((f"msg/A{n}.msg", "") for n in range(5)))
+    monkeypatch.setattr(interface_packages, "MAX_FILES", 4)
+    assert problem(many).endswith("more than 4 interface files in all folders together")
+    monkeypatch.setattr(interface_packages, "MAX_FOLDERS", 2)
+    for name in ("a", "b", "c"):
+        (tmp_path / "empty" / name).mkdir(parents=True)
+    assert "more than 2 folders to look through" in problem(tmp_path / "empty")
+
+
+def test_a_folder_without_interfaces_is_refused(tmp_path: Path) -> None:
+    assert problem(package(tmp_path / "tools")).endswith("has msg/*.msg, srv/*.srv or action/*.action files")
+    assert problem(tmp_path / "nowhere").endswith("nowhere: wanted a folder with ROS packages, and there is none")
+
+
+def test_a_package_xml_that_is_none_is_told_with_its_line(tmp_path: Path) -> None:
+    folder = package(tmp_path / "my_msgs", ("msg/A.msg", ""))
+    (folder / "package.xml").write_text("<package>\n<name>my_msgs</nam>")
+    assert "my_msgs/package.xml:2: is no XML" in problem(folder)
+
+
+def test_a_name_that_no_package_can_have_is_refused(tmp_path: Path) -> None:
+    told = problem(package(tmp_path / "my-msgs", ("msg/A.msg", "")))
+    assert told.endswith("my-msgs/package.xml: 'my-msgs': wanted a package's name of letters, digits and underscores")
+
+
+def test_two_files_that_define_a_type_alike_are_one_and_otherwise_are_refused(tmp_path: Path) -> None:
+    one = package(tmp_path / "src" / "my_msgs", ("msg/A.msg", "int32 a # first\nint32 B=0x10"))
+    two = package(tmp_path / "install" / "my_msgs", ("msg/A.msg", "int32 a\nint32 B = 16"))
+    assert list(read_packages([one, two]).ros2) == ["my_msgs/msg/A"]
+    package(two, ("msg/A.msg", "int64 a"))
+    assert problem(one, two).endswith(f"defines my_msgs/msg/A otherwise than {one}/msg/A.msg does; remove one of them")
+
+
+POINT = "float64 x\nfloat64 y\nfloat64 z"
+
+
+def test_a_type_that_is_packaged_alike_changes_nothing(tmp_path: Path) -> None:
+    folder = package(tmp_path / "geometry_msgs", ("msg/Point.msg", f"# where\n{POINT}"))
+    assert read_packages([folder], {"geometry_msgs"}) == UserInterfaces({}, {}, ("geometry_msgs",))
+
+
+def test_a_type_that_the_program_uses_itself_stays_as_it_is(tmp_path: Path) -> None:
+    folder = package(tmp_path / "geometry_msgs", ("msg/Point.msg", f"{POINT}\nint32 w"), ("msg/New.msg", "Point p"))
+    interfaces = read_packages([folder], {"geometry_msgs"})
+    assert interfaces.kept == ("geometry_msgs/msg/Point",)
+    assert len(interfaces.registry().message("geometry_msgs/Point").fields) == 3
+    assert interfaces.registry().knows("geometry_msgs/New")
+
+
+def test_any_other_packaged_type_is_replaced_by_the_users(tmp_path: Path) -> None:
+    interfaces = read_packages([package(tmp_path / "turtlesim", ("msg/Color.msg", "uint8 grey"))], {"geometry_msgs"})
+    assert interfaces.replaced == ("turtlesim/msg/Color",)
+    assert [field.name for field in interfaces.registry().message("turtlesim/Color").fields] == ["grey"]
+
+
+def test_a_type_that_a_packaged_one_contains_is_checked_with_it(tmp_path: Path) -> None:
+    folder = package(tmp_path / "turtlesim", ("msg/Color.msg", "foxglove_msgs/Grid grid"))
+    package(tmp_path / "foxglove_msgs", ("msg/PackedElementField.msg", "turtlesim/Color color"))
+    told = problems(folder, tmp_path / "foxglove_msgs")
+    assert all("a type may not contain itself" in each for each in told)
+
+
+USER = read_packages([INTERFACES]).registry()
+MESSAGES = [
+    "lab_msgs/msg/Sample",
+    "lab_msgs/msg/Tag",
+    "lab_msgs/srv/Measure_Request",
+    "lab_msgs/srv/Measure_Response",
+    "lab_msgs/action/Scan_Goal",
+    "lab_msgs/action/Scan_Result",
+    "old_lab_msgs/msg/Reading",
+    "old_lab_msgs/msg/SweepActionGoal",
+]
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+@pytest.mark.parametrize("seed", range(20))
+def test_messages_of_the_users_types_go_through_cdr_unchanged(name: str, seed: int) -> None:
+    message = made_up(USER, name, seed)
+    octets = cdr.serialize(USER, name, message)
+    assert cdr.deserialize(USER, name, octets) == deserialize(USER, name, octets) == message
+    assert complete(USER, name, message, Stamp(1, 2)) == message
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"]), max_size=13))
+def test_the_strict_form_takes_a_text_if_it_has_no_more_characters_than_its_bound(text: str) -> None:
+    strict = strict_type(USER, "lab_msgs/msg/Tag")
+    assert strict is not None
+    tag = {"text": text, "level": 0, "since": {"sec": 0, "nanosec": 0}}
+    assert strict.complete(tag) == (tag if len(text) <= 10 else None)
+
+
+def test_text_in_cdr_that_is_longer_than_its_bound_is_refused() -> None:
+    tag = complete(USER, "lab_msgs/Tag", {}, Stamp(1, 2))
+    octets = cdr.serialize(USER, "lab_msgs/Tag", {**tag, "text": "eleven here"})
+    with pytest.raises(MessageError, match="wanted string of at most 10 characters, got 11"):
+        cdr.deserialize(USER, "lab_msgs/Tag", octets)
+
+
+def test_wide_text_in_cdr_that_is_no_utf_16_is_refused() -> None:
+    octets = cdr.serialize(Registry.load(), "example_interfaces/WString", {"data": "a"})
+    with pytest.raises(MessageError, match="wanted text in UTF-16"):
+        cdr.deserialize(Registry.load(), "example_interfaces/WString", octets[:-2] + b"\x00\xd8")
+
+
+# Without wide text, which neither reader has.
+LINES = """\
+string UNIT="mm # per \\"turn\\""
+float64 SMALL=1e-30
+string<=8 name "it's # ü"
+float64[3] offset [0.0, 0.5, 1e-7]
+int32[<=4] counts [1, 2]
+string<=4[<=2] tags ["a, b", 'c']
+uint8[] raw [1, 2, 255]
+bool[] ready [true, False]
+string[] plain
+std_msgs/Header header
+"""
+
+
+def test_the_text_of_a_users_type_is_read_by_other_programs_with_the_same_hash(tmp_path: Path) -> None:
+    registry = read_packages([package(tmp_path / "my_msgs", ("msg/A.msg", LINES))]).registry()
+    text = full_text(registry, "my_msgs/A")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(text, "my_msgs/msg/A"))
+    assert store.hash_rihs01("my_msgs/msg/A") == message_hash(registry, "my_msgs/A")
+    message = complete(registry, "my_msgs/A", {}, Stamp(1, 2))
+    octets = cdr.serialize(registry, "my_msgs/A", message)
+    decoded = generate_dynamic("my_msgs/A", text)["my_msgs/A"](octets)
+    assert (decoded.name, decoded.offset, decoded.tags) == (message["name"], message["offset"], message["tags"])
+
+
+def test_a_bound_of_text_changes_the_hash(tmp_path: Path) -> None:
+    def hashed(line: str) -> tuple[str, str]:
+        folder = package(tmp_path / "my_msgs", ("msg/A.msg", line), ("srv/B.srv", f"{line}\n---\n"))
+        registry = read_packages([folder]).registry()
+        return message_hash(registry, "my_msgs/A"), service_hash(registry, "my_msgs/B")
+
+    kinds = ["string a", "string<=3 a", "string<=4 a", "wstring a", "wstring<=3 a", "string<=3[] a", "string<=3[2] a"]
+    for hashes in zip(*map(hashed, kinds), strict=True):
+        assert len(set(hashes)) == len(kinds)
+    assert hashed("string<=3 a 'x'") == hashed("string<=3 a")

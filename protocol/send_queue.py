@@ -365,8 +365,8 @@ class SendQueue:
         """Drop the oldest messages of a subscription that could have left longer ago than they may wait."""
         since_s = now - self._limits.max_topic_delay_s
         while (waiting := self._waiting.get(subscription)) and self._topic_data(waiting[0]).queued_s < since_s:
-            # Messages that wait for the client's own throttle are not late before it lets them through.
-            if subscription.due_s >= since_s:
+            # It is not the client that is slow while a message is encoded, or waits for the client's own throttle.
+            if subscription.due_s >= since_s or not self._topic_data(waiting[0]).encoded.ready:
                 return
             self._drop(waiting[0])
 

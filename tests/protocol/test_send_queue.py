@@ -494,3 +494,13 @@ def test_a_large_message_does_not_overtake_a_small_one_of_its_topic(free: Subscr
     assert taken(box, 1.0, 1) == [LARGE]
     put_all(box, topic, [b"1", LARGE + b"2"])
     assert taken(box, 1.0, 1) == [b"1"]
+
+
+def test_a_message_whose_encoding_takes_long_is_not_late(free: Subscription) -> None:
+    box, large = SendQueue(Limits()), later(b"large")
+    box.put_topic_data(free, large, 0.0)
+    box.drop_late(DELAY_S + 1.0)
+    assert box.dropped == 0
+    large.encode()
+    box.drop_late(DELAY_S + 1.0)
+    assert box.dropped == 1

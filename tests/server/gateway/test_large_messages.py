@@ -149,6 +149,7 @@ async def test_a_client_that_stands_still_gives_its_memory_back_though_nothing_m
         assert world.listener.traffic.counts().dropped_messages > 20
 
 
+@pytest.mark.real_time
 async def test_a_client_that_reads_one_large_message_slowly_keeps_those_behind_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -39,7 +39,7 @@ class Run(NamedTuple):
 def run() -> None:
     """Measure both, one after the other, load by load."""
     rows = []
-    with _running() as pids:
+    with running() as pids:
         for count in FAN_OUTS:
             fan_out = _beside_relay(pids, "fan_out", str(count))
             rows.append(_row(f"fan-out to {count}, CPU us per delivery", fan_out, "cpu_us", f"<= {FAN_OUT}"))
@@ -63,7 +63,8 @@ def _row(load: str, measured: list[dict[str, float]], figure: str, goal: str) ->
 
 
 @contextlib.contextmanager
-def _running() -> Iterator[dict[str, int]]:
+def running() -> Iterator[dict[str, int]]:
+    """Run both servers; yields the ids of their processes."""
     started = {
         name: subprocess.Popen([sys.executable, "-m", module, str(port)], stderr=subprocess.DEVNULL)
         for name, (module, port) in SERVERS.items()

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 # envelope of a piece costs a hundred bytes, so a message in pieces of one character would cost a hundredfold.
 MAX_PIECES = 10_000
 
+# All that waits for all clients of a server. Four that stand still may fill it, for a few seconds.
+MAX_SERVER_QUEUED_BYTES = 256_000_000
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -34,9 +37,14 @@ class Limits:
     max_calls_in_flight: int = 1_000
     # rosbridge_server's default_call_service_timeout: for the answer of a service that this client offers.
     call_timeout_s: float = 5.0
-    # Ten seconds of joint states at 100 Hz with room to spare: a client further behind wants the newest.
-    max_queued_topic_bytes: int = 720_896
+    # All that waits for a client, of which topic data gives way: two seconds of pictures of 1 MB at 30 Hz.
+    max_queued_bytes: int = 64_000_000
+    # Messages of topics among it, so that a queue of small ones is given up in 50 ms, not in half a second.
+    max_queued_messages: int = 20_000
+    # Topic data of one subscription: a client further behind wants the newest. With a client that stands still, all
+    # topic data: a computer that is suspended, or a page at a breakpoint, is not worth more memory for longer.
+    max_topic_delay_s: float = 5.0
     # Calls and goals for a provider, which others fill: beyond it they fail, and the provider stays.
-    max_queued_request_bytes: int = 524_288
-    # With the two above, and 128 KiB that are on their way into the socket, 2 MiB for a client that stops reading.
-    max_queued_reply_bytes: int = 720_896
+    max_queued_request_bytes: int = 16_000_000
+    # With the one above less than all that may wait, so that topic data is not shut out: eighty answers of 400 kB.
+    max_queued_reply_bytes: int = 32_000_000

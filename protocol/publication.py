@@ -20,9 +20,9 @@ from protocol.limits import MAX_PIECES
 from protocol.messages import Stamp
 from protocol.registry import Registry
 
-# What the interpreter spends on a waiting frame beside its bytes (170 were measured, the rest is the allocator's),
+# What the interpreter spends on a waiting frame beside its bytes (470 were measured, the rest is the allocator's),
 # so that a flood of tiny frames is bounded too.
-FRAME_OVERHEAD_BYTES = 256
+FRAME_OVERHEAD_BYTES = 512
 
 # First byte of a WebSocket frame: the last of its message (0x80), text or binary (RFC 6455, 5.2).
 _TEXT, _BINARY = 0x81, 0x82
@@ -67,14 +67,16 @@ class EncodedMessage:
         frames: one frame, or the fragments of one, in order.
 
     Attributes:
-        size_bytes: what it costs while it waits; an estimate for a message that is encoded later.
+        size_bytes: what it costs while it waits; an estimate for a message that is still to be encoded.
+        frame_count: number of frames; none while the message is still to be encoded, or when it cannot be.
         ready: False while it is still to be encoded.
     """
 
-    __slots__ = ("_encode", "_frames", "_on_wire", "_parts", "ready", "size_bytes")
+    __slots__ = ("_encode", "_frames", "_on_wire", "_parts", "frame_count", "ready", "size_bytes")
 
     def __init__(self, *frames: Frame) -> None:
         self._frames = frames
+        self.frame_count = len(frames)
         self.ready = True
         self.size_bytes = 0
         # One frame, as a message mostly has, is not worth the set-up of a sum.
@@ -93,6 +95,7 @@ class EncodedMessage:
         """
         encoded = cls()
         encoded._parts = parts
+        encoded.frame_count = 1
         encoded.size_bytes = sum(map(len, parts)) + FRAME_OVERHEAD_BYTES
         return encoded
 
@@ -120,7 +123,9 @@ class EncodedMessage:
             return
         try:
             encoded = self._encode()
-            self._on_wire, self._frames = encoded.on_wire, encoded.frames
+            self._on_wire, self.size_bytes, self.frame_count = encoded.on_wire, encoded.size_bytes, encoded.frame_count
+            if self.frame_count > 1:
+                self._frames = encoded.frames
         finally:
             self._encode = None
             self.ready = True
@@ -129,13 +134,12 @@ class EncodedMessage:
     def frames(self) -> tuple[Frame, ...]:
         """The frames; none while the message is still to be encoded, or when it cannot be."""
         if self._parts:
-            self._frames, self._parts = (Frame(b"".join(self._parts), text=True),), ()
+            return (Frame(b"".join(self._parts), text=True),)
+        if self.frame_count == 1 and self._on_wire is not None:
+            opening = self._on_wire[0]
+            header_bytes = len(_header(opening, self.size_bytes - FRAME_OVERHEAD_BYTES))
+            return (Frame(self._on_wire[header_bytes:], text=opening == _TEXT),)
         return self._frames
-
-    @property
-    def frame_count(self) -> int:
-        """Number of frames."""
-        return 1 if self._parts else len(self._frames)
 
     @property
     def on_wire(self) -> bytes:
@@ -145,6 +149,10 @@ class EncodedMessage:
                 self._on_wire = b"".join((_header(_TEXT, self.size_bytes - FRAME_OVERHEAD_BYTES), *self._parts))
             else:
                 self._on_wire = b"".join([frame.on_wire() for frame in self._frames])
+            # The bytes of one frame are kept once: a picture has megabytes, and may wait.
+            self._parts = ()
+            if self.frame_count == 1:
+                self._frames = ()
         return self._on_wire
 
 

@@ -21,6 +21,7 @@ from protocol.framing import FrameReader
 from protocol.limits import Limits
 from protocol.operations import Fragment, Operation, Png
 from protocol.publication import LARGE_BYTES, EncodedMessage, Encoding, Frame, PublishedMessage, pack
+from protocol.send_budget import SendBudget
 from protocol.send_queue import SendQueue
 from protocol.subscriptions import Publications, Subscription, Subscriptions
 
@@ -84,7 +85,8 @@ class Packed:
         return self.packing.id
 
 
-# A client's next operations wait while replies of this share of their bound wait to be read.
+# A client's next operations wait while so many bytes of replies wait to be read, or this share of their bound.
+CONGESTED_BYTES = 262_144
 CONGESTED_SHARE = 0.25
 
 
@@ -94,6 +96,7 @@ class Session:
     Args:
         limits: what the client may cost.
         dialect: how the client spells messages, until it shows otherwise.
+        budget: memory for what waits for all clients of the server; None for one of its own.
 
     Attributes:
         limits: as given.
@@ -103,14 +106,16 @@ class Session:
         dialect: the spelling of messages that go to the client.
     """
 
-    def __init__(self, limits: Limits | None = None, dialect: Dialect = "ros2") -> None:
+    def __init__(
+        self, limits: Limits | None = None, dialect: Dialect = "ros2", budget: SendBudget | None = None
+    ) -> None:
         self.limits = limits or Limits()
         self.publications = Publications(self.limits.max_publications)
         self.subscriptions = Subscriptions(self.limits.max_subscriptions)
         # None asked for: some clients log a traceback for every status message.
         self.status_level = "none"
         self.dialect = dialect
-        self._send_queue = SendQueue(self.limits)
+        self._send_queue = SendQueue(self.limits, budget)
         self._reader = FrameReader(self.limits)
         self._reassembly = framing.Reassembly(self.limits)
         self._fragment_size: int | None = None
@@ -218,7 +223,7 @@ class Session:
         encoded = published.encoded(subscription.spelled_topic, encoding, self.dialect, size)
         at_once = encoded.ready and not subscription.paced and self._send_queue.empty
         if not at_once or not send_at_once(encoded):
-            self._send_queue.put_topic_data(subscription, encoded)
+            self._send_queue.put_topic_data(subscription, encoded, now)
             return True
         return False
 
@@ -250,9 +255,14 @@ class Session:
             return True
         return self._send_queue.put_request(encoded)
 
-    def feedback(self, fields: Mapping[str, Any] | LaterFields) -> None:
-        """Queue an action_feedback, dropped when the client reads too slowly; ``fields`` as in :meth:`reply`."""
-        self._send_queue.put_topic_data(self._feedback, self._encode_message(fields))
+    def feedback(self, fields: Mapping[str, Any] | LaterFields, now: float) -> None:
+        """Queue an action_feedback, dropped when the client reads too slowly.
+
+        Args:
+            fields: as in :meth:`reply`.
+            now: present time [s], monotonic.
+        """
+        self._send_queue.put_topic_data(self._feedback, self._encode_message(fields), now, in_order=True)
 
     def take_unready(self) -> list[EncodedMessage]:
         """Take the queued messages that are still to be encoded, by a thread; each is returned once."""
@@ -269,8 +279,8 @@ class Session:
         if LEVELS.index(level) <= LEVELS.index(self.status_level):
             self.reply(with_id({"op": "status", "level": level, "msg": text}, mark))
 
-    def data_to_send(self, now: float) -> list[Frame]:
-        """Return frames that are due, in order of queuing, `SEND_BUDGET_BYTES` of them and one message at most.
+    def data_to_send(self, now: float) -> list[EncodedMessage]:
+        """Return messages that are due, in order of queuing, `SEND_BUDGET_BYTES` of them and one message at most.
 
         Call it only when the socket takes data, and until nothing is due: what is not fetched is bounded here,
         what is fetched is not.
@@ -281,6 +291,18 @@ class Session:
         if self.dropped > self._drops_told:
             self._tell_drops(now)
         return self._send_queue.take_due(now, SEND_BUDGET_BYTES)
+
+    def drop_late(self, now: float) -> None:
+        """Drop topic data that has waited for too long, because the client stands still.
+
+        Args:
+            now: present time [s], monotonic.
+        """
+        self._send_queue.drop_late(now)
+
+    def close(self) -> None:
+        """Drop all that waits; nothing is queued from now on."""
+        self._send_queue.close()
 
     def next_due(self, now: float) -> float | None:
         """Return when to call `data_to_send` next [s]: `now` when data is due, None when nothing waits.
@@ -297,7 +319,7 @@ class Session:
 
     @property
     def queued_bytes(self) -> int:
-        """Size of all that waits to be sent [bytes]."""
+        """Size of all that waits to be sent, and of large answers that the socket may still have [bytes]."""
         return self._send_queue.size_bytes
 
     @property
@@ -308,11 +330,12 @@ class Session:
     @property
     def congested(self) -> bool:
         """True while so many replies wait that the client's next operations had better wait for them to be read."""
-        return self._send_queue.reply_bytes > CONGESTED_SHARE * self.limits.max_queued_reply_bytes
+        limit_bytes = min(CONGESTED_BYTES, CONGESTED_SHARE * self.limits.max_queued_reply_bytes)
+        return self._send_queue.reply_bytes > limit_bytes
 
     @property
     def overflowed(self) -> bool:
-        """True when replies have piled up beyond ``max_queued_reply_bytes``: close the connection."""
+        """True when replies have piled up beyond their bound, or the server's budget: close the connection."""
         return self._send_queue.overflowed
 
     @property

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from protocol.limits import MAX_SERVER_QUEUED_BYTES
 from robot.logs import LogFormat
 from robot.messages import EmergencyPolicy, EndState, GuardLimits
 from server.access.settings import AccessSettings, SessionSettings
@@ -122,8 +123,19 @@ class ServerSettings(SettingsSection):
     """for how long a topic keeps its type, and what is latched there, after the last one who used it has left: some
     clients open a new socket between advertise and publish [s].
     """
+    max_queued_bytes: int = Field(default=MAX_SERVER_QUEUED_BYTES, ge=65_536, le=1_000_000_000_000)
+    """all that waits for clients; beyond it, those that have read least recently lose messages of topics [bytes]."""
     limits: SessionSettings = SessionSettings()
     """what one client may cost."""
+
+    @model_validator(mode="after")
+    def _one_client_has_a_part(self) -> ServerSettings:
+        if self.limits.max_queued_bytes > self.max_queued_bytes:
+            raise ValueError(
+                f"limits.max_queued_bytes, {self.limits.max_queued_bytes}, is what one client may have of"
+                f" max_queued_bytes, {self.max_queued_bytes}: it must not be greater"
+            )
+        return self
 
     @model_validator(mode="after")
     def _key_and_certificate_come_in_pairs(self) -> ServerSettings:

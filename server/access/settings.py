@@ -102,8 +102,12 @@ class SessionSettings(SettingsSection):
     """calls of services that wait for their answers, and as many goals on actions."""
     call_timeout_s: float = Field(default=_DEFAULT.call_timeout_s, ge=0.1, le=3600.0)
     """time to answer of a service that it offers, where the caller names none [s]."""
-    max_queued_topic_bytes: int = Field(default=_DEFAULT.max_queued_topic_bytes, ge=65_536, le=100_000_000)
-    """messages of topics that wait for a slow client, of which the oldest are dropped [bytes]."""
+    max_queued_bytes: int = Field(default=_DEFAULT.max_queued_bytes, ge=65_536, le=10_000_000_000)
+    """all that waits for it; of messages of topics the oldest are dropped [bytes]."""
+    max_queued_messages: int = Field(default=_DEFAULT.max_queued_messages, ge=100, le=1_000_000)
+    """messages of topics that wait for it, of which the oldest are dropped."""
+    max_topic_delay_s: float = Field(default=_DEFAULT.max_topic_delay_s, ge=0.1, le=3600.0)
+    """how far the messages of a topic may be behind, and how long they wait for a client that stands still [s]."""
     max_queued_request_bytes: int = Field(default=_DEFAULT.max_queued_request_bytes, ge=65_536, le=100_000_000)
     """calls and goals that wait for a slow client; those beyond fail [bytes]."""
     max_queued_reply_bytes: int = Field(default=_DEFAULT.max_queued_reply_bytes, ge=65_536, le=100_000_000)

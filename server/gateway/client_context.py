@@ -275,7 +275,7 @@ class ClientContext:
             type_name: type of the message.
         """
         if not self.left:
-            self.session.feedback(self._translated(fields, "values", type_name))
+            self.session.feedback(self._translated(fields, "values", type_name), self.clock())
             self.wake()
 
     def _translated(self, fields: dict[str, Any], field: str, type_name: str) -> Mapping[str, Any] | LaterFields:

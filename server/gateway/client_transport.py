@@ -61,6 +61,13 @@ class ClientTransport(Reader, Protocol):
     def send_at_once(self, encoded: EncodedMessage) -> bool:
         """Send a message, in order of calling, if the socket takes it without waiting; return True when it is sent."""
 
+    def send_all(self, messages: Sequence[EncodedMessage]) -> None:
+        """Send messages that have waited, while `takes_more` is true."""
+
+    @property
+    def taken_bytes(self) -> int:
+        """Bytes of frames that the socket has taken: they grow as long as the client reads."""
+
     async def drain(self) -> None:
         """Wait until the socket takes more."""
 

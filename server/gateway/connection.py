@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 from websockets.exceptions import ConnectionClosed
 
 from protocol.limits import Limits
-from protocol.publication import EncodedMessage
+from protocol.send_budget import SendBudget
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
@@ -34,6 +34,9 @@ CLOSE_TIMEOUT_S = 1.0
 
 # Time in which a client whose operations wait for its replies to be read has to read something [s].
 UNREAD_TIMEOUT_S = 10.0
+
+# How often it is looked within such a time whether a client has read anything.
+LOOKS = 5
 
 # Time for what a client has sent before it left, and how often it is looked whether it is done [s].
 LEAVE_TIMEOUT_S = 10.0
@@ -97,6 +100,7 @@ class Connection:
         access: authentication and authorization.
         auth_throttle: throttle of guesses.
         scheduling: turns and threads, which all clients share.
+        budget: memory for what waits for all clients.
         takes_goals_along: True where its goals are cancelled when it leaves, unless its URL says otherwise.
 
     Attributes:
@@ -111,6 +115,7 @@ class Connection:
         access: Access,
         auth_throttle: AuthThrottle,
         scheduling: Scheduling,
+        budget: SendBudget,
         *,
         takes_goals_along: bool,
     ) -> None:
@@ -121,7 +126,9 @@ class Connection:
         self.address, port = websocket.peer
         place = f"{self.address}:{port}"
         self._closing: asyncio.Task[None] | None = None
-        self._congested: asyncio.TimerHandle | None = None
+        # Runs while anything waits for the client to read.
+        self._watch: asyncio.TimerHandle | None = None
+        self._max_delay_s = limits.max_topic_delay_s
         query = websocket.query
         asked = query.get("on_disconnect", [""])[-1]
         node = Node(
@@ -131,7 +138,7 @@ class Connection:
             identity=websocket.identity,
             address=place,
         )
-        session = Session(limits, "ros1" if query.get("ros") == ["1"] else "ros2")
+        session = Session(limits, "ros1" if query.get("ros") == ["1"] else "ros2", budget)
         self._client = Client(
             ClientContext(node, graph, session, time.monotonic, self._wake_up, websocket.send_at_once),
             AuthContext(access, self.address, auth_throttle, self._disconnect, self._limit_messages),
@@ -177,11 +184,12 @@ class Connection:
         finally:
             if waiting is not None:
                 waiting.cancel()
-            if self._congested is not None:
-                self._congested.cancel()
+            if self._watch is not None:
+                self._watch.cancel()
             self._websocket.stop_delivery()
             await self._end_writer()
             self._client.leave()
+            self._client.session.close()
 
     async def _end_writer(self) -> None:
         if self._writer is not None:
@@ -213,6 +221,8 @@ class Connection:
             wake.clear()
             self._flush()
             await self._websocket.drain()
+            # What the socket had is no longer held.
+            self._flush()
             await self._until_something_is_due(wake)
 
     def _wake_up(self) -> None:
@@ -220,31 +230,42 @@ class Connection:
         session = self._client.session
         for encoded in session.take_unready():
             self._background.encode(encoded, self._wake_up)
-        if not session.overflowed:
-            self._flush()
-            if session.waiting:
-                self._wake_writer()
-            if session.congested and self._congested is None:
-                self._expect_reading()
-        elif self._closing is None:
+        if session.overflowed:
             self._give_up()
+            return
+        self._flush()
+        if session.queued_bytes:
+            self._wake_writer()
+            if self._watch is None:
+                self._expect_reading(time.monotonic())
 
-    def _expect_reading(self) -> None:
-        """Look later whether the client has read anything of its replies."""
-        loop, sent_bytes = asyncio.get_running_loop(), self._websocket.sent_bytes
-        self._congested = loop.call_later(UNREAD_TIMEOUT_S, self._check_reading, sent_bytes)
+    def _expect_reading(self, since_s: float) -> None:
+        """Look soon whether the client has read anything.
 
-    def _check_reading(self, sent_bytes: int) -> None:
-        self._congested = None
-        if self._client.session.congested and self._closing is None:
-            if self._websocket.sent_bytes == sent_bytes:
-                self._give_up()
-            else:
-                self._expect_reading()
+        Args:
+            since_s: since when it has read nothing [s], monotonic.
+        """
+        delay_s = min(self._max_delay_s, UNREAD_TIMEOUT_S) / LOOKS
+        taken_bytes = self._websocket.taken_bytes
+        self._watch = asyncio.get_running_loop().call_later(delay_s, self._check_reading, taken_bytes, since_s)
+
+    def _check_reading(self, taken_bytes: int, since_s: float) -> None:
+        """Drop what waits for too long, if the client stands still; disconnect one that does not read its replies."""
+        self._watch = None
+        session, now_s = self._client.session, time.monotonic()
+        if self._websocket.taken_bytes > taken_bytes:
+            since_s = now_s
+        if now_s - since_s >= self._max_delay_s:
+            session.drop_late(now_s)
+        if session.overflowed or (session.congested and now_s - since_s >= UNREAD_TIMEOUT_S):
+            self._give_up()
+        elif session.queued_bytes:
+            self._expect_reading(since_s)
 
     def _give_up(self) -> None:
-        log.warning("%s: does not read its replies; closing", self._client.node)
-        self._disconnect("replies are not read")
+        if self._closing is None:
+            log.warning("%s: does not read its replies; closing", self._client.node)
+            self._disconnect("replies are not read")
 
     def _wake_writer(self) -> None:
         if self._wake is None:
@@ -281,10 +302,10 @@ class Connection:
     def _flush(self) -> None:
         """Send the messages that are due while the socket takes them without waiting."""
         while self._websocket.takes_more:
-            frames = self._client.session.data_to_send(time.monotonic())
-            if not frames:
+            messages = self._client.session.data_to_send(time.monotonic())
+            if not messages:
                 return
-            self._websocket.send_at_once(EncodedMessage(*frames))
+            self._websocket.send_all(messages)
             self._client.inbox.resume()
 
     async def _until_something_is_due(self, wake: asyncio.Event) -> None:

@@ -23,6 +23,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import State
 
 from protocol.messages import Stamp
+from protocol.send_budget import SendBudget
 from robot.logs import LogLimiter
 from server.access.authorization import Access, unlimited
 from server.config import ServerSettings
@@ -308,6 +309,7 @@ class Listener:
         self._clients = ClientList(graph)
         self._threads = Threads()
         self._scheduling = Scheduling(Turns(call_soon, time.monotonic), self._threads)
+        self._budget = SendBudget(settings.max_queued_bytes)
         self.traffic = Traffic()
         self._tcp_sockets: list[socket.socket] = []
         self._tcp: TcpListener | None = None
@@ -478,6 +480,7 @@ class Listener:
             self._access,
             self.admission.auth_throttle,
             self._scheduling,
+            self._budget,
             takes_goals_along=self._takes_goals_along,
         )
         self._clients.add(connection.node, connection.address)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -256,6 +256,25 @@ class WebSocket(ServerConnection):
         self._unsent.append(on_wire)
         self._unsent_bytes += len(on_wire)
         return True
+
+    def send_all(self, messages: Sequence[EncodedMessage]) -> None:
+        """Send messages that have waited, while `takes_more` is true; one call of the kernel takes them together."""
+        on_wire = [encoded.on_wire for encoded in messages]
+        size_bytes = sum(map(len, on_wire))
+        self.sent_messages += sum(encoded.frame_count for encoded in messages)
+        self.sent_bytes += size_bytes
+        if self._unsent:
+            self._unsent += on_wire
+            self._unsent_bytes += size_bytes
+        else:
+            self.transport.writelines(on_wire)
+
+    @property
+    def taken_bytes(self) -> int:
+        """Bytes of messages that the socket has taken: they grow as long as the client reads."""
+        if self.protocol.state is not _OPEN:
+            return self.sent_bytes
+        return self.sent_bytes - self._unsent_bytes - self.transport.get_write_buffer_size()
 
     def _write_unsent(self) -> None:
         if self.protocol.state is _OPEN:

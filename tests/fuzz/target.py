@@ -48,7 +48,7 @@ LIMITS = Limits(
     max_publications=6,
     max_offers=3,
     max_calls_in_flight=6,
-    max_queued_topic_bytes=20_000,
+    max_queued_bytes=40_000,
     max_queued_request_bytes=5_000,
     max_queued_reply_bytes=20_000,
 )

@@ -143,8 +143,8 @@ class InProcess:
         for name, client in self._clients.items():
             for encoded in client.session.take_unready():
                 encode_or_log(encoded)
-            while frames := client.session.data_to_send(self.clock()):
-                self._frames[name] += frames
+            while messages := client.session.data_to_send(self.clock()):
+                self._frames[name] += [frame for encoded in messages for frame in encoded.frames]
                 client.inbox.resume()
 
 

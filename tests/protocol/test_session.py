@@ -30,7 +30,7 @@ def sent(session, now=1.0):
     """Everything the client gets now."""
     frames = []
     while due := session.data_to_send(now):
-        frames += due
+        frames += [frame for encoded in due for frame in encoded.frames]
     return [frame.data for frame in frames]
 
 
@@ -158,7 +158,7 @@ def test_subscribers_share_the_bytes_of_a_frame():
     first, second, published = subscribed(), subscribed(), message("x")
     for session in (first, second):
         session.deliver(published, 1.0)
-    assert sent(first, 1.0)[0] is sent(second, 1.0)[0]
+    assert first.data_to_send(1.0)[0].on_wire is second.data_to_send(1.0)[0].on_wire
 
 
 def test_after_unsubscribing_nothing_comes_not_even_what_waited():
@@ -201,7 +201,7 @@ def test_replies_and_topic_data_keep_their_order():
 
 
 def test_a_client_that_stops_reading_keeps_the_newest_topic_data_within_the_bound():
-    session = subscribed(limits=Limits(max_queued_topic_bytes=10_000))
+    session = subscribed(limits=Limits(max_queued_bytes=10_000))
     for step in range(1000):
         session.deliver(message(step), 0.0)
     data = received_data(sent(session, 1.0))
@@ -344,21 +344,21 @@ def test_a_client_that_sends_bson_is_answered_in_bson_and_one_that_sends_json_ag
     session.subscriptions.add(operation)
     session.deliver(message("x"), 1.0)
     session.reply({"op": "service_response", "values": {"n": 1}})
-    told, answered = session.data_to_send(1.0)
+    told, answered = (encoded.frames[0] for encoded in session.data_to_send(1.0))
     assert not told.text
     assert not answered.text
     assert bson.decode(told.data) == {"op": "publish", "topic": "/a", "msg": {"data": "x"}}
     assert bson.decode(answered.data) == {"op": "service_response", "values": {"n": 1}}
     read(session, PUBLISH)
     session.deliver(message("x"), 1.0)
-    assert session.data_to_send(1.0)[0].text
+    assert session.data_to_send(1.0)[0].frames[0].text
 
 
 @pytest.mark.parametrize(("compression", "text"), [("none", True), ("png", True), ("cbor", False), ("cbor-raw", False)])
 def test_each_compression_has_its_kind_of_frame(compression, text):
     session = subscribed(compression=compression)
     session.deliver(message("x"), 1.0)
-    assert session.data_to_send(1.0)[0].text is text
+    assert session.data_to_send(1.0)[0].frames[0].text is text
 
 
 def test_binary_frames_are_not_fragmented():
@@ -403,20 +403,29 @@ def test_a_status_message_has_an_id_only_where_the_operation_had_one():
 # Bounds
 
 
-def test_a_client_that_stops_reading_holds_at_most_two_mebibytes():
-    session = subscribed()
+def test_a_client_that_stops_reading_holds_no_more_than_it_may():
+    limits = Limits(max_queued_bytes=1_000_000, max_queued_reply_bytes=300_000)
+    session = subscribed(limits=limits)
     for step in range(3000):
         session.deliver(message("x" * 1000 + str(step)), 1.0)
         session.reply({"op": "service_response", "values": "y" * 1000})
-    held = sum(len(frame) for frame in sent(session))
-    assert held <= 2 * 1024 * 1024
+        assert session.queued_bytes <= limits.max_queued_bytes
     assert session.overflowed
 
 
+def test_a_clients_next_operations_wait_while_a_few_large_replies_do():
+    session = Session()
+    congested = []
+    for _ in range(3):
+        session.reply({"op": "service_response", "values": "y" * 100_000})
+        congested.append(session.congested)
+    assert congested == [False, False, True]
+
+
 def test_feedback_is_dropped_where_a_reply_would_overflow():
-    session = Session(Limits(max_queued_topic_bytes=10_000, max_queued_reply_bytes=10_000))
+    session = Session(Limits(max_queued_bytes=10_000, max_queued_reply_bytes=10_000))
     for step in range(1000):
-        session.feedback({"op": "action_feedback", "step": step})
+        session.feedback({"op": "action_feedback", "step": step}, 1.0)
     assert not session.overflowed
     assert json.loads(sent(session)[-1])["step"] == 999
     assert session.dropped > 0
@@ -427,12 +436,12 @@ def test_the_data_fetched_at_a_time_is_bounded():
     for step in range(500):
         session.deliver(message("x" * 1000 + str(step)), 1.0)
     fetched = session.data_to_send(1.0)
-    assert sum(len(frame.data) for frame in fetched) <= SEND_BUDGET_BYTES + 2000
+    assert sum(encoded.size_bytes for encoded in fetched) <= SEND_BUDGET_BYTES + 2000
     assert session.next_due(1.0) == 1.0
 
 
 def test_a_client_that_lags_is_warned_once_it_reads_and_not_too_often():
-    session = subscribed(limits=Limits(max_queued_topic_bytes=2000))
+    session = subscribed(limits=Limits(max_queued_bytes=2000))
     session.status_level = "warning"
     warned = []
     for now in (1.0, 1.5, 1.0 + DROPS_TOLD_EVERY_S):
@@ -441,7 +450,8 @@ def test_a_client_that_lags_is_warned_once_it_reads_and_not_too_often():
         warned.append([told["msg"] for told in map(json.loads, sent(session, now)) if told["op"] == "status"])
     assert [len(told) for told in warned] == [1, 0, 1]
     (first,), _, (last,) = warned
-    assert sum(int(text.split()[0]) for text in (first, last)) == session.dropped
+    # The warnings have taken the place of a message or two each.
+    assert 0 <= session.dropped - sum(int(text.split()[0]) for text in (first, last)) <= 4
     assert "messages dropped" in first
 
 
@@ -454,7 +464,7 @@ def test_a_client_is_not_warned_of_what_its_own_throttle_drops():
 
 
 def test_there_is_room_for_so_many_requests_and_no_more():
-    session = Session(Limits(max_queued_request_bytes=2000))
+    session = Session(Limits(max_queued_request_bytes=2500))
     assert [session.ask({"op": "call_service", "args": "x" * 500}) for _ in range(4)] == [True, True, False, False]
     assert not session.overflowed
 

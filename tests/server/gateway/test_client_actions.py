@@ -10,7 +10,7 @@ TYPE = "control_msgs/GripperCommand"
 
 @pytest.fixture
 def world() -> InProcess:
-    made = InProcess(Limits(max_offers=2, max_calls_in_flight=2, max_queued_topic_bytes=10_000))
+    made = InProcess(Limits(max_offers=2, max_calls_in_flight=2, max_queued_bytes=10_000))
     made.say("p", op="advertise_action", action="/grip", type=TYPE)
     return made
 

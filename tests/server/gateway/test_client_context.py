@@ -32,7 +32,7 @@ class Told:
             self.status.log_status(operation)
 
     def messages(self) -> list[dict[str, Any]]:
-        return [json.loads(frame.data) for frame in self.session.data_to_send(0.0)]
+        return [json.loads(frame.data) for each in self.session.data_to_send(0.0) for frame in each.frames]
 
 
 def test_a_refusal_is_an_error_and_in_the_log(caplog: pytest.LogCaptureFixture) -> None:

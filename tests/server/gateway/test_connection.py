@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed
 
 from protocol.registry import Registry
 from server.access.authorization import Access
-from server.access.settings import AccessSettings
+from server.access.settings import AccessSettings, SessionSettings
 from server.config import ServerSettings
 from server.gateway import connection
 from server.gateway.connection import Traffic, TrafficCounts
@@ -32,13 +32,21 @@ async def graph() -> Graph:
     return made
 
 
-@pytest.fixture
-async def url(graph: Graph) -> AsyncIterator[str]:
-    listener = Listener(graph, ServerSettings(port=0))
+@contextlib.asynccontextmanager
+async def serving(graph: Graph, settings: ServerSettings | None = None) -> AsyncIterator[Listener]:
+    listener = Listener(graph, settings or ServerSettings(port=0))
     await listener.bind()
     await listener.open()
-    yield f"ws://127.0.0.1:{listener.port}"
-    await listener.close()
+    try:
+        yield listener
+    finally:
+        await listener.close()
+
+
+@pytest.fixture
+async def url(graph: Graph) -> AsyncIterator[str]:
+    async with serving(graph) as listener:
+        yield listener.url
 
 
 async def until_subscribed(graph: Graph, count: int) -> None:
@@ -51,11 +59,12 @@ SUBSCRIBE = json.dumps({"op": "subscribe", "topic": "/t"})
 
 
 async def test_a_client_that_never_reads_costs_others_nothing_and_a_bounded_amount(
-    graph: Graph, url: str, caplog: pytest.LogCaptureFixture
+    graph: Graph, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async with connect(url) as reading:
+    settings = ServerSettings(port=0, limits=SessionSettings(max_queued_bytes=500_000))
+    async with serving(graph, settings) as listener, connect(listener.url) as reading:
         await reading.send(SUBSCRIBE)
-        deaf = await connect(url)
+        deaf = await connect(listener.url)
         deaf.transport.pause_reading()
         await deaf.send(SUBSCRIBE)
         await until_subscribed(graph, 2)

@@ -1,0 +1,226 @@
+"""Large messages over real sockets: to readers, and to clients that stand still."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Callable
+
+import pytest
+from websockets.asyncio.client import ClientConnection, connect
+
+from protocol.publication import EncodedMessage
+from protocol.registry import Registry
+from server.access.settings import SessionSettings
+from server.config import ServerSettings
+from server.gateway import connection
+from server.gateway.listener import Listener
+from server.gateway.transport import WebSocket
+from server.graph.node import Node
+from server.graph.topics import Graph
+
+TALKER = Node("talker")
+TIMEOUT_S = 60.0
+SUBSCRIBE = json.dumps({"op": "subscribe", "topic": "/t"})
+
+
+class World:
+    """A server with real sockets; publishes strings on /t."""
+
+    def __init__(self, listener: Listener, graph: Graph) -> None:
+        self.listener = listener
+        self.graph = graph
+        self.clients = contextlib.AsyncExitStack()
+
+    async def connect(self) -> ClientConnection:
+        return await self.clients.enter_async_context(connect(self.listener.url, compression=None, max_size=None))
+
+    async def reader(self) -> ClientConnection:
+        client = await self.connect()
+        count = len(self.graph._topics["/t"].subscribers)
+        await client.send(SUBSCRIBE)
+        await until(lambda: len(self.graph._topics["/t"].subscribers) > count)
+        return client
+
+    async def deaf(self) -> ClientConnection:
+        client = await self.reader()
+        client.transport.pause_reading()
+        # Closing it properly would wait for what it does not read.
+        self.clients.callback(client.transport.abort)
+        return client
+
+    def publish(self, count: int, size_bytes: int) -> None:
+        for number in range(count):
+            self.graph.publish(TALKER, "/t", {"data": f"{number} {'x' * size_bytes}"})
+
+    @property
+    def used_bytes(self) -> int:
+        return self.listener._budget.used_bytes
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(TIMEOUT_S):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+async def numbers(client: ClientConnection, count: int) -> list[int]:
+    async with asyncio.timeout(TIMEOUT_S):
+        return [int(json.loads(await client.recv())["msg"]["data"].split()[0]) for _ in range(count)]
+
+
+@contextlib.asynccontextmanager
+async def world_with(
+    limits: SessionSettings | None = None, max_queued_bytes: int = 256_000_000
+) -> AsyncIterator[World]:
+    graph = Graph(Registry.load())
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    settings = ServerSettings(port=0, limits=limits or SessionSettings(), max_queued_bytes=max_queued_bytes)
+    listener = Listener(graph, settings)
+    await listener.bind()
+    await listener.open()
+    world = World(listener, graph)
+    try:
+        async with world.clients:
+            yield world
+    finally:
+        await listener.close()
+
+
+async def test_large_messages_that_are_published_at_once_all_arrive() -> None:
+    async with world_with() as world:
+        reader = await world.reader()
+        world.publish(30, 400_000)
+        assert await numbers(reader, 30) == list(range(30))
+        assert world.listener.traffic.counts().dropped_messages == 0
+
+
+@pytest.mark.real_time
+async def test_pictures_pass_to_four_readers_without_loss() -> None:
+    count = 90
+    async with world_with() as world:
+        readers = [await world.reader() for _ in range(4)]
+        reading = [asyncio.create_task(numbers(reader, count)) for reader in readers]
+        for number in range(count):
+            world.graph.publish(TALKER, "/t", {"data": f"{number} {'x' * 1_000_000}"})
+            await asyncio.sleep(1 / 30)
+        assert await asyncio.gather(*reading) == [list(range(count))] * 4
+
+
+async def test_large_answers_that_come_at_once_all_arrive() -> None:
+    async with world_with() as world:
+        client, provider = await world.connect(), await world.connect()
+        await provider.send(json.dumps({"op": "advertise_service", "service": "/s", "type": "std_srvs/Trigger"}))
+        await until(lambda: "/s" in world.graph.services.types())
+        for number in range(30):
+            await client.send(json.dumps({"op": "call_service", "service": "/s", "id": str(number)}))
+        client.transport.pause_reading()
+        calls = [json.loads(await asyncio.wait_for(provider.recv(), TIMEOUT_S))["id"] for _ in range(30)]
+        for mark in calls:
+            values = {"success": True, "message": "x" * 400_000}
+            fields = {"op": "service_response", "service": "/s", "id": mark, "values": values, "result": True}
+            await provider.send(json.dumps(fields))
+        await until(lambda: world.used_bytes > 5_000_000)
+        client.transport.resume_reading()
+        async with asyncio.timeout(TIMEOUT_S):
+            answers = [json.loads(await client.recv()) for _ in range(30)]
+        assert {answer["id"] for answer in answers if answer["result"]} == {str(number) for number in range(30)}
+
+
+async def test_a_large_answer_counts_until_it_has_been_read() -> None:
+    async with world_with() as world:
+        world.graph.services.offer(TALKER, "/s", "std_srvs/Trigger", lambda _: {"message": "x" * 20_000_000})
+        client = await world.deaf()
+        await client.send(json.dumps({"op": "call_service", "service": "/s"}))
+        await until(lambda: world.listener.traffic.counts().sent_bytes > 20_000_000)
+        assert world.used_bytes > 20_000_000
+        client.transport.resume_reading()
+        assert json.loads(await asyncio.wait_for(client.recv(), TIMEOUT_S))["result"]
+        await until(lambda: world.used_bytes == 0)
+
+
+async def test_a_client_that_stands_still_gives_its_memory_back_though_nothing_more_comes() -> None:
+    async with world_with(SessionSettings(max_topic_delay_s=0.2)) as world:
+        await world.deaf()
+        world.publish(50, 400_000)
+        await until(lambda: world.used_bytes > 10_000_000)
+        await until(lambda: world.used_bytes == 0)
+        assert world.listener.traffic.counts().dropped_messages > 20
+
+
+@pytest.mark.real_time
+async def test_a_client_that_reads_one_large_message_slowly_keeps_those_behind_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(connection, "UNREAD_TIMEOUT_S", 0.3)
+    async with world_with(SessionSettings(max_topic_delay_s=0.3)) as world:
+        reader = await world.deaf()
+        world.publish(1, 30_000_000)
+        await until(lambda: world.listener.traffic.counts().sent_messages > 0)
+        world.publish(3, 1000)
+        # Longer than a message may wait with a client that stands still, a piece at a time.
+        receiving = asyncio.create_task(numbers(reader, 4))
+        for _ in range(10):
+            await asyncio.sleep(0.09)
+            reader.transport.resume_reading()
+            await asyncio.sleep(0.001)
+            reader.transport.pause_reading()
+        reader.transport.resume_reading()
+        assert await receiving == [0, 0, 1, 2]
+
+
+async def test_a_full_budget_takes_nothing_from_a_client_that_reads() -> None:
+    limits = SessionSettings(
+        max_queued_bytes=4_000_000, max_queued_request_bytes=100_000, max_queued_reply_bytes=100_000
+    )
+    async with world_with(limits, max_queued_bytes=8_000_000) as world:
+        for _ in range(6):
+            await world.deaf()
+        reader = await world.reader()
+        for _ in range(20):
+            world.publish(10, 100_000)
+            assert await numbers(reader, 10) == list(range(10))
+        assert world.used_bytes > 6_500_000
+        lost = {each.node.name: each.counts().dropped_messages for each in world.listener.traffic._open}
+        assert sorted(lost.values())[0] == 0
+        assert sum(each > 0 for each in lost.values()) == 6
+
+
+async def test_clients_that_leave_return_what_waited_for_them() -> None:
+    async with world_with() as world:
+        for _ in range(3):
+            deaf = [await world.deaf() for _ in range(3)]
+            world.publish(20, 400_000)
+            assert world.used_bytes > 0
+            for client in deaf:
+                client.transport.abort()
+            await until(lambda: not world.listener.traffic.clients)
+            assert world.used_bytes == 0
+
+
+async def test_a_message_that_has_waited_for_many_clients_is_in_memory_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[EncodedMessage] = []
+    monkeypatch.setattr(WebSocket, "send_at_once", lambda _self, _encoded: False)
+    monkeypatch.setattr(WebSocket, "send_all", lambda _self, messages: sent.extend(messages))
+    async with world_with() as world:
+        for _ in range(5):
+            await world.deaf()
+        world.publish(2, 1_000_000)
+        await until(lambda: len(sent) == 10)
+        assert len({id(encoded.on_wire) for encoded in sent}) == 2
+
+
+async def test_answers_that_stay_in_the_sockets_of_clients_that_do_not_read_close_them_and_nobody_else() -> None:
+    limits = SessionSettings(max_queued_bytes=8_000_000, max_topic_delay_s=0.2)
+    async with world_with(limits, max_queued_bytes=30_000_000) as world:
+        world.graph.services.offer(TALKER, "/s", "std_srvs/Trigger", lambda _: {"message": "x" * 7_000_000})
+        reader = await world.connect()
+        for _ in range(6):
+            client = await world.deaf()
+            await client.send(json.dumps({"op": "call_service", "service": "/s"}))
+        for _ in range(10):
+            await reader.send(json.dumps({"op": "call_service", "service": "/s"}))
+            assert json.loads(await asyncio.wait_for(reader.recv(), TIMEOUT_S))["result"]
+        await until(lambda: world.listener.traffic.clients <= 5)
+        assert world.used_bytes <= 30_000_000

@@ -26,6 +26,7 @@ FAN_OUTS = (1, 8, 32, 64, 128)
 
 # Upper bound of the gateway's cost as a multiple of the relay's; lower bound of its rate as a share.
 FAN_OUT, RATE, RATE_CPU, SERVICE, STRING, DEAF = 1.3, 0.5, 2.0, 1.5, 2.0, 1.2
+CONNECTIONS = 0.8
 
 
 class Run(NamedTuple):
@@ -49,6 +50,8 @@ def run() -> None:
         rows.append(_row("service round trip, median us", service, "median_us", f"<= {SERVICE}"))
         large = _beside_relay(pids, "large")
         rows.append(_row("String of 1 MiB, CPU us per delivery", large, "cpu_us", f"<= {STRING}"))
+        connections = _beside_relay(pids, "connections")
+        rows.append(_row("connections/s, each with one subscription", connections, "rate", f">= {CONNECTIONS}"))
         # The gateway is its own reference here, without the client that never reads.
         deaf = _medians(pids, Run("gateway", ("latency", "1")), Run("gateway", ("latency", "0")))
         rows.append(_row("p99 latency of 8 with a ninth that never reads, us", deaf, "p99_us", f"<= {DEAF}"))

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import time
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 from urllib.parse import parse_qs, urlsplit
 
@@ -125,7 +126,8 @@ class Connection:
         place = f"{self.address}:{port}"
         self._closing: asyncio.Task[None] | None = None
         self._congested: asyncio.TimerHandle | None = None
-        asked = _query(websocket).get("on_disconnect", [""])[-1]
+        query = _query(websocket)
+        asked = query.get("on_disconnect", [""])[-1]
         node = Node(
             display_name(websocket.identity, place),
             remote=True,
@@ -133,7 +135,7 @@ class Connection:
             identity=websocket.identity,
             address=place,
         )
-        session = Session(limits, _dialect(websocket))
+        session = Session(limits, _dialect(query))
         self._client = Client(
             ClientContext(node, graph, session, time.monotonic, self._wake_up, websocket.send_at_once),
             AuthContext(access, self.address, auth_throttle, self._disconnect, self._limit_messages),
@@ -337,14 +339,15 @@ class Traffic:
         return sum(queued), max(queued, default=0)
 
 
-def _dialect(websocket: WebSocket) -> Dialect:
+def _dialect(query: Mapping[str, list[str]]) -> Dialect:
     """Return the dialect that the client asks for in its URL: ``?ros=1`` for ROS 1."""
-    return "ros1" if _query(websocket).get("ros") == ["1"] else "ros2"
+    return "ros1" if query.get("ros") == ["1"] else "ros2"
 
 
 def _query(websocket: WebSocket) -> dict[str, list[str]]:
     """Return the fields of the query in the client's URL."""
-    return parse_qs(urlsplit(websocket.request.path).query if websocket.request else "")
+    path = websocket.request.path if websocket.request else ""
+    return parse_qs(urlsplit(path).query) if "?" in path else {}
 
 
 def _sum(counts: list[TrafficCounts]) -> TrafficCounts:

@@ -364,7 +364,9 @@ class Listener:
                 "ssl_handshake_timeout": TLS_HANDSHAKE_TIMEOUT_S,
                 "ssl_shutdown_timeout": TLS_SHUTDOWN_TIMEOUT_S,
             }
-        create_connection = functools.partial(WebSocket, limiter=self._limiter, connections=self._connections)
+        create_connection = functools.partial(
+            WebSocket, limiter=self._limiter, connections=self._connections, admit=self._admit
+        )
         return serve(
             self._handle_connection,
             sock=listening,
@@ -414,6 +416,11 @@ class Listener:
 
     async def _process_request(self, connection: ServerConnection, request: Request) -> Response | None:
         websocket = cast(WebSocket, connection)
+        rejection = websocket.rejection or self._admit(websocket, request)
+        return rejection or await self._http.process_request(websocket, request)
+
+    def _admit(self, websocket: WebSocket, request: Request) -> Response | None:
+        """Check a request; return the answer to one that is refused."""
         rejection = None if websocket.slot is None else websocket.slot.rejection
         if rejection is not None:
             return rejection.response(request)
@@ -429,7 +436,7 @@ class Listener:
         if isinstance(admitted, HttpResponse):
             return admitted.response(request)
         websocket.identity = admitted
-        return await self._http.process_request(websocket, request)
+        return None
 
     async def _handle_connection(self, server_connection: ServerConnection) -> None:
         websocket = cast(WebSocket, server_connection)

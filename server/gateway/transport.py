@@ -1,8 +1,9 @@
 """WebSocket connection that hands messages over as they come, in turns that leave time to other connections.
 
-Of websockets it uses, beyond the documented interface: ``process_event`` and ``send_data`` of ``ServerConnection``
-(overridden), ``drain``, ``recv_messages`` with its ``frames``, ``pause`` and ``resume``, ``protocol.handshake_exc`` and
-``protocol.max_message_size``. The tests of this module and of :mod:`server.gateway.connection` cover each use.
+Of websockets it uses, beyond the documented interface: ``handshake``, ``process_event`` and ``send_data`` of
+``ServerConnection`` (overridden), ``drain``, ``recv_messages`` with its ``frames``, ``pause`` and ``resume``,
+``protocol.handshake_exc``, ``protocol.max_message_size``, ``protocol.parse`` with ``parser``, and ``handler``,
+``handler_tasks`` and ``all_connections`` of ``Server``. The tests of this module and of :mod:`server.gateway.connection` cover each use.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any, cast
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import InvalidMessage
 from websockets.frames import Frame, Opcode
+from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
@@ -25,6 +27,7 @@ from protocol.errors import one_line, shorten
 from protocol.publication import EncodedMessage
 from server.access.permissions import ANYONE, Identity
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
+from server.gateway.handshake import accept, read_upgrade
 from server.gateway.http import bad_request
 from server.gateway.turns import TURN_S
 
@@ -66,10 +69,12 @@ class WebSocket(ServerConnection):
         limiter: counter of connections.
         connections: every connection of the listener; this one is in it from ``connection_made`` to
             ``connection_lost``.
+        admit: checks a request; returns the answer to one that is refused.
         options: further arguments of :class:`ServerConnection`.
 
     Attributes:
         slot: its place among all connections; None for a connection that is closed without an answer.
+        rejection: answer to a request that was checked already, and refused.
         identity: identity of the client; None until it has authenticated.
         received_bytes: bytes received, those of the handshake included.
         sent_messages: WebSocket messages sent; a fragment is one.
@@ -78,6 +83,7 @@ class WebSocket(ServerConnection):
 
     # Beside those of websockets' own class there is no room in a dictionary whose keys all connections share.
     __slots__ = (
+        "_admit",
         "_connections",
         "_full",
         "_heard",
@@ -85,14 +91,17 @@ class WebSocket(ServerConnection):
         "_last_sent_s",
         "_limiter",
         "_on_message",
+        "_opened_at_once",
         "_request_refused",
         "_request_timer",
         "_turn_ends_s",
         "_unread",
         "_unsent",
         "_unsent_bytes",
+        "_untouched",
         "identity",
         "received_bytes",
+        "rejection",
         "sent_bytes",
         "sent_messages",
         "slot",
@@ -105,12 +114,18 @@ class WebSocket(ServerConnection):
         *,
         limiter: ConnectionLimiter,
         connections: set[WebSocket],
+        admit: Callable[[WebSocket, Request], Response | None],
         **options: Any,
     ) -> None:
         super().__init__(protocol, server, **options)
         self._limiter = limiter
         self._connections = connections
+        self._admit = admit
+        # Nothing has come yet; and the WebSocket is open without websockets' own handshake.
+        self._untouched = True
+        self._opened_at_once = False
         self.slot: ConnectionSlot | None = None
+        self.rejection: Response | None = None
         self.identity: Identity | None = ANYONE
         self._request_timer: asyncio.TimerHandle | None = None
         self._request_refused = False
@@ -134,11 +149,12 @@ class WebSocket(ServerConnection):
         peer = transport.get_extra_info("peername")
         self.slot = self._limiter.acquire(_address_and_port(peer)[0], time.monotonic())
         if self.slot is None:
-            # websockets, which would make a task for the handshake, is not told of it.
+            # websockets is not told of it.
             transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
             cast(asyncio.Transport, transport).abort()
             return
-        super().connection_made(transport)
+        # Not that of the class between, which makes a task for the handshake: few clients need one.
+        super(ServerConnection, self).connection_made(transport)
         self._connections.add(self)
         self.recv_messages.pause = self._pause_reading
         self.recv_messages.resume = self._resume_reading
@@ -246,10 +262,48 @@ class WebSocket(ServerConnection):
         if self.slot is None:
             return
         self.received_bytes += len(data)
+        if self._untouched:
+            self._untouched = False
+            opened = self._open_at_once(data)
+            self._start_handler()
+            if opened:
+                return
         if self._unread or not self._may_read:
             self._unread += data
         else:
             self._take(data)
+
+    def _open_at_once(self, data: bytes) -> bool:
+        """Open the WebSocket for a plain request that is admitted; return False to leave the answer to websockets."""
+        if self.slot is None or self.slot.rejection is not None or not self.server.is_serving():
+            return False
+        request = read_upgrade(data)
+        if request is None:
+            return False
+        self.rejection = self._admit(self, request)
+        if self.rejection is not None:
+            return False
+        self._end_request_timer()
+        self.request = request
+        self.transport.write(accept(request))
+        # As websockets' own handshake leaves it: open, and reading frames.
+        self.protocol.state = _OPEN
+        self.protocol.parser = self.protocol.parse()
+        next(self.protocol.parser)
+        self._opened_at_once = True
+        # The server ends its connections by this set; the handler begins a turn of the event loop later.
+        self.server.all_connections.add(self)
+        return True
+
+    def _start_handler(self) -> None:
+        """Start websockets' handler of the connection: handshake, the client's time, and the end."""
+        handler = self.loop.create_task(self.server.handler(self))
+        self.server.handler_tasks.add(handler)
+
+    async def handshake(self, *args: Any, **options: Any) -> None:
+        """Perform the opening handshake, unless that is done."""
+        if not self._opened_at_once:
+            await super().handshake(*args, **options)
 
     def _take(self, data: bytes) -> None:
         """Read until the turn is over; the rest waits for the next turn, and the socket with it."""

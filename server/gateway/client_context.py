@@ -126,11 +126,15 @@ class ClientStatus:
 
     def tell(self, level: Literal["error", "warning", "info"], operation: Operation, text: str) -> None:
         """Tell of an operation that is carried out; of an error that is logged elsewhere."""
+        if self._session.status_level == "none":
+            return
         self._session.status(level, f"{operation.op}: {text}", operation.id)
         self._wake()
 
     def acknowledge(self, operation: Operation) -> None:
         """Confirm an operation that has no answer of its own."""
+        if self._session.status_level == "none":
+            return
         done = _DONE.get(type(operation))
         if done is not None:
             self.tell("info", operation, f"{done.field} {getattr(operation, done.field)}: {done.words}")

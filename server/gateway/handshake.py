@@ -19,11 +19,10 @@ from websockets.utils import accept_key
 # Half of what websockets allows one line: no limit of lines can be reached within it.
 MAX_REQUEST_BYTES = 4096
 
-# Names and values as websockets allows them (RFC 9110, 5.1 and 5.5), without values beyond ASCII, and half of the headers that it allows. No part can give
-# back what it has matched to the next one, so matching takes one pass.
-_REQUEST = re.compile(
-    rb"GET (/[!-~]*) HTTP/1\.1\r\n((?:[-!#$%&'*+.^_`|~0-9a-zA-Z]+:[\t -~]*\r\n){1,64})\r\n"
-)
+# Names and values as websockets allows them (RFC 9110, 5.1 and 5.5), without values beyond ASCII, and half of the
+# headers that it allows. No part can give back what it has matched to the next one, so matching takes one pass.
+_HEADER = rb"[-!#$%&'*+.^_`|~0-9a-zA-Z]+:[\t -~]*\r\n"
+_REQUEST = re.compile(rb"GET (/[!-~]*) HTTP/1\.1\r\n((?:" + _HEADER + rb"){1,64})\r\n")
 
 # RFC 6455, 4.2.1. The key is 16 bytes in base64.
 _CONNECTION = re.compile(r"(?:keep-alive, ?)?upgrade", re.IGNORECASE)

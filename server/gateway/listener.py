@@ -365,7 +365,11 @@ class Listener:
                 "ssl_shutdown_timeout": TLS_SHUTDOWN_TIMEOUT_S,
             }
         create_connection = functools.partial(
-            WebSocket, limiter=self._limiter, connections=self._connections, admit=self._admit
+            WebSocket,
+            limiter=self._limiter,
+            connections=self._connections,
+            admit=self._admit,
+            serve=self._handle_connection,
         )
         return serve(
             self._handle_connection,
@@ -377,8 +381,6 @@ class Listener:
             server_header=None,
             # As in rosbridge_server: deflate doubles the cost of every message.
             compression=None,
-            # Some clients offer a subprotocol and expect it to be passed over.
-            select_subprotocol=lambda _connection, _offered: None,
             max_size=OVERSIZE * self._limits.max_message_bytes,
             write_limit=WRITE_LIMIT_BYTES,
             open_timeout=OPEN_TIMEOUT_S,

@@ -1,24 +1,26 @@
 """WebSocket connection that hands messages over as they come, in turns that leave time to other connections.
 
-Of websockets it uses, beyond the documented interface: ``handshake``, ``process_event`` and ``send_data`` of
+Of websockets it uses, beyond the documented interface: ``process_event``, ``send_data`` and ``start_keepalive`` of
 ``ServerConnection`` (overridden), ``drain``, ``recv_messages`` with its ``frames``, ``pause`` and ``resume``,
 ``protocol.handshake_exc``, ``protocol.max_message_size``, ``protocol.parse`` with ``parser``, and ``handler``,
-``handler_tasks`` and ``all_connections`` of ``Server``. The tests of this module and of :mod:`server.gateway.connection` cover each use.
+``handler_tasks`` and ``all_connections`` of ``Server``. The tests of this module and of
+:mod:`server.gateway.connection` cover each use.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
+import secrets
 import socket
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from typing import Any, cast
 
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import InvalidMessage
-from websockets.frames import Frame, Opcode
+from websockets.frames import CloseCode, Frame, Opcode
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
@@ -32,7 +34,7 @@ from server.gateway.http import bad_request
 from server.gateway.turns import TURN_S
 
 # Looking a member of an enumeration up takes as long as calling a function.
-_OPEN, _TEXT, _BINARY = State.OPEN, Opcode.TEXT, Opcode.BINARY
+_OPEN, _TEXT, _BINARY, _PONG = State.OPEN, Opcode.TEXT, Opcode.BINARY, Opcode.PONG
 
 # Messages that follow one another more quickly than this leave together: less than a round trip between two clients,
 # which is not to be delayed, and more than a message of a flood takes.
@@ -70,6 +72,7 @@ class WebSocket(ServerConnection):
         connections: every connection of the listener; this one is in it from ``connection_made`` to
             ``connection_lost``.
         admit: checks a request; returns the answer to one that is refused.
+        serve: serves the client until it leaves, when the WebSocket is open.
         options: further arguments of :class:`ServerConnection`.
 
     Attributes:
@@ -88,12 +91,15 @@ class WebSocket(ServerConnection):
         "_full",
         "_heard",
         "_held",
+        "_keepalive",
         "_last_sent_s",
         "_limiter",
         "_on_message",
-        "_opened_at_once",
+        "_ping_data",
+        "_pinged_s",
         "_request_refused",
         "_request_timer",
+        "_serve",
         "_turn_ends_s",
         "_unread",
         "_unsent",
@@ -115,15 +121,20 @@ class WebSocket(ServerConnection):
         limiter: ConnectionLimiter,
         connections: set[WebSocket],
         admit: Callable[[WebSocket, Request], Response | None],
+        serve: Callable[[WebSocket], Coroutine[Any, Any, None]],
         **options: Any,
     ) -> None:
         super().__init__(protocol, server, **options)
         self._limiter = limiter
         self._connections = connections
         self._admit = admit
-        # Nothing has come yet; and the WebSocket is open without websockets' own handshake.
+        self._serve = serve
+        # Nothing has come yet.
         self._untouched = True
-        self._opened_at_once = False
+        # The next ping, or the end of the wait for the answer to one.
+        self._keepalive: asyncio.TimerHandle | None = None
+        self._ping_data = b""
+        self._pinged_s = 0.0
         self.slot: ConnectionSlot | None = None
         self.rejection: Response | None = None
         self.identity: Identity | None = ANYONE
@@ -165,6 +176,7 @@ class WebSocket(ServerConnection):
         if self.slot is None:
             return
         self._end_request_timer()
+        self._end_keepalive()
         self._unread = b""
         self._connections.discard(self)
         self.slot.release()
@@ -264,10 +276,10 @@ class WebSocket(ServerConnection):
         self.received_bytes += len(data)
         if self._untouched:
             self._untouched = False
-            opened = self._open_at_once(data)
-            self._start_handler()
-            if opened:
+            if self._open_at_once(data):
+                self._start_task(self._serve_at_once())
                 return
+            self._start_task(self.server.handler(self))
         if self._unread or not self._may_read:
             self._unread += data
         else:
@@ -290,20 +302,63 @@ class WebSocket(ServerConnection):
         self.protocol.state = _OPEN
         self.protocol.parser = self.protocol.parse()
         next(self.protocol.parser)
-        self._opened_at_once = True
-        # The server ends its connections by this set; the handler begins a turn of the event loop later.
+        # The server ends its connections by this set.
         self.server.all_connections.add(self)
         return True
 
-    def _start_handler(self) -> None:
-        """Start websockets' handler of the connection: handshake, the client's time, and the end."""
-        handler = self.loop.create_task(self.server.handler(self))
-        self.server.handler_tasks.add(handler)
+    def _start_task(self, handler: Coroutine[Any, Any, None]) -> None:
+        """Start the task of the connection, which the end of the server waits for."""
+        self.server.handler_tasks.add(self.loop.create_task(handler))
 
-    async def handshake(self, *args: Any, **options: Any) -> None:
-        """Perform the opening handshake, unless that is done."""
-        if not self._opened_at_once:
-            await super().handshake(*args, **options)
+    async def _serve_at_once(self) -> None:
+        """Serve the client of a WebSocket that was opened at once, as websockets does after its own handshake."""
+        self.start_keepalive()
+        try:
+            await self._serve(self)
+        except Exception:
+            self.logger.exception("connection handler failed")
+            await self.close(CloseCode.INTERNAL_ERROR)
+        else:
+            if self.protocol.state is not State.CLOSED:
+                await self.close()
+        finally:
+            self.server.all_connections.discard(self)
+            self.server.handler_tasks.discard(cast("asyncio.Task[None]", asyncio.current_task()))
+
+    def start_keepalive(self) -> None:
+        """Ask from time to time whether the client is still there, by timers; websockets has a task for it."""
+        if self.ping_interval is not None:
+            self._keepalive = self.loop.call_later(self.ping_interval, self._ping)
+
+    def _ping(self) -> None:
+        if self.protocol.state is not _OPEN:
+            # It has been told to close, and has had the time.
+            self.transport.abort()
+            return
+        self._ping_data, self._pinged_s = secrets.token_bytes(4), self.loop.time()
+        self.protocol.send_ping(self._ping_data)
+        self.send_data()
+        if self.ping_timeout is not None:
+            self._keepalive = self.loop.call_later(self.ping_timeout, self._end_silent)
+
+    def _receive_pong(self, data: bytes) -> None:
+        """Let the next ping follow at its time; a pong that answers none is ignored (RFC 6455, 5.5.3)."""
+        if self._ping_data and data == self._ping_data and self.ping_interval is not None:
+            self._ping_data = b""
+            self._end_keepalive()
+            latency_s = self.loop.time() - self._pinged_s
+            self._keepalive = self.loop.call_later(max(0.0, self.ping_interval - latency_s), self._ping)
+
+    def _end_silent(self) -> None:
+        """End a connection whose client has not answered."""
+        self.protocol.fail(CloseCode.INTERNAL_ERROR, "keepalive ping timeout")
+        self.send_data()
+        self._keepalive = self.loop.call_later(self.close_timeout or 0.0, self.transport.abort)
+
+    def _end_keepalive(self) -> None:
+        if self._keepalive is not None:
+            self._keepalive.cancel()
+            self._keepalive = None
 
     def _take(self, data: bytes) -> None:
         """Read until the turn is over; the rest waits for the next turn, and the socket with it."""
@@ -367,6 +422,8 @@ class WebSocket(ServerConnection):
             self._end_request_timer()
         # What websockets' queue holds goes first.
         if self._on_message is None or not _is_message(event) or len(self.recv_messages.frames):
+            if isinstance(event, Frame) and event.opcode is _PONG:
+                self._receive_pong(bytes(event.data))
             super().process_event(event)
             return
         try:

@@ -96,6 +96,10 @@ class ClientStatus:
         self._last_rejection = ""
         self._log_limiter = LogLimiter(LOG_BURST, LOG_LINES_PER_S)
 
+    def release(self) -> None:
+        """Let go of the connection of a client that has left."""
+        self._wake = _do_nothing
+
     def refuse(self, refusal: Refusal) -> None:
         """Tell of an operation that is not carried out."""
         self.refused += 1
@@ -151,6 +155,15 @@ class ClientStatus:
 
     def _log(self, level: int, line: str) -> None:
         self._log_limiter.write(log, level, line, "client", self._clock())
+
+
+def _do_nothing() -> None:
+    """Wake no connection."""
+
+
+def _take_nothing(_encoded: EncodedMessage) -> bool:
+    """Send nothing at once."""
+    return False
 
 
 class MessageTranslator:
@@ -224,7 +237,7 @@ class ClientContext:
         session: Session,
         clock: Callable[[], float],
         wake: Callable[[], None],
-        send_at_once: Callable[[EncodedMessage], bool] = lambda _encoded: False,
+        send_at_once: Callable[[EncodedMessage], bool] = _take_nothing,
     ) -> None:
         self.node = node
         self.graph = graph
@@ -235,6 +248,12 @@ class ClientContext:
         self.send_at_once = send_at_once
         self.translator = MessageTranslator(session, graph.message_types.registry)
         self.status = ClientStatus(node, session, clock, wake)
+
+    def release(self) -> None:
+        """Let go of the connection of a client that has left."""
+        self.wake = _do_nothing
+        self.send_at_once = _take_nothing
+        self.status.release()
 
     def send(self, fields: dict[str, Any]) -> None:
         """Send the client an operation without a message, which is never dropped."""

@@ -32,6 +32,10 @@ class ClientTopics:
         self._graph = context.graph
         self._subscriber = Subscriber(self._deliver)
 
+    def release(self) -> None:
+        """Let go of the subscriber, which the graph has forgotten."""
+        del self._subscriber
+
     def advertise(self, operation: Advertise) -> None:
         """Advertise a topic."""
         topic = qualify(operation.topic)

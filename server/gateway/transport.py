@@ -181,6 +181,9 @@ class WebSocket(ServerConnection):
         self._connections.discard(self)
         self.slot.release()
         super().connection_lost(exc)
+        # Without these cycles the connection is freed at once; the garbage collector took a tenth of its whole cost.
+        self.recv_messages.pause = self.recv_messages.resume = _do_nothing
+        self.protocol.parser.close()
 
     def eof_received(self) -> None:
         """End a connection that may stay, as websockets does."""
@@ -442,6 +445,10 @@ def address_of(websocket: ServerConnection) -> tuple[str, int]:
 
 def _address_and_port(peer: object) -> tuple[str, int]:
     return (str(peer[0]), int(peer[1])) if isinstance(peer, tuple) else ("unknown", 0)
+
+
+def _do_nothing() -> None:
+    """Stand for a callback of a connection that has ended."""
 
 
 def _is_message(event: Any) -> bool:

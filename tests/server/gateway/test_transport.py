@@ -497,8 +497,9 @@ async def test_a_client_that_has_left_is_freed_without_the_garbage_collector() -
                 (each,) = listener._connections
                 (connection,) = listener.traffic._open
                 assert isinstance(connection, Connection)
-                left = [weakref.ref(each), weakref.ref(connection), weakref.ref(connection._client)]
-                del each, connection
+                parts = (each, each.protocol, connection, connection._client, connection._client._topics)
+                left = [weakref.ref(part) for part in parts]
+                del each, connection, parts
             await until_empty(listener)
             async with asyncio.timeout(TIMEOUT_S):
                 while any(reference() is not None for reference in left):

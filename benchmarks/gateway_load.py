@@ -8,7 +8,9 @@ sent are made beforehand, frames that come are counted by their bytes.
 from __future__ import annotations
 
 import asyncio
+import base64
 import json
+import random
 import socket
 import statistics
 import sys
@@ -142,9 +144,19 @@ class Load:
 
     async def large(self) -> dict[str, float]:
         """Publish long strings."""
-        subscriber = await self.subscriber("/large", "std_msgs/String")
-        publisher = await self.publisher("/large", "std_msgs/String")
-        frame = json.dumps({"op": "publish", "topic": "/large", "msg": {"data": "x" * LARGE_BYTES}})
+        return await self._one_by_one("/large", "std_msgs/String", {"data": "x" * LARGE_BYTES})
+
+    async def picture(self) -> dict[str, float]:
+        """Publish pictures."""
+        data = base64.b64encode(random.Random(0).randbytes(LARGE_BYTES)).decode()
+        picture = {"header": JOINT_STATE["header"], "format": "jpeg", "data": data}
+        return await self._one_by_one("/picture", "sensor_msgs/CompressedImage", picture)
+
+    async def _one_by_one(self, topic: str, type_name: str, message: dict[str, Any]) -> dict[str, float]:
+        """Publish a message again and again, each time when the one before has come back."""
+        subscriber = await self.subscriber(topic, type_name)
+        publisher = await self.publisher(topic, type_name)
+        frame = json.dumps({"op": "publish", "topic": topic, "msg": message})
         began_s = server_cpu_s(self._pid)
         for _ in range(LARGE_MESSAGES):
             await publisher.send(frame)

@@ -14,6 +14,7 @@ from typing import Any
 import orjson
 import uvloop
 from websockets.asyncio.server import ServerConnection, broadcast, serve
+from websockets.exceptions import ConnectionClosed
 
 subscribers: dict[str, set[ServerConnection]] = defaultdict(set)
 providers: dict[str, ServerConnection] = {}
@@ -23,7 +24,12 @@ latched: dict[str, bytes] = {}
 
 async def handle(websocket: ServerConnection) -> None:
     """Relay one client's frames."""
-    async for frame in websocket:
+    # Bytes, for orjson checks their UTF-8 as it reads them.
+    while True:
+        try:
+            frame = await websocket.recv(decode=False)
+        except ConnectionClosed:
+            break
         operation = orjson.loads(frame)
         match operation["op"]:
             case "subscribe":

@@ -60,6 +60,11 @@ class FrameReader:
         self._pending = bytearray()
         self._end = _ObjectEnd()
 
+    @property
+    def between_objects(self) -> bool:
+        """True when the next frame is read by itself, and the client speaks JSON."""
+        return not self._pending and not self.last_was_bson
+
     def feed(self, frame: str | bytes) -> list[object | FrameError]:
         """Return what was completed by this frame, in order: decoded values, and errors for what is none.
 

@@ -4,20 +4,9 @@ Out of `complete` comes a dict with every field of the type in order of declarat
 are base64 text, as they go over the wire; a float that was null is NaN. The input is left as it was.
 
 A type is compiled once, in two forms. The general form is a tree of shapes that knows everything that is forgiven and
-every error's text; completing a message walks that tree. The fast form is one function without calls for messages in
-which each value already has its field's type, as most do; of `geometry_msgs/msg/Point32` it reads ::
-
-    def quick(v0):
-        try:
-            if type(v0) is not dict: return None
-            if len(v0) != 3 and len(v0 := {**defaults_0, **v0}) != 3: return None
-            v1 = v0['x']
-            ...
-            return {'x': v1, 'y': v2, 'z': v3}
-        except (KeyError, OverflowError):
-            return None
-
-A message for which it returns None is completed by the general form, so each rule and each error's text exists once.
+every error's text; completing a message walks that tree. The strict form (:mod:`protocol.strict_messages`) takes the
+messages that have all their fields, each of its type, as most have. What it does not take is completed by the general
+form, so each rule and each error's text exists once.
 
 An element of a list may leave all its fields out: ``{}`` stands for a whole planning request. A message of a few
 megabytes could thus grow until it holds the server up for minutes, so every completion has a budget of values.
@@ -26,15 +15,14 @@ megabytes could thus grow until it holds the server up for minutes, so every com
 from __future__ import annotations
 
 import functools
-import itertools
 import threading
-from binascii import b2a_base64
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol
 
 from protocol import values
 from protocol.errors import LargeMessageError, MessageError, describe, shorten
-from protocol.registry import ArrayBounds, Field, MessageType, Registry
+from protocol.registry import ArrayBounds, Field, Registry
+from protocol.strict_messages import strict_type
 
 # Values of the elements of all lists of messages in one message. The largest mesh that is taken into a scene has half
 # as many; completing them takes two seconds at worst, and 150 MB.
@@ -166,13 +154,23 @@ def complete(
         MessageError: the value does not fit the type.
         LargeMessageError: it has more values than are completed at once.
     """
-    quick_function = quick_way(registry, type_name)
     BUDGET.renew(type_name, max_values, max_values_at_once)
-    quick = quick_function(value)
-    if quick is not None:
-        return quick
-    BUDGET.renew(type_name, max_values, max_values_at_once)
-    return _message_shape(registry, type_name).complete(value, received)
+    strict = _strict_way(registry, type_name)(value)
+    return _message_shape(registry, type_name).complete(value, received) if strict is None else strict
+
+
+@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+def _strict_way(registry: Registry, type_name: str) -> Callable[[object], dict[str, Any] | None]:
+    """Return the function that completes a message of the strict form; of any other it returns None.
+
+    What counts against the budget, lists of messages, is left to their shape, which takes this way for each element.
+    """
+    strict = strict_type(registry, type_name)
+    return _nothing if strict is None or strict.has_lists_of_messages else strict.complete
+
+
+def _nothing(_value: object) -> None:
+    """Take no message."""
 
 
 class _PrimitiveShape:
@@ -201,7 +199,7 @@ class _PrimitiveArrayShape:
         self._default = [values.zero(field.base)] * bounds.min_length
 
     def complete(self, value: object, _received: Stamp) -> list[Any]:
-        """Convert the elements, the quick way where all are as they should be."""
+        """Convert the elements, all at once where they are as they should be."""
         elements = _elements(value, self._bounds)
         converted = self._convert_list(elements)
         return values.to_list(elements, self._convert) if converted is None else converted
@@ -222,6 +220,9 @@ class _OctetArrayShape:
 
     def complete(self, value: object, _received: Stamp) -> str | list[int]:
         """Take base64 text or a list; whichever came, the spelling that goes out is the same."""
+        if self._as_text and type(value) is str and (count := values.octets_in(value)) is not None:
+            _check_length(count, self._bounds)
+            return value
         octets = values.to_octets(value, self._name)
         _check_length(len(octets), self._bounds)
         return self._spell(octets)
@@ -231,24 +232,30 @@ class _OctetArrayShape:
         return self._spell(bytes(self._bounds.min_length))
 
     def _spell(self, octets: bytes) -> str | list[int]:
-        return b2a_base64(octets, newline=False).decode() if self._as_text else list(octets)
+        return values.octets_text(octets) if self._as_text else list(octets)
 
 
 class _MessageArrayShape:
     """An array of messages."""
 
-    def __init__(self, element: _Shape, values_of_element: int, quick: Quick, bounds: ArrayBounds) -> None:
+    def __init__(
+        self,
+        element: _Shape,
+        values_of_element: int,
+        strict_way: Callable[[object], dict[str, Any] | None],
+        bounds: ArrayBounds,
+    ) -> None:
         self._element = element
         self._values_of_element = values_of_element
-        self._quick = quick
+        self._strict_way = strict_way
         self._bounds = bounds
 
     def complete(self, value: object, received: Stamp) -> list[Any]:
-        """Complete every element, each the quick way where it can go it."""
+        """Complete every element."""
 
         def complete_element(element: object) -> Any:
-            quick = self._quick(element)
-            return self._element.complete(element, received) if quick is None else quick
+            strict = self._strict_way(element)
+            return self._element.complete(element, received) if strict is None else strict
 
         elements = _elements(value, self._bounds)
         BUDGET.take(len(elements) * self._values_of_element)
@@ -350,7 +357,7 @@ def _field_shape(registry: Registry, field: Field) -> _Shape:
         if field.array is None:
             return element
         size = values_in(registry, field.base)
-        return _MessageArrayShape(element, size, quick_way(registry, field.base), field.array)
+        return _MessageArrayShape(element, size, _strict_way(registry, field.base), field.array)
     if field.array is None:
         return _PrimitiveShape(field)
     return (_OctetArrayShape if field.base in _OCTETS else _PrimitiveArrayShape)(field, field.array)
@@ -368,134 +375,3 @@ def _check_length(length: int, bounds: ArrayBounds) -> None:
         return
     wanted = "exactly" if bounds.fixed else "at most"
     raise MessageError(f"{wanted} {bounds.max_length} elements", f"{length}")
-
-
-# Returns the message anew, or None where it is not as it should be in every respect.
-Quick: TypeAlias = Callable[[object], dict[str, Any] | None]
-
-
-# The largest finite number of IEEE 754 single precision.
-_FLOAT32_MAX = 3.4028234663852886e38
-
-# The stamp of a header that has none is the time of receipt.
-_HEADER = "std_msgs/msg/Header"
-
-
-@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
-def quick_way(registry: Registry, type_name: str) -> Quick:
-    """Return the function of a message type; for a type with arrays of octets it takes no message at all.
-
-    Raises:
-        InterfaceError: the type is unknown.
-    """
-    writer = _Writer(registry)
-    copy = writer.message("v0", registry.message(type_name))
-    return writer.compiled(copy) if writer.possible else _nothing
-
-
-def _nothing(_value: object) -> None:
-    """Take no message."""
-
-
-def _defaults(registry: Registry, message_type: MessageType) -> dict[str, Any]:
-    """Return the defaults of omitted fields, except those that depend on the time of receipt or the spelling."""
-    defaults: dict[str, Any] = {}
-    for field in message_type.fields:
-        if field.base in _OCTETS and field.array is not None:
-            continue
-        value: Any
-        if field.primitive:
-            value = values.zero(field.base) if field.default is None else field.default
-        elif message_type.name == _HEADER:
-            continue
-        else:
-            part = registry.message(field.base)
-            value = _defaults(registry, part)
-            if len(value) != len(part.fields) and (field.array is None or field.array.min_length):
-                continue
-        defaults[field.name] = value if field.array is None else [value] * field.array.min_length
-    return defaults
-
-
-class _Writer:
-    """Writes the source text of one type's function.
-
-    Every method writes the checks of a value that stands in a variable, and returns the expression for its copy.
-
-    Attributes:
-        possible: whether the type has a quick way at all.
-    """
-
-    def __init__(self, registry: Registry) -> None:
-        self.possible = True
-        self._registry = registry
-        self._lines: list[str] = []
-        self._numbers = itertools.count(1)
-        # What the function calls, by the names that it has there.
-        self._names: dict[str, Any] = {}
-
-    def message(self, variable: str, message_type: MessageType) -> str:
-        """A message with its fields, and those of the messages in it."""
-        count, defaults = len(message_type.fields), f"defaults_{variable}"
-        self._names[defaults] = _defaults(self._registry, message_type)
-        self._refuse_if(f"type({variable}) is not dict")
-        # What is filled in is no part of what is returned, which is made anew of each value.
-        self._refuse_if(f"len({variable}) != {count} and len({variable} := {{**{defaults}, **{variable}}}) != {count}")
-        copies = []
-        for field in message_type.fields:
-            member = f"v{next(self._numbers)}"
-            self._lines.append(f"{member} = {variable}[{field.name!r}]")
-            copies.append(f"{field.name!r}: {self._field(member, field)}")
-        return "{" + ", ".join(copies) + "}"
-
-    def compiled(self, copy: str) -> Quick:
-        """Make the function of what was written, which returns this expression."""
-        body = "\n  ".join([*self._lines, f"return {copy}"])
-        source = f"def quick(v0):\n try:\n  {body}\n except (KeyError, OverflowError):\n  return None"
-        # Made of the interface tables alone, nothing that a client says is in it.
-        exec(compile(source, "<quick way of a message type>", "exec"), self._names)  # noqa: S102
-        quick: Quick = self._names["quick"]
-        return quick
-
-    def _field(self, variable: str, field: Field) -> str:
-        if field.array is not None:
-            return self._array(variable, field, field.array)
-        if not field.primitive:
-            return self.message(variable, self._registry.message(field.base))
-        return self._primitive(variable, field.base)
-
-    def _array(self, variable: str, field: Field, bounds: ArrayBounds) -> str:
-        if field.base in _OCTETS:
-            self.possible = False
-        self._refuse_if(f"type({variable}) is not list")
-        if bounds.max_length is not None:
-            self._refuse_if(f"not {bounds.min_length} <= len({variable}) <= {bounds.max_length}")
-        convert = "convert_" + field.base.replace("/", "_")
-        if field.primitive:
-            self._names[convert] = values.list_converter(field.base)
-            self._lines.append(f"{variable} = {convert}({variable})")
-            self._refuse_if(f"{variable} is None")
-        else:
-            self._names[convert] = quick_way(self._registry, field.base)
-            self._names["take"] = BUDGET.take
-            self._lines.append(f"take(len({variable}) * {values_in(self._registry, field.base)})")
-            self._lines.append(f"{variable} = [{convert}(element) for element in {variable}]")
-            self._refuse_if(f"None in {variable}")
-        return variable
-
-    def _primitive(self, variable: str, base: str) -> str:
-        if base in values.INTEGER_RANGES:
-            lowest, highest = values.INTEGER_RANGES[base]
-            self._refuse_if(f"type({variable}) is not int or not {lowest} <= {variable} <= {highest}")
-        elif base.startswith("float"):
-            # JavaScript writes the float 1.0 as 1.
-            self._lines.append(f"if type({variable}) is int: {variable} = float({variable})")
-            self._refuse_if(f"type({variable}) is not float")
-            if base == "float32":
-                self._refuse_if(f"not -{_FLOAT32_MAX} <= {variable} <= {_FLOAT32_MAX}")
-        else:
-            self._refuse_if(f"type({variable}) is not {'str' if base == 'string' else 'bool'}")
-        return variable
-
-    def _refuse_if(self, condition: str) -> None:
-        self._lines.append(f"if {condition}: return None")

@@ -48,12 +48,16 @@ class Frame(NamedTuple):
 
     def on_wire(self) -> bytes:
         """Return the WebSocket frame around the data (RFC 6455, 5.2), as a server sends it: whole, and not masked."""
-        opening, length = _TEXT if self.text else _BINARY, len(self.data)
-        if length < _TWO_BYTE_LENGTH:
-            return struct.pack("!BB", opening, length) + self.data
-        if length < 1 << 16:
-            return struct.pack("!BBH", opening, _TWO_BYTE_LENGTH, length) + self.data
-        return struct.pack("!BBQ", opening, _EIGHT_BYTE_LENGTH, length) + self.data
+        return _header(_TEXT if self.text else _BINARY, len(self.data)) + self.data
+
+
+def _header(opening: int, length: int) -> bytes:
+    """Return what goes before the data of a WebSocket frame (RFC 6455, 5.2)."""
+    if length < _TWO_BYTE_LENGTH:
+        return bytes((opening, length))
+    if length < 1 << 16:
+        return struct.pack("!BBH", opening, _TWO_BYTE_LENGTH, length)
+    return struct.pack("!BBQ", opening, _EIGHT_BYTE_LENGTH, length)
 
 
 class EncodedMessage:
@@ -63,22 +67,34 @@ class EncodedMessage:
         frames: one frame, or the fragments of one, in order.
 
     Attributes:
-        frames: as given; none while the message is still to be encoded, or when it cannot be.
         size_bytes: what it costs while it waits; an estimate for a message that is encoded later.
         ready: False while it is still to be encoded.
     """
 
-    __slots__ = ("_encode", "_on_wire", "frames", "ready", "size_bytes")
+    __slots__ = ("_encode", "_frames", "_on_wire", "_parts", "ready", "size_bytes")
 
     def __init__(self, *frames: Frame) -> None:
-        self.frames = frames
+        self._frames = frames
         self.ready = True
         self.size_bytes = 0
         # One frame, as a message mostly has, is not worth the set-up of a sum.
         for frame in frames:
             self.size_bytes += len(frame.data) + FRAME_OVERHEAD_BYTES
+        self._parts: tuple[bytes, ...] = ()
         self._on_wire: bytes | None = None
         self._encode: Callable[[], EncodedMessage] | None = None
+
+    @classmethod
+    def text(cls, *parts: bytes) -> EncodedMessage:
+        """Return a message of one text frame, whose data is put together once, on its way out.
+
+        Args:
+            parts: the frame's data in pieces, ASCII.
+        """
+        encoded = cls()
+        encoded._parts = parts
+        encoded.size_bytes = sum(map(len, parts)) + FRAME_OVERHEAD_BYTES
+        return encoded
 
     @classmethod
     def later(cls, encode: Callable[[], EncodedMessage], size_bytes: int) -> EncodedMessage:
@@ -104,17 +120,29 @@ class EncodedMessage:
             return
         try:
             encoded = self._encode()
-            self._on_wire, self.frames = encoded.on_wire, encoded.frames
+            self._on_wire, self._frames = encoded.on_wire, encoded.frames
         finally:
             self._encode = None
             self.ready = True
 
     @property
+    def frames(self) -> tuple[Frame, ...]:
+        """The frames; none while the message is still to be encoded, or when it cannot be."""
+        return (Frame(b"".join(self._parts), text=True),) if self._parts else self._frames
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames."""
+        return 1 if self._parts else len(self._frames)
+
+    @property
     def on_wire(self) -> bytes:
         """The WebSocket frames, one behind the other; made once for all clients that they are sent to."""
         if self._on_wire is None:
-            first, *others = self.frames
-            self._on_wire = first.on_wire() + b"".join([frame.on_wire() for frame in others])
+            if self._parts:
+                self._on_wire = b"".join((_header(_TEXT, self.size_bytes - FRAME_OVERHEAD_BYTES), *self._parts))
+            else:
+                self._on_wire = b"".join([frame.on_wire() for frame in self._frames])
         return self._on_wire
 
 
@@ -151,21 +179,24 @@ class PublishedMessage:
         topic: fully qualified name of the topic.
         type_name: canonical name of the message's type.
         msg: the message as `protocol.messages.complete` returns it, or as it came where the registry does not know
-            its type; not to be changed from here on.
+            its type; not to be changed from here on. Or such a message in JSON, as :func:`protocol.codecs.json.encode`
+            writes it.
         registry: where the type is looked up.
-        received: when the message came.
+        received: when the message came, as a stamp or in seconds since the epoch.
         publisher: who published it, for those whom it concerns.
         cost_bytes: what to encode it costs, as an amount of JSON [bytes]; None to find out.
+        light: True for a message that is encoded as JSON quickly, however large it is.
     """
 
     __slots__ = (
         "_by_key",
         "_cost_bytes",
         "_encoded",
+        "_light",
+        "_msg",
+        "_received",
         "_registry",
-        "msg",
         "publisher",
-        "received",
         "topic",
         "type_name",
     )
@@ -174,23 +205,46 @@ class PublishedMessage:
         self,
         topic: str,
         type_name: str,
-        msg: Mapping[str, Any],
+        msg: Mapping[str, Any] | bytes,
         registry: Registry,
-        received: Stamp,
+        received: Stamp | float,
         publisher: object = None,
         cost_bytes: int | None = None,
+        *,
+        light: bool = False,
     ) -> None:
         self.topic = topic
         self.type_name = type_name
-        self.msg = msg
         self.publisher = publisher
         self._registry = registry
         self._cost_bytes = cost_bytes
-        self.received = received
+        self._light = light
+        self._received = received
         # Subscribers spell a topic with or without its leading slash: two spellings of each encoding and dialect.
         self._by_key: dict[_Key, EncodedMessage] = {}
         # The message alone, the costly part, which frames of all spellings share.
         self._encoded: dict[tuple[Encoding, Dialect], bytes] = {}
+        self._msg: Mapping[str, Any] | None = None
+        if isinstance(msg, bytes):
+            self._encoded["none", "ros2"] = msg
+            self._cost_bytes = len(msg)
+        else:
+            self._msg = msg
+
+    @property
+    def msg(self) -> Mapping[str, Any]:
+        """The message; one that was given as JSON is decoded when it is first asked for."""
+        if self._msg is None:
+            decoded: Any = json.decode(self._encoded["none", "ros2"])
+            self._msg = decoded
+        return self._msg
+
+    @property
+    def received(self) -> Stamp:
+        """When the message came."""
+        if not isinstance(self._received, Stamp):
+            self._received = Stamp.from_seconds(self._received)
+        return self._received
 
     @property
     def size_bytes(self) -> int:
@@ -238,7 +292,8 @@ class PublishedMessage:
         key = spelled_topic, encoding, dialect, fragment_size
         encoded = self._by_key.get(key)
         if encoded is None:
-            if self.large:
+            at_once = self._light and encoding == "none" and dialect == "ros2" and fragment_size is None
+            if self.large and not at_once:
                 encoded = EncodedMessage.later(functools.partial(self._pack, key), self.cost_bytes)
             else:
                 encoded = self._pack(key)
@@ -247,6 +302,8 @@ class PublishedMessage:
 
     def _pack(self, key: _Key) -> EncodedMessage:
         spelled_topic, encoding, dialect, fragment_size = key
+        if fragment_size is None and encoding == "none":
+            return EncodedMessage.text(*self._parts(spelled_topic, dialect))
         if fragment_size is None:
             return EncodedMessage(self._frame(spelled_topic, encoding, dialect))
         # All clients get the fragments under this id, which no other frame has.
@@ -256,14 +313,20 @@ class PublishedMessage:
         if encoding == "png":
             picture = png.encode(self._frame(spelled_topic, "none", dialect).data)
             return Frame(json.encode({"op": "png", "data": picture}), text=True)
+        if encoding == "none":
+            return Frame(b"".join(self._parts(spelled_topic, dialect)), text=True)
+        codec = bson if encoding == "bson" else cbor
+        return Frame(codec.publish(spelled_topic, self._encoded_msg(encoding, dialect)), text=False)
+
+    def _parts(self, spelled_topic: str, dialect: Dialect) -> tuple[bytes, bytes, bytes]:
+        """Return the text frame in pieces, which are put together in one go: a message may have megabytes."""
+        return _opening(spelled_topic), self._encoded_msg("none", dialect), b"}"
+
+    def _encoded_msg(self, encoding: Encoding, dialect: Dialect) -> bytes:
         encoded_msg = self._encoded.get((encoding, dialect))
         if encoded_msg is None:
             encoded_msg = self._encoded[encoding, dialect] = self._encode(encoding, dialect)
-        if encoding == "none":
-            # Joined in one go: a message may have megabytes.
-            return Frame(b"".join((_opening(spelled_topic), encoded_msg, b"}")), text=True)
-        codec = bson if encoding == "bson" else cbor
-        return Frame(codec.publish(spelled_topic, encoded_msg), text=False)
+        return encoded_msg
 
     def _encode(self, encoding: Encoding, dialect: Dialect) -> bytes:
         if encoding == "none" and dialect == "ros2":
@@ -280,7 +343,7 @@ class PublishedMessage:
         return {"none": self._encode_json, "bson": bson.encode}.get(encoding, cbor.encode)(msg)
 
     def _encode_json(self, msg: Mapping[str, Any]) -> bytes:
-        return json.encode_in_pieces(msg) if self.large else json.encode(msg)
+        return json.encode_in_pieces(msg) if self.large and not self._light else json.encode(msg)
 
     def _packed(self, encoding: Encoding) -> Mapping[str, Any]:
         if encoding == "none":

@@ -30,6 +30,15 @@ SEND_BUDGET_BYTES = 65_536
 # A client that is too slow gets slower by every message about it.
 DROPS_TOLD_EVERY_S = 1.0
 
+# Offered a message when nothing waits before it; returns True when it has been sent. Who keeps up is spared the queue.
+SendAtOnce: TypeAlias = Callable[[EncodedMessage], bool]
+
+
+def never_at_once(_encoded: EncodedMessage) -> bool:
+    """Send nothing at once."""
+    return False
+
+
 # Returns the fields of an operation whose message is large.
 LaterFields: TypeAlias = Callable[[], Mapping[str, Any]]
 
@@ -135,6 +144,10 @@ class Session:
             return self._read(found[0], now)
         return [item for value in found for item in self._read(value, now)]
 
+    def reads_by_itself(self, frame: str) -> bool:
+        """Tell whether a frame may be read without :meth:`receive_frame`, as nothing but it counts for its meaning."""
+        return self._reader.between_objects and self.dialect == "ros2" and len(frame) <= self.limits.max_message_bytes
+
     def unpack(self, packed: Packed) -> Operation | Refusal:
         """Read what was packed into fragments or a picture, in any thread."""
         packing = packed.packing
@@ -178,7 +191,7 @@ class Session:
         self,
         published: PublishedMessage,
         now: float,
-        send_at_once: Callable[[EncodedMessage], bool] = lambda _encoded: False,
+        send_at_once: SendAtOnce = never_at_once,
     ) -> bool:
         """Queue topic data, if the client has subscribed to the topic, under the rules of its subscription.
 
@@ -187,17 +200,16 @@ class Session:
         Args:
             published: the message.
             now: present time [s], monotonic.
-            send_at_once: offered the message when nothing waits before it, and true when it has been sent: clients
-                that keep up are spared the queue.
+            send_at_once: as `SendAtOnce`.
 
         Returns:
-            Whether the message was queued.
+            True when the message was queued.
 
         Raises:
             ProtocolError: the message cannot be encoded as the subscription wants it.
         """
         subscription = self.subscriptions.get(published.topic)
-        if subscription is None or not subscription.admit(now):
+        if subscription is None or (subscription.throttle_s > 0 and not subscription.admit(now)):
             return False
         encoding: Encoding = subscription.compression
         if encoding == "none" and self._reader.last_was_bson:
@@ -210,22 +222,33 @@ class Session:
             return True
         return False
 
-    def reply(self, fields: Mapping[str, Any] | LaterFields) -> None:
-        """Queue an operation, which is never dropped; afterwards look at `overflowed`.
+    def reply(self, fields: Mapping[str, Any] | LaterFields, send_at_once: SendAtOnce = never_at_once) -> bool:
+        """Send or queue an operation, which is never dropped; afterwards look at `overflowed`.
 
         Args:
             fields: the operation, with the values of its message in the client's dialect; for a large one a function
                 that returns it, called by :meth:`EncodedMessage.encode`.
-        """
-        self._send_queue.put_reply(self._encode_message(fields))
+            send_at_once: as `SendAtOnce`.
 
-    def ask(self, fields: Mapping[str, Any] | LaterFields) -> bool:
-        """Queue a call or goal of somebody else, which is never dropped; ``fields`` as in :meth:`reply`.
+        Returns:
+            True when it was queued.
+        """
+        encoded = self._encode_message(fields)
+        if self._send_queue.empty and encoded.ready and send_at_once(encoded):
+            return False
+        self._send_queue.put_reply(encoded)
+        return True
+
+    def ask(self, fields: Mapping[str, Any] | LaterFields, send_at_once: SendAtOnce = never_at_once) -> bool:
+        """Send or queue a call or goal of somebody else, which is never dropped; arguments as of :meth:`reply`.
 
         Returns:
             False when too much of it waits already: then nothing is queued.
         """
-        return self._send_queue.put_request(self._encode_message(fields))
+        encoded = self._encode_message(fields)
+        if self._send_queue.empty and encoded.ready and send_at_once(encoded):
+            return True
+        return self._send_queue.put_request(encoded)
 
     def feedback(self, fields: Mapping[str, Any] | LaterFields) -> None:
         """Queue an action_feedback, dropped when the client reads too slowly; ``fields`` as in :meth:`reply`."""

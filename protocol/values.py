@@ -7,11 +7,12 @@ null comes back as NaN).
 
 from __future__ import annotations
 
-import binascii
 import math
 import struct
 from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar
+
+import pybase64
 
 from protocol.errors import MessageError, describe
 
@@ -123,10 +124,30 @@ def to_octets(value: object, wanted: str) -> bytes:
     if not isinstance(value, str):
         raise MessageError(f"{wanted} as base64 text or list", describe(value))
     try:
-        # Without strict_mode stray characters are skipped, and a text that is no base64 becomes octets.
-        return binascii.a2b_base64(value, strict_mode=True)
+        # Without validation stray characters are skipped, and a text that is no base64 becomes octets.
+        return pybase64.b64decode(value, validate=True)
     except ValueError as error:
         raise MessageError(f"{wanted} as base64 text", describe(value)) from error
+
+
+def octets_text(octets: bytes) -> str:
+    """Return octets as base64 text."""
+    return pybase64.b64encode_as_string(octets)
+
+
+def octets_in(text: str) -> int | None:
+    """Count the octets in a text that is base64 as :func:`octets_text` writes it; None for any other text."""
+    try:
+        count = len(pybase64.b64decode(text, validate=True))
+    except ValueError:
+        return None
+    # The last character may say more than the octets have; no decoder minds.
+    padding = text[-2:].count("=")
+    return count if not padding or text[-1 - padding] in _LAST_CHARACTERS[padding] else None
+
+
+# Of base64 text, in front of so many characters of padding (RFC 4648, 3.5: the bits that are left over are zero).
+_LAST_CHARACTERS = {1: "AEIMQUYcgkosw048", 2: "AQgw"}
 
 
 _CONVERTERS: dict[str, Convert] = {

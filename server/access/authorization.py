@@ -279,6 +279,10 @@ class Authorizer:
         # Topics as the client spells them: it publishes on the same few, thousands of times a second.
         self._settled: set[str] = set()
 
+    def may_publish(self, topic: str) -> bool:
+        """Return True for a topic, as the client spells it, on which it is known to be allowed any message."""
+        return topic in self._settled
+
     def refusal(self, operation: Operation) -> str | None:
         """Return the reason why an operation is refused, None when it is not; one that drives takes control."""
         match operation:

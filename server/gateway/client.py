@@ -34,7 +34,7 @@ from server.gateway.client_actions import ClientActions
 from server.gateway.client_auth import AuthContext, ClientAuth
 from server.gateway.client_context import ClientContext
 from server.gateway.client_services import ClientServices
-from server.gateway.client_topics import ClientTopics
+from server.gateway.client_topics import ClientTopics, StrictPublication
 from server.gateway.inbox import Inbox, Reader, Scheduling
 from server.graph.message_types import PostponedError, ReceivedMessage
 
@@ -66,7 +66,7 @@ class Client:
         self._context = context
         self._graph = context.graph
         self._authorizer = auth.access.authorizer(context.node, context.graph)
-        self._topics = ClientTopics(context)
+        self._topics = ClientTopics(context, self._authorizer)
         self._services = ClientServices(context)
         self._actions = ClientActions(context)
         self._auth = ClientAuth(context, auth, self._authorizer)
@@ -110,6 +110,20 @@ class Client:
         """Check the operations of a frame of a client that is not identified; return False for none of them."""
         return self._auth.check_first_operation(items)
 
+    def read_strictly(self, frame: str) -> StrictPublication | None:
+        """Read a frame by itself; as `OperationHandler.read_strictly`."""
+        return self._topics.read_strictly(frame) if self.session.reads_by_itself(frame) else None
+
+    def publish_strictly(self, publication: StrictPublication) -> bool:
+        """Publish a message, or return False; as `OperationHandler.publish_strictly`."""
+        try:
+            return self._topics.publish_strictly(publication)
+        except (ProtocolError, GraphError) as error:
+            self.status.refuse_error("publish", error)
+        except Exception:  # a bug in serving one operation must not take the client with it
+            log.exception("%s: publish failed", self.node)
+        return True
+
     def is_stop(self, operation: Operation) -> bool:
         """Return True for an operation that stops the arm."""
         return is_stop(operation)
@@ -118,12 +132,14 @@ class Client:
         """Return True for an operation that may move the arm."""
         return is_driving(operation)
 
-    def carry_out(self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None) -> None:
+    def carry_out(
+        self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False
+    ) -> None:
         """Carry an operation out, or tell of a refusal; as `OperationHandler.carry_out`."""
         if isinstance(item, Refusal):
             self._refuse(item)
         else:
-            self._carry_out(item, message or _message_of(item, size_bytes))
+            self._carry_out(item, message or _message_of(item, size_bytes, light=light))
         if self.node.identity is None:
             self.inbox.close()
 
@@ -212,15 +228,15 @@ class Client:
             self._actions.fail(refusal.id, refusal.text)
 
 
-def _message_of(operation: Operation, size_bytes: int) -> ReceivedMessage:
+def _message_of(operation: Operation, size_bytes: int, *, light: bool) -> ReceivedMessage:
     """Return the message in an operation; an empty one for operations without."""
     match operation:
         case Publish():
-            return ReceivedMessage(operation.msg, size_bytes)
+            return ReceivedMessage(operation.msg, size_bytes, light=light)
         case CallService() | SendActionGoal():
-            return ReceivedMessage(operation.args, size_bytes)
+            return ReceivedMessage(operation.args, size_bytes, light=light)
         case ServiceResponse() | ActionResult() | ActionFeedback():
-            return ReceivedMessage({} if operation.values is None else operation.values, size_bytes)
+            return ReceivedMessage({} if operation.values is None else operation.values, size_bytes, light=light)
         case _:
             return _NO_MESSAGE
 

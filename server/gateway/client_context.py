@@ -28,9 +28,9 @@ from protocol.operations import (
     UnadvertiseService,
     Unsubscribe,
 )
-from protocol.publication import LARGE_BYTES, EncodedMessage
+from protocol.publication import LARGE_BYTES
 from protocol.registry import Kind, Registry
-from protocol.session import LaterFields, Refusal, Session
+from protocol.session import LaterFields, Refusal, SendAtOnce, Session, never_at_once
 from robot.logs import LogLimiter
 from server.errors import GraphError
 from server.graph.message_types import ReceivedMessage
@@ -161,11 +161,6 @@ def _do_nothing() -> None:
     """Wake no connection."""
 
 
-def _take_nothing(_encoded: EncodedMessage) -> bool:
-    """Send nothing at once."""
-    return False
-
-
 class MessageTranslator:
     """Translator between one client and the graph, whose messages are in the dialect of ROS 2.
 
@@ -237,7 +232,7 @@ class ClientContext:
         session: Session,
         clock: Callable[[], float],
         wake: Callable[[], None],
-        send_at_once: Callable[[EncodedMessage], bool] = _take_nothing,
+        send_at_once: SendAtOnce = never_at_once,
     ) -> None:
         self.node = node
         self.graph = graph
@@ -252,13 +247,13 @@ class ClientContext:
     def release(self) -> None:
         """Let go of the connection of a client that has left."""
         self.wake = _do_nothing
-        self.send_at_once = _take_nothing
+        self.send_at_once = never_at_once
         self.status.release()
 
     def send(self, fields: dict[str, Any]) -> None:
         """Send the client an operation without a message, which is never dropped."""
-        self.session.reply(fields)
-        self.wake()
+        if self.session.reply(fields, self.send_at_once):
+            self.wake()
 
     def send_message(self, fields: dict[str, Any], field: str, type_name: str) -> None:
         """Send the client an operation with a message, which is never dropped.
@@ -268,8 +263,7 @@ class ClientContext:
             field: the field with the message.
             type_name: type of the message; a name that the registry does not know for what is sent as it is.
         """
-        if not self.left:
-            self.session.reply(self._translated(fields, field, type_name))
+        if not self.left and self.session.reply(self._translated(fields, field, type_name), self.send_at_once):
             self.wake()
 
     def send_request(self, fields: dict[str, Any], type_name: str) -> bool:
@@ -281,8 +275,9 @@ class ClientContext:
         """
         if self.left:
             return False
-        has_room = self.session.ask(self._translated(fields, "args", type_name))
-        self.wake()
+        has_room = self.session.ask(self._translated(fields, "args", type_name), self.send_at_once)
+        if self.session.waiting:
+            self.wake()
         return has_room
 
     def send_feedback(self, fields: dict[str, Any], type_name: str) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from protocol.errors import OperationError, ProtocolError
 from protocol.operations import Advertise, Publish, Subscribe, Unadvertise, Unsubscribe, qualify
 from protocol.publication import PublishedMessage
+from protocol.strict_messages import PublicationReader
+from server.access.authorization import Authorizer
 from server.gateway.client_context import ClientContext
 from server.graph.message_types import PostponedError, ReceivedMessage
 from server.graph.topics import Subscriber
@@ -18,15 +22,57 @@ LIFESPAN_S = 1.0
 NO_LATCH = "field latch: has no effect, it needs the role operate"
 
 
+# Topics of a client whose messages are tried the strict way; those beyond take the general one.
+MAX_STRICT_TOPICS = 1000
+
+# Where the topic is looked for in a publish operation. What stands there is made sure of when the frame is read.
+_TOPIC = re.compile(r'"topic"\s*:\s*"([^"\\]+)"')
+_TOPIC_WITHIN = 1024
+
+
+class StrictTopic(NamedTuple):
+    """Topic on which a client has published.
+
+    Attributes:
+        spelled: the topic as the client spells it.
+        name: its fully qualified name.
+        revision: the graph's revision when the topic was looked at.
+        reader: reads messages that are just as the topic's type declares them.
+    """
+
+    spelled: str
+    name: str
+    revision: int
+    reader: PublicationReader
+
+
+class StrictPublication(NamedTuple):
+    """Message that is to be published, just as its type declares it.
+
+    Attributes:
+        frame: the frame that it came in.
+        topic: the topic.
+        message: the message as JSON.
+    """
+
+    frame: str
+    topic: StrictTopic
+    message: bytes
+
+
 class ClientTopics:
     """Topics of one client.
 
     Args:
         context: the parts of the client.
+        authorizer: check of its operations.
     """
 
-    def __init__(self, context: ClientContext) -> None:
+    def __init__(self, context: ClientContext, authorizer: Authorizer) -> None:
         self._client = context
+        self._authorizer = authorizer
+        # By the topic as the client spells it.
+        self._strict_topics: dict[str, StrictTopic] = {}
         self._node = context.node
         self._session = context.session
         self._graph = context.graph
@@ -68,6 +114,39 @@ class ClientTopics:
             lost = NO_LATCH
         if lost is not None:
             self._client.status.tell("warning", operation, lost)
+        if not operation.latch:
+            self._remember(operation.topic, topic)
+
+    def _remember(self, spelled_topic: str, name: str) -> None:
+        """Try the next messages on a topic the strict way."""
+        reader = self._graph.strict_reader(self._node, name)
+        if reader is not None and len(self._strict_topics) < MAX_STRICT_TOPICS:
+            self._strict_topics[spelled_topic] = StrictTopic(spelled_topic, name, self._graph.revision, reader)
+
+    def read_strictly(self, frame: str) -> StrictPublication | None:
+        """Read a frame with a message on a topic on which the client has published before.
+
+        Returns:
+            None for a frame that is to be read the general way.
+        """
+        found = _TOPIC.search(frame, 0, _TOPIC_WITHIN)
+        topic = None if found is None else self._strict_topics.get(found[1])
+        if topic is None:
+            return None
+        message = topic.reader.read(frame, topic.spelled)
+        if message is None:
+            del self._strict_topics[topic.spelled]
+            return None
+        return StrictPublication(frame, topic, message)
+
+    def publish_strictly(self, publication: StrictPublication) -> bool:
+        """Publish a message of :meth:`read_strictly`; return False when its frame is to be read the general way."""
+        topic, graph = publication.topic, self._graph
+        holds = topic.revision == graph.revision or graph.strict_reader(self._node, topic.name) is topic.reader
+        if not holds or not self._authorizer.may_publish(topic.spelled):
+            return False
+        graph.relay(self._node, topic.name, publication.message, LIFESPAN_S)
+        return True
 
     def _latches(self, operation: Advertise | Publish) -> bool:
         """Return True for an operation that latches, which has no effect for a client that may only look."""

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from protocol import operations
+from protocol.codecs.json import is_light
 from protocol.operations import Operation
 from protocol.session import Packed, Refusal, Session
+from server.gateway.client_topics import StrictPublication
 from server.gateway.turns import Background, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from server.timers import CallLater, call_later
@@ -69,13 +71,26 @@ class OperationHandler(Protocol):
     def admit_first(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
         """Check the operations of a frame of a client that is not identified; return False for none of them."""
 
-    def carry_out(self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None) -> None:
+    def read_strictly(self, frame: str) -> StrictPublication | None:
+        """Read a frame that publishes a message just as its topic's type declares it, and neither stops nor drives.
+
+        Returns:
+            None for a frame that is to be read the general way.
+        """
+
+    def publish_strictly(self, publication: StrictPublication) -> bool:
+        """Publish a message; return False when its frame is to be read the general way after all."""
+
+    def carry_out(
+        self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False
+    ) -> None:
         """Carry an operation out, or tell of a refusal.
 
         Args:
             item: the operation or the refusal.
             size_bytes: size of the frame that it came in.
             message: its message, when that has been completed in the background.
+            light: True for a message that is completed quickly, however large it is.
 
         Raises:
             PostponedError: its message is to be completed in the background first.
@@ -113,7 +128,7 @@ class _Waiting:
         completions: times that this has been done.
     """
 
-    item: str | bytes | Operation | Refusal | Packed
+    item: str | bytes | Operation | Refusal | Packed | StrictPublication
     size_bytes: int
     stopped: bool = False
     message: ReceivedMessage | None = None
@@ -151,6 +166,8 @@ class Inbox:
         self._clock = clock
         self._waiting: deque[_Waiting] = deque()
         self._waiting_bytes = 0
+        # How many of them, and of those in progress, are frames that are still to be read.
+        self._unread_frames = 0
         # What was the first, while a thread works on it.
         self._in_progress: tuple[_Waiting, ...] = ()
         self._holds_reader = False
@@ -185,9 +202,19 @@ class Inbox:
         if self._closed:
             return
         until_s = self._turns.until_s() if self.empty and not self._session.congested else None
-        if until_s is not None and len(frame) < LONG_FRAME_BYTES:
+        if len(frame) >= LONG_FRAME_BYTES:
+            if until_s is not None and isinstance(frame, str) and self._handler.identified and is_light(frame):
+                self._begin(frame, until_s, light=True)
+            else:
+                self._add_frame(frame)
+        elif not self._unread_frames and isinstance(frame, str) and (strict := self._handler.read_strictly(frame)):
+            if until_s is None:
+                self._add(_Waiting(strict, len(frame)))
+            elif not self._handler.publish_strictly(strict):
+                self._begin(frame, until_s)
+        elif until_s is not None:
             self._begin(frame, until_s)
-        elif len(frame) >= LONG_FRAME_BYTES or not self._handler.identified or self._has_unread_frames():
+        elif not self._handler.identified or self._unread_frames:
             self._add_frame(frame)
         else:
             self._add_operations(frame)
@@ -213,13 +240,13 @@ class Inbox:
             self._reader.release_reading()
         self._holds_reader = full
 
-    def _begin(self, frame: str | bytes, until_s: float) -> None:
+    def _begin(self, frame: str | bytes, until_s: float, *, light: bool = False) -> None:
         """Read a frame before which nothing waits, and carry it out as far as the turn reaches."""
         items = self._read(frame)
         if len(items) == 1 and not isinstance(items[0], Packed):
             # The quick way of nearly every frame.
             try:
-                self._handler.carry_out(items[0], len(frame), None)
+                self._handler.carry_out(items[0], len(frame), None, light=light)
             except PostponedError as postponed:
                 self._complete(_Waiting(items[0], len(frame)), postponed)
             return
@@ -253,16 +280,13 @@ class Inbox:
             for each in waiting[first + 1 : last]:
                 each.stopped = True
 
-    def _has_unread_frames(self) -> bool:
-        """Return True when a frame waits or is being read: what comes behind it can only be read after it."""
-        return any(isinstance(each.item, str | bytes) for each in (*self._in_progress, *self._waiting))
-
     def _add_frame(self, frame: str | bytes) -> None:
         """Let a frame wait unread; a stop in a frame of its own is carried out now."""
         stop = operations.peek(frame) if len(frame) < LONG_FRAME_BYTES and self._handler.identified else None
         if stop is not None and self._handler.is_stop(stop):
             self._add_stop(stop, len(frame))
         else:
+            self._unread_frames += 1
             self._add(_Waiting(frame, len(frame)))
 
     def _add_operations(self, frame: str | bytes) -> None:
@@ -310,10 +334,15 @@ class Inbox:
         first = self._waiting.popleft()
         self._waiting_bytes -= first.size_bytes
         item = first.item
-        if isinstance(item, str | bytes):
+        # By far the most frequent first.
+        if isinstance(item, StrictPublication):
+            if not self._handler.publish_strictly(item):
+                self._put_first(_read_of(first, self._read(item.frame)))
+        elif isinstance(item, str | bytes):
             if len(item) >= LONG_FRAME_BYTES and self._handler.identified:
                 self._run(lambda: self._session.receive_frame(item, self._clock()), first)
             else:
+                self._unread_frames -= 1
                 self._put_first(_read_of(first, self._read(item)))
         elif isinstance(item, Packed):
             self._run(lambda: [self._session.unpack(item)], first)
@@ -347,14 +376,14 @@ class Inbox:
         self._in_progress = (waiting,)
 
         def finish(result: Sequence[Operation | Refusal | Packed] | None, cost_s: float) -> None:
-            self._in_progress = ()
+            self._end_job(waiting)
             self._next_job_s = self._clock() + cost_s
             if not self._closed:
                 self._put_first([waiting] if result is None else _read_of(waiting, result))
                 self.resume()
 
         def give_up() -> None:
-            self._in_progress = ()
+            self._end_job(waiting)
             self.resume()
 
         def begin() -> None:
@@ -366,6 +395,11 @@ class Inbox:
             self._call_later(wait_s, begin)
         else:
             begin()
+
+    def _end_job(self, waiting: _Waiting) -> None:
+        self._in_progress = ()
+        if isinstance(waiting.item, str | bytes):
+            self._unread_frames -= 1
 
 
 def _read_of(frame: _Waiting, items: Sequence[Operation | Refusal | Packed]) -> list[_Waiting]:

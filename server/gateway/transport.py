@@ -29,6 +29,7 @@ from protocol.errors import one_line, shorten
 from protocol.publication import EncodedMessage
 from server.access.permissions import ANYONE, Identity
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
+from server.gateway.frame_reader import FrameReader, Piece
 from server.gateway.handshake import accept, read_upgrade
 from server.gateway.http import bad_request
 from server.gateway.turns import TURN_S
@@ -36,19 +37,16 @@ from server.gateway.turns import TURN_S
 # Looking a member of an enumeration up takes as long as calling a function.
 _OPEN, _TEXT, _BINARY, _PONG = State.OPEN, Opcode.TEXT, Opcode.BINARY, Opcode.PONG
 
-# Messages that follow one another more quickly than this leave together: less than a round trip between two clients,
-# which is not to be delayed, and more than a message of a flood takes.
-BURST_S = 0.0001
+# Messages that follow one another more quickly than this leave together, when the event loop's turn ends: more than a
+# message of a flood takes. Where there is no flood the turn ends at once.
+BURST_S = 0.0005
 
 # While more than this waits for the socket to take it, the rest waits where it can be dropped. It is where websockets'
 # writer has itself paused (its default write_limit), so `drain` waits exactly then.
 WRITE_LIMIT_BYTES = 32_768
 
-# What the socket has received, up to 256 kB, is read in pieces of this size: of small frames each takes a millisecond
-# or two at most, and smaller pieces cost a flood a quarter of its rate. A piece without a message's end is followed by
-# one four times as large.
-PIECE_BYTES = 8192
-GROWTH = 4
+# What ends the head of an HTTP request.
+_END_OF_REQUEST = b"\r\n\r\n"
 
 # Clients send their request at once; one that takes longer only holds the connection (slow loris).
 REQUEST_TIMEOUT_S = 10.0
@@ -88,8 +86,8 @@ class WebSocket(ServerConnection):
     __slots__ = (
         "_admit",
         "_connections",
+        "_frames",
         "_full",
-        "_heard",
         "_held",
         "_keepalive",
         "_last_sent_s",
@@ -97,10 +95,10 @@ class WebSocket(ServerConnection):
         "_on_message",
         "_ping_data",
         "_pinged_s",
+        "_request_end",
         "_request_refused",
         "_request_timer",
         "_serve",
-        "_turn_ends_s",
         "_unread",
         "_unsent",
         "_unsent_bytes",
@@ -144,13 +142,13 @@ class WebSocket(ServerConnection):
         self.received_bytes = 0
         self.sent_messages = 0
         self.sent_bytes = 0
-        self._turn_ends_s = 0.0
-        # Bytes still to be read, a queue of messages that is full, an inbox that is, and a message that ended in the
-        # latest piece.
+        # None until the request has been read; and the last bytes of what there is of it.
+        self._frames: FrameReader | None = None
+        self._request_end = b""
+        # Bytes still to be read, a queue of messages that is full, and an inbox that is.
         self._unread = b""
         self._full = False
         self._held = False
-        self._heard = False
         self._last_sent_s = -math.inf
         self._unsent: list[bytes] = []
         self._unsent_bytes = 0
@@ -253,7 +251,7 @@ class WebSocket(ServerConnection):
         if not self.takes_more:
             return False
         on_wire = encoded.on_wire
-        self.sent_messages += len(encoded.frames)
+        self.sent_messages += encoded.frame_count
         self.sent_bytes += len(on_wire)
         if not self._unsent:
             now_s = time.monotonic()
@@ -305,6 +303,7 @@ class WebSocket(ServerConnection):
         self.protocol.state = _OPEN
         self.protocol.parser = self.protocol.parse()
         next(self.protocol.parser)
+        self._frames = FrameReader()
         # The server ends its connections by this set.
         self.server.all_connections.add(self)
         return True
@@ -365,20 +364,43 @@ class WebSocket(ServerConnection):
 
     def _take(self, data: bytes) -> None:
         """Read until the turn is over; the rest waits for the next turn, and the socket with it."""
-        self._turn_ends_s = time.monotonic() + TURN_S
-        begin, size = 0, PIECE_BYTES
-        while begin < len(data) and self._may_read:
-            self._heard = False
-            super().data_received(data[begin : begin + size] if begin or size < len(data) else data)
-            begin += size
-            size = PIECE_BYTES if self._heard else GROWTH * size
-            if time.monotonic() >= self._turn_ends_s:
+        turn_ends_s = time.monotonic() + TURN_S
+        begin = 0 if self._frames is not None else self._take_request(data)
+        while self._frames is not None and begin < len(data) and self._may_read:
+            begin, piece = self._frames.next(data, begin, self.protocol.max_message_size)
+            if piece is not None and not (piece.header_bytes and self._hand_over(piece)):
+                super().data_received(bytes(piece.raw))
+            if time.monotonic() >= turn_ends_s:
                 break
-        self._unread = data[begin:]
-        if self._unread:
+        if begin < len(data):
+            self._unread = data[begin:]
             self._stop_reading()
             if self._may_read:
                 self.loop.call_soon(self._go_on)
+
+    def _take_request(self, data: bytes) -> int:
+        """Read on to the end of the request; return where the frames begin that a client has sent along with it."""
+        before = self._request_end
+        place = (before + data).find(_END_OF_REQUEST)
+        self._request_end = (before + data)[1 - len(_END_OF_REQUEST) :]
+        end = len(data)
+        if place >= 0:
+            end = place + len(_END_OF_REQUEST) - len(before)
+            self._frames = FrameReader()
+        super().data_received(data[:end])
+        return end
+
+    def _hand_over(self, piece: Piece) -> bool:
+        """Hand a message over; return False for one that is left to websockets, which knows what to do."""
+        # What the queue holds goes first.
+        if self._on_message is None or len(self.recv_messages.frames) or self.protocol.state is not _OPEN:
+            return False
+        try:
+            message = piece.message()
+        except UnicodeDecodeError:
+            return False
+        self._on_message(message)
+        return True
 
     def _go_on(self) -> None:
         if not self._may_read:
@@ -418,8 +440,7 @@ class WebSocket(ServerConnection):
             self.transport.pause_reading()
 
     def process_event(self, event: Any) -> None:
-        """Hand a message over, or leave it to the queue."""
-        self._heard = True
+        """Hand a message over that websockets has read, for instance a compressed one, or leave it to the queue."""
         # The first event is the request.
         if self._request_timer is not None:
             self._end_request_timer()

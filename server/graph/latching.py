@@ -22,6 +22,9 @@ MAX_CLIENT_LATCHED_BYTES = MAX_CLIENTS_LATCHED_BYTES // 2
 # The last messages of many topics, or a picture; the oldest goes first.
 MAX_RECENT_BYTES = 4_194_304
 
+# How often it is looked for messages whose time is over [s].
+GIVE_UP_EVERY_S = 0.1
+
 # As many of one topic as rosbridge_server's subscribers take (QoS depth 10).
 MAX_RECENT_PER_TOPIC = 10
 
@@ -66,6 +69,7 @@ class LatchedMessages:
         # By topic, oldest first; the topics in order of their newest message, so that those in front have the oldest.
         self._recent: OrderedDict[str, deque[_Kept]] = OrderedDict()
         self._recent_bytes = 0
+        self._next_look_s = -math.inf
 
     def latch(self, published: PublishedMessage, client: Node | None = None) -> str | None:
         """Keep a message instead of the one latched before it.
@@ -129,13 +133,17 @@ class LatchedMessages:
             lifespan_s: for how long [s]; the same for all.
         """
         topic, size_bytes = published.topic, published.size_bytes
-        recent = self._recent.setdefault(topic, deque())
+        recent = self._recent.get(topic)
+        if recent is None:
+            recent = self._recent[topic] = deque()
+        else:
+            self._recent.move_to_end(topic)
         recent.append(_Kept(published, size_bytes, now + lifespan_s))
-        self._recent.move_to_end(topic)
         self._recent_bytes += size_bytes
         if len(recent) > MAX_RECENT_PER_TOPIC:
             self._recent_bytes -= recent.popleft().size_bytes
-        self._give_up_recent(now)
+        if self._recent_bytes > MAX_RECENT_BYTES or now >= self._next_look_s:
+            self._give_up_recent(now)
 
     def of(self, topic: str, now: float) -> list[PublishedMessage]:
         """Return what a new subscriber to the topic gets, oldest first.
@@ -167,6 +175,7 @@ class LatchedMessages:
 
     def _give_up_recent(self, now: float) -> None:
         """Drop what is too old; over the limit, the oldest message of the topic that has been quiet for longest."""
+        self._next_look_s = now + GIVE_UP_EVERY_S
         while self._recent:
             topic, recent = next(iter(self._recent.items()))
             if recent[0].until_s >= now and self._recent_bytes <= MAX_RECENT_BYTES:

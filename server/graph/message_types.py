@@ -14,6 +14,7 @@ from protocol.errors import InterfaceError, LargeMessageError, MessageError, des
 from protocol.messages import MAX_VALUES, Stamp
 from protocol.publication import LARGE_BYTES
 from protocol.registry import Kind, Registry
+from protocol.strict_messages import PublicationReader, strict_type
 
 # Values of the lists of one client's message beyond which a thread completes it: 10 ms at the slowest.
 VALUES_AT_ONCE = 4_000
@@ -34,22 +35,35 @@ class ReceivedMessage:
         value: as it was decoded.
         size_bytes: size of the frame that it came in.
         dialect: spelling of the message.
+        light: True for a message that is completed and encoded quickly, however large it is.
 
     Attributes:
         value: as given.
         size_bytes: as given.
         dialect: as given.
+        light: as given.
         are_arguments: True for a request or a goal, whose fields may come in order of declaration.
         checked: True once its lists have been found to be within their limits.
         values: values in its lists of messages, once it is completed.
     """
 
-    __slots__ = ("_completed", "_type_name", "are_arguments", "checked", "dialect", "size_bytes", "value", "values")
+    __slots__ = (
+        "_completed",
+        "_type_name",
+        "are_arguments",
+        "checked",
+        "dialect",
+        "light",
+        "size_bytes",
+        "value",
+        "values",
+    )
 
-    def __init__(self, value: object, size_bytes: int, dialect: Dialect = "ros2") -> None:
+    def __init__(self, value: object, size_bytes: int, dialect: Dialect = "ros2", *, light: bool = False) -> None:
         self.value = value
         self.size_bytes = size_bytes
         self.dialect = dialect
+        self.light = light
         self.are_arguments = False
         self.checked = False
         self.values = 0
@@ -103,6 +117,10 @@ class MessageTypes:
         registry: the known types.
         wall_clock: seconds since the epoch, for stamps.
         relay_unknown_types: take types that the registry does not know, and leave their messages as they are.
+
+    Attributes:
+        registry: as given.
+        wall_clock: as given.
     """
 
     def __init__(
@@ -113,9 +131,10 @@ class MessageTypes:
         relay_unknown_types: bool = False,
     ) -> None:
         self.registry = registry
-        self._wall_clock = wall_clock
+        self.wall_clock = wall_clock
         self._relay_unknown_types = relay_unknown_types
         self._to_compile: deque[str] = deque()
+        self._strict_readers: dict[str, PublicationReader | None] = {}
 
     def canonical(self, name: str, kind: Kind) -> str:
         """Return the three-part name of a type.
@@ -131,9 +150,20 @@ class MessageTypes:
                 raise
             return f"{parts[0]}/{kind}/{parts[-1]}"
 
+    def strict_reader(self, type_name: str) -> PublicationReader | None:
+        """Return what reads messages of a type that are just as it declares them; None for a type that has none.
+
+        Args:
+            type_name: canonical name of a message type.
+        """
+        if type_name not in self._strict_readers:
+            strict = strict_type(self.registry, type_name) if self.registry.knows(type_name) else None
+            self._strict_readers[type_name] = None if strict is None else PublicationReader(strict)
+        return self._strict_readers[type_name]
+
     def now(self) -> Stamp:
         """Return the time of receipt of what comes now."""
-        return Stamp.from_seconds(self._wall_clock())
+        return Stamp.from_seconds(self.wall_clock())
 
     def compile_later(self, *type_names: str) -> None:
         """Have types compiled by :meth:`compile_waiting`, ahead of their first messages: the largest take 20 ms."""
@@ -161,7 +191,7 @@ class MessageTypes:
         completed = value.completed(type_name)
         if completed is not None:
             return completed
-        if value.size_bytes > (BYTES_AT_ONCE if value.dialect == "ros2" else ROS1_BYTES_AT_ONCE):
+        if not value.light and value.size_bytes > (BYTES_AT_ONCE if value.dialect == "ros2" else ROS1_BYTES_AT_ONCE):
             raise PostponedError(value, type_name)
         try:
             return self.complete_received(type_name, value, received or self.now(), VALUES_AT_ONCE)

@@ -20,6 +20,7 @@ from protocol.errors import InterfaceError, MessageError
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
+from protocol.strict_messages import PublicationReader
 from server.errors import GraphError
 from server.graph.actions import Actions
 from server.graph.index import Index, TypedNames
@@ -292,16 +293,57 @@ class Graph:
         self._add_publisher(topic, node)
         if latch:
             self._add_latching(topic, node)
-        cost_bytes = message.cost_bytes if isinstance(message, ReceivedMessage) else None
-        published = PublishedMessage(
-            topic.name, topic.type_name, completed, self.message_types.registry, received, node, cost_bytes
+        cost_bytes, light = (
+            (message.cost_bytes, message.light) if isinstance(message, ReceivedMessage) else (None, False)
         )
+        published = PublishedMessage(
+            topic.name,
+            topic.type_name,
+            completed,
+            self.message_types.registry,
+            received,
+            node,
+            cost_bytes,
+            light=light,
+        )
+        return self._distribute(topic, published, node, lifespan_s)
+
+    def strict_reader(self, node: Node, name: str) -> PublicationReader | None:
+        """Return what reads a node's frames on a topic for :meth:`relay`; None where they take the general way.
+
+        What is returned holds until the `revision` changes; what is latched takes the general way.
+
+        Args:
+            node: who publishes.
+            name: fully qualified name of the topic.
+        """
+        topic = self._topics.get(name)
+        if topic is None or node not in topic.publishers or topic.latching:
+            return None
+        if any(subscriber.check_lists is not None for subscriber in topic.subscribers.values()):
+            return None
+        return self.message_types.strict_reader(topic.type_name)
+
+    def relay(self, node: Node, name: str, encoded: bytes, lifespan_s: float) -> None:
+        """Deliver a message to every subscriber, as :meth:`publish` does; the topic and its publisher are there.
+
+        Args:
+            node: who publishes.
+            name: fully qualified name of the topic.
+            encoded: the message as :meth:`strict_reader` has read it.
+            lifespan_s: as for :meth:`publish`.
+        """
+        topic, types = self._topics[name], self.message_types
+        published = PublishedMessage(name, topic.type_name, encoded, types.registry, types.wall_clock(), node)
+        self._distribute(topic, published, node, lifespan_s)
+
+    def _distribute(self, topic: Topic, published: PublishedMessage, node: Node, lifespan_s: float) -> str | None:
         for watch in self._watchers:
             watch(published, topic.keeps(node))
-        for subscriber in list(topic.subscribers.values()):
+        for subscriber in tuple(topic.subscribers.values()):
             subscriber.deliver(published)
         # Afterwards, when it is known how large the message is.
-        if topic.keeps(node):
+        if topic.latching and topic.keeps(node):
             return self._latch(published, node if node.remote else None)
         if lifespan_s > 0:
             self._latched_messages.keep(published, self._clock(), lifespan_s)

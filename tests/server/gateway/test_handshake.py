@@ -23,7 +23,7 @@ PLAIN = {
 
 
 def request(fields: list[tuple[str, str]], line: str = "GET / HTTP/1.1") -> bytes:
-    return "\r\n".join((line, *(f"{name}: {value}" for name, value in fields), "", "")).encode("latin-1")
+    return "\r\n".join((line, *(f"{name}: {value}" for name, value in fields), "", "")).encode("latin-1", "replace")
 
 
 def plain(**changes: str | None) -> bytes:

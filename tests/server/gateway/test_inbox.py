@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.codecs import png
-from protocol.operations import Auth, CallService, Operation, Publish
+from protocol.operations import Auth, CallService, Operation, Publish, peek
 from protocol.registry import Registry
 from protocol.session import Packed, Refusal, Session
+from server.gateway.client_topics import StrictPublication, StrictTopic
 from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, Inbox, Scheduling
 from server.gateway.turns import ROUND_S, TURN_S, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
@@ -22,6 +23,7 @@ from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import UnreadSocket
 
 TYPES = MessageTypes(Registry.load())
+READER = TYPES.strict_reader("std_msgs/msg/String")
 
 
 class Later:
@@ -74,6 +76,7 @@ class Handler:
     def __init__(self, world: World, name: str, step_s: float) -> None:
         self._world, self._name, self._step_s = world, name, step_s
         self.identified = True
+        self.changed_topics: set[str] = set()
         self.session = Session()
         self.socket = UnreadSocket()
         scheduling = Scheduling(world.turns, world.threads, world.clock.call_later)
@@ -85,7 +88,22 @@ class Handler:
     def admit_first(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
         return True
 
-    def carry_out(self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None) -> None:
+    def read_strictly(self, frame: str) -> StrictPublication | None:
+        operation = peek(frame)
+        if isinstance(operation, Publish) and operation.topic.startswith("/strict"):
+            return StrictPublication(frame, StrictTopic(operation.topic, operation.topic, 0, READER), b"")
+        return None
+
+    def publish_strictly(self, publication: StrictPublication) -> bool:
+        if publication.topic.name in self.changed_topics:
+            return False
+        self._world.done.append(f"{self._name}{publication.topic.name}")
+        self._world.clock.advance(self._step_s)
+        return True
+
+    def carry_out(
+        self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False
+    ) -> None:
         if isinstance(item, Publish) and item.topic == "/large":
             received = message or ReceivedMessage(item.msg, size_bytes)
             if received.completed("std_msgs/msg/String") is None:
@@ -110,7 +128,7 @@ class Handler:
 
     def publish(self, *topics: str, length: int = 0) -> None:
         """Publish on topics, in one frame; a long one is read by a thread."""
-        operations = [json.dumps({"op": "publish", "topic": topic, "msg": {"data": "x" * length}}) for topic in topics]
+        operations = [json.dumps({"op": "publish", "topic": topic, "msg": {"data": "," * length}}) for topic in topics]
         self.inbox.receive_frame("".join(operations))
 
 
@@ -153,6 +171,44 @@ def test_what_comes_behind_waits_in_order(world: World) -> None:
     client.publish("/6")
     world.run()
     assert world.done == [f"/{number}" for number in range(1, 7)]
+
+
+def test_what_is_published_strictly_keeps_its_place(world: World) -> None:
+    client = world.client(step_s=ROUND_S)
+    client.publish("/1", "/2")
+    client.publish("/strict3")
+    client.publish("/4", length=LONG_FRAME_BYTES)
+    client.publish("/strict5")
+    client.publish("/6")
+    world.run()
+    client.publish("/strict7")
+    assert world.done == ["/1", "/2", "/strict3", "/4", "/strict5", "/6", "/strict7"]
+
+
+def test_a_stop_goes_ahead_of_what_is_published_strictly(world: World) -> None:
+    client = world.client(step_s=ROUND_S)
+    for _ in range(20):
+        client.publish("/strict")
+    client.publish("/stop")
+    assert world.done == ["/strict"] * 2 + ["/stop"]
+    world.run()
+    assert world.done.count("/strict") == 20
+
+
+def test_what_cannot_be_published_strictly_any_more_is_read_the_general_way(world: World) -> None:
+    client = world.client(step_s=ROUND_S)
+    client.publish("/1", "/2")
+    client.publish("/strict3")
+    client.publish("/4")
+    client.changed_topics.update(("/strict3", "/strict5"))
+    world.run()
+    client.publish("/strict5")
+    assert world.done == ["/1", "/2", "/strict3", "/4", "/strict5"]
+
+
+def test_a_long_frame_of_few_values_is_carried_out_at_once(world: World) -> None:
+    world.client().inbox.receive_frame(json.dumps({"op": "publish", "topic": "/a", "msg": {"data": "x" * 1_000_000}}))
+    assert world.done == ["/a"]
 
 
 def test_a_stop_goes_ahead_of_its_clients_own_operations_and_those_move_nothing_any_more(world: World) -> None:

@@ -161,7 +161,7 @@ async def test_of_a_flood_that_comes_at_once_only_a_turns_worth_is_read(monkeypa
         await link.subscribe()
         flood = flood_of(1000)
         link.server.data_received(flood)
-        assert len(link.server._unread) == len(flood) - transport.PIECE_BYTES
+        assert len(link.server._unread) == len(flood) - len(flood_of(1))
         async with asyncio.timeout(TIMEOUT_S):
             while link.server._unread:
                 await asyncio.sleep(0)
@@ -179,23 +179,6 @@ async def test_a_flood_is_carried_out_in_order_while_the_queue_fills_again_and_a
             link.server.data_received(flood[begin : begin + 10_000])
         assert await link.received(1000) == NUMBERS
         assert not link.server._unread
-
-
-async def test_a_large_message_is_not_read_in_small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    pieces: list[int] = []
-    read = transport.ServerConnection.data_received
-
-    def count(self: WebSocket, data: bytes) -> None:
-        pieces.append(len(data))
-        read(self, data)
-
-    async with linked() as link:
-        monkeypatch.setattr(transport, "TURN_S", 60.0)
-        monkeypatch.setattr(transport, "PIECE_BYTES", 2048)
-        monkeypatch.setattr(transport.ServerConnection, "data_received", count)
-        link.server.data_received(Frame(Opcode.TEXT, b"x" * 200_000).serialize(mask=True))
-    assert pieces[:4] == [transport.PIECE_BYTES * transport.GROWTH**number for number in range(4)]
-    assert len(pieces) < 8
 
 
 async def test_frames_not_read_before_a_connection_ends_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,9 +5,10 @@ import asyncio
 import pytest
 
 from protocol.errors import InterfaceError, MessageError
-from protocol.messages import Stamp, quick_way
+from protocol.messages import Stamp
 from protocol.publication import LARGE_BYTES
 from protocol.registry import Registry
+from protocol.strict_messages import strict_type
 from server.graph.message_types import (
     BYTES_AT_ONCE,
     FREE_VALUES,
@@ -140,15 +141,15 @@ def test_messages_of_the_server_itself_are_completed_at_once_however_large() -> 
 async def test_types_are_compiled_when_there_is_time_and_not_when_they_are_offered() -> None:
     types = MessageTypes(Registry.load())
     names = ("moveit_msgs/action/MoveGroup_Goal", "moveit_msgs/action/MoveGroup_Result")
-    compiled_before = quick_way.cache_info().misses
+    compiled_before = strict_type.cache_info().misses
     types.compile_later(*names)
-    assert quick_way.cache_info().misses == compiled_before
+    assert strict_type.cache_info().misses == compiled_before
     await types.compile_waiting()
-    compiled = quick_way.cache_info().misses
+    compiled = strict_type.cache_info().misses
     assert compiled >= compiled_before + len(names)
     for name in names:
         types.complete(name, {})
-    assert quick_way.cache_info().misses == compiled
+    assert strict_type.cache_info().misses == compiled
 
 
 async def test_the_event_loop_goes_on_while_types_are_compiled() -> None:

@@ -16,7 +16,9 @@ from server.graph.topics import Graph
 
 async def main(port: int) -> None:
     """Serve until the process is ended."""
-    listener = Listener(Graph(Registry.load()), ServerSettings(port=port))
+    # Clients of one address that come as fast as they are served.
+    settings = ServerSettings(port=port, connections_per_s=10_000.0)
+    listener = Listener(Graph(Registry.load()), settings)
     await listener.bind()
     await listener.open()
     gc.collect()

@@ -27,6 +27,7 @@ FAN_OUTS = (1, 8, 32, 64, 128)
 
 # Upper bound of the gateway's cost as a multiple of the relay's; lower bound of its rate as a share.
 FAN_OUT, RATE, SERVICE, STRING, PICTURE, DEAF = 1.25, 0.7, 1.2, 1.3, 1.5, 1.2
+CONNECTIONS = 0.8
 
 
 class Run(NamedTuple):
@@ -51,6 +52,8 @@ def run() -> None:
         rows.append(_row("String of 1 MiB, CPU us per delivery", large, "cpu_us", f"<= {STRING}"))
         picture = _beside_relay(pids, "picture")
         rows.append(_row("CompressedImage of 1 MiB, CPU us per delivery", picture, "cpu_us", f"<= {PICTURE}"))
+        connections = _beside_relay(pids, "connections")
+        rows.append(_row("connections/s, each with one subscription", connections, "rate", f">= {CONNECTIONS}"))
         # The gateway is its own reference here, without the client that never reads.
         deaf = _medians(pids, Run("gateway", ("latency", "1")), Run("gateway", ("latency", "0")))
         rows.append(_row("p99 latency of 8 with a ninth that never reads, us", deaf, "p99_us", f"<= {DEAF}"))

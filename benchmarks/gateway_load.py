@@ -11,16 +11,19 @@ import asyncio
 import base64
 import json
 import random
+import socket
 import statistics
 import sys
 import time
+from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import uvloop
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.frames import Frame, Opcode
+from websockets.frames import CloseCode, Frame, Opcode
 
 SECONDS = 2.0
 RATE_HZ = 200.0
@@ -28,6 +31,10 @@ LARGE_BYTES = 1 << 20
 LARGE_MESSAGES = 60
 CALLS = 2000
 FLOOD_MESSAGES = 20_000
+CONNECTIONS = 3000
+
+# Clients that connect at the same time: enough for the server never to wait for one.
+CONNECTING = 16
 
 # Number of frames that the kernel accepts at once; the publisher waits for its socket after each such piece.
 FLOOD_PIECE = 64
@@ -42,6 +49,15 @@ JOINT_STATE = {
     "velocity": [0.0, 0.1, -0.1, 0.0, 0.2, 0.0],
     "effort": [0.01, 0.06, 0.04, 0.0, 0.0, 0.0],
 }
+
+
+# What a client of the load of connections sends.
+UPGRADE = (
+    b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
+SUBSCRIBE = Frame(Opcode.TEXT, b'{"op":"subscribe","topic":"/first","type":"std_msgs/String"}').serialize(mask=True)
+LEAVE = Frame(Opcode.CLOSE, CloseCode.NORMAL_CLOSURE.to_bytes(2)).serialize(mask=True)
 
 
 class Client(ClientConnection):
@@ -163,6 +179,16 @@ class Load:
         serving.cancel()
         return {"median_us": statistics.median(trips_s) * 1e6}
 
+    async def connections(self) -> dict[str, float]:
+        """Connect, subscribe, get the first message and leave, again and again; returns connections per second."""
+        publisher = await self.publisher("/first", "std_msgs/String")
+        await publisher.send(json.dumps({"op": "publish", "topic": "/first", "msg": {"data": "x"}, "latch": True}))
+        await asyncio.sleep(QUIET_S)
+        began_s, started_s = server_cpu_s(self._pid), time.monotonic()
+        _connect(int(self._url.rpartition(":")[2]), CONNECTIONS)
+        taken_s, cpu_s = time.monotonic() - started_s, server_cpu_s(self._pid) - began_s
+        return {"rate": CONNECTIONS / taken_s, "cpu_us": cpu_s / CONNECTIONS * 1e6}
+
     async def latency(self, deaf: int) -> dict[str, float]:
         """Measure the latency of eight subscribers, beside ``deaf`` ones that never read."""
         topic = f"/latency_{deaf}"
@@ -189,6 +215,35 @@ class Load:
 def server_cpu_s(pid: int) -> float:
     """Return the CPU time of all threads of a process [s], to the nanosecond; the usual clock counts 10 ms ticks."""
     return sum(int(path.read_text().split()[0]) for path in Path(f"/proc/{pid}/task").glob("*/schedstat")) / 1e9
+
+
+def _connect(port: int, count: int) -> None:
+    """Be one client after the other, several at a time; without an event loop, which would cost more than the server.
+
+    While one waits for its answer, the others take their next steps.
+    """
+    clients = deque(_one_client(port) for _ in range(count))
+    present = deque(clients.popleft() for _ in range(CONNECTING))
+    while present:
+        client = present.popleft()
+        if next(client, True):
+            if clients:
+                present.append(clients.popleft())
+        else:
+            present.append(client)
+
+
+def _one_client(port: int) -> Iterator[bool]:
+    """Connect, subscribe, get the first message and leave; yields False after each thing sent."""
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        for sent, wanted in ((UPGRADE, b" 101 "), (SUBSCRIBE, b'"x"'), (LEAVE, b"")):
+            connection.sendall(sent)
+            yield False
+            answer = connection.recv(65_536)
+            if wanted not in answer:
+                raise ConnectionError(f"wanted {wanted!r}, got {answer!r}")
+        while connection.recv(65_536):
+            pass
 
 
 async def _at_rate(seconds: float, send: Any) -> None:

@@ -19,6 +19,7 @@ from websockets.exceptions import ConnectionClosed
 subscribers: dict[str, set[ServerConnection]] = defaultdict(set)
 providers: dict[str, ServerConnection] = {}
 callers: dict[str, tuple[ServerConnection, Any]] = {}
+latched: dict[str, bytes] = {}
 
 
 async def handle(websocket: ServerConnection) -> None:
@@ -28,14 +29,18 @@ async def handle(websocket: ServerConnection) -> None:
         try:
             frame = await websocket.recv(decode=False)
         except ConnectionClosed:
-            return
+            break
         operation = orjson.loads(frame)
         match operation["op"]:
             case "subscribe":
                 subscribers[operation["topic"]].add(websocket)
+                if operation["topic"] in latched:
+                    await websocket.send(latched[operation["topic"]], text=True)
             case "publish":
                 out = orjson.dumps({"op": "publish", "topic": operation["topic"], "msg": operation["msg"]})
                 broadcast(subscribers[operation["topic"]], out, text=True)
+                if operation.get("latch"):
+                    latched[operation["topic"]] = out
             case "advertise_service":
                 providers[operation["service"]] = websocket
             case "call_service":
@@ -45,6 +50,8 @@ async def handle(websocket: ServerConnection) -> None:
             case "service_response":
                 caller, operation["id"] = callers.pop(operation["id"])
                 await caller.send(orjson.dumps(operation), text=True)
+    for each in subscribers.values():
+        each.discard(websocket)
 
 
 async def main(port: int) -> None:

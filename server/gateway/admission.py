@@ -19,8 +19,10 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import cached_property, lru_cache
 from http import HTTPStatus
 from ipaddress import IPv4Address, IPv6Address
+from typing import NamedTuple
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from websockets.datastructures import Headers
@@ -201,10 +203,16 @@ _BEARER = "bearer "
 
 MAX_PORT = 65_535
 
+# Hosts and origins that are remembered, of 300 characters at most: clients name the same few again and again.
+REMEMBERED = 256
+
 _AUTHORITY = re.compile(
     r"(?:\[(?P<ipv6>[0-9A-Fa-f:.]{2,45})(?:%[0-9A-Za-z._~-]{1,32})?\]|(?P<name>[0-9A-Za-z_.-]{1,255}))"
     r"(?::(?P<port>[0-9]{1,5}))?"
 )
+
+# Longer than the longest text that fits the pattern, a name with its port.
+MAX_AUTHORITY_CHARACTERS = 300
 
 # Of the schemes that pages have.
 _PORTS = {"http": 80, "https": 443}
@@ -222,7 +230,7 @@ class Authority:
     host: str
     port: int | None = None
 
-    @property
+    @cached_property
     def address(self) -> IPv4Address | IPv6Address | None:
         """The host as an IP address; None for a name."""
         return parse_address(self.host)
@@ -236,6 +244,11 @@ class Authority:
 
 def read_authority(text: str) -> Authority | None:
     """Return host and port of a header; None for any other text, such as one with a user in it."""
+    return _read_authority(text) if len(text) <= MAX_AUTHORITY_CHARACTERS else None
+
+
+@lru_cache(REMEMBERED)
+def _read_authority(text: str) -> Authority | None:
     found = _AUTHORITY.fullmatch(text)
     if found is None:
         return None
@@ -271,7 +284,7 @@ class AllowedHosts:
 
     def has(self, host: Authority) -> bool:
         """Return True for a host that is the server."""
-        if host.address is not None or host.host in self._own:
+        if host.host in self._own or host.address is not None:
             return True
         names = (host.host, f"{host.host}:{host.port}")
         return any(matches(name, pattern) for pattern in self._allowed for name in names)
@@ -323,8 +336,7 @@ class AllowedOrigins:
         return scheme == own_scheme and theirs.host == host.host and same_port
 
 
-@dataclass(frozen=True)
-class HandshakeRequest:
+class HandshakeRequest(NamedTuple):
     """Request of a client, as far as admission looks at it.
 
     Attributes:
@@ -495,6 +507,8 @@ def _tokens(request: HandshakeRequest) -> set[str]:
     """Return the tokens in a request, in its header and in its query."""
     lines = request.headers.get_all("Authorization")
     in_header = [line[len(_BEARER) :].strip() for line in lines if line[: len(_BEARER)].lower() == _BEARER]
+    if "?" not in request.path:
+        return set(in_header)
     return {*in_header, *parse_qs(_query(request.path), keep_blank_values=True).get("token", [])}
 
 

@@ -86,6 +86,14 @@ class Client:
         self._graph.remove(self.node)
         if self.session.dropped:
             log.warning("%s: %d messages were dropped because it read too slowly", self.node, self.session.dropped)
+        self._release()
+
+    def _release(self) -> None:
+        """Let go of what leads back here, so that all of the client is freed at once, without the garbage collector."""
+        self._context.release()
+        self._auth.release()
+        self._topics.release()
+        self.inbox.release()
 
     # As the inbox's handler.
 

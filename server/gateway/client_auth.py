@@ -21,7 +21,7 @@ MAX_FIRST_BYTES = 4096
 _NOT_FIRST = "the first message must be auth, with a token of this server"
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, eq=False)
 class AuthContext:
     """Authentication as the connection of a client provides it.
 
@@ -39,6 +39,10 @@ class AuthContext:
     disconnect: Callable[[str], None] = lambda _reason: None
     on_authenticated: Callable[[], None] = lambda: None
 
+    def release(self) -> None:
+        """Let go of the connection of a client that has left."""
+        self.disconnect, self.on_authenticated = lambda _reason: None, lambda: None
+
 
 class ClientAuth:
     """Authentication of one client; a wrong token ends its connection.
@@ -54,6 +58,10 @@ class ClientAuth:
         self._auth = auth
         self._authorizer = authorizer
         self._disconnected = False
+
+    def release(self) -> None:
+        """Let go of the connection of a client that has left."""
+        self._auth.release()
 
     def check_first_frame(self, frame: str | bytes) -> bool:
         """Check a frame of a client without identity; return True for one that may be read."""

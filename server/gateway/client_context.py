@@ -96,6 +96,10 @@ class ClientStatus:
         self._last_rejection = ""
         self._log_limiter = LogLimiter(LOG_BURST, LOG_LINES_PER_S)
 
+    def release(self) -> None:
+        """Let go of the connection of a client that has left."""
+        self._wake = _do_nothing
+
     def refuse(self, refusal: Refusal) -> None:
         """Tell of an operation that is not carried out."""
         self.refused += 1
@@ -126,11 +130,15 @@ class ClientStatus:
 
     def tell(self, level: Literal["error", "warning", "info"], operation: Operation, text: str) -> None:
         """Tell of an operation that is carried out; of an error that is logged elsewhere."""
+        if self._session.status_level == "none":
+            return
         self._session.status(level, f"{operation.op}: {text}", operation.id)
         self._wake()
 
     def acknowledge(self, operation: Operation) -> None:
         """Confirm an operation that has no answer of its own."""
+        if self._session.status_level == "none":
+            return
         done = _DONE.get(type(operation))
         if done is None:
             return
@@ -151,6 +159,10 @@ class ClientStatus:
 
     def _log(self, level: int, line: str) -> None:
         self._log_limiter.write(log, level, line, "client", self._clock())
+
+
+def _do_nothing() -> None:
+    """Wake no connection."""
 
 
 class MessageTranslator:
@@ -236,6 +248,12 @@ class ClientContext:
         self.send_at_once = send_at_once
         self.translator = MessageTranslator(session, graph.message_types.registry)
         self.status = ClientStatus(node, session, clock, wake)
+
+    def release(self) -> None:
+        """Let go of the connection of a client that has left."""
+        self.wake = _do_nothing
+        self.send_at_once = never_at_once
+        self.status.release()
 
     def send(self, fields: dict[str, Any]) -> None:
         """Send the client an operation without a message, which is never dropped."""

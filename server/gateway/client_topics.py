@@ -78,6 +78,10 @@ class ClientTopics:
         self._graph = context.graph
         self._subscriber = Subscriber(self._deliver)
 
+    def release(self) -> None:
+        """Let go of the subscriber, which the graph has forgotten."""
+        del self._subscriber
+
     def advertise(self, operation: Advertise) -> None:
         """Advertise a topic."""
         topic = qualify(operation.topic)
@@ -181,16 +185,19 @@ class ClientTopics:
         subscription = self._session.subscriptions.get(topic)
         # Under a throttle that drops, one of them gets through: it shall be the newest.
         newest_only = subscription is not None and subscription.skips
-        for published in earlier[-1:] if newest_only else earlier:
-            self._deliver(published, wake=False)
+        queued = [self._queue(published) for published in (earlier[-1:] if newest_only else earlier)]
         # Not before all are there: of what waits for a throttle, only the last ones are to be sent.
-        self._client.wake()
+        if any(queued):
+            self._client.wake()
 
-    def _deliver(self, published: PublishedMessage, *, wake: bool = True) -> None:
+    def _deliver(self, published: PublishedMessage) -> None:
+        if self._queue(published):
+            self._client.wake()
+
+    def _queue(self, published: PublishedMessage) -> bool:
+        """Send a message if the socket takes it at once; return True when it is queued instead."""
         try:
-            queued = self._session.deliver(published, self._client.clock(), self._client.send_at_once)
+            return self._session.deliver(published, self._client.clock(), self._client.send_at_once)
         except ProtocolError as error:
             self._client.status.refuse_error("subscribe", error)
-        else:
-            if queued and wake:
-                self._client.wake()
+            return False

@@ -188,6 +188,10 @@ class Inbox:
         self._waiting_bytes = 0
         self._turns.remove(self)
 
+    def release(self) -> None:
+        """Let go of the handler; nothing is carried out after :meth:`close`."""
+        del self._handler
+
     def resume(self) -> None:
         """Go on, after the client has read its replies."""
         if self._may_go_on():

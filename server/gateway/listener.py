@@ -396,7 +396,13 @@ class Listener:
                 "ssl_handshake_timeout": TLS_HANDSHAKE_TIMEOUT_S,
                 "ssl_shutdown_timeout": TLS_SHUTDOWN_TIMEOUT_S,
             }
-        create_connection = functools.partial(WebSocket, limiter=self._limiter, connections=self._connections)
+        create_connection = functools.partial(
+            WebSocket,
+            limiter=self._limiter,
+            connections=self._connections,
+            admit=self._admit,
+            serve=self._handle_connection,
+        )
         return serve(
             self._handle_connection,
             sock=listening,
@@ -407,8 +413,6 @@ class Listener:
             server_header=None,
             # As in rosbridge_server: deflate doubles the cost of every message.
             compression=None,
-            # Some clients offer a subprotocol and expect it to be passed over.
-            select_subprotocol=lambda _connection, _offered: None,
             max_size=OVERSIZE * self._limits.max_message_bytes,
             write_limit=WRITE_LIMIT_BYTES,
             open_timeout=OPEN_TIMEOUT_S,
@@ -450,6 +454,11 @@ class Listener:
 
     async def _process_request(self, connection: ServerConnection, request: Request) -> Response | None:
         websocket = cast(WebSocket, connection)
+        rejection = websocket.rejection or self._admit(websocket, request)
+        return rejection or await self._http.process_request(websocket, request)
+
+    def _admit(self, websocket: WebSocket, request: Request) -> Response | None:
+        """Check a request; return the answer to one that is refused."""
         rejection = None if websocket.slot is None else websocket.slot.rejection
         if rejection is not None:
             return rejection.response(request)
@@ -465,7 +474,7 @@ class Listener:
         if isinstance(admitted, HttpResponse):
             return admitted.response(request)
         websocket.identity = admitted
-        return await self._http.process_request(websocket, request)
+        return None
 
     async def _handle_connection(self, server_connection: ServerConnection) -> None:
         websocket = cast(WebSocket, server_connection)

@@ -1,22 +1,26 @@
 """WebSocket connection that hands messages over as they come, in turns that leave time to other connections.
 
-Of websockets it uses, beyond the documented interface: ``process_event`` and ``send_data`` of ``ServerConnection``
-(overridden), ``drain``, ``recv_messages`` with its ``frames``, ``pause`` and ``resume``, ``protocol.handshake_exc`` and
-``protocol.max_message_size``. The tests of this module and of :mod:`server.gateway.connection` cover each use.
+Of websockets it uses, beyond the documented interface: ``process_event``, ``send_data`` and ``start_keepalive`` of
+``ServerConnection`` (overridden), ``drain``, ``recv_messages`` with its ``frames``, ``pause`` and ``resume``,
+``protocol.handshake_exc``, ``protocol.max_message_size``, ``protocol.parse`` with ``parser``, and ``handler``,
+``handler_tasks`` and ``all_connections`` of ``Server``. The tests of this module and of
+:mod:`server.gateway.connection` cover each use.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
+import secrets
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Coroutine, Sequence
+from typing import Any, cast
 from urllib.parse import parse_qs, urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import InvalidMessage
-from websockets.frames import Frame, Opcode
+from websockets.frames import CloseCode, Frame, Opcode
+from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
@@ -26,11 +30,12 @@ from server.access.permissions import ANYONE, Identity
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
 from server.gateway.client_transport import address_and_port, reset
 from server.gateway.frame_reader import FrameReader, Piece
+from server.gateway.handshake import accept, read_upgrade
 from server.gateway.http import bad_request
 from server.gateway.turns import TURN_S
 
 # Looking a member of an enumeration up takes as long as calling a function.
-_OPEN, _TEXT, _BINARY = State.OPEN, Opcode.TEXT, Opcode.BINARY
+_OPEN, _TEXT, _BINARY, _PONG = State.OPEN, Opcode.TEXT, Opcode.BINARY, Opcode.PONG
 
 # Messages that follow one another more quickly than this leave together, when the event loop's turn ends: more than a
 # message of a flood takes. Where there is no flood the turn ends at once.
@@ -60,10 +65,13 @@ class WebSocket(ServerConnection):
         limiter: counter of connections.
         connections: every connection of the listener; this one is in it from ``connection_made`` to
             ``connection_lost``.
+        admit: checks a request; returns the answer to one that is refused.
+        serve: serves the client until it leaves, when the WebSocket is open.
         options: further arguments of :class:`ServerConnection`.
 
     Attributes:
         slot: its place among all connections; None for a connection that is closed without an answer.
+        rejection: answer to a request that was checked already, and refused.
         identity: identity of the client; None until it has authenticated.
         received_bytes: bytes received, those of the handshake included.
         sent_messages: WebSocket messages sent; a fragment is one.
@@ -72,21 +80,28 @@ class WebSocket(ServerConnection):
 
     # Beside those of websockets' own class there is no room in a dictionary whose keys all connections share.
     __slots__ = (
+        "_admit",
         "_connections",
         "_frames",
         "_full",
         "_held",
+        "_keepalive",
         "_last_sent_s",
         "_limiter",
         "_on_message",
+        "_ping_data",
+        "_pinged_s",
         "_request_end",
         "_request_refused",
         "_request_timer",
+        "_serve",
         "_unread",
         "_unsent",
         "_unsent_bytes",
+        "_untouched",
         "identity",
         "received_bytes",
+        "rejection",
         "sent_bytes",
         "sent_messages",
         "slot",
@@ -99,12 +114,23 @@ class WebSocket(ServerConnection):
         *,
         limiter: ConnectionLimiter,
         connections: set[WebSocket],
+        admit: Callable[[WebSocket, Request], Response | None],
+        serve: Callable[[WebSocket], Coroutine[Any, Any, None]],
         **options: Any,
     ) -> None:
         super().__init__(protocol, server, **options)
         self._limiter = limiter
         self._connections = connections
+        self._admit = admit
+        self._serve = serve
+        # Nothing has come yet.
+        self._untouched = True
+        # The next ping, or the end of the wait for the answer to one.
+        self._keepalive: asyncio.TimerHandle | None = None
+        self._ping_data = b""
+        self._pinged_s = 0.0
         self.slot: ConnectionSlot | None = None
+        self.rejection: Response | None = None
         self.identity: Identity | None = ANYONE
         self._request_timer: asyncio.TimerHandle | None = None
         self._request_refused = False
@@ -128,10 +154,11 @@ class WebSocket(ServerConnection):
         peer = transport.get_extra_info("peername")
         self.slot = self._limiter.acquire(address_and_port(peer)[0], time.monotonic())
         if self.slot is None:
-            # websockets, which would make a task for the handshake, is not told of it.
+            # websockets is not told of it.
             reset(transport)
             return
-        super().connection_made(transport)
+        # Not that of the class between, which makes a task for the handshake: few clients need one.
+        super(ServerConnection, self).connection_made(transport)
         self._connections.add(self)
         self.recv_messages.pause = self._pause_reading
         self.recv_messages.resume = self._resume_reading
@@ -142,10 +169,14 @@ class WebSocket(ServerConnection):
         if self.slot is None:
             return
         self._end_request_timer()
+        self._end_keepalive()
         self._unread = b""
         self._connections.discard(self)
         self.slot.release()
         super().connection_lost(exc)
+        # Without these cycles the connection is freed at once; the garbage collector took a tenth of its whole cost.
+        self.recv_messages.pause = self.recv_messages.resume = _do_nothing
+        self.protocol.parser.close()
 
     def eof_received(self) -> None:
         """End a connection that may stay, as websockets does."""
@@ -206,7 +237,8 @@ class WebSocket(ServerConnection):
     @property
     def query(self) -> dict[str, list[str]]:
         """Fields of the query in the client's URL."""
-        return parse_qs(urlsplit(self.request.path).query if self.request else "")
+        path = self.request.path if self.request else ""
+        return parse_qs(urlsplit(path).query) if "?" in path else {}
 
     @property
     def max_message_bytes(self) -> int | None:
@@ -287,10 +319,92 @@ class WebSocket(ServerConnection):
         if self.slot is None:
             return
         self.received_bytes += len(data)
+        if self._untouched:
+            self._untouched = False
+            if self._open_at_once(data):
+                self._start_task(self._serve_at_once())
+                return
+            self._start_task(self.server.handler(self))
         if self._unread or not self._may_read:
             self._unread += data
         else:
             self._take(data)
+
+    def _open_at_once(self, data: bytes) -> bool:
+        """Open the WebSocket for a plain request that is admitted; return False to leave the answer to websockets."""
+        if self.slot is None or self.slot.rejection is not None or not self.server.is_serving():
+            return False
+        request = read_upgrade(data)
+        if request is None:
+            return False
+        self.rejection = self._admit(self, request)
+        if self.rejection is not None:
+            return False
+        self._end_request_timer()
+        self.request = request
+        self.transport.write(accept(request))
+        # As websockets' own handshake leaves it: open, and reading frames.
+        self.protocol.state = _OPEN
+        self.protocol.parser = self.protocol.parse()
+        next(self.protocol.parser)
+        self._frames = FrameReader()
+        # The server ends its connections by this set.
+        self.server.all_connections.add(self)
+        return True
+
+    def _start_task(self, handler: Coroutine[Any, Any, None]) -> None:
+        """Start the task of the connection, which the end of the server waits for."""
+        self.server.handler_tasks.add(self.loop.create_task(handler))
+
+    async def _serve_at_once(self) -> None:
+        """Serve the client of a WebSocket that was opened at once, as websockets does after its own handshake."""
+        self.start_keepalive()
+        try:
+            await self._serve(self)
+        except Exception:
+            self.logger.exception("connection handler failed")
+            await self.close(CloseCode.INTERNAL_ERROR)
+        else:
+            if self.protocol.state is not State.CLOSED:
+                await self.close()
+        finally:
+            self.server.all_connections.discard(self)
+            self.server.handler_tasks.discard(cast("asyncio.Task[None]", asyncio.current_task()))
+
+    def start_keepalive(self) -> None:
+        """Ask from time to time whether the client is still there, by timers; websockets has a task for it."""
+        if self.ping_interval is not None:
+            self._keepalive = self.loop.call_later(self.ping_interval, self._ping)
+
+    def _ping(self) -> None:
+        if self.protocol.state is not _OPEN:
+            # It has been told to close, and has had the time.
+            self.transport.abort()
+            return
+        self._ping_data, self._pinged_s = secrets.token_bytes(4), self.loop.time()
+        self.protocol.send_ping(self._ping_data)
+        self.send_data()
+        if self.ping_timeout is not None:
+            self._keepalive = self.loop.call_later(self.ping_timeout, self._end_silent)
+
+    def _receive_pong(self, data: bytes) -> None:
+        """Let the next ping follow at its time; a pong that answers none is ignored (RFC 6455, 5.5.3)."""
+        if self._ping_data and data == self._ping_data and self.ping_interval is not None:
+            self._ping_data = b""
+            self._end_keepalive()
+            latency_s = self.loop.time() - self._pinged_s
+            self._keepalive = self.loop.call_later(max(0.0, self.ping_interval - latency_s), self._ping)
+
+    def _end_silent(self) -> None:
+        """End a connection whose client has not answered."""
+        self.protocol.fail(CloseCode.INTERNAL_ERROR, "keepalive ping timeout")
+        self.send_data()
+        self._keepalive = self.loop.call_later(self.close_timeout or 0.0, self.transport.abort)
+
+    def _end_keepalive(self) -> None:
+        if self._keepalive is not None:
+            self._keepalive.cancel()
+            self._keepalive = None
 
     def _take(self, data: bytes) -> None:
         """Read until the turn is over; the rest waits for the next turn, and the socket with it."""
@@ -376,6 +490,8 @@ class WebSocket(ServerConnection):
             self._end_request_timer()
         # What websockets' queue holds goes first.
         if self._on_message is None or not _is_message(event) or len(self.recv_messages.frames):
+            if isinstance(event, Frame) and event.opcode is _PONG:
+                self._receive_pong(bytes(event.data))
             super().process_event(event)
             return
         try:
@@ -385,6 +501,10 @@ class WebSocket(ServerConnection):
             super().process_event(event)
             return
         self._on_message(message)
+
+
+def _do_nothing() -> None:
+    """Stand for a callback of a connection that has ended."""
 
 
 def _is_message(event: Any) -> bool:

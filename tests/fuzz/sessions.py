@@ -272,7 +272,7 @@ class SessionMaker:
 
     def _damaged(self, part: bytes) -> bytes:
         """A frame with a few bytes changed, left out, or doubled."""
-        damaged = bytearray(part)
+        damaged = bytearray(part or b" ")
         for _ in range(self._random.randrange(1, 4)):
             place = self._random.randrange(len(damaged))
             match self._random.randrange(4):

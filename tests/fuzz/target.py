@@ -129,9 +129,9 @@ class World:
         """Have one client read what is due."""
         client = self.clients[number]
         queued = 0
-        while frames := client.session.data_to_send(self.clock()):
-            queued += sum(len(frame.data) for frame in frames)
-            for frame in frames:
+        while messages := client.session.data_to_send(self.clock()):
+            for frame in (frame for encoded in messages for frame in encoded.frames):
+                queued += len(frame.data)
                 check_sent(frame)
         client.inbox.resume()
 

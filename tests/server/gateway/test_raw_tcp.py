@@ -30,7 +30,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import cases, play
-from tests.helpers.gateway import REGISTRY, TIMEOUT_S, until_empty
+from tests.helpers.gateway import REGISTRY, TIMEOUT_S, USER_REGISTRY, until_empty
 from tests.helpers.raw_tcp import RawClient
 from tests.helpers.resources import make_pair
 
@@ -541,7 +541,8 @@ class OverTcp:
 
 @pytest.mark.parametrize("case", [case for case in cases() if by_one_encoding(case)], ids=lambda case: case["name"])
 async def test_conformance_over_raw_tcp(case: dict[str, Any]) -> None:
-    graph = Graph(REGISTRY, relay_unknown_types=case.get("relay_unknown_types", False))
+    registry = USER_REGISTRY if case.get("interfaces") else REGISTRY
+    graph = Graph(registry, relay_unknown_types=case.get("relay_unknown_types", False))
     if case.get("rosapi", False):
         RosApi(graph)
     async with serving(graph, tcp_ros_version=2) as listener:

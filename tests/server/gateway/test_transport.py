@@ -5,10 +5,12 @@ import contextlib
 import gc
 import json
 import logging
+import weakref
 from collections.abc import AsyncIterator
 from typing import NamedTuple
 
 import pytest
+from pydantic import SecretStr
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
@@ -16,9 +18,12 @@ from websockets.frames import Frame, Opcode
 from protocol.publication import EncodedMessage
 from protocol.publication import Frame as Payload
 from protocol.registry import Registry
+from server.access.authorization import Access
+from server.access.settings import AccessSettings
 from server.config import ServerSettings
 from server.gateway import listener as listener_module
 from server.gateway import transport
+from server.gateway.connection import Connection
 from server.gateway.listener import Listener
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
 from server.graph.node import Node
@@ -399,3 +404,88 @@ async def test_a_client_that_stays_open_after_an_answer_is_disconnected_without_
         gc.collect()
         assert "never retrieved" not in caplog.text
         writer.close()
+
+
+# A frame from a client, masked by zeros.
+def pong(data: bytes) -> bytes:
+    return b"\x8a" + bytes([0x80 | len(data)]) + bytes(4) + data
+
+
+PING_SIZE = 6
+
+
+async def test_a_client_that_answers_pings_stays_and_a_pong_to_none_counts_for_nothing() -> None:
+    pings = {"ping_interval_s": LOWEST_S / 10, "ping_timeout_s": LOWEST_S}
+    async with listening(ServerSettings(port=0).model_copy(update=pings)) as listener:
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write(request(*UPGRADE))
+        async with asyncio.timeout(TIMEOUT_S):
+            await reader.readuntil(b"\r\n\r\n")
+            asked = set()
+            # Longer than the server waits for an answer to the first.
+            for _ in range(20):
+                ping = await reader.readexactly(PING_SIZE)
+                assert ping[:2] == b"\x89\x04"
+                asked.add(ping[2:])
+                writer.write(pong(b"none") + pong(ping[2:]))
+            assert len(asked) == 20
+            await reader.readexactly(PING_SIZE)
+            writer.write(pong(b"none"))
+            # Close, 1011.
+            assert (await reader.read()).startswith(b"\x88\x18\x03\xf3keepalive ping timeout")
+        writer.close()
+
+
+async def test_a_client_that_has_said_goodbye_and_stays_is_disconnected_at_the_next_ping() -> None:
+    async with listening(ServerSettings(port=0).model_copy(update={"ping_interval_s": LOWEST_S})) as listener:
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write(request(*UPGRADE))
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(b"\x88\x80" + bytes(4))
+        await until_empty(listener)
+        writer.close()
+
+
+@pytest.mark.parametrize(
+    ("lines", "path", "answer"),
+    [
+        (("Origin: http://elsewhere.example",), "/", 403),
+        (("Host: elsewhere.example",), "/", 421),
+        ((), "/?token=wrong", 401),
+    ],
+)
+async def test_a_plain_request_that_is_refused_is_answered_and_counted_once(
+    lines: tuple[str, ...], path: str, answer: int
+) -> None:
+    tokens = AccessSettings(token=SecretStr("right-" * 6))
+    listener = Listener(Graph(Registry.load()), ServerSettings(port=0), access=Access(tokens))
+    await listener.bind()
+    await listener.open()
+    try:
+        host = None if lines and lines[0].startswith("Host") else "localhost"
+        refused = await exchange(listener.port, request(*UPGRADE, *lines, path=path, host=host))
+        assert status(refused) == answer
+        assert sum(listener.refused_connections().values()) == 1
+    finally:
+        await listener.close()
+
+
+async def test_a_client_that_has_left_is_freed_without_the_garbage_collector() -> None:
+    async with listening() as listener:
+        gc.collect()
+        gc.disable()
+        try:
+            async with connect(f"ws://127.0.0.1:{listener.port}", compression=None) as client:
+                await client.send(json.dumps({"op": "subscribe", "topic": "/t", "type": "std_msgs/String"}))
+                (each,) = listener._connections
+                (connection,) = listener.traffic._open
+                assert isinstance(connection, Connection)
+                parts = (each, each.protocol, connection, connection._client, connection._client._topics)
+                left = [weakref.ref(part) for part in parts]
+                del each, connection, parts
+            await until_empty(listener)
+            async with asyncio.timeout(TIMEOUT_S):
+                while any(reference() is not None for reference in left):
+                    await asyncio.sleep(0.01)
+        finally:
+            gc.enable()

@@ -65,17 +65,18 @@ class FrameReader:
         """True when the next frame is read by itself, and the client speaks JSON."""
         return not self._pending and not self.last_was_bson
 
-    def feed(self, frame: str | bytes) -> list[object | FrameError]:
+    def feed(self, frame: str | bytes, *, light: bool = False) -> list[object | FrameError]:
         """Return what was completed by this frame, in order: decoded values, and errors for what is none.
 
         Args:
             frame: text, or the bytes of a binary frame.
+            light: True for a frame that :func:`protocol.codecs.json.is_light`.
         """
         self.last_was_bson = isinstance(frame, bytes) and bson.is_document(frame)
         try:
             if isinstance(frame, bytes) and self.last_was_bson:
                 return [bson.decode(frame)]
-            value = json.decode(frame)
+            value = json.decode(frame, light=light)
         except FrameError as error:
             return [error] if self.last_was_bson else self._read_on(frame, error)
         if not self._pending:

@@ -141,6 +141,13 @@ class EncodedMessage:
             return (Frame(self._on_wire[header_bytes:], text=opening == _TEXT),)
         return self._frames
 
+    def wire_pieces(self) -> tuple[bytes, ...]:
+        """Return `on_wire` in pieces that are to leave together: those of a large message are not copied into one."""
+        if self._on_wire is None and self._parts and self.size_bytes >= LARGE_BYTES:
+            opening, *others = self._parts
+            return (_header(_TEXT, self.size_bytes - FRAME_OVERHEAD_BYTES) + opening, *others)
+        return (self.on_wire,)
+
     @property
     def on_wire(self) -> bytes:
         """The WebSocket frames, one behind the other; made once for all clients that they are sent to."""

@@ -128,7 +128,9 @@ class Session:
 
     # What comes from the client.
 
-    def receive_frame(self, frame: str | bytes, now: float) -> list[Operation | Refusal | Packed]:
+    def receive_frame(
+        self, frame: str | bytes, now: float, *, light: bool = False
+    ) -> list[Operation | Refusal | Packed]:
         """Read one frame; text and binary frames carry the same JSON, binary ones BSON as well.
 
         Carry out the operations in this order, unpack what is packed in its place, and log the refusals; the
@@ -138,13 +140,14 @@ class Session:
         Args:
             frame: as it came.
             now: present time [s], monotonic.
+            light: True for a frame that :func:`protocol.codecs.json.is_light`.
         """
         # Before decoding: what is too long must not cost the time and memory of being decoded.
         size_bytes = _size_bytes(frame)
         if size_bytes > self.limits.max_message_bytes:
             text = f"message of {size_bytes} bytes, the limit is {self.limits.max_message_bytes}"
             return [Refusal(None, None, text)]
-        found = self._reader.feed(frame)
+        found = self._reader.feed(frame, light=light)
         if len(found) == 1:
             return self._read(found[0], now)
         return [item for value in found for item in self._read(value, now)]

@@ -112,7 +112,8 @@ class Client:
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
         """Read a frame by itself; as `OperationHandler.read_strictly`."""
-        return self._topics.read_strictly(frame) if self.session.reads_by_itself(frame) else None
+        publication = self._topics.read_strictly(frame)
+        return publication if publication is not None and self.session.reads_by_itself(frame) else None
 
     def publish_strictly(self, publication: StrictPublication) -> bool:
         """Publish a message, or return False; as `OperationHandler.publish_strictly`."""

@@ -129,6 +129,8 @@ class ClientTopics:
         Returns:
             None for a frame that is to be read the general way.
         """
+        if not self._strict_topics:
+            return None
         found = _TOPIC.search(frame, 0, _TOPIC_WITHIN)
         topic = None if found is None else self._strict_topics.get(found[1])
         if topic is None:

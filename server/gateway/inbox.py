@@ -242,7 +242,7 @@ class Inbox:
 
     def _begin(self, frame: str | bytes, until_s: float, *, light: bool = False) -> None:
         """Read a frame before which nothing waits, and carry it out as far as the turn reaches."""
-        items = self._read(frame)
+        items = self._read(frame, light=light)
         if len(items) == 1 and not isinstance(items[0], Packed):
             # The quick way of nearly every frame.
             try:
@@ -323,10 +323,10 @@ class Inbox:
             # The frame may be long; the message of a stop is not, and is completed at once.
             self._carry_out(_Waiting(operation, 0), operation)
 
-    def _read(self, frame: str | bytes) -> Sequence[Operation | Refusal | Packed]:
+    def _read(self, frame: str | bytes, *, light: bool = False) -> Sequence[Operation | Refusal | Packed]:
         if not self._handler.admit_frame(frame):
             return ()
-        items = self._session.receive_frame(frame, self._clock())
+        items = self._session.receive_frame(frame, self._clock(), light=light)
         return items if self._handler.identified or self._handler.admit_first(items) else ()
 
     def _take_step(self) -> None:

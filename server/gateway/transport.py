@@ -275,31 +275,32 @@ class WebSocket(ServerConnection):
         """
         if not self.takes_more:
             return False
-        on_wire = encoded.on_wire
+        pieces = encoded.wire_pieces()
+        size_bytes = sum(map(len, pieces))
         self.sent_messages += encoded.frame_count
-        self.sent_bytes += len(on_wire)
+        self.sent_bytes += size_bytes
         if not self._unsent:
             now_s = time.monotonic()
             if now_s - self._last_sent_s > BURST_S:
                 self._last_sent_s = now_s
-                self.transport.write(on_wire)
+                self.transport.writelines(pieces)
                 return True
             self.loop.call_soon(self._write_unsent)
-        self._unsent.append(on_wire)
-        self._unsent_bytes += len(on_wire)
+        self._unsent += pieces
+        self._unsent_bytes += size_bytes
         return True
 
     def send_all(self, messages: Sequence[EncodedMessage]) -> None:
         """Send messages that have waited, while `takes_more` is true; one call of the kernel takes them together."""
-        on_wire = [encoded.on_wire for encoded in messages]
-        size_bytes = sum(map(len, on_wire))
+        pieces = [piece for encoded in messages for piece in encoded.wire_pieces()]
+        size_bytes = sum(map(len, pieces))
         self.sent_messages += sum(encoded.frame_count for encoded in messages)
         self.sent_bytes += size_bytes
         if self._unsent:
-            self._unsent += on_wire
+            self._unsent += pieces
             self._unsent_bytes += size_bytes
         else:
-            self.transport.writelines(on_wire)
+            self.transport.writelines(pieces)
 
     @property
     def taken_bytes(self) -> int:

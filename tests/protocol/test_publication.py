@@ -239,3 +239,11 @@ def test_the_cost_of_encoding_is_estimated_without_looking_at_everything(value):
 )
 def test_what_is_large_is_found_to_be(value):
     assert encoding_cost_bytes(value, LARGE_BYTES) == LARGE_BYTES
+
+
+@pytest.mark.parametrize("length", [0, 1, 125, 126, 65_000, 70_000, 300_000])
+def test_the_pieces_on_the_wire_are_the_frame_in_order(length):
+    parts = (b"a", b"x" * length, b"b")
+    message = EncodedMessage.text(*parts)
+    assert b"".join(message.wire_pieces()) == Frame(b"".join(parts), text=True).on_wire() == message.on_wire
+    assert message.frames == (Frame(b"".join(parts), text=True),)

@@ -130,7 +130,6 @@ def test_many_brackets_that_do_not_nest_are_taken():
     assert json.decode('"' + "[" * 1000 + '"') == "[" * 1000
 
 
-@pytest.mark.parametrize("make", [str, str.encode])
 @pytest.mark.parametrize(
     ("text", "light"),
     [
@@ -156,5 +155,5 @@ def test_many_brackets_that_do_not_nest_are_taken():
         "many objects",
     ],
 )
-def test_a_long_text_of_few_values_is_light(make, text, light):
-    assert json.is_light(make(text)) is light
+def test_a_long_text_of_few_values_is_light(text, light):
+    assert json.is_light(text) is light

@@ -94,7 +94,7 @@ class Connection:
     """Connection of one client.
 
     Args:
-        websocket: the open transport, a WebSocket or a raw TCP stream.
+        transport: the open transport, a WebSocket or a raw TCP stream.
         graph: the graph that the client takes part in.
         limits: limits of the client.
         access: authentication and authorization.
@@ -109,7 +109,7 @@ class Connection:
 
     def __init__(
         self,
-        websocket: ClientTransport,
+        transport: ClientTransport,
         graph: Graph,
         limits: Limits,
         access: Access,
@@ -119,34 +119,34 @@ class Connection:
         *,
         takes_goals_along: bool,
     ) -> None:
-        self._websocket = websocket
+        self._transport = transport
         # Made when something has to wait: most clients hardly ever hear so much.
         self._wake: asyncio.Event | None = None
         self._writer: asyncio.Task[None] | None = None
-        self.address, port = websocket.peer
+        self.address, port = transport.peer
         place = f"{self.address}:{port}"
         self._closing: asyncio.Task[None] | None = None
         # Runs while anything waits for the client to read.
         self._watch: asyncio.TimerHandle | None = None
         self._max_delay_s = limits.max_topic_delay_s
-        query = websocket.query
+        query = transport.query
         asked = query.get("on_disconnect", [""])[-1]
         node = Node(
-            display_name(websocket.identity, place),
+            display_name(transport.identity, place),
             remote=True,
             takes_goals_along=_GOALS_END.get(asked, takes_goals_along),
-            identity=websocket.identity,
+            identity=transport.identity,
             address=place,
         )
         session = Session(limits, "ros1" if query.get("ros") == ["1"] else "ros2", budget)
         self._client = Client(
-            ClientContext(node, graph, session, time.monotonic, self._wake_up, websocket.send_at_once),
+            ClientContext(node, graph, session, time.monotonic, self._wake_up, transport.send_at_once),
             AuthContext(access, self.address, auth_throttle, self._disconnect, self._limit_messages),
             scheduling,
-            websocket,
+            transport,
         )
         self._background = scheduling.background
-        self._max_message_bytes = websocket.max_message_bytes
+        self._max_message_bytes = transport.max_message_bytes
         self._limit_messages()
 
     @property
@@ -161,12 +161,12 @@ class Connection:
 
     def counts(self) -> TrafficCounts:
         """Return the traffic of the client until now."""
-        websocket, client = self._websocket, self._client
+        transport, client = self._transport, self._client
         return TrafficCounts(
             received_messages=client.received_messages,
-            received_bytes=websocket.received_bytes,
-            sent_messages=websocket.sent_messages,
-            sent_bytes=websocket.sent_bytes,
+            received_bytes=transport.received_bytes,
+            sent_messages=transport.sent_messages,
+            sent_bytes=transport.sent_bytes,
             dropped_messages=client.session.dropped,
             refused_operations=client.status.refused,
         )
@@ -178,7 +178,7 @@ class Connection:
         if self._client.node.identity is None:
             waiting = asyncio.get_running_loop().call_later(AUTH_TIMEOUT_S, self._check_authenticated)
         try:
-            self._websocket.start_delivery(self._client.receive_frame)
+            self._transport.start_delivery(self._client.receive_frame)
             await self._read()
             await self._finish_work()
         finally:
@@ -186,7 +186,7 @@ class Connection:
                 waiting.cancel()
             if self._watch is not None:
                 self._watch.cancel()
-            self._websocket.stop_delivery()
+            self._transport.stop_delivery()
             await self._end_writer()
             self._client.leave()
             self._client.session.close()
@@ -208,7 +208,7 @@ class Connection:
 
     async def _read(self) -> None:
         try:
-            async for frame in self._websocket:
+            async for frame in self._transport:
                 self._client.receive_frame(frame)
         except (ConnectionClosed, ConnectionError) as closed:
             log.warning("%s: connection closed: %s", self._client.node, closed)
@@ -217,10 +217,10 @@ class Connection:
 
     async def _write(self, wake: asyncio.Event) -> None:
         """Send the messages that the socket did not take at once, as it takes them and as they become due."""
-        while self._websocket.is_open:
+        while self._transport.is_open:
             wake.clear()
             self._flush()
-            await self._websocket.drain()
+            await self._transport.drain()
             # What the socket had is no longer held.
             self._flush()
             await self._until_something_is_due(wake)
@@ -246,14 +246,14 @@ class Connection:
             since_s: since when it has read nothing [s], monotonic.
         """
         delay_s = min(self._max_delay_s, UNREAD_TIMEOUT_S) / LOOKS
-        taken_bytes = self._websocket.taken_bytes
+        taken_bytes = self._transport.taken_bytes
         self._watch = asyncio.get_running_loop().call_later(delay_s, self._check_reading, taken_bytes, since_s)
 
     def _check_reading(self, taken_bytes: int, since_s: float) -> None:
         """Drop what waits for too long, if the client stands still; disconnect one that does not read its replies."""
         self._watch = None
         session, now_s = self._client.session, time.monotonic()
-        if self._websocket.taken_bytes > taken_bytes:
+        if self._transport.taken_bytes > taken_bytes:
             since_s = now_s
         if now_s - since_s >= self._max_delay_s:
             session.drop_late(now_s)
@@ -280,7 +280,7 @@ class Connection:
             limit_bytes = MAX_UNKNOWN_BYTES
         elif identity.role is Role.VIEW:
             limit_bytes = min(MAX_VIEW_BYTES, limit_bytes or MAX_VIEW_BYTES)
-        self._websocket.max_message_bytes = limit_bytes
+        self._transport.max_message_bytes = limit_bytes
 
     def _check_authenticated(self) -> None:
         if self._client.node.identity is None and self._closing is None:
@@ -296,16 +296,16 @@ class Connection:
         """Close the connection with a reason, and end it even if the client reads nothing."""
         told = reason.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
         with contextlib.suppress(TimeoutError, ConnectionClosed):
-            await asyncio.wait_for(self._websocket.close(POLICY_VIOLATION, told), CLOSE_TIMEOUT_S)
-        self._websocket.abort()
+            await asyncio.wait_for(self._transport.close(POLICY_VIOLATION, told), CLOSE_TIMEOUT_S)
+        self._transport.abort()
 
     def _flush(self) -> None:
         """Send the messages that are due while the socket takes them without waiting."""
-        while self._websocket.takes_more:
+        while self._transport.takes_more:
             messages = self._client.session.data_to_send(time.monotonic())
             if not messages:
                 return
-            self._websocket.send_all(messages)
+            self._transport.send_all(messages)
             self._client.inbox.resume()
 
     async def _until_something_is_due(self, wake: asyncio.Event) -> None:

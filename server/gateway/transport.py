@@ -39,7 +39,7 @@ _OPEN, _TEXT, _BINARY, _PONG = State.OPEN, Opcode.TEXT, Opcode.BINARY, Opcode.PO
 
 # Messages that follow one another more quickly than this leave together, when the event loop's turn ends: more than a
 # message of a flood takes. Where there is no flood the turn ends at once.
-BURST_S = 0.0005
+BURST_S = 0.0002
 
 # While more than this waits for the socket to take it, the rest waits where it can be dropped. It is where websockets'
 # writer has itself paused (its default write_limit), so `drain` waits exactly then.

@@ -64,9 +64,16 @@ async def hear(websocket: ClientConnection, op: str) -> dict[str, Any]:
             return operation
 
 
+async def offer(websocket: ClientConnection, **operation: Any) -> None:
+    """Send an operation that others depend on, and wait until it has been carried out."""
+    await say(websocket, op="set_level", level="info")
+    await say(websocket, **operation)
+    await hear(websocket, "status")
+
+
 async def test_a_message_of_the_users_type_is_relayed_as_json_and_as_cdr(server: RunningServer) -> None:
     async with connect(server.url) as talker, connect(server.url) as listener, connect(server.url) as reader:
-        await say(talker, op="advertise", topic="/sample", type="lab_msgs/Sample", latch=True)
+        await offer(talker, op="advertise", topic="/sample", type="lab_msgs/Sample", latch=True)
         await say(talker, op="publish", topic="/sample", msg=SAMPLE)
         await say(listener, op="subscribe", topic="/sample", type="lab_msgs/msg/Sample")
         await say(reader, op="subscribe", topic="/sample", compression="cbor-raw")
@@ -77,8 +84,7 @@ async def test_a_message_of_the_users_type_is_relayed_as_json_and_as_cdr(server:
 
 async def test_a_service_of_the_users_type_is_called(server: RunningServer) -> None:
     async with connect(server.url) as provider, connect(server.url) as caller:
-        await say(provider, op="advertise_service", service="/measure", type="lab_msgs/srv/Measure")
-        await asyncio.sleep(0)
+        await offer(provider, op="advertise_service", service="/measure", type="lab_msgs/srv/Measure")
         await say(
             caller, op="call_service", service="/measure", args={"probe": "left"}, id="1", type="lab_msgs/Measure"
         )
@@ -101,9 +107,7 @@ async def test_a_goal_of_an_action_has_feedback_and_result(
     server: RunningServer, type_name: str, goal: dict[str, Any], feedback: dict[str, Any], result: dict[str, Any]
 ) -> None:
     async with connect(server.url) as provider, connect(server.url) as caller:
-        await say(provider, op="set_level", level="info", id="l")
-        await say(provider, op="advertise_action", action="/act", type=type_name, id="a")
-        await hear(provider, "status")
+        await offer(provider, op="advertise_action", action="/act", type=type_name, id="a")
         await say(caller, op="send_action_goal", action="/act", action_type=type_name, args=goal, feedback=True, id="g")
         asked = await hear(provider, "send_action_goal")
         assert asked["args"] == goal

@@ -106,7 +106,7 @@ class Reference(NamedTuple):
 
 @dataclass
 class InterfaceFile:
-    """What was read of one file.
+    """Contents of one interface file, as far as they can be read.
 
     Attributes:
         name: the type's canonical name.

@@ -18,8 +18,11 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any, TypeVar
 
+from robot.calibration import Calibration
 from robot.logs import LogLimiter
 from robot.messages import (
+    END_TIMEOUT_S,
+    PARKING_TIMEOUT_S,
     ArmConfig,
     ArmHealth,
     ArmState,
@@ -28,13 +31,16 @@ from robot.messages import (
     CommandDone,
     Commanded,
     Continuation,
+    EndState,
     Execute,
     Heartbeat,
+    KeepParking,
     Mode,
     MotionEnded,
     MotionProgress,
     Order,
     Outcome,
+    ParkingPlan,
     Setpoint,
     Shutdown,
     Stop,
@@ -74,8 +80,16 @@ ORDER_TIMEOUT_S = 6.0
 RESTART_LINES = 10
 RESTART_LINES_PER_S = 1.0 / 600.0
 
-# Longer than the arm process itself takes to brake, relax and end.
-CLOSE_TIMEOUT_S = 5.5
+# Longer than the arm process itself takes to brake, park, relax and end, by the arm's clock; it ends by itself before.
+CLOSE_TIMEOUT_S = END_TIMEOUT_S + PARKING_TIMEOUT_S + 1.0
+
+# An arm that is to hold has come to rest before, and holds whatever becomes of its process: one that hangs holds up the
+# end of the server for no longer.
+SILENT_HOLDING_S = 0.8
+
+# A simulated arm on a busy machine has this time by the machine's clock: it is far slower only where nothing else works
+# either. Each simulated second has then taken three.
+CLOSE_LIMIT_S = 60.0
 
 
 def start_arm_process() -> StartedChild:
@@ -272,8 +286,12 @@ class Arm:
         """Wait until every motion in progress has ended; return True when they have within ``timeout_s``."""
         return await self.wait(list(self._motions.values()), timeout_s)
 
-    def order(self, order: Order) -> asyncio.Future[CommandDone]:
+    def order(self, order: Order, calibration: Calibration | None = None) -> asyncio.Future[CommandDone]:
         """Send an order to the arm before returning.
+
+        Args:
+            order: the order.
+            calibration: calibration to write, of WRITE_CALIBRATION only.
 
         Returns:
             Future of the answer; it is resolved within :data:`ORDER_TIMEOUT_S` on the arm's clock and never raises.
@@ -281,7 +299,7 @@ class Arm:
         number = next(self._ids)
         loop = asyncio.get_running_loop()
         answered: asyncio.Future[CommandDone] = loop.create_future()
-        if not self._process.order(Command(number, order)):
+        if not self._process.order(Command(number, order, calibration)):
             answered.set_result(CommandDone(number, done=False, message="the arm process is not running"))
             return answered
         self._orders[number] = answered
@@ -297,16 +315,55 @@ class Arm:
             message = f"the arm process did not answer in {ORDER_TIMEOUT_S:g} s"
             _settle(answered, CommandDone(number, done=False, message=message))
 
+    def keep_parking(self, plan: ParkingPlan | None) -> None:
+        """Have the process keep a trajectory to the rest pose for its end, in place of the one before.
+
+        Args:
+            plan: the trajectory; None when the one before became invalid.
+        """
+        self._process.send(KeepParking(plan))
+
     async def close(self) -> None:
-        """Brake the arm and end the process."""
+        """Bring the arm to its end state and end the process.
+
+        That takes :data:`CLOSE_TIMEOUT_S` at most on the arm's clock, and :data:`CLOSE_LIMIT_S` on the machine's. A
+        caller that cancels this leaves a process that hurries, and ends by itself.
+        """
         self._closing = True
         if self._restart is not None:
             self._restart.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._restart
-        if self._heartbeat is not None:
-            self._heartbeat.cancel()
-        await self._process.end(CLOSE_TIMEOUT_S)
+        try:
+            ended = self._process.ended
+            if ended is not None and self._process.configured:
+                self._process.send(Shutdown())
+                await self._wait_for_end(ended)
+                if ended.done():
+                    await self._process.leave()
+                else:
+                    log.warning("the arm process does not end and is killed; its servos hold their last goals")
+            await self._process.kill()
+        except asyncio.CancelledError:
+            self._process.send(Shutdown(hurry=True))
+            log.warning("the arm process (%s) is not waited for: it ends by itself", self.pid)
+            raise
+        finally:
+            if self._heartbeat is not None:
+                self._heartbeat.cancel()
+            self._process.close()
+
+    async def _wait_for_end(self, ended: asyncio.Future[None]) -> None:
+        """Wait for the end of the process: as long as it may take by its clock, and while it sends states."""
+        silent_s = SILENT_HOLDING_S if self._config.on_exit is EndState.HOLD else SILENT_S
+        until_s, limit_s = self.clock_s + CLOSE_TIMEOUT_S, time.monotonic() + CLOSE_LIMIT_S
+        heard_s, waits = self._state_at_s, 0
+        # Silence is counted in waits, as in heartbeats.
+        while waits * HEARTBEAT_S < silent_s and self.clock_s < until_s and time.monotonic() < limit_s:
+            await asyncio.wait((ended,), timeout=HEARTBEAT_S)
+            if ended.done():
+                return
+            heard_s, waits = (heard_s, waits + 1) if self._state_at_s == heard_s else (self._state_at_s, 0)
 
     async def _beat(self) -> None:
         while True:
@@ -479,6 +536,9 @@ class ArmProcess:
         on_message: called in the event loop with every message of the process.
         on_exit: called in the event loop when a process has ended.
         started: first process, if it was started ahead.
+
+    Attributes:
+        ended: future of the end of the latest process; None before the first launch.
     """
 
     def __init__(
@@ -494,6 +554,7 @@ class ArmProcess:
         self._child: Child | None = None
         self._configured = False
         self._early: list[Command] = []
+        self.ended: asyncio.Future[None] | None = None
 
     @property
     def pid(self) -> int | None:
@@ -519,6 +580,7 @@ class ArmProcess:
         with self._reserve.lent():
             started, self._started = self._started or start_arm_process(), None
             self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
+            self.ended = asyncio.get_running_loop().create_future()
         await self._child.connect()
 
     def configure(self, config: ArmConfig) -> None:
@@ -550,16 +612,14 @@ class ArmProcess:
             self._early.append(command)
         return True
 
-    async def end(self, timeout_s: float) -> None:
-        """Bring the arm to its end state and end the process; kill it after ``timeout_s``."""
+    async def leave(self) -> None:
+        """Wait until a process that has closed its channel is gone; kill it when it stays."""
+        if self._child is not None:
+            await self._child.wait(SILENT_S)
+
+    def close(self) -> None:
+        """Give back what is kept for the start of another process."""
         self._reserve.close()
-        if self._child is None:
-            return
-        if self._configured:
-            self._child.send(Shutdown())
-            await self._child.wait(timeout_s)
-        else:
-            await self._child.kill()
 
     async def kill(self) -> None:
         """Kill the process."""
@@ -572,6 +632,8 @@ class ArmProcess:
     def _exited(self) -> None:
         self._configured = False
         self._early.clear()
+        if self.ended is not None and not self.ended.done():
+            self.ended.set_result(None)
         # The socket of this process, which is closed behind this call, belongs to the next one.
         asyncio.get_running_loop().call_soon(self._reserve.fill)
         self._on_exit()

@@ -139,10 +139,12 @@ class Calibration:
     Attributes:
         joints: its joints from base to gripper.
         measured: False for one that was assumed rather than read from a file.
+        offsets_known: False if it does not say which homing offsets the servos should have.
     """
 
     joints: tuple[JointCalibration, ...]
     measured: bool = field(default=True, compare=False)
+    offsets_known: bool = field(default=True, compare=False)
 
     @property
     def zero_is_known(self) -> bool:
@@ -156,7 +158,7 @@ class Calibration:
         Args:
             servos: the arm's servos.
         """
-        return cls(tuple(_nominal(servo) for servo in servos), measured=False)
+        return cls(tuple(_nominal(servo) for servo in servos), measured=False, offsets_known=False)
 
     @classmethod
     def load(cls, path: Path, servos: Sequence[ServoSpec]) -> Calibration:

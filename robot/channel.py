@@ -16,7 +16,7 @@ import struct
 from typing import Any
 
 from robot import logs
-from robot.logs import LoggerLevel
+from robot.logs import LineHandler, LoggerLevel
 
 LENGTH = struct.Struct("<I")
 
@@ -158,6 +158,19 @@ class Channel:
             del self._pending[:sent]
 
 
+def send_log(channel: Channel, process: str) -> LineHandler:
+    """Send the lines of this process's log to the server as well, which keeps the last ones.
+
+    Args:
+        channel: channel to the server; lines are dropped while it does not read.
+        process: name of this process.
+
+    Returns:
+        The handler, which sends until it is closed.
+    """
+    return LineHandler(process, lambda line: channel.send(line, droppable=True))
+
+
 def leave_signals_to_server() -> None:
     """Ignore the signals that a child has no use for; the server has started it with them blocked."""
     for number in SIGNALS_OF_SERVER:
@@ -181,4 +194,6 @@ def channel_of_child(arguments: list[str] | None = None) -> Channel:
     parser.add_argument("--name", default="child")
     options = parser.parse_args(arguments)
     logs.configure(options.log_level, options.log_format, options.name)
-    return Channel(socket.socket(fileno=options.fd))
+    channel = Channel(socket.socket(fileno=options.fd))
+    send_log(channel, options.name)
+    return channel

@@ -9,6 +9,7 @@
     - BusError: the servos on it
         - NoReply (servo_id), also a TimeoutError
     - CalibrationError (file, field)
+    - BackupError (path): a backup of servo registers
     - DescriptionError (source): a URDF or SRDF that does not describe an arm
         - RobotFileError (problems): a robot.toml, or what it names, with everything that is wrong with it
     - StartupError: servos that cannot be taken over in their present state
@@ -45,14 +46,20 @@ class PortNotFound(PortError):  # noqa: N818 - named by the fact, as its sibling
 
 
 class PortPermission(PortError):  # noqa: N818 - named by the fact, as its siblings
-    """Missing permission to open the device."""
+    """Missing permission to open the device.
 
-    def __init__(self, port: str) -> None:
-        super().__init__(
-            port,
-            "may not be opened by this user: join the group dialout (`sudo usermod -aG dialout $USER`, then log"
-            ' in anew) or add a udev rule for the adapter (MODE="0666")',
+    Args:
+        port: path of the port.
+        group: group that owns the device, by name, or by number if it has no name here, as in a container.
+    """
+
+    def __init__(self, port: str, group: str = "dialout") -> None:
+        join = (
+            f"give the container its group, --group-add {group}"
+            if group.isdigit()
+            else f"join the group {group} (`sudo usermod -aG {group} $USER`, then log in anew)"
         )
+        super().__init__(port, f"may not be opened by this user: {join}, or add a udev rule (docs/hardware.md)")
 
 
 class PortBusy(PortError):  # noqa: N818 - named by the fact, as its siblings
@@ -100,6 +107,18 @@ class CalibrationError(RobotError):
         super().__init__(f"calibration {where}: {problem}")
         self.file = file
         self.field = field
+
+
+class BackupError(RobotError):
+    """Backup of servo registers that cannot be read or written.
+
+    Attributes:
+        path: of the file.
+    """
+
+    def __init__(self, path: Path, problem: str) -> None:
+        super().__init__(f"backup {path} {problem}")
+        self.path = path
 
 
 class DescriptionError(RobotError):

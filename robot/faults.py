@@ -73,6 +73,11 @@ SIMULATED_REMEDIES: Mapping[FaultCode, str] = {
 }
 
 
+def remedy_of(code: FaultCode, *, simulated: bool) -> str:
+    """Return the advice on a fault to the person at the arm, one sentence."""
+    return SIMULATED_REMEDIES.get(code, REMEDIES[code]) if simulated else REMEDIES[code]
+
+
 @dataclass(frozen=True)
 class Fault:
     """Fault, latched until it is reset.
@@ -94,8 +99,7 @@ class Fault:
     @property
     def remedy(self) -> str:
         """Advice to the person at the arm, one sentence."""
-        remedy = REMEDIES[self.code]
-        return SIMULATED_REMEDIES.get(self.code, remedy) if self.simulated else remedy
+        return remedy_of(self.code, simulated=self.simulated)
 
     def __str__(self) -> str:
         return f"{self.message}. {self.remedy}"

@@ -122,6 +122,52 @@ def replace(path: Path, content: bytes) -> None:
     _sync_directory(path.parent)
 
 
+class FileSeries:
+    """Directory of files with a name each, which several processes may share; the oldest make room for new ones.
+
+    Args:
+        directory: created with the first file.
+        prefix: beginning of the names; what follows in them must sort by age.
+        suffix: end of the names, with its dot.
+        max_files: limit of files.
+    """
+
+    def __init__(self, directory: Path, prefix: str, suffix: str, max_files: int) -> None:
+        self._directory = directory
+        self._prefix = prefix
+        self._suffix = suffix
+        self._max_files = max_files
+
+    def add(self, name: str, content: Callable[[str], bytes]) -> Path:
+        """Write a file; a crash leaves all of it or nothing.
+
+        Args:
+            name: its name between prefix and suffix; a number is added when there is such a file.
+            content: returns the content for the name of the file without its suffix.
+
+        Returns:
+            Its path.
+
+        Raises:
+            FileLockedError: another process writes to the directory for longer than :data:`LOCK_TIMEOUT_S`.
+            OSError: the file cannot be written.
+        """
+        # The lock of the directory is that of a file of this name in it.
+        with locked(self._directory / self._prefix.rstrip("-")):
+            path, number = self._directory / f"{self._prefix}{name}{self._suffix}", 0
+            while path.exists():
+                number += 1
+                path = self._directory / f"{self._prefix}{name}-{number}{self._suffix}"
+            replace(path, content(path.stem))
+            for oldest in self.paths()[: -self._max_files]:
+                oldest.unlink(missing_ok=True)
+        return path
+
+    def paths(self) -> list[Path]:
+        """Return the files, the oldest first."""
+        return sorted(self._directory.glob(f"{self._prefix}*{self._suffix}"))
+
+
 def set_aside(path: Path) -> Path:
     """Rename a file that cannot be used, whose lock is held, to ``NAME.broken``, ``NAME.broken.1`` and so on.
 

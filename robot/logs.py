@@ -3,6 +3,7 @@
 Lines are plain text or JSON. Tokens are blotted out, control characters escaped, and long messages cut, since clients
 choose what is quoted in them. :class:`LogLimiter` keeps repeated lines from filling the disk; a filter applies it to
 every place in the program that logs. Levels of loggers can be changed while the server runs, in every process at once.
+Child processes send their lines to the server as well, where the last ones are kept (:class:`LineHandler`).
 """
 
 from __future__ import annotations
@@ -269,3 +270,74 @@ def follow(child: Follower) -> None:
 def apply(change: LoggerLevel) -> None:
     """Change a logger's level in this process alone."""
     logging.getLogger(change.name).setLevel(change.level)
+
+
+# Text of a line that is passed on; a traceback has thirty lines.
+MAX_LINE_CHARACTERS = 3000
+
+
+@dataclass(frozen=True)
+class LogLine:
+    """Line of a process's log, as it is passed on to where the last lines are kept.
+
+    Attributes:
+        at_s: wall-clock time [s since the epoch].
+        level: level, numbered as Python does.
+        logger: name of the logger.
+        process: name of the process.
+        text: message without tokens, and the traceback below it; at most :data:`MAX_LINE_CHARACTERS`.
+    """
+
+    at_s: float
+    level: int
+    logger: str
+    process: str
+    text: str
+
+
+class LineHandler(logging.Handler):
+    """Handler that passes each record of our loggers on as a line, from its construction to :meth:`close`.
+
+    Args:
+        process: name of this process.
+        take: takes each line, in the thread that has logged it.
+    """
+
+    def __init__(self, process: str, take: Callable[[LogLine], None]) -> None:
+        super().__init__()
+        self._process = process
+        self._take = take
+        self.addFilter(FloodFilter())
+        logging.getLogger(OUR_LOGGER).addHandler(self)
+
+    def close(self) -> None:
+        """Pass on no more lines."""
+        logging.getLogger(OUR_LOGGER).removeHandler(self)
+        super().close()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Pass a record on."""
+        text = message_of(record)
+        if record.exc_info:
+            text = f"{text}\n{without_secrets(logging.Formatter().formatException(record.exc_info))}"
+        line = LogLine(record.created, record.levelno, record.name, self._process, text[:MAX_LINE_CHARACTERS])
+        self._take(line)
+
+
+_listeners: set[Callable[[LogLine], None]] = set()
+
+
+def listen(take: Callable[[LogLine], None]) -> None:
+    """Have lines of child processes passed on, until :func:`forget`."""
+    _listeners.add(take)
+
+
+def forget(take: Callable[[LogLine], None]) -> None:
+    """Have no more lines passed on."""
+    _listeners.discard(take)
+
+
+def pass_on(line: LogLine) -> None:
+    """Pass on a line that a child process has sent."""
+    for take in list(_listeners):
+        take(line)

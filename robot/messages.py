@@ -6,12 +6,14 @@ states, health).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
 import numpy as np
 
+from robot.calibration import Calibration
 from robot.description.model import RobotModel
 from robot.faults import Fault
 from robot.hardware.config import HardwareConfig
@@ -67,11 +69,23 @@ class GuardLimits:
     settle_timeout_s: float = 1.0
 
 
+# Longest times of the arm's end by its clock, after which its process ends in any state [s]. Braking takes a second at
+# most, relaxing 1.5 s, checking that torque is off up to a second where a servo does not answer. Parking comes before
+# that: an SO-101 needs 2 to 5 s from one end of its workspace.
+END_TIMEOUT_S = 5.0
+PARKING_TIMEOUT_S = 15.0
+
+
 class EndState(Enum):
-    """Policy for the arm when the server has ended or is lost."""
+    """Policy for the arm when the server has ended or is lost.
+
+    ``PARK`` plays the parking trajectory that the arm process keeps (:class:`KeepParking`), then relaxes the arm; where
+    none can be played, it relaxes it at once.
+    """
 
     HOLD = "hold"
     RELAX = "relax"
+    PARK = "park"
 
 
 class EmergencyPolicy(Enum):
@@ -147,6 +161,26 @@ class Execute:
     gripping: bool = False
     torque_share: float = 1.0
     continues: Continuation | None = None
+
+
+@dataclass(frozen=True)
+class ParkingPlan:
+    """Trajectory to the rest pose, found free of collisions in the scene of its time.
+
+    Attributes:
+        trajectory: trajectory of some joints; the others hold.
+        held_rad: goal of every joint of the arm at its start; it is played from there alone [rad].
+    """
+
+    trajectory: Trajectory
+    held_rad: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class KeepParking:
+    """Command to keep a parking trajectory for the arm's end, in place of the one before; None: that is invalid."""
+
+    plan: ParkingPlan | None
 
 
 @dataclass(frozen=True)
@@ -231,19 +265,33 @@ class Order(Enum):
     RELAX = "relax"
     EMERGENCY_STOP = "emergency_stop"
     RESET_FAULT = "reset_fault"
+    WRITE_CALIBRATION = "write_calibration"
 
 
 @dataclass(frozen=True)
 class Command:
-    """Order with a number, which its :class:`CommandDone` repeats."""
+    """Order with a number, which its :class:`CommandDone` repeats.
+
+    Attributes:
+        number: unique in the life of the server.
+        order: the order.
+        calibration: calibration to write into the servos, of WRITE_CALIBRATION only.
+    """
 
     number: int
     order: Order
+    calibration: Calibration | None = None
 
 
 @dataclass(frozen=True)
 class Shutdown:
-    """Command to brake, bring the arm to its end state and end the process."""
+    """Command to brake, bring the arm to its end state and end the process.
+
+    Attributes:
+        hurry: True to relax an arm that was to be parked.
+    """
+
+    hurry: bool = False
 
 
 class Mode(Enum):
@@ -373,6 +421,9 @@ class JointHealth:
         age_s: time since its last good reply [s].
         silent_cycles: cycles in which it did not answer, since the bus was opened.
         warnings: warnings, a sentence each.
+        errors: other errors since the bus was opened, by kind (:class:`robot.advice.Complaint`).
+        registers: its settings as surveyed, by the name of the register.
+        expected: values that those of them should have which have another, likewise.
     """
 
     joint: str
@@ -387,6 +438,9 @@ class JointHealth:
     age_s: float
     silent_cycles: int
     warnings: tuple[str, ...] = ()
+    errors: Mapping[str, int] = field(default_factory=dict)
+    registers: Mapping[str, int] = field(default_factory=dict)
+    expected: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from typing import Any, NoReturn, Protocol, cast
 
 from robot import logs
 from robot.channel import SIGNALS_OF_SERVER, Decoder, encode
+from robot.logs import LogLine
 
 log = logging.getLogger("armbridge.processes")
 
@@ -331,6 +332,7 @@ class Child:
         """Wait for the child's end; kill it after ``timeout_s``, or when the wait is cancelled."""
         try:
             if not await has_ended(self._process, timeout_s):
+                log.warning("process %d has not ended within %g s and is killed", self.pid, timeout_s)
                 self._process.kill()
                 await has_ended(self._process, KILL_TIMEOUT_S)
         except asyncio.CancelledError:
@@ -384,7 +386,10 @@ class _Link(asyncio.Protocol):
             self._unlink()
             return
         for message in messages:
-            self._on_message(message)
+            if isinstance(message, LogLine):
+                logs.pass_on(message)
+            else:
+                self._on_message(message)
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - the base class's signature
         """Report the end of the channel."""

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
+from robot.advice import Complaint, advise
 from robot.calibration import Calibration
 from robot.commissioning.calibrate import differences
 from robot.commissioning.scan import ScanResult, ServoReport, explain_missing, read_telemetry
@@ -22,7 +23,7 @@ from robot.errors import NoReply, StartupError
 from robot.hardware.feetech.bus import SERVO_IDS, Bus, write_verified
 from robot.hardware.feetech.registers import (
     GOAL_ADDRESS,
-    MODEL_STS3215,
+    MODELS,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
@@ -143,12 +144,16 @@ def _kind(servos: Sequence[ServoReport]) -> Finding:
     wrong = [
         f"servo {servo.servo_id} is model {servo.model} in mode {servo.mode}"
         for servo in servos
-        if (servo.model, servo.mode) != (MODEL_STS3215, POSITION_MODE)
+        if servo.model not in MODELS.values() or servo.mode != POSITION_MODE
     ]
     if wrong:
-        remedy = "The driver takes STS3215 (model 777) in position mode (0) only: set register 33 to 0, or replace it."
+        known = " and ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
+        remedy = (
+            f"The driver takes {known} in position mode ({POSITION_MODE}): armbridge setup --registers sets the mode; "
+            'name a clone in robot.toml, model = "NUMBER".'
+        )
         return Finding("model and mode", Verdict.PROBLEM, "; ".join(wrong), remedy)
-    return Finding("model and mode", Verdict.GOOD, "all are STS3215 in position mode")
+    return Finding("model and mode", Verdict.GOOD, "all are known models in position mode")
 
 
 def _firmware(servos: Sequence[ServoReport]) -> Finding:
@@ -186,13 +191,10 @@ def _temperature(servos: Sequence[ServoReport]) -> Finding:
 
 
 def _status(servos: Sequence[ServoReport]) -> Finding:
-    problems = [
-        f"servo {servo.servo_id}: {', '.join(status_names(servo.telemetry.status))}"
-        for servo in servos
-        if servo.telemetry.status
-    ]
-    if problems:
-        remedy = "Relieve the joint and reset the fault; if it stays, switch the servos' supply off and on."
+    flags = {servo.servo_id: status_names(servo.telemetry.status) for servo in servos if servo.telemetry.status}
+    if flags:
+        problems = [f"servo {servo_id}: {', '.join(names)}" for servo_id, names in flags.items()]
+        remedy = " ".join(advise(Complaint(name) for names in flags.values() for name in names))
         return Finding("error bits", Verdict.PROBLEM, "; ".join(problems), remedy)
     return Finding("error bits", Verdict.GOOD, "no servo complains")
 

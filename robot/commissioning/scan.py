@@ -157,9 +157,7 @@ def explain_missing(result: ScanResult, joints: Sequence[ServoSpec]) -> list[str
         for servo_id in result.unsteady_ids
     ]
     if result.garbled_bytes:
-        said.append(
-            "some replies were garbled: two servos may have the same id (connect them one at a time and set the ids)"
-        )
+        said.append("some replies were garbled: two servos may have the same id (armbridge setup gives each its own)")
     if all(present):
         return said
     missing = ", ".join(
@@ -169,13 +167,15 @@ def explain_missing(result: ScanResult, joints: Sequence[ServoSpec]) -> list[str
 
 
 def _cause(result: ScanResult, joints: Sequence[ServoSpec], present: list[bool]) -> str:
+    if not any(present) and result.garbled_bytes:
+        return "something answers, but cannot be understood"
     if not any(present):
         return (
             "none answers, so look at what they share: is the power supply on, the adapter's jumper on B, and the baud "
             "rate 1000000 (armbridge scan --all-bauds tries the others)?"
         )
     if result.ids == {FACTORY_ID}:
-        return "only the id that new servos have answers: set the servos' ids (lerobot-setup-motors does)"
+        return "only the id that new servos have answers: set the servos' ids (armbridge setup does)"
     first = present.index(False)
     if not any(present[first:]):
         return f"all from {joints[first].joint} on are silent: check the cable that leads to it"

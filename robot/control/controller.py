@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot.control.checks import names_refusal, refusal
-from robot.control.guards import DROOP_RAD, Guards, Temperatures
+from robot.control.guards import Guards, Persistence, Temperatures
 from robot.control.motion import Motion, splice, splice_refusal
 from robot.control.streaming import Streaming
 from robot.description.limits import JointBounds
@@ -107,6 +107,8 @@ class ArmController:
         self._last_step_s: float | None = None
         self._motions: list[Motion | Streaming] = []
         self._pending: Fault | None = None
+        self._loaded = Persistence(len(joint_names))
+        self._relieves = bool(np.isfinite(guards.assumptions.relieve_after_s).any())
         self.pace = Pace()
         self.driven = False
         self.fault = fault
@@ -146,6 +148,11 @@ class ArmController:
         return max(self._motions, key=lambda motion: len(motion.columns), default=None)
 
     @property
+    def motions(self) -> tuple[Motion | Streaming, ...]:
+        """Motions in progress."""
+        return tuple(self._motions)
+
+    @property
     def progress(self) -> tuple[MotionProgress, ...]:
         """Progress of every motion."""
         return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s) for one in self._motions)
@@ -178,7 +185,9 @@ class ArmController:
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
         self._forget_course()
-        motion = Motion(command, self._names, self.bounds, self.guards.limits)
+        motion = Motion(
+            command, self._names, self.bounds, self.guards.limits, self.guards.assumptions.goal_tolerance_rad
+        )
         ended = splice(self._motions, motion)
         self._motions.append(motion)
         self._torque_limit[motion.columns] = self._full_torque[motion.columns] * command.torque_share
@@ -257,6 +266,8 @@ class ArmController:
         yielding = self._yielding()
         found = self.guards.check(self._goal_rad, measured, self.torque_limit, now_s, yielding)
         ended = self._end_gripped(measured, yielding) if yielding is not None else []
+        if self._relieves:
+            self._relieve(measured, now_s)
         if found is not None:
             ended += self.react(found, measured)
         return ended + self._end_finished(measured, now_s)
@@ -321,6 +332,13 @@ class ArmController:
             self._drop(motion, measured)
         return ended
 
+    def _relieve(self, measured: Measured, now_s: float) -> None:
+        """Limit joints that push for so long that the protection of their servos would latch."""
+        assumed = self.guards.assumptions
+        lasting_s = self._loaded.lasting(np.abs(measured.load) > assumed.sustained_torque, now_s)
+        limited = np.minimum(self._torque_limit, assumed.sustained_torque)
+        self._torque_limit = np.where(lasting_s >= assumed.relieve_after_s, limited, self._torque_limit)
+
     def _end_finished(self, measured: Measured, now_s: float) -> list[MotionEnded]:
         ended = []
         for motion in list(self._motions):
@@ -340,7 +358,9 @@ class ArmController:
         if gripped is None:
             self._torque_limit[columns] = self._full_torque[columns]
             return
-        grip_torque = self._full_torque[columns] * GRIP_TORQUE_SHARE
+        grip_torque = np.minimum(
+            self._full_torque[columns] * GRIP_TORQUE_SHARE, self.guards.assumptions.sustained_torque[columns]
+        )
         self._torque_limit[columns] = np.minimum(self._torque_limit[columns], grip_torque)
         position = gripped.position_rad[columns]
         squeeze = np.clip(self._goal_rad[columns] - position, -SQUEEZE_RAD, SQUEEZE_RAD)
@@ -380,7 +400,7 @@ class ArmController:
 
     def _yield_to(self, measured: Measured) -> None:
         """Move the held goal to the measured position of each joint that is far from its goal."""
-        away = np.abs(measured.position_rad - self._goal_rad) > DROOP_RAD
+        away = np.abs(measured.position_rad - self._goal_rad) > self.guards.assumptions.goal_tolerance_rad
         inside = np.clip(measured.position_rad, self.bounds.lower_rad, self.bounds.upper_rad)
         self._hold_rad = np.where(away, inside, self._hold_rad)
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from robot.control.controller import ArmController
+from robot.control.error_counts import ErrorCounts
 from robot.hardware.interface import HardwareInterface, Measured
 from robot.messages import MotionEnded
 from robot.trajectory import Vector
@@ -22,12 +23,14 @@ class ControlCycle:
         hardware: as given.
         controller: controller of the arm; None until the actuators were surveyed.
         measured: latest readings; None until every joint has answered.
+        errors: errors of the actuators since the hardware was opened.
     """
 
     def __init__(self, hardware: HardwareInterface, clock: Callable[[], float]) -> None:
         self.hardware = hardware
         self.controller: ArmController | None = None
         self.measured: Measured | None = None
+        self.errors = ErrorCounts(hardware.joint_names)
         self._clock = clock
         self._writing = True
 
@@ -43,6 +46,8 @@ class ControlCycle:
         measured = self.hardware.read()
         self.measured = measured
         controller = self.controller
+        if measured is not None:
+            self.errors.observe(measured)
         if controller is None or measured is None:
             return []
         ended = controller.step(measured, self._clock())
@@ -51,6 +56,7 @@ class ControlCycle:
             self.hardware.write_torque_shares(controller.torque_limit)
         fault = self.hardware.check(measured.stamp_s)
         if fault is not None and controller.driven:
+            self.errors.add_finding(fault, self._clock())
             ended += controller.react(fault, measured)
         return ended
 

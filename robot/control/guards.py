@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robot.control.assumptions import Assumptions
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Flags, Measured, StatusFlag, status_names
+from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Actuation, Flags, Measured, StatusFlag, status_names
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
@@ -16,9 +17,6 @@ from robot.trajectory import Vector
 STALL_ERROR_RAD = 0.092
 STALL_SPEED_RAD_S = 0.046
 STALL_LOAD_SHARE = 0.8
-
-# Backlash and droop under load of real arms: a joint this near its goal counts as being there.
-DROOP_RAD = 0.06
 
 # Three missed cycles: when every reading is older, the bus is silent, not one servo.
 ALL_SILENT_AFTER_S = 0.03
@@ -93,9 +91,11 @@ class Guards:
         temperatures: thresholds of warnings and faults.
         max_voltage_v: register MAX_VOLTAGE of each servo, shape (joints,) [V]; None for that of a new servo.
         limits: thresholds of the other faults.
+        assumptions: what follows from the servos' settings; None for servos without any.
 
     Attributes:
         limits: as given.
+        assumptions: as given.
         stalled: joints that push without moving, shape (joints,).
         lost: joints that are too far behind their goals, shape (joints,).
     """
@@ -106,6 +106,7 @@ class Guards:
         temperatures: Temperatures | None = None,
         max_voltage_v: Vector | None = None,
         limits: GuardLimits | None = None,
+        assumptions: Assumptions | None = None,
     ) -> None:
         self._names = joint_names
         self._temperatures = temperatures or Temperatures()
@@ -113,6 +114,7 @@ class Guards:
         # No joint nearer to its goal can be stalled or lost.
         self._near_goal_rad = min(STALL_ERROR_RAD, self.limits.tracking_error_rad)
         joints = len(joint_names)
+        self.assumptions = assumptions or Assumptions.of(self.limits, Actuation.unprotected(joints), np.ones(joints))
         self._max_voltage_v = np.full(joints, DEFAULT_MAX_VOLTAGE_V) if max_voltage_v is None else max_voltage_v
         self._none: Flags = np.zeros(joints, dtype=bool)
         self._last: tuple[Measured, float] | None = None
@@ -219,10 +221,10 @@ class Guards:
         if not far.any():
             return self._pushing.lasting(far, now_s) > 0.0
         loaded = np.abs(measured.load) > STALL_LOAD_SHARE * torque_limit
-        pushing = loaded | (np.abs(measured.current_a) > self.limits.stall_current_a)
+        pushing = loaded | (np.abs(measured.current_a) > self.assumptions.stall_current_a)
         standing = np.abs(measured.velocity_rad_s) < STALL_SPEED_RAD_S
         lasting_s = self._pushing.lasting(far & pushing & standing, now_s)
-        return np.asarray(lasting_s >= self.limits.stall_time_s)
+        return np.asarray(lasting_s >= self.assumptions.stall_time_s)
 
     def _badly_supplied(self, measured: Measured, now_s: float) -> Flags:
         low, flagged = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusFlag.VOLTAGE != 0

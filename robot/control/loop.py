@@ -11,7 +11,7 @@ import socket
 import time
 from typing import Any, Protocol
 
-from robot.channel import Channel, channel_of_child, leave_signals_to_server
+from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
 from robot.control.checks import checked
 from robot.control.pacing import PERIOD_S, Pacer, become_punctual
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
@@ -189,7 +189,9 @@ def run_forked(sock: socket.socket) -> None:
         sock: this end of the channel.
     """
     leave_signals_to_server()
-    run_arm(Channel(sock))
+    channel = Channel(sock)
+    send_log(channel, __name__)
+    run_arm(channel)
 
 
 def run_arm(channel: Channel) -> None:

@@ -44,6 +44,7 @@ class Motion:
         names: the arm's joints, order of the controller's arrays.
         bounds: limits of the joints.
         limits: goal tolerance and settling time.
+        goal_tolerance_rad: tolerance of each of the arm's joints, shape (joints,) [rad]; None for that of ``limits``.
 
     Attributes:
         command: as given.
@@ -51,10 +52,19 @@ class Motion:
         playback: its trajectory being played.
     """
 
-    def __init__(self, command: Execute, names: tuple[str, ...], bounds: JointBounds, limits: GuardLimits) -> None:
+    def __init__(
+        self,
+        command: Execute,
+        names: tuple[str, ...],
+        bounds: JointBounds,
+        limits: GuardLimits,
+        goal_tolerance_rad: Vector | None = None,
+    ) -> None:
         self.command = command
         self._limits = limits
         self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.trajectory.joint_names])
+        wanted = np.full(len(names), limits.goal_tolerance_rad) if goal_tolerance_rad is None else goal_tolerance_rad
+        self._tolerance_rad = wanted[self.columns]
         self.playback = Playback(command.trajectory, bounds.max_acceleration[self.columns])
         self._end_reached_s: float | None = None
         self._settled_ticks = 0
@@ -68,6 +78,21 @@ class Motion:
     def joint_names(self) -> tuple[str, ...]:
         """Joints that move."""
         return self.command.trajectory.joint_names
+
+    @property
+    def start_rad(self) -> Vector:
+        """Start of its path, shape (joints,) [rad]."""
+        return self.command.trajectory.sample(0.0)[0]
+
+    @property
+    def reversible(self) -> bool:
+        """True while it can be played back to the start of its path."""
+        return not self.gripping and not self.playback.ending
+
+    @property
+    def at_start(self) -> bool:
+        """True at the start of its path."""
+        return self.playback.fraction == 0.0
 
     @property
     def gripping(self) -> bool:
@@ -123,11 +148,11 @@ class Motion:
         if not playback.finished:
             return None
         if not playback.completed:
-            return self.ended(Outcome.STOPPED, f"stopped after {playback.fraction:.0%} of the motion")
+            return self.ended(Outcome.STOPPED, f"the arm stands at {playback.fraction:.0%} of the way")
         if self._end_reached_s is None:
             self._end_reached_s = now_s
         error = np.abs(position_rad - goal_rad)[self.columns]
-        self._settled_ticks = self._settled_ticks + 1 if error.max() <= self._limits.goal_tolerance_rad else 0
+        self._settled_ticks = self._settled_ticks + 1 if (error <= self._tolerance_rad).all() else 0
         if self._settled_ticks >= SETTLED_TICKS:
             return self.ended(Outcome.REACHED, "the arm is there")
         if now_s - self._end_reached_s < self._limits.settle_timeout_s:
@@ -135,7 +160,7 @@ class Motion:
         return self._not_settled(error)
 
     def _not_settled(self, error: Vector) -> MotionEnded:
-        worst = int(np.argmax(error))
+        worst = int(np.argmax(error - self._tolerance_rad))
         name = self.command.trajectory.joint_names[worst]
         if self.command.gripping:
             return self.ended(
@@ -143,7 +168,7 @@ class Motion:
             )
         message = (
             f"joint {name} is still {error[worst]:.3f} rad from its goal {self._limits.settle_timeout_s:g} s after "
-            f"the end of the motion (tolerance {self._limits.goal_tolerance_rad:g} rad)"
+            f"the end of the motion (tolerance {self._tolerance_rad[worst]:.2g} rad)"
         )
         return self.ended(Outcome.NOT_SETTLED, message)
 
@@ -182,6 +207,11 @@ class Playback:
     def completed(self) -> bool:
         """True when the end of the trajectory was reached."""
         return self._path_time_s >= self.trajectory.duration_s
+
+    @property
+    def ending(self) -> bool:
+        """True when there is no way back: the end of the trajectory was reached, or a stop is in progress."""
+        return self.completed or self._stopping
 
     @property
     def fraction(self) -> float:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from robot.calibration import Calibration
+from robot.control.assumptions import Assumptions
 from robot.control.controller import ArmController
 from robot.control.cycle import ControlCycle
 from robot.control.guards import Guards, Temperatures
@@ -21,6 +24,9 @@ POLLS = 200
 
 # Status flags that keep a fault from being reset; the supply's flag does not, since it has a fault of its own.
 GRAVE_STATUS = StatusFlag.TEMPERATURE | StatusFlag.OVERLOAD | StatusFlag.CURRENT | StatusFlag.ENCODER
+
+# A servo is silent after this many missing replies at least: a network or a pseudo terminal delays one now and then.
+SILENT_REPLIES = 10
 
 Report = Callable[[list[MotionEnded]], None]
 
@@ -86,7 +92,10 @@ class Orders:
 
     def _begin(self, found: Survey) -> ArmController:
         hardware, config = self._arm.hardware, self._config
-        guards = Guards(hardware.joint_names, self._temperatures, found.max_voltage_v, config.guard_limits)
+        silent_after_s = max(config.guard_limits.silent_after_s, SILENT_REPLIES * found.reply_latency_s)
+        limits = replace(config.guard_limits, silent_after_s=silent_after_s)
+        assumptions = Assumptions.of(limits, found.actuation, hardware.full_torque)
+        guards = Guards(hardware.joint_names, self._temperatures, found.max_voltage_v, limits, assumptions)
         controller = ArmController(
             hardware.joint_names,
             found.bounds,
@@ -170,6 +179,18 @@ class Orders:
         controller.reset()
         return "the arm holds" if controller.driven else "the arm is relaxed"
 
+    def write_calibration(self, calibration: Calibration | None) -> Steps[str]:
+        """Write a calibration into the servos of a relaxed arm; its readings then differ from this process's.
+
+        Args:
+            calibration: the calibration, of the same servos.
+        """
+        if calibration is None:
+            raise OrderRefused("there is no calibration to write")
+        if self._controller().driven:
+            raise OrderRefused("the arm holds, and a new homing offset would move its goals: relax it first")
+        return (yield from self._arm.hardware.write_calibration(calibration))
+
     def _clear_overloads(self, controller: ArmController) -> Steps[None]:
         status = self._readings().status.tolist()
         latched = self._arm.hardware.latched_status
@@ -182,8 +203,9 @@ class Orders:
                 self._arm.hold(goal_rad)
 
     def _check_answers(self) -> None:
+        silent_after_s = self._controller().guards.limits.silent_after_s
         for joint, age_s in enumerate(self._readings().age_s.tolist()):
-            if age_s > self._config.guard_limits.silent_after_s:
+            if age_s > silent_after_s:
                 raise OrderRefused(f"the servo of joint {self._arm.hardware.label(joint)} does not answer")
 
     def _check_causes(self, fault: Fault) -> None:
@@ -202,7 +224,10 @@ class Orders:
 
     def _check_all_off(self, left: Sequence[str], code: FaultCode) -> None:
         if left:
-            message = f"torque off could not be verified at {', '.join(left)}: they may still be driven"
+            message = (
+                f"torque off could not be verified at {', '.join(left)}: they may still be driven until the servos' "
+                "supply is cut"
+            )
             self._latch(code, message)
             raise OrderRefused(message)
 

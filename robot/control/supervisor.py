@@ -19,6 +19,7 @@ from robot.control.controller import RELAXING
 from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
 from robot.control.pacing import PERIOD_S, Pacer, percentiles
+from robot.control.parking import Parking
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import LoopClock
@@ -26,6 +27,8 @@ from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface, Steps
 from robot.logs import LogLimiter, suppressed_note
 from robot.messages import (
+    END_TIMEOUT_S,
+    PARKING_TIMEOUT_S,
     ArmConfig,
     ArmHealth,
     ArmState,
@@ -36,6 +39,7 @@ from robot.messages import (
     Execute,
     Heartbeat,
     JointHealth,
+    KeepParking,
     Mode,
     MotionEnded,
     Order,
@@ -148,7 +152,10 @@ def _joint_health(arm: ControlCycle, joint: int) -> JointHealth:
             status=0,
             age_s=condition.age_s,
             silent_cycles=condition.silent_cycles,
+            errors=arm.errors.of(joint),
             warnings=("it has not answered yet",) if never_heard else (),
+            registers=condition.registers,
+            expected=condition.expected,
         )
     return JointHealth(
         joint=arm.hardware.joint_names[joint],
@@ -162,7 +169,10 @@ def _joint_health(arm: ControlCycle, joint: int) -> JointHealth:
         status=int(measured.status[joint]),
         age_s=float(measured.age_s[joint]),
         silent_cycles=condition.silent_cycles,
+        errors=arm.errors.of(joint),
         warnings=condition.warnings + controller.guards.warnings(measured, joint),
+        registers=condition.registers,
+        expected=condition.expected,
     )
 
 
@@ -172,10 +182,8 @@ log = logging.getLogger("armbridge.arm")
 FIRST_RETRY_S = 0.2
 LONGEST_RETRY_S = 2.0
 
-# Braking takes a second at most, relaxing 1.5 s, checking that torque is off up to a second where a servo does not
-# answer, and all of it longer on a busy computer. After it the process ends in any state, so that the server can keep
-# its own deadline.
-END_TIMEOUT_S = 5.0
+# A server that is silent for no longer may come back; the arm brakes meanwhile, but parks only then.
+SILENCE_BEFORE_PARKING_S = 5.0
 
 HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
 
@@ -202,6 +210,7 @@ _NAMES = {
     Order.RELAX: RELAXING_ARM,
     Order.EMERGENCY_STOP: "emergency stop",
     Order.RESET_FAULT: "resetting the fault",
+    Order.WRITE_CALIBRATION: "writing the calibration",
 }
 
 Send = Callable[[object, bool], None]
@@ -258,6 +267,7 @@ class Supervisor:
         self._reported_fault: Fault | None = None
         self._end: EndState | None = None
         self._end_begun_s: float | None = None
+        self._parking = Parking(self._joint_names)
 
     @property
     def fault(self) -> Fault | None:
@@ -316,6 +326,10 @@ class Supervisor:
             self._observed = message.observed
         elif isinstance(message, Shutdown):
             self._end = self._config.on_exit
+            if message.hurry and self._end is EndState.PARK and controller is not None:
+                self._parking.give_up(controller, "the server is told not to wait")
+        elif isinstance(message, KeepParking):
+            self._parking.keep(message.plan)
 
     @property
     def spare_ticks(self) -> int:
@@ -346,7 +360,9 @@ class Supervisor:
         arm, now_s = self.arm, self._clock()
         if arm is None:
             return
-        self._report(arm.tick())
+        ended = arm.tick()
+        self._parking.take(ended)
+        self._report(ended)
         for each in arm.controller.commanded if arm.controller is not None else ():
             self._send(each, True)
         self._check_server(now_s, server_gone=server_gone)
@@ -402,9 +418,13 @@ class Supervisor:
             self._interrupt("the server is ending")
             return True
         self._end_begun_s = self._end_begun_s or now_s
-        driven = self._end is EndState.RELAX and controller.driven
+        driven = self._end is not EndState.HOLD and controller.driven
         resting = not controller.moving and self._task is None and not driven
-        return resting or now_s - self._end_begun_s > END_TIMEOUT_S
+        timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
+        if not resting and now_s - self._end_begun_s > timeout_s:
+            log.error("the arm is not in its end state (%s) after %g s; the process ends", self._end.value, timeout_s)
+            return True
+        return resting
 
     def lose_server(self) -> None:
         """Begin to bring the arm to its end state: the server's process is gone."""
@@ -439,12 +459,14 @@ class Supervisor:
         if busy is not None and not urgent and (order is not Order.RELAX or busy.urgent):
             self._answer(command.number, f"the arm is busy: {busy.name}", done=False)
             return
-        steps = {
+        starts: dict[Order, Callable[[], Steps[str]]] = {
             Order.ENABLE: orders.enable,
             Order.RELAX: orders.relax,
             Order.EMERGENCY_STOP: orders.emergency_stop,
             Order.RESET_FAULT: orders.reset_fault,
-        }[order]()
+            Order.WRITE_CALIBRATION: lambda: orders.write_calibration(command.calibration),
+        }
+        steps = starts[order]()
         self._begin(_Task(_NAMES[order], steps, command.number, now_s, urgent))
         if urgent:
             self.work()
@@ -499,15 +521,23 @@ class Supervisor:
         if server_gone:
             self.lose_server()
         lost = self._watchdog.expired(now_s)
-        if lost and not self._server_lost:
+        if lost and not self._server_lost and self._end is None:
             self._log_silence(now_s)
         self._server_lost = lost
         end = self._config.on_server_lost if lost and self._end is None else self._end
         controller = self.arm.controller if self.arm is not None else None
-        if end is None or controller is None:
+        if controller is None:
             return
-        controller.stop()
-        if end is EndState.RELAX and controller.driven:
+        if self._parking.begun and end is not EndState.PARK:
+            self._parking.reset(controller)
+        if end is None:
+            return
+        if end is EndState.PARK:
+            gone = self._end is not None or self._watchdog.silence_s(now_s) > SILENCE_BEFORE_PARKING_S
+            self._parking.advance(controller, now_s, may_move=gone)
+        else:
+            controller.stop()
+        if controller.driven and (end is EndState.RELAX or self._parking.over):
             self._relax()
 
     def _log_silence(self, now_s: float) -> None:
@@ -521,8 +551,8 @@ class Supervisor:
         controller = self.arm.controller if self.arm is not None else None
         if controller is not None and controller.moving:
             return "stopping"
-        if end is EndState.RELAX and controller is not None and controller.driven:
-            return "relaxing"
+        if controller is not None and controller.driven and end is not EndState.HOLD:
+            return "relaxing" if end is EndState.RELAX else "parking"
         return "nothing moves"
 
     def _relax(self) -> None:

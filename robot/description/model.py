@@ -27,6 +27,9 @@ NONE_HELD: Mapping[str, float] = MappingProxyType({})
 OPEN_STATES = ("open", "opened")
 CLOSED_STATES = ("closed", "close")
 
+# State in which an arm is parked that names none.
+PARK_STATE = "rest"
+
 # Groups that are the gripper where no end effector says so, as Panda's.
 GRIPPER_GROUPS = ("gripper", "hand")
 
@@ -80,6 +83,7 @@ class RobotModel:
         gripper: the gripper; None for an arm without one.
         default_group: group of goals that name none.
         tip_link: link that pose goals of this group move; empty for a group that is no chain.
+        park_state: name of the state in which the arm is parked; it need not exist.
     """
 
     name: str
@@ -98,6 +102,7 @@ class RobotModel:
     gripper: Gripper | None = None
     default_group: str = ""
     tip_link: str = ""
+    park_state: str = PARK_STATE
 
     @property
     def root_link(self) -> str:

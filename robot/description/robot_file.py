@@ -59,6 +59,8 @@ class PlanningTable(_Table):
     """link that pose goals of this group move; the tip of its chain without this key."""
     frame: Name | None = None
     """frame of poses that name none; it must be the root link."""
+    park: Name | None = None
+    """named state of the SRDF in which the arm is parked; "rest", if there is one, without this key."""
 
 
 class GripperTable(_Table):
@@ -109,6 +111,17 @@ class ServoTable(_Table):
     """true for a joint without end stops."""
 
 
+class ProfileTable(_Table):
+    """Table ``[hardware.profile]``: settings that the servos should have, by the names of their registers."""
+
+    base: Literal["factory", "lerobot"] = "factory"
+    """profile from which they differ."""
+    registers: Annotated[dict[Name, int], Field(max_length=MAX_JOINTS)] = {}
+    """values for every servo, as P_GAIN = 20."""
+    gripper: Annotated[dict[Name, int], Field(max_length=MAX_JOINTS)] = {}
+    """values for the gripper's servos."""
+
+
 class HardwareSection(_Table):
     """Table ``[hardware]``."""
 
@@ -120,6 +133,8 @@ class HardwareSection(_Table):
     """lerobot's folders of calibrations of such arms, the newest name first."""
     servos: Annotated[tuple[ServoTable, ...], Field(max_length=MAX_JOINTS)] = ()
     """the servos, in the order of the joints."""
+    profile: ProfileTable | None = None
+    """settings of the servos; without this table those of the factory or of lerobot, whichever are nearer."""
 
     @model_validator(mode="after")
     def _servos_fit_the_kind(self) -> HardwareSection:

@@ -16,7 +16,7 @@ from robot.description import model, robot_file
 from robot.description.example_robots import find_example
 from robot.description.model import Gripper, Hull, JointLimits, RobotModel
 from robot.description.robot_file import GripperTable, RobotFile, ServoTable
-from robot.description.servo_table import HardwareTable, ServoSpec, Zero, ZeroTick
+from robot.description.servo_table import HardwareTable, ProfileSpec, ServoSpec, Zero, ZeroTick
 from robot.errors import DescriptionError, RobotFileError
 
 Read = TypeVar("Read")
@@ -177,6 +177,7 @@ def load(
         gripper=arm.gripper if file.gripper is None else _gripper(file.gripper),
         default_group=group,
         tip_link=file.planning.tip or arm.groups[group].tip_link,
+        park_state=file.planning.park or arm.park_state,
     )
     return RobotFolder(
         folder.resolve().name, file.robot.title or folder.resolve().name, arm, _hardware(file, arm), folder
@@ -337,6 +338,9 @@ def _unknown_names(
         yield f"planning.group: the SRDF has no group {file.planning.group!r}, but {', '.join(arm.groups)}"
     if file.planning.tip is not None and file.planning.tip not in arm.links:
         yield f"planning.tip: the URDF has no link {file.planning.tip!r}"
+    states = {state for of_group in arm.named_states.values() for state in of_group}
+    if file.planning.park is not None and file.planning.park not in states:
+        yield f"planning.park: the SRDF has no state {file.planning.park!r}, but {', '.join(sorted(states)) or 'none'}"
     if file.planning.frame not in (None, arm.root_link, arm.planning_frame):
         yield f"planning.frame: must be the root link {arm.root_link!r}, not {file.planning.frame!r}"
 
@@ -349,7 +353,8 @@ def _hardware(file: RobotFile, arm: RobotModel) -> HardwareTable:
     section = file.hardware
     gripper = arm.gripper.joints if arm.gripper is not None else ()
     servos = tuple(_servo(servo, arm, gripper=servo.joint in gripper) for servo in section.servos)
-    return HardwareTable(section.kind, servos, section.baud, section.calibrations)
+    profile = None if section.profile is None else ProfileSpec(**section.profile.model_dump())
+    return HardwareTable(section.kind, servos, section.baud, section.calibrations, profile)
 
 
 def _servo(table: ServoTable, arm: RobotModel, *, gripper: bool) -> ServoSpec:

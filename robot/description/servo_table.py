@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 # 254 is the broadcast id of both kinds of bus, and Dynamixel reserves 253 too.
@@ -61,6 +62,21 @@ class ServoSpec:
 
 
 @dataclass(frozen=True)
+class ProfileSpec:
+    """Settings that the servos of an arm should have, by the names of their registers.
+
+    Attributes:
+        base: profile from which they differ.
+        registers: values for every servo.
+        gripper: values for the gripper's servos.
+    """
+
+    base: Literal["factory", "lerobot"] = "factory"
+    registers: Mapping[str, int] = field(default_factory=dict)
+    gripper: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class HardwareTable:
     """Hardware of an arm.
 
@@ -69,9 +85,11 @@ class HardwareTable:
         servos: its servos, whose order is that of every array; empty for ideal joints.
         baud: rate of the bus [baud].
         calibrations: folders in which lerobot keeps calibrations of such arms, the newest name first.
+        profile: settings of its servos; None for those of the factory or of lerobot, whichever are nearer.
     """
 
     kind: HardwareKind = "ideal"
     servos: tuple[ServoSpec, ...] = ()
     baud: int = 1_000_000
     calibrations: tuple[str, ...] = ()
+    profile: ProfileSpec | None = None

@@ -41,10 +41,13 @@ Live commands to a running emulator, one JSON object a line.
 ``{"lose_instruction": 0.01}``     probability that no servo hears an instruction
 ``{"offline": [3]}``               these servos neither hear nor speak
 ``{"online": [3]}``                these do again
+``{"unplug": ["gripper", 5]}``     the cables of these, by joint or number in the chain, are pulled: they lose power
+``{"plug": ["gripper"]}``          these are plugged in again, and start anew
 ``{"power_cycle": [3]}``           these start anew, with torque off and goal 0
 ``{"torque_off": [3]}``            torque goes off there, behind the driver's back
 ``{"powers_up_holding": [3]}``     from now on these power up with torque on, at the position where they are
-``{"overload_latches": [3]}``      an overload of these is cleared by a power cycle only
+``{"overload_latches": [3]}``      an overload of these is cleared by a power cycle only; until then torque stays on
+``{"mirror": ["gripper"]}``        the horns of these are mounted mirrored, or as before
 ``{"obstacle": {"3": 2100}}``      something in the way of the joint at this tick; null takes it away
 ``{"push": {"3": 150}}``           a push on the joint, in the motor's duty that would do the same [0.1 %]; 0 ends it
 ``{"hand": {"3": 1900}}``          a hand takes the joint to this tick, whatever the motor does; null lets go
@@ -62,9 +65,9 @@ Live commands to a running emulator, one JSON object a line.
 ``{"plugged": "renamed"}``         it is back under another name; ``--link`` stays the same
 ================================== ====================================================================================
 
-Ticks are those of register PRESENT_POSITION. Every line is answered by ``{"ok": true}``, of "plugged" with the
-port's name as ``port``, or by ``{"error": "..."}``. One object may hold several commands; none of them is carried out
-unless all of them make sense.
+Ticks are those of register PRESENT_POSITION. A joint's name may stand for a servo's id, such as where several have the
+same one. Every line is answered by ``{"ok": true}``, of "plugged" with the port's name as ``port``, or by
+``{"error": "..."}``. One object may hold several commands; none of them is carried out unless all of them make sense.
 """
 
 # A controller that sends more bytes than this without a line end is disconnected; a command is short.
@@ -246,12 +249,13 @@ FOR_SERVOS: Mapping[str, Callable[[Emulation, Servo], None]] = MappingProxyType(
         "torque_off": _torque_off,
         "powers_up_holding": _powers_up_holding,
         "overload_latches": _overload_latches,
+        "mirror": lambda _emulation, servo: servo.mirror(),
     }
 )
 
 
 def _obstacle(servo: Servo, ticks: float) -> None:
-    servo.plant.block(ticks + servo.value(Register.HOMING_OFFSET))
+    servo.plant.block(servo.encoder_ticks(ticks))
 
 
 def _push(servo: Servo, push_permille: float) -> None:
@@ -259,7 +263,7 @@ def _push(servo: Servo, push_permille: float) -> None:
 
 
 def _hand(servo: Servo, ticks: float) -> None:
-    servo.plant.hand_ticks = ticks + servo.value(Register.HOMING_OFFSET)
+    servo.plant.hand_ticks = servo.encoder_ticks(ticks)
 
 
 def _let_go(servo: Servo) -> None:
@@ -295,6 +299,9 @@ VALUES: Mapping[str, Value] = MappingProxyType(
 )
 
 
+PLUGS: Mapping[str, Callable[[Servo], None]] = MappingProxyType({"plug": Servo.plug_in, "unplug": Servo.unplug})
+
+
 def _stall_behind_missing(emulation: Emulation, on: bool) -> None:
     emulation.bus.faults.stall_behind_missing = on
 
@@ -313,13 +320,15 @@ def _change(name: str, value: object, bus: ServoBus) -> Change:
         return _number(name, NUMBERS[name], value)
     if name in FOR_SERVOS:
         return _for_servos(name, value, bus)
+    if name in PLUGS:
+        return _plugs(name, value, bus)
     if name in VALUES:
         return _values(name, VALUES[name], value, bus)
     if name in SWITCHES:
         return _switch(name, value)
     if name == "plugged":
         return _plugged(value)
-    known = [*NUMBERS, *FOR_SERVOS, *VALUES, *SWITCHES, "plugged"]
+    known = [*NUMBERS, *FOR_SERVOS, *PLUGS, *VALUES, *SWITCHES, "plugged"]
     raise ValueError(f"unknown command {name!r}; there are {', '.join(known)}")
 
 
@@ -329,23 +338,45 @@ def _number(name: str, number: Number, value: object) -> Change:
 
 
 def _for_servos(name: str, value: object, bus: ServoBus) -> Change:
-    servos = {servo.servo_id: servo for servo in bus.servos}
-    if not isinstance(value, list) or any(servo_id not in list(servos) for servo_id in value):
-        raise ValueError(f"{name} takes a list of servo ids out of {list(servos)}, not {value!r}")
+    servos: dict[object, Servo] = {servo.servo_id: servo for servo in bus.servos}
+    listed = _listed(name, value, servos | _by_joint(bus), f"servo ids out of {list(servos)}")
 
     def carry_out(emulation: Emulation) -> None:
         """Apply the checked command."""
-        for servo_id in value:
-            FOR_SERVOS[name](emulation, servos[servo_id])
+        for servo in listed:
+            FOR_SERVOS[name](emulation, servo)
 
     return carry_out
 
 
+def _plugs(name: str, value: object, bus: ServoBus) -> Change:
+    chain: dict[object, Servo] = dict(enumerate(bus.servos, start=1))
+    listed = _listed(name, value, chain | _by_joint(bus), f"joints or their numbers in the chain, 1 to {len(chain)}")
+
+    def carry_out(_emulation: Emulation) -> None:
+        """Apply the checked command."""
+        for servo in listed:
+            PLUGS[name](servo)
+
+    return carry_out
+
+
+def _by_joint(bus: ServoBus) -> dict[object, Servo]:
+    return {servo.joint: servo for servo in bus.servos}
+
+
+def _listed(name: str, value: object, servos: Mapping[object, Servo], names: str) -> list[Servo]:
+    if not isinstance(value, list) or any(one not in list(servos) for one in value):
+        raise ValueError(f"{name} takes a list of {names}, not {value!r}")
+    return [servos[one] for one in value]
+
+
 def _values(name: str, kind: Value, value: object, bus: ServoBus) -> Change:
-    servos = {str(servo.servo_id): servo for servo in bus.servos}
-    if not isinstance(value, dict) or any(servo_id not in servos for servo_id in value):
-        raise ValueError(f"{name} takes an object with servo ids out of {list(servos)}, not {value!r}")
-    changes = [_value(name, kind, servos[servo_id], one) for servo_id, one in value.items()]
+    ids: dict[object, Servo] = {str(servo.servo_id): servo for servo in bus.servos}
+    servos = ids | _by_joint(bus)
+    if not isinstance(value, dict) or any(named not in servos for named in value):
+        raise ValueError(f"{name} takes an object with servo ids out of {list(ids)}, not {value!r}")
+    changes = [_value(name, kind, servos[named], one) for named, one in value.items()]
 
     def carry_out(emulation: Emulation) -> None:
         """Apply the checked command."""

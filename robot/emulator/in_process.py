@@ -13,6 +13,7 @@ import selectors
 import socket
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from robot.description.limits import JointBounds
@@ -20,6 +21,7 @@ from robot.description.model import RobotModel
 from robot.emulator.arm import build_servos, weight_of
 from robot.emulator.control import MAX_COMMAND_BYTES, Emulation, answer
 from robot.emulator.faults import Faults
+from robot.emulator.populations import POPULATIONS
 from robot.emulator.servo_bus import BAUDRATE, Reply, ServoBus
 from robot.emulator.write_log import WriteLog
 from robot.errors import PortError, PortLost
@@ -74,8 +76,9 @@ class EmulatedServos:
         start_rad = [
             min(max(config.start_rad.get(joint.joint, 0.0), joint.lower_rad), joint.upper_rad) for joint in joints
         ]
-        servos = build_servos(config.calibration, start_rad)
-        if config.driven:
+        population = POPULATIONS[config.population]
+        servos = build_servos(config.calibration, start_rad, population, as_read=config.resumes)
+        if config.driven and (config.resumes or not population.has_shifted):
             # As an arm process leaves them: holding, at its torque limits.
             full_torque = ServoMap(config.calibration, bounds, guard_limits).full_torque.tolist()
             for servo, permille in zip(servos, full_torque, strict=True):
@@ -101,10 +104,12 @@ class EmulatedServos:
         self._port.check()
         return FeetechHardware(
             Bus(self._port, self._clock),
-            self._config.calibration,
+            # Emulated servos are built from the calibration: it tells their offsets, also where it was assumed.
+            replace(self._config.calibration, offsets_known=True),
             self._bounds,
             self._guard_limits,
             self._clock,
+            profile=self._config.profile,
             simulated=True,
         )
 

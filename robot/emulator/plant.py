@@ -34,11 +34,31 @@ HAND_TICKS_S = 1500.0
 
 AMBIENT_C = 32.0
 
-# A held stretched arm (0.2 A) grows warm, a stalled motor (2.4 A) gains half a degree each second.
-KELVIN_PER_A2 = 60.0
 
-# A motor in its plastic housing takes ten minutes to most of its temperature.
-TIME_CONSTANT_S = 600.0
+@dataclass(frozen=True)
+class Heating:
+    """Heat of a motor.
+
+    Attributes:
+        kelvin: final warming at a current of 1 A [K].
+        exponent: power of the current [A] to which the final warming is proportional.
+        warming_s: time constant of warming [s].
+        cooling_s: time constant of cooling [s].
+    """
+
+    kelvin: float
+    exponent: float
+    warming_s: float
+    cooling_s: float
+
+
+# A held stretched arm (0.2 A) grows warm, a stalled motor (2.4 A) gains half a degree each second; a motor in its
+# plastic housing takes ten minutes to most of its temperature.
+WELL_COOLED = Heating(kelvin=60.0, exponent=2.0, warming_s=600.0, cooling_s=600.0)
+
+# A gripper that squeezes at a quarter to half of its torque was seen at 50 degC after a minute to half a minute, and
+# to burn later (phosphobot, issue 241): a line through both.
+SQUEEZING = Heating(kelvin=95.0, exponent=1.0, warming_s=150.0, cooling_s=600.0)
 
 
 @dataclass(frozen=True)
@@ -172,13 +192,16 @@ class Motor:
     Attributes:
         temperature_c: temperature of the housing [degC].
         rate: factor by which it warms and cools faster than a real one.
+        heating: how fast a real one does.
     """
 
     temperature_c: float = AMBIENT_C
     rate: float = 1.0
+    heating: Heating = WELL_COOLED
 
     def step(self, duration_s: float, current_a: float) -> None:
         """Advance by ``duration_s`` [s] at a current [A]."""
-        target_c = AMBIENT_C + KELVIN_PER_A2 * current_a * current_a
-        share = min(1.0, duration_s * self.rate / TIME_CONSTANT_S)
-        self.temperature_c += (target_c - self.temperature_c) * share
+        heating = self.heating
+        target_c = AMBIENT_C + heating.kelvin * abs(current_a) ** heating.exponent
+        constant_s = heating.warming_s if target_c > self.temperature_c else heating.cooling_s
+        self.temperature_c += (target_c - self.temperature_c) * min(1.0, duration_s * self.rate / constant_s)

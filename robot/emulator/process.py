@@ -43,7 +43,8 @@ from robot.emulator.control import (
     read_script,
 )
 from robot.emulator.faults import DELAY_S, PROBABILITIES, Faults
-from robot.emulator.servo import SUPPLY_V, Servo
+from robot.emulator.populations import POPULATIONS
+from robot.emulator.servo import Servo
 from robot.emulator.servo_bus import Reply, ServoBus
 from robot.emulator.write_log import WriteLog
 from robot.errors import DescriptionError
@@ -228,7 +229,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=int, default=0, metavar="N", help="seed of these faults (default 0)")
     add("--usb-frame-ms", type=_number(MAX_USB_FRAME_MS), default=0.0, metavar="T", help="hand replies on so often")
     add("--stall-behind-missing", action="store_true", help="end a sync read at the first servo that is missing")
-    add("--supply", type=_number(MAX_VOLTAGE_V), default=SUPPLY_V, metavar="V", help="supply [V] (default 5)")
+    add(
+        "--population",
+        choices=POPULATIONS,
+        default="factory",
+        help="state of the servos: as new ones of an arm that was calibrated (factory), as lerobot or a ROS 2 driver "
+        "leaves them, compatible ones of 12 V (clone), or new ones that all have id 1 (kit)",
+    )
+    add("--supply", type=_number(MAX_VOLTAGE_V), metavar="V", help="supply [V] (default 5, of a clone 12)")
     add("--heat-rate", type=_number(MAX_HEAT_RATE), default=1.0, metavar="X", help="warm and cool X times faster")
     add("--overload-latches", action="store_true", help="let only a power cycle clear an overload")
     add("--powers-up-holding", action="store_true", help="power up with torque on, at the present position")
@@ -280,7 +288,8 @@ def build_bus(options: argparse.Namespace, resources: ExitStack, now_s: float, *
         OSError: the log cannot be written.
     """
     calibration = _calibration(options)
-    servos = build_servos(calibration, options.start or [0.0] * len(calibration.joints))
+    start_rad = options.start or [0.0] * len(calibration.joints)
+    servos = build_servos(calibration, start_rad, POPULATIONS[options.population])
     for servo in servos:
         _configure(servo, options)
     log = None
@@ -452,12 +461,15 @@ def _faults(options: argparse.Namespace) -> Faults:
 
 
 def _configure(servo: Servo, options: argparse.Namespace) -> None:
-    """Give a servo the properties of the options, and power it up."""
-    servo.voltage_v = options.supply
+    """Give a servo the properties of the options."""
+    if options.supply is not None:
+        servo.voltage_v = options.supply
     servo.motor.rate = options.heat_rate
-    servo.protection.latches = options.overload_latches
-    servo.powers_up_holding = options.powers_up_holding
-    servo.power_up()
+    if options.overload_latches:
+        servo.protection.latches = True
+    if options.powers_up_holding:
+        servo.powers_up_holding = True
+        servo.power_up()
 
 
 def _option(name: str) -> str:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Motor, Plant
+from robot.emulator.populations import SUPPLY_V
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
     LAYOUT,
-    MODEL_STS3215,
+    MODELS,
     TICKS_S2_PER_ACCELERATION_UNIT,
     VOLT_PER_UNIT,
     Area,
@@ -21,11 +23,12 @@ from robot.hardware.feetech.registers import (
 )
 from robot.hardware.interface import StatusFlag
 
-# The SO-101's usual supply [V].
-SUPPLY_V = 5.0
-
 # Register ACCELERATION 0 means the greatest one; lerobot writes this value to the limit register.
 MAX_ACCELERATION = 254
+
+# Register PHASE, bit 4: the position counts on beyond one turn of the encoder, instead of beginning again.
+PHASE_MULTI_TURN = 0x10
+TICKS_PER_TURN = 4096
 
 # Register MOVING is 0 for a slower joint.
 STANDSTILL_TICKS_S = 3.0
@@ -93,13 +96,19 @@ class Servo:
     """Servo on the bus, from power-up on.
 
     Args:
-        servo_id: register ID.
         plant: joint that it moves, in encoder ticks.
-        angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT, in ticks of PRESENT_POSITION.
-        homing_offset_ticks: register HOMING_OFFSET.
+        eprom: registers that differ from those of a new servo; the angle limits are in ticks of PRESENT_POSITION.
+        joint: name of the joint.
+        zero_ticks: position of the encoder where the calibration has its tick 0.
 
     Attributes:
+        plant: as given.
+        joint: as given.
+        zero_ticks: as given.
+        mirrored: True if the horn is mounted mirrored, which no register shows; see :meth:`mirror`.
+        connected: False while its cable is unplugged: it has no power, and is not on the wire.
         powers_up_holding: True if power-ups leave torque on, at the present position.
+        powers_up_unlocked: True if power-ups leave the EPROM unlocked.
         motor: temperature of the motor, which may be set.
         protection: timers, latches and error bits, some of which may be forced.
         voltage_v: supply [V], which may be set.
@@ -108,21 +117,17 @@ class Servo:
         baudrate_code: register BAUD_RATE.
     """
 
-    def __init__(
-        self, servo_id: int, plant: Plant, angle_limits_ticks: tuple[int, int], homing_offset_ticks: int = 0
-    ) -> None:
+    def __init__(self, plant: Plant, eprom: Mapping[Register, int], *, joint: str = "", zero_ticks: int = 0) -> None:
         self.plant = plant
+        self.joint = joint
+        self.zero_ticks = zero_ticks
+        self.connected = True
+        self.mirrored = False
         self.motor = Motor()
         self.protection = Protection()
         self.voltage_v = SUPPLY_V
-        self.powers_up_holding = False
-        arm = {
-            Register.ID: servo_id,
-            Register.MIN_ANGLE_LIMIT: angle_limits_ticks[0],
-            Register.MAX_ANGLE_LIMIT: angle_limits_ticks[1],
-            Register.HOMING_OFFSET: homing_offset_ticks,
-        }
-        self._memory = Memory({**FACTORY_EPROM, **arm})
+        self.powers_up_holding = self.powers_up_unlocked = False
+        self._memory = Memory({**FACTORY_EPROM, **eprom})
         # Time since the latest step of heat and protection.
         self._unprotected_s = 0.0
         self.changes = 0
@@ -141,10 +146,23 @@ class Servo:
         self._memory.power_up()
         self._kept: tuple[int, bytes] | None = None
         self.protection.power_up()
-        if holding or self.powers_up_holding:
+        if self.powers_up_unlocked:
+            self._memory.set(Register.LOCK, 0)
+        if self.connected and (holding or self.powers_up_holding):
             self._memory.show(Register.GOAL_POSITION, self.present_ticks)
             self._memory.set(Register.TORQUE_ENABLE, 1)
         self._follow_registers()
+
+    def unplug(self) -> None:
+        """Pull its cable: the servo loses its power."""
+        self.connected = False
+        self.power_up()
+
+    def plug_in(self) -> None:
+        """Plug its cable in; a servo that has power already goes on."""
+        if not self.connected:
+            self.connected = True
+            self.power_up()
 
     @property
     def visible(self) -> tuple[object, ...]:
@@ -168,7 +186,30 @@ class Servo:
     @property
     def present_ticks(self) -> int:
         """Register PRESENT_POSITION: the encoder less the homing offset."""
-        return round(self.plant.position_ticks) - self.value(Register.HOMING_OFFSET)
+        return self._shown_ticks(self.plant.position_ticks)
+
+    @property
+    def joint_ticks(self) -> float:
+        """Position of the joint in ticks of the calibration."""
+        plant = self.plant
+        mirror = plant.lower_stop_ticks + plant.upper_stop_ticks
+        position = mirror - plant.position_ticks if self.mirrored else plant.position_ticks
+        return position - self.zero_ticks
+
+    def mirror(self) -> None:
+        """Mount the horn mirrored, or take that back: the joint stays, and the encoder turns the other way from it."""
+        self.mirrored = not self.mirrored
+        plant = self.plant
+        plant.position_ticks = plant.lower_stop_ticks + plant.upper_stop_ticks - plant.position_ticks
+        plant.gravity_permille = -plant.gravity_permille
+
+    def encoder_ticks(self, shown_ticks: float) -> float:
+        """Return the encoder's position for one of PRESENT_POSITION: the nearest that the joint can reach."""
+        plant = self.plant
+        here = shown_ticks + self.value(Register.HOMING_OFFSET) + self._turn * TICKS_PER_TURN
+        turns = (here, here - TICKS_PER_TURN, here + TICKS_PER_TURN)
+        reachable = [ticks for ticks in turns if plant.lower_stop_ticks <= ticks <= plant.upper_stop_ticks]
+        return min(reachable or turns[:1], key=lambda ticks: abs(ticks - plant.position_ticks))
 
     def value(self, register: Register) -> int:
         """Return the value of a register other than the measured ones."""
@@ -176,6 +217,8 @@ class Servo:
 
     def step(self, duration_s: float) -> None:
         """Advance by ``duration_s`` [s]."""
+        if not self._turn_begins_ticks <= self.plant.position_ticks < self._turn_ends_ticks:
+            self._drive = self._drive_from_registers()
         self.plant.step(duration_s, self._drive)
         self._unprotected_s += duration_s
         if self._unprotected_s >= (RESTING_PROTECTION_STEP_S if self.plant.at_rest else PROTECTION_STEP_S):
@@ -189,6 +232,9 @@ class Servo:
     def write(self, address: int, data: bytes) -> None:
         """Write memory as an instruction does; see :meth:`robot.emulator.servo.Memory.write`."""
         torque = self.value(Register.TORQUE_ENABLE)
+        at = Register.TORQUE_ENABLE - address
+        if self.protection.refuses_torque_off and torque and 0 <= at < len(data) and not data[at]:
+            data = data[:at] + bytes([torque]) + data[at + 1 :]
         if not self._memory.write(address, data):
             return
         self.changes += 1
@@ -217,7 +263,7 @@ class Servo:
     def make_middle(self) -> None:
         """Store the homing offset with which the present position reads 2048, or as near as the register allows."""
         lowest, highest = value_range(Register.HOMING_OFFSET)
-        offset = round(self.plant.position_ticks) - MIDDLE_TICKS
+        offset = round(self.plant.position_ticks) % TICKS_PER_TURN - MIDDLE_TICKS
         self._memory.set(Register.HOMING_OFFSET, max(lowest, min(highest, offset)))
         self._memory.store()
         self._follow_registers()
@@ -256,8 +302,22 @@ class Servo:
         memory.show(Register.STATUS, self.error)
         driven = drive.torque_permille > 0.0
         memory.show(Register.MOVING, int(driven and abs(plant.velocity_ticks_s) > STANDSTILL_TICKS_S))
-        memory.show(Register.GOAL_POSITION_ECHO, round(drive.goal_ticks) - self.value(Register.HOMING_OFFSET))
+        memory.show(Register.GOAL_POSITION_ECHO, self._goal_ticks)
         memory.show(Register.PRESENT_CURRENT, round(plant.current_a / AMPERE_PER_UNIT))
+
+    def _shown_ticks(self, encoder_ticks: float) -> int:
+        counted = round(encoder_ticks) - self.value(Register.HOMING_OFFSET)
+        return counted if self._counts_on else counted % TICKS_PER_TURN
+
+    @property
+    def _counts_on(self) -> bool:
+        return bool(self.value(Register.PHASE) & PHASE_MULTI_TURN)
+
+    @property
+    def _turn(self) -> int:
+        """Turn of the encoder in which the position lies; 0 while the position counts on."""
+        offset = self.value(Register.HOMING_OFFSET)
+        return 0 if self._counts_on else (round(self.plant.position_ticks) - offset) // TICKS_PER_TURN
 
     def _follow_registers(self) -> None:
         value = self.value
@@ -280,11 +340,16 @@ class Servo:
         goal = self.value(Register.GOAL_POSITION)
         if (lowest, highest) != (0, 0):  # both 0 is multi-turn mode, without limits
             goal = max(lowest, min(highest, goal))
+        self._goal_ticks = goal
+        # A goal lies in the turn that is read: the servo does not take the short way across the seam.
+        zero = self.value(Register.HOMING_OFFSET) + self._turn * TICKS_PER_TURN
+        self._turn_begins_ticks = -math.inf if self._counts_on else zero - 0.5
+        self._turn_ends_ticks = math.inf if self._counts_on else zero - 0.5 + TICKS_PER_TURN
         acceleration = self.value(Register.ACCELERATION) or MAX_ACCELERATION
         torque_on = self.value(Register.TORQUE_ENABLE) == 1
         torque_left = min(self.value(Register.TORQUE_LIMIT), self.protection.duty_left_permille(self._thresholds))
         return Drive(
-            goal_ticks=goal + self.value(Register.HOMING_OFFSET),
+            goal_ticks=goal + zero,
             velocity_ticks_s=abs(self.value(Register.GOAL_VELOCITY)) or NO_LOAD_TICKS_S,
             acceleration_ticks_s2=acceleration * TICKS_S2_PER_ACCELERATION_UNIT,
             torque_permille=torque_left if torque_on else 0,
@@ -303,7 +368,7 @@ class Memory:
         self._bytes = bytearray(MEMORY_BYTES)
         self._values: dict[Register, int] = {}  # decoded once: the bus asks for them at every packet
         self._bytes[0:2] = FIRMWARE_MAJOR_MINOR
-        for register, value in {Register.MODEL_NUMBER: MODEL_STS3215, **eprom}.items():
+        for register, value in {Register.MODEL_NUMBER: MODELS["sts3215"], **eprom}.items():
             self.set(register, value)
         self._backup = self._eprom = self._present_eprom()
         self.power_up()
@@ -427,7 +492,8 @@ class Protection:
     last as long as their cause.
 
     Attributes:
-        latches: True if switching torque off does not clear an overload.
+        latches: True if the servo ignores torque off after an overload, as is reported of some: it goes on with the
+            torque that is left, and every reply has the error bit, until a power cycle.
         forced: error bits forced by a command.
         status: error bits, register STATUS.
     """
@@ -451,6 +517,11 @@ class Protection:
             self.status |= StatusFlag.VOLTAGE
         if measured.temperature_c > limits.temperature_c:
             self.status |= StatusFlag.TEMPERATURE
+
+    @property
+    def refuses_torque_off(self) -> bool:
+        """True while an overload is latched that only a power cycle clears."""
+        return self.latches and bool(self._latched)
 
     def duty_left_permille(self, limits: Thresholds) -> float:
         """Return the largest duty that the error bits leave [0.1 %]."""

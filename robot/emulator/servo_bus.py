@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from types import MappingProxyType
 
 from scservo_sdk import (
@@ -51,6 +52,10 @@ PARTIAL_PACKET_S = 0.005
 # Header, id, LEN and checksum.
 _FRAME_BYTES = 5
 
+# A byte on the wire: a start bit, which is low, eight bits and a stop bit; all but the last one inverted.
+_BITS_PER_BYTE = 10
+_INVERTED = 0x1FF
+
 # Time from the end of the packet before to the start of a reply.
 TURNAROUND_S = 20e-6
 RETURN_DELAY_UNIT_S = 2e-6
@@ -72,7 +77,7 @@ class ServoBus:
         log: record of the writes; None for no record.
         weigh: loads the servos with the links' weight at the present pose; None for an arm without weight.
         wire_time: True to emulate the time of bytes on the wire; otherwise replies are complete at once, and cannot
-            collide.
+            collide with what the host sends.
 
     Attributes:
         servos: as given.
@@ -175,19 +180,22 @@ class ServoBus:
         if instruction.code not in READING:
             self._answered.clear()
         for effect in effects:
-            for answer in effect.answers:
-                self._reply(answer, baudrate)
+            for _, together in groupby(effect.answers, key=lambda answer: answer.servo.servo_id):
+                self._reply(list(together), baudrate)
             if self._log is not None and effect.written:
                 self._log.record_write(self._now_s, instruction.code, effect.address, effect.written, self.servos)
 
     def _hears(self, servo: Servo, baudrate: int) -> bool:
-        return BAUDRATES.get(servo.baudrate_code) == baudrate and servo.servo_id not in self.faults.offline
+        speaks = servo.connected and servo.servo_id not in self.faults.offline
+        return speaks and BAUDRATES.get(servo.baudrate_code) == baudrate
 
-    def _reply(self, answer: Answer, baudrate: int) -> None:
-        servo = answer.servo
+    def _reply(self, answers: Sequence[Answer], baudrate: int) -> None:
+        """Put the reply of a servo on the wire, or those of several with the same id, which collide."""
+        servo = answers[0].servo
         delay_s = TURNAROUND_S + servo.value(Register.RETURN_DELAY) * RETURN_DELAY_UNIT_S if self._wire_time else 0.0
         start_s = self._wire_free_s + delay_s
-        packet = status_packet(servo.servo_id, servo.error, answer.data)
+        packets = [status_packet(answer.servo.servo_id, answer.servo.error, answer.data) for answer in answers]
+        packet = packets[0] if len(packets) == 1 else superimposed(packets)
         arriving = self.faults.apply(packet)
         self._wire_free_s = start_s + self._takes_s(max(len(packet), len(arriving)), baudrate)
         self._given_s = max(self._given_s, self._wire_free_s + self.faults.hold_up_s())
@@ -273,6 +281,28 @@ class InstructionParser:
         return Instruction(servo_id=body[0], code=body[2], parameters=body[3:])
 
 
+def superimposed(packets: Sequence[bytes]) -> bytes:
+    """Return the bytes that a host receives of packets sent at once.
+
+    No two servos begin at the same instant: each one is a bit behind the one before. The line is low while any of them
+    pulls it down, and the host takes eight bits behind each start bit.
+
+    Args:
+        packets: packet of each servo.
+    """
+    # 1 for each bit time in which the line is low, the first in the lowest bit.
+    low = 0
+    for delay, packet in enumerate(packets):
+        for at, byte in enumerate(packet):
+            low |= (byte << 1 ^ _INVERTED) << (delay + at * _BITS_PER_BYTE)
+    received = bytearray()
+    while low:
+        low >>= (low & -low).bit_length()
+        received.append(low & 0xFF ^ 0xFF)
+        low >>= _BITS_PER_BYTE - 1
+    return bytes(received)
+
+
 def status_packet(servo_id: int, error: int, data: bytes = b"") -> bytes:
     """Build a servo's reply."""
     body = bytes([servo_id, len(data) + LENGTH_OVERHEAD, error]) + data
@@ -315,7 +345,7 @@ def execute(instruction: Instruction, servos: Sequence[Servo], *, stall_behind_m
     broadcast = instruction.servo_id == BROADCAST_ID
     match instruction.code, len(parameters):
         case (code, 0) if code == INST_PING:
-            return [Effect([Answer(servo) for servo in hearers])]
+            return [Effect([Answer(servo) for servo in sorted(hearers, key=lambda servo: servo.servo_id)])]
         case (code, 2) if code == INST_READ and not broadcast:
             return [Effect([Answer(servo, servo.read(*parameters)) for servo in hearers])]
         case (code, count) if code == INST_SYNC_READ and count > 2:
@@ -352,12 +382,11 @@ def _acknowledgements(hearers: Sequence[Servo], *, broadcast: bool) -> list[Answ
 
 
 def _sync_read(servos: Sequence[Servo], parameters: bytes, *, stall_behind_missing: bool) -> list[Answer]:
-    present = {servo.servo_id: servo for servo in servos}
     answers = []
     for servo_id in parameters[2:]:
-        if servo_id in present:
-            answers.append(Answer(present[servo_id], present[servo_id].read(parameters[0], parameters[1])))
-        elif stall_behind_missing:
+        asked = [servo for servo in servos if servo.servo_id == servo_id]
+        answers += [Answer(servo, servo.read(parameters[0], parameters[1])) for servo in asked]
+        if not asked and stall_behind_missing:
             break
     return answers
 
@@ -384,11 +413,11 @@ def _action(hearers: Sequence[Servo], *, broadcast: bool) -> list[Effect]:
 
 def _sync_write(servos: Sequence[Servo], parameters: bytes) -> Effect:
     address, length, blocks = parameters[0], parameters[1], parameters[2:]
-    present = {servo.servo_id: servo for servo in servos}
     effect = Effect([], address)
     for at in range(0, len(blocks) - length, length + 1):
         servo_id, data = blocks[at], blocks[at + 1 : at + 1 + length]
-        if servo_id in present:
-            present[servo_id].write(address, data)
-            effect.written[servo_id] = data
+        for servo in servos:
+            if servo.servo_id == servo_id:
+                servo.write(address, data)
+                effect.written[servo_id] = data
     return effect

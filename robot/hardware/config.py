@@ -9,6 +9,7 @@ from typing import ClassVar, Self, TypeAlias
 
 from robot.calibration import Calibration
 from robot.description.model import RobotModel
+from robot.hardware.feetech.profiles import ServoProfile
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,13 @@ class _EmulatedBusConfig(_SimulatedConfig):
 
 @dataclass(frozen=True)
 class FeetechConfig(_SerialConfig):
-    """Feetech servos on a serial port."""
+    """Feetech servos on a serial port.
+
+    Attributes:
+        profile: settings that they should have; None for those of the known profile that is nearest.
+    """
+
+    profile: ServoProfile | None = None
 
 
 @dataclass(frozen=True)
@@ -97,11 +104,15 @@ class EmulatedConfig(_EmulatedBusConfig, _ServosConfig):
     """Feetech servos emulated inside the arm process.
 
     Attributes:
+        profile: settings that the servos should have; None for those of the known profile that is nearest.
+        population: state in which the servos are found (:mod:`robot.emulator.populations`).
         write_log: log file with a line of JSON for every write to a servo; None for no log.
         control: path of a Unix socket for the emulator's live commands (:mod:`robot.emulator.control`).
         resumes: True if the servos existed before, in an arm process that has ended.
     """
 
+    profile: ServoProfile | None = None
+    population: str = "factory"
     write_log: Path | None = None
     control: Path | None = None
     resumes: bool = False
@@ -147,3 +158,6 @@ class IdealConfig(_SimulatedConfig):
 
 HardwareConfig: TypeAlias = FeetechConfig | EmulatedConfig | DynamixelConfig | EmulatedDynamixelConfig | IdealConfig
 """Hardware interface of an arm: servos of Feetech or Dynamixel, on a serial port or emulated, and the ideal arm."""
+
+# Names of their ports.
+SIMULATED_PORTS = frozenset({_EmulatedBusConfig.port, IdealConfig.port})

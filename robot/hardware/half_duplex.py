@@ -104,6 +104,11 @@ class HalfDuplexBus(ABC):
     def _sync_write_packet(self, address: int, data_by_id: dict[int, bytes]) -> list[int]:
         """Build a packet that writes the same block of several servos."""
 
+    @property
+    def latency_s(self) -> float:
+        """Time that a reply may take beyond its wire time [s]."""
+        return self._port.latency_s
+
     def close(self) -> None:
         """Close the port; the servos keep their goals."""
         self._port.closePort()

@@ -16,7 +16,7 @@ from robot.description.limits import JointBounds
 from robot.faults import Fault
 from robot.hardware.clock import LoopClock
 from robot.hardware.config import IdealConfig
-from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, Steps, Survey
+from robot.hardware.interface import Actuation, Condition, Flags, HardwareInterface, Measured, Steps, Survey
 from robot.trajectory import Vector
 
 # Duration of relaxing, so that a client sees the same sequence of states as with servos [s].
@@ -62,7 +62,14 @@ class IdealArm(HardwareInterface):
         """Report every joint as it is."""
         yield 0.0
         goal_rad = np.where(self._on, self._goal_rad, np.nan)
-        return Survey(self._bounds, self._on.copy(), goal_rad, np.full(len(self._on), np.inf))
+        return Survey(
+            self._bounds,
+            self._on.copy(),
+            goal_rad,
+            np.full(len(self._on), np.inf),
+            Actuation.unprotected(len(self._on)),
+            reply_latency_s=0.0,
+        )
 
     def read(self) -> Measured | None:
         """Advance the joints to the present, and read them."""

@@ -13,15 +13,17 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntFlag
 from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.calibration import Calibration
 from robot.description.limits import JointBounds
+from robot.errors import OrderRefused
 from robot.faults import Fault
 from robot.trajectory import Vector
 
@@ -81,6 +83,34 @@ class Measured(NamedTuple):
     stamp_s: float = 0.0
 
 
+class Actuation(NamedTuple):
+    """Strength of the actuators as they are set, each of shape (joints,).
+
+    Attributes:
+        stiffness: position gain as a share of the factory's; with half of it a joint droops twice as far.
+        max_torque: largest share of full duty.
+        overload_torque: share of full duty that must not last; infinite without such a protection.
+        overload_time_s: time for which it may last [s].
+        overload_current_a: current that must not last; infinite without such a protection [A].
+    """
+
+    stiffness: Vector
+    max_torque: Vector
+    overload_torque: Vector
+    overload_time_s: Vector
+    overload_current_a: Vector
+
+    @classmethod
+    def unprotected(cls, joints: int) -> Actuation:
+        """Return that of actuators without settings.
+
+        Args:
+            joints: their number.
+        """
+        ones, never = np.ones(joints), np.full(joints, np.inf)
+        return cls(ones, ones, never, never, never)
+
+
 @dataclass(frozen=True)
 class Survey:
     """Result of surveying the actuators, to which nothing was written.
@@ -90,12 +120,16 @@ class Survey:
         driven: True for joints whose torque is on, shape (joints,).
         goal_rad: goals of those, NaN for the others, shape (joints,) [rad].
         max_voltage_v: highest supply of each; infinite where there is no such limit, shape (joints,) [V].
+        actuation: their strength.
+        reply_latency_s: time that the bus waits for a reply [s].
     """
 
     bounds: JointBounds
     driven: Flags
     goal_rad: Vector
     max_voltage_v: Vector
+    actuation: Actuation
+    reply_latency_s: float
 
 
 @dataclass
@@ -127,6 +161,8 @@ class Condition:
         age_s: time since its last good reading, infinite before the first [s].
         silent_cycles: cycles in which it did not answer.
         warnings: warnings of the survey, a sentence each.
+        registers: its settings as surveyed, by the name of the register.
+        expected: values that those of them should have which have another, likewise.
     """
 
     hardware_id: str
@@ -134,6 +170,8 @@ class Condition:
     age_s: float
     silent_cycles: int
     warnings: tuple[str, ...] = ()
+    registers: Mapping[str, int] = field(default_factory=dict)
+    expected: Mapping[str, int] = field(default_factory=dict)
 
 
 class HardwareInterface(ABC):
@@ -148,7 +186,7 @@ class HardwareInterface(ABC):
 
     Attributes:
         joint_names: as given.
-        full_torque: as given.
+        full_torque: as given; a survey lowers it to what the actuators are set to give.
         latched_status: status flags that last until :meth:`clear_overloads` clears them.
         counters: events on the bus; None for hardware without one.
         round_trips_s: durations of the latest reads [s].
@@ -260,6 +298,23 @@ class HardwareInterface(ABC):
             StartupError: a joint does not take a value.
             NoReply: a joint does not answer.
         """
+
+    def write_calibration(self, calibration: Calibration) -> Steps[str]:  # noqa: ARG002 - for those who can
+        """Write a calibration into the actuators, whose torque is off; positions keep the old one until a restart.
+
+        Args:
+            calibration: calibration of the same actuators.
+
+        Returns:
+            Sentence on what was written.
+
+        Raises:
+            OrderRefused: these actuators keep no calibration of this kind.
+            StartupError: an actuator does not take a value.
+            NoReply: an actuator does not answer.
+        """
+        yield 0.0
+        raise OrderRefused("a calibration is written into Feetech servos only, and this arm has others")
 
     @abstractmethod
     def condition(self, joint: int) -> Condition:

@@ -1,4 +1,4 @@
-"""Serial port of the servo bus, found by name, USB id or ``auto``; every operation ends in bounded time.
+"""Serial port of the servo bus, by name, USB id or ``auto``; every operation ends in bounded time.
 
 ``scservo_sdk`` writes its packets through a ``PortHandler``. Its own never discards stale input, may share the device
 with another process, has no write timeout and stays locked after an exception; :class:`SerialPort` does better. Replies
@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import grp
 import io
 import os
 import re
@@ -17,22 +18,15 @@ import select
 import termios
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Protocol
 
 import serial
 from scservo_sdk import PortHandler
-from serial.tools import list_ports
 
 from robot.errors import PortBusy, PortError, PortLost, PortNotFound, PortPermission
+from robot.hardware.boards import find_board, find_usb_id
 
 AUTO = "auto"
-
-# CH343 of the Waveshare Bus Servo Adapter A, and CH340 of the FE-URT-1.
-ADAPTERS = frozenset({(0x1A86, 0x55D3), (0x1A86, 0x7523)})
-
-# Device names that do not depend on the order in which adapters were plugged in.
-STABLE_NAMES = Path("/dev/serial/by-id")
 
 _USB_ID = re.compile(r"(?:usb:)?([0-9a-f]{4}):([0-9a-f]{4})", re.IGNORECASE)
 
@@ -48,16 +42,17 @@ READ_BYTES = 4096
 # Bound on clearing the input of a device that sends faster than it is read.
 MAX_CLEARING_READS = 16
 
-# Latency of replies through the host's own serial port (USB frames, scheduling), through a pseudo terminal, whose bytes
-# the kernel of a busy machine delays, and through a network.
+# Latency of replies through the host's own serial port (USB frames, scheduling) and through a network. Behind a pseudo
+# terminal is a program, which replies when it gets its turn: on two cores of which a virtual machine's host took half,
+# one reply in a hundred came 0.2 s late.
 LOCAL_LATENCY_S = 0.005
-TERMINAL_LATENCY_S = 0.02
 NETWORK_LATENCY_S = 0.05
+TERMINAL_LATENCY_S = 0.3
 
-# A burst of replies that stops for this long has ended: three USB frames of 1 ms, and more for a pseudo terminal, which
-# may pause while the kernel has other work.
+# A burst of replies that stops for this long has ended: three USB frames of 1 ms, and more for a pseudo terminal, whose
+# program may lose its turn between two replies.
 QUIET_S = 0.003
-TERMINAL_QUIET_S = 0.01
+TERMINAL_QUIET_S = 0.1
 
 # Pseudo terminals are not claimed: their other end would keep the claim of a process that has died.
 PSEUDO_TERMINALS = "/dev/pts/"
@@ -114,16 +109,16 @@ def resolve_port(port: str) -> str:
     """Find the device to open.
 
     Args:
-        port: path or URL, which is returned unchanged; ``auto`` for the one adapter plugged in; or the USB id of an
-            adapter, as ``1a86:55d3`` or ``usb:1a86:55d3``.
+        port: path or URL, which is returned unchanged; ``auto`` for the one known servo board that is plugged in; or
+            the USB id of a board, as ``1a86:55d3`` or ``usb:1a86:55d3``.
 
     Raises:
-        PortError: no such adapter is plugged in, or more than one.
+        PortError: no such board is plugged in, or more than one.
     """
     if port == AUTO:
-        return _only(port, ADAPTERS)
+        return find_board()
     if usb_id := _USB_ID.fullmatch(port):
-        return _only(port, frozenset({(int(usb_id[1], 16), int(usb_id[2], 16))}))
+        return find_usb_id((int(usb_id[1], 16), int(usb_id[2], 16)))
     return port
 
 
@@ -267,24 +262,6 @@ class SerialPort(PortHandler):
         return self.ser
 
 
-def _only(port: str, usb_ids: frozenset[tuple[int, int]]) -> str:
-    found = [_stable_name(info.device) for info in list_ports.comports() if (info.vid, info.pid) in usb_ids]
-    if len(found) == 1:
-        return found[0]
-    known = ", ".join(f"{vid:04x}:{pid:04x}" for vid, pid in sorted(usb_ids))
-    problem = f"is ambiguous among {', '.join(found)}: name one" if found else "found no servo adapter plugged in"
-    raise PortError(port, f"{problem} (USB ids {known})")
-
-
-def _stable_name(device: str) -> str:
-    """Return the stable link to a device, or the device itself without one."""
-    if STABLE_NAMES.is_dir():
-        for link in sorted(STABLE_NAMES.iterdir()):
-            if link.resolve() == Path(device).resolve():
-                return str(link)
-    return device
-
-
 def _open_line(port: str, baudrate: int) -> serial.Serial:
     try:
         return serial.serial_for_url(
@@ -303,10 +280,27 @@ def _refusal(port: str, code: int | None, reason: str) -> PortError:
     if code in _NOT_FOUND:
         return PortNotFound(port)
     if code in _PERMISSION:
-        return PortPermission(port)
+        return PortPermission(port, _owning_group(port))
     if code in _BUSY:
         return PortBusy(port)
     return PortError(port, f"cannot be opened: {reason}")
+
+
+def _owning_group(port: str) -> str:
+    """Return the group that may open a device, its number if it has no name here.
+
+    A device of root alone, or one that cannot be asked, gets Debian's group, which udev rules give it.
+    """
+    try:
+        number = os.stat(port).st_gid  # noqa: PTH116 - a port may be a URL
+    except OSError:
+        number = 0
+    if number == 0:
+        return "dialout"
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)
 
 
 def _claim(descriptor: int) -> None:

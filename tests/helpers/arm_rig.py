@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S, Pacer
 from robot.control.supervisor import Supervisor
 from robot.description.limits import JointBounds, within_calibration
@@ -104,8 +105,15 @@ class ArmRig:
         config = self.config
         if isinstance(config.hardware, IdealConfig):
             return IdealArm(config.hardware, NAMES, BOUNDS, self.clock)
-        simulated = config.hardware.simulated
-        return FeetechHardware(self.bus, CALIBRATION, BOUNDS, config.guard_limits, self.clock, simulated=simulated)
+        assert isinstance(config.hardware, FeetechConfig | EmulatedConfig)
+        return FeetechHardware(
+            self.bus,
+            config.hardware.calibration,
+            BOUNDS,
+            config.guard_limits,
+            self.clock,
+            simulated=config.hardware.simulated,
+        )
 
     @property
     def mode(self) -> Mode:
@@ -151,10 +159,10 @@ class ArmRig:
     def until_mode(self, mode: Mode) -> None:
         self.until(lambda: self.mode is mode)
 
-    def begin(self, order: Order) -> int:
+    def begin(self, order: Order, calibration: Calibration | None = None) -> int:
         """Give an order; returns its number."""
         self._numbers += 1
-        self.supervisor.handle(Command(self._numbers, order))
+        self.supervisor.handle(Command(self._numbers, order, calibration))
         return self._numbers
 
     def answer(self, number: int) -> CommandDone | None:
@@ -162,9 +170,9 @@ class ArmRig:
         assert len(answers) <= 1, "an order was answered twice"
         return answers[0] if answers else None
 
-    def order(self, order: Order) -> CommandDone:
+    def order(self, order: Order, calibration: Calibration | None = None) -> CommandDone:
         """Give an order and wait for its answer."""
-        number = self.begin(order)
+        number = self.begin(order, calibration)
         self.until(lambda: self.answer(number) is not None)
         answer = self.answer(number)
         assert answer is not None

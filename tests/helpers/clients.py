@@ -219,9 +219,9 @@ def goal(url: str, topic: str, msg: dict[str, Any]) -> dict[str, Any]:
     return answer
 
 
-def tip(url: str) -> tuple[float, float, float]:
+def tip(url: str, link: str = "gripper_frame_link") -> tuple[float, float, float]:
     """Return the position of the tip of the arm, in the root link's frame [m]."""
-    answer = call(url, "/compute_fk", {"fk_link_names": ["gripper_frame_link"]})
+    answer = call(url, "/compute_fk", {"fk_link_names": [link]})
     position = answer["pose_stamped"][0]["pose"]["position"]
     return float(position["x"]), float(position["y"]), float(position["z"])
 

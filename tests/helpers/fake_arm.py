@@ -72,7 +72,7 @@ class FakeArm:
     ) -> asyncio.Future[MotionEnded]:
         self.played.append(trajectory)
         if continues is not None:
-            if self.refusing:
+            if self.refusing or continues[0].done():
                 refused: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
                 refused.set_result(MotionEnded(2, Outcome.REFUSED, "too late"))
                 return refused

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 BUILT = ROOT / "server" / "page" / "dist" / "index.html"
 SHOTS = ROOT / "build" / "page"
 
-# WebGL in software, and nothing that calls home.
+# WebGL in software, as in a browser without a graphics card, which draws the rest of the page by the processor alone
+# (Debian's browser would draw that by WebGL's software too, at ten times the cost); and nothing that calls home.
 FLAGS = (
     "--no-sandbox",
     "--disable-quic",
@@ -33,6 +34,8 @@ FLAGS = (
     "--disable-sync",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    "--disable-gpu-rasterization",
+    "--disable-accelerated-2d-canvas",
 )
 
 DESKTOP = (1280, 800)
@@ -151,6 +154,26 @@ class OpenPage:
     def state(self, path: str) -> Any:
         """A part of the page's state, as in ``arm.mode``."""
         return self.page.evaluate(f"window.armbridge.state().{path}")
+
+    def open_panel(self, panel: str, *sections: str) -> None:
+        """Show a panel by its tab, or by its column's list while it is closed, and open sections of it."""
+        tab = self.part(f"tab-{panel}")
+        if tab.count():
+            tab.click()
+        else:
+            self.part("open-panel-first").select_option(panel)
+        self.part(f"panel-{panel}").wait_for()
+        for section in sections:
+            details = self.part(f"section-{section}")
+            if not details.evaluate("details => details.open"):
+                details.locator("summary").click()
+
+    def open_panels(self) -> Iterator[str]:
+        """Show one panel after the other, each with all its sections open."""
+        for panel in self.state("layout.panels.first"):
+            self.open_panel(panel)
+            self.page.evaluate(f"document.querySelectorAll('#panel-{panel} details').forEach(each => each.open = true)")
+            yield panel
 
     def part(self, test_id: str) -> Locator:
         """The element of that ``data-testid``."""

@@ -6,11 +6,13 @@ import re
 import struct
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 from robot.calibration import Calibration
 from robot.description import robot_folder
 from robot.description.model import RobotModel
+from robot.emulator.populations import Population
 
 SO101 = robot_folder.built_in("so101")
 SO101_SERVOS = SO101.hardware.servos
@@ -24,6 +26,21 @@ def so101() -> RobotModel:
 def nominal_calibration() -> Calibration:
     """The calibration of a flawless SO-101."""
     return replace(Calibration.nominal(SO101_SERVOS), measured=True)
+
+
+def recalibrated(calibration: Calibration, population: Population) -> Calibration:
+    """The calibration that is right for servos with shifted offsets: the joints and their stops are where they were."""
+    shifts = population.offset_shift_ticks
+    joints = (
+        replace(
+            joint,
+            homing_offset=joint.homing_offset + shift,
+            range_min=joint.range_min if joint.servo.turns_freely else joint.range_min - shift,
+            range_max=joint.range_max if joint.servo.turns_freely else joint.range_max - shift,
+        )
+        for joint, shift in zip(calibration.joints, cycle(shifts))
+    )
+    return replace(calibration, joints=tuple(joints), offsets_known=True)
 
 
 SEVEN_JOINT_URDF = """

@@ -80,7 +80,7 @@ class RunningServer:
     def url(self) -> str:
         return f"ws://127.0.0.1:{self.port}/?x=1"
 
-    def end(self, number: signal.Signals, timeout_s: float = 10.0) -> tuple[int, float]:
+    def end(self, number: signal.Signals, timeout_s: float = 60.0) -> tuple[int, float]:
         """Send a signal and wait; returns exit code and how long it took [s]."""
         started_s = time.monotonic()
         self.process.send_signal(number)

@@ -11,7 +11,6 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 import zenoh
@@ -26,14 +25,12 @@ from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
 from server.zenoh.bridge import Bridge
 from server.zenoh.settings import ZenohSettings
+from tests.helpers.waiting import TIMEOUT_S, until
 
 REGISTRY = Registry.load()
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 TRIGGER_KEY = "std_srvs::srv::dds_::Trigger_/RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
-
-# A message on its way between two sessions of one machine takes a millisecond, and much longer on a busy one.
-TIMEOUT_S = 30.0
 
 
 def free_port() -> int:
@@ -41,21 +38,6 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-async def until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) -> None:
-    """Let the event loop run until something is so."""
-    async with asyncio.timeout(timeout_s):
-        while not condition():
-            await asyncio.sleep(0.005)
-
-
-def wait_until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) -> None:
-    """As :func:`until`, without an event loop."""
-    until_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < until_s, "it has not come to it in time"
-        time.sleep(0.005)
 
 
 class Site:

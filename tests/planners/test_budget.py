@@ -94,7 +94,7 @@ def test_processes_that_want_the_same_core_wait_for_it(busy_process: Start) -> N
     pids = [busy_process() for _ in range(4)]
     # Three of four wait at any time; what they are on the core does not add up to more than has passed.
     while sum(map(run_delay_s, pids)) < 0.2 + time.monotonic() - began_s:
-        assert time.monotonic() < began_s + 20.0
+        assert time.monotonic() < began_s + 60.0
         time.sleep(0.01)
 
 

@@ -52,6 +52,7 @@ from tests.helpers import broken_planner
 from tests.helpers.motions import EASY, LONG, REQUESTS, START, STATE, STILL, broken
 from tests.helpers.resources import no_descriptors_left
 from tests.helpers.robots import so101
+from tests.helpers.waiting import until
 
 TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2
 
@@ -116,7 +117,7 @@ async def test_a_cancelled_worker_that_waits_for_a_core_is_waited_for(
     monkeypatch.setattr(pool_module, "CANCEL_TIMEOUT_S", 0.02)
     monkeypatch.setattr(pool_module, "read_run_delay_s", lambda _pid: time.monotonic())
     asking = asyncio.create_task(worker.ask(LONG, Scene(6)))
-    await asyncio.sleep(0.05)
+    await until(lambda: worker._answer is not None and not worker._answer.done())
     os.kill(worker.pid, signal.SIGSTOP)
     cancelling = asyncio.create_task(worker.cancel())
     await asyncio.sleep(0.2)
@@ -348,8 +349,7 @@ async def test_workers_that_died_while_idle_cost_no_goal(both_idle: PlannerPool)
 
 async def test_more_requests_than_may_wait_are_refused(both_idle: PlannerPool) -> None:
     asking = [asyncio.create_task(both_idle.ask(LONG)) for _ in range(MAX_WAITING + 1)]
-    await asyncio.sleep(0.1)
-    assert both_idle.waiting_count == MAX_WAITING
+    await until(lambda: both_idle.waiting_count == MAX_WAITING)
     answer = await both_idle.ask(EASY)
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.FAILURE
@@ -394,7 +394,7 @@ async def test_the_wait_for_a_worker_ends_where_the_pool_is_closed() -> None:
     waiting = asyncio.create_task(pool.wait_until_loaded())
     await asyncio.sleep(0)
     await pool.close()
-    assert await asyncio.wait_for(waiting, 5.0) is None
+    assert await asyncio.wait_for(waiting, 30.0) is None
 
 
 async def test_after_failed_starts_requests_wait_for_the_next_worker_that_loads(
@@ -614,4 +614,5 @@ async def test_a_worker_that_hangs_is_given_up_as_soon_on_a_busy_machine(on_a_bu
     answer = await on_a_busy_core.ask(broken(broken_planner.DEAF, allowed_time_s=0.1))
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.TIMED_OUT
-    assert time.monotonic() - began_s < 0.1 + pool_module.OVERTIME_S + 2.0
+    # Nobody waits for a core that it does not want.
+    assert time.monotonic() - began_s < budget.MAX_STARVED_S

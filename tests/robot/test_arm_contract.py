@@ -1,9 +1,10 @@
 """The contract of an arm: what a server may rely on, whatever is at the other end of the bus.
 
 It holds on each back end: the servos emulated in the arm process, of Feetech and of Dynamixel, Feetech's on a pseudo
-terminal, a scripted bus, the ideal arm, and, with ``--arm PORT,CALIBRATION``, is tried on a real arm. The tests
-turn the wrist by ``REACH_RAD`` from where the arm is found, and move the gripper by as much; nothing else moves.
-Emergency stops hold, and torque is taken off only where nothing falls; at the end the arm holds.
+terminal, in every state in which they may be found (:mod:`robot.emulator.populations`), a scripted bus, the ideal arm,
+and, with ``--arm PORT,CALIBRATION``, is tried on a real arm. The tests turn the wrist by ``REACH_RAD`` from where the
+arm is found, and move the gripper by as much; nothing else moves. Emergency stops hold, and torque is taken off only
+where nothing falls; at the end the arm holds.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from robot.arm import Arm
 from robot.calibration import Calibration, find_calibration
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
+from robot.emulator.populations import POPULATIONS
 from robot.hardware.config import (
     EmulatedConfig,
     EmulatedDynamixelConfig,
@@ -30,11 +32,11 @@ from robot.hardware.config import (
     HardwareConfig,
     IdealConfig,
 )
-from robot.messages import ArmConfig, ArmState, EmergencyPolicy, GuardLimits, Mode, MotionEnded, Order, Outcome
+from robot.messages import ArmConfig, ArmState, EmergencyPolicy, Mode, MotionEnded, Order, Outcome
 from robot.trajectory import Trajectory
 from tests.helpers import dynamixel
 from tests.helpers.motions import smooth_move
-from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration, so101
+from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration, recalibrated, so101
 from tests.helpers.scripted_servos import ScriptedServos
 from tests.robot.conftest import RunningEmulator, ScriptedPeer
 
@@ -113,9 +115,14 @@ NOMINAL = nominal_calibration()
 START_RAD = (0.1, -0.5, 0.4, 0.2, 0.1, 0.3)
 START = dict(zip((joint.joint for joint in NOMINAL.joints), START_RAD, strict=True))
 
-# The far end of a pseudo terminal is a program of this machine, which a busy machine has been seen to leave without a
-# core for 0.11 s: none of these tests is about silence.
-PATIENT = GuardLimits(silent_after_s=1.0)
+# Servos that get no torque before the arm was calibrated, or their ids were set.
+UNFIT = ("ros2_driver", "kit")
+
+REAL_TIME = (
+    *(f"pseudo terminal, {name}" for name in POPULATIONS if name != "kit"),
+    "scripted bus",
+    "real arm",
+)
 
 # Slow enough for a busy machine to notice that the arm is on its way before it is there.
 SLOW_S = 6.0
@@ -129,7 +136,7 @@ def place_with(
     model: RobotModel | None = None,
 ) -> Place:
     robot = within_calibration(model or so101(), calibration)
-    config = ArmConfig(robot, hardware, on_emergency_stop=EmergencyPolicy.HOLD, guard_limits=PATIENT)
+    config = ArmConfig(robot, hardware, on_emergency_stop=EmergencyPolicy.HOLD)
     return Place(config, may_fall)
 
 
@@ -137,25 +144,27 @@ def place_with(
     loop_scope="module",
     scope="module",
     params=[
-        "emulated",
+        *(f"emulated, {name}" for name in POPULATIONS if name not in UNFIT),
         "emulated Dynamixel servos",
         "ideal",
-        *(pytest.param(name, marks=pytest.mark.real_time) for name in ("pseudo terminal", "scripted bus", "real arm")),
+        *(pytest.param(name, marks=pytest.mark.real_time) for name in REAL_TIME),
     ],
 )
 async def place(request: pytest.FixtureRequest) -> AsyncIterator[Place]:
     named = request.config.getoption("--arm")
     bus: RunningEmulator | ScriptedPeer | None = None
-    if request.param == "emulated":
-        made = place_with(EmulatedConfig(NOMINAL, start_rad=START))
+    kind, _, population = request.param.partition(", ")
+    if kind == "emulated":
+        made = place_with(EmulatedConfig(NOMINAL, start_rad=START, population=population))
     elif request.param == "emulated Dynamixel servos":
         config = EmulatedDynamixelConfig(dynamixel.CALIBRATION, start_rad=START)
         made = place_with(config, dynamixel.CALIBRATION, model=dynamixel.KOCH.model)
     elif request.param == "ideal":
         made = place_with(IdealConfig(start_rad=START))
-    elif request.param == "pseudo terminal":
-        bus = RunningEmulator(f"--start={','.join(map(str, START_RAD))}")
-        made = place_with(FeetechConfig(NOMINAL, bus.port))
+    elif kind == "pseudo terminal":
+        bus = RunningEmulator(f"--start={','.join(map(str, START_RAD))}", "--population", population)
+        calibration = recalibrated(NOMINAL, POPULATIONS[population])
+        made = place_with(FeetechConfig(calibration, bus.port), calibration)
     elif request.param == "scripted bus":
         bus = ScriptedPeer(ScriptedServos(NOMINAL))
         made = place_with(FeetechConfig(NOMINAL, bus.port))

@@ -12,6 +12,7 @@ from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmState, Command, CommandDone, MotionEnded, Order, Outcome, Setpoint
 from robot.processes import StartedChild
 from tests.helpers.robots import nominal_calibration, so101
+from tests.helpers.waiting import until
 
 CONFIG = ArmConfig(so101(), FeetechConfig(nominal_calibration(), "/dev/does-not-exist"))
 
@@ -28,10 +29,8 @@ class ProcessRig:
         self.exits += 1
 
     async def until_message(self, kind: type) -> Any:
-        async with asyncio.timeout(10.0):
-            while not (found := [message for message in self.messages if isinstance(message, kind)]):
-                await asyncio.sleep(0.005)
-        return found[0]
+        await until(lambda: any(isinstance(message, kind) for message in self.messages))
+        return next(message for message in self.messages if isinstance(message, kind))
 
 
 @pytest.fixture
@@ -87,7 +86,7 @@ async def test_a_process_that_has_died_takes_no_orders(rig: ProcessRig) -> None:
 
 
 async def test_a_process_that_was_never_configured_ends_at_once(rig: ProcessRig) -> None:
-    await asyncio.wait_for(rig.process.end(60.0), 2.0)
+    await asyncio.wait_for(rig.process.kill(), 2.0)
     assert rig.exits == 1
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.channel import MAX_MESSAGE_BYTES, MAX_PENDING_BYTES, Channel, Decoder, encode
+from robot.channel import MAX_MESSAGE_BYTES, MAX_PENDING_BYTES, Channel, Decoder, encode, send_log
 from robot.logs import LoggerLevel
 
 
@@ -84,3 +84,14 @@ def test_a_change_of_a_level_is_for_the_channel_and_not_for_its_user(pair: tuple
     assert child.receive_first() == "config"
     assert child.receive(0.0) == ["next"]
     assert logging.getLogger("armbridge.test_processes").level == 40
+
+
+def test_a_process_sends_the_lines_of_its_log_to_the_other_end(pair: tuple[Channel, Channel]) -> None:
+    child, server = pair
+    handler = send_log(child, "robot.control.loop")
+    try:
+        logging.getLogger("armbridge.arm").warning("the arm %s", "sinks")
+    finally:
+        handler.close()
+    (line,) = server.receive(1.0)
+    assert (line.process, line.logger, line.text) == ("robot.control.loop", "armbridge.arm", "the arm sinks")

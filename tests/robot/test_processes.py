@@ -17,6 +17,7 @@ from robot import logs, processes
 from robot.logs import LoggerLevel
 from robot.processes import Child, DescriptorReserve, RestartDelay, StartedChild
 from tests.helpers.resources import no_descriptors_left
+from tests.helpers.waiting import TIMEOUT_S, until
 
 ECHO = "tests.helpers.echo_child"
 
@@ -32,19 +33,13 @@ def children_find_the_tests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
 
 
-async def until(received: list[Any], count: int) -> None:
-    async with asyncio.timeout(10.0):
-        while len(received) < count:
-            await asyncio.sleep(0.005)
-
-
 async def test_a_child_answers_in_order_whatever_the_size() -> None:
     received: list[Any] = []
     child = await start_echo(received, asyncio.Event())
     sent = [1, "two", b"3" * 1_000_000, {"four": [5.0]}]
     for message in sent:
         child.send(message)
-    await until(received, len(sent))
+    await until(lambda: len(received) >= len(sent))
     assert received == sent
     await child.kill()
 
@@ -53,11 +48,11 @@ async def test_a_signal_that_is_for_the_server_does_not_end_a_child() -> None:
     received: list[Any] = []
     child = await start_echo(received, asyncio.Event())
     child.send("ready?")
-    await until(received, 1)
+    await until(lambda: len(received) >= 1)
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1):
         os.kill(child.pid, number)
     child.send("still there?")
-    await until(received, 2)
+    await until(lambda: len(received) >= 2)
     await child.kill()
 
 
@@ -67,7 +62,7 @@ async def test_a_signal_that_is_for_the_server_does_not_end_a_child_that_has_onl
     child = await start_echo(received, asyncio.Event())
     os.kill(child.pid, number)
     child.send("there?")
-    await until(received, 1)
+    await until(lambda: len(received) >= 1)
     await child.kill()
 
 
@@ -81,8 +76,8 @@ async def test_the_end_of_a_child_is_reported_once() -> None:
     exited = asyncio.Event()
     child = await start_echo([], exited)
     os.kill(child.pid, signal.SIGKILL)
-    await asyncio.wait_for(exited.wait(), 5.0)
-    await child.wait(1.0)
+    await asyncio.wait_for(exited.wait(), TIMEOUT_S)
+    await child.wait(TIMEOUT_S)
     assert not child.running
     child.send("nobody hears this")
 
@@ -92,14 +87,14 @@ async def test_the_last_messages_of_a_child_that_has_ended_are_delivered() -> No
     exited = asyncio.Event()
     child = await start_echo(received, exited)
     child.send("ready?")
-    await until(received, 1)
+    await until(lambda: len(received) >= 1)
     for _ in range(3):
         child.send("last")
     child.send("close")
     # The event loop stands still meanwhile: nothing of what the child sends has been read when it has ended.
     while child.running:
         time.sleep(0.001)  # noqa: ASYNC251 - see above
-    await child.wait(1.0)
+    await child.wait(TIMEOUT_S)
     assert received == ["ready?", "last", "last", "last"]
     assert exited.is_set()
 
@@ -108,17 +103,18 @@ async def test_a_child_ends_when_its_server_does() -> None:
     exited = asyncio.Event()
     child = await start_echo([], exited)
     child.send("close")
-    await asyncio.wait_for(exited.wait(), 5.0)
-    await child.wait(1.0)
+    await asyncio.wait_for(exited.wait(), TIMEOUT_S)
+    await child.wait(TIMEOUT_S)
 
 
-async def test_a_child_that_does_not_end_is_ended_by_force() -> None:
+async def test_a_child_that_does_not_end_is_ended_by_force_and_told_of(caplog: pytest.LogCaptureFixture) -> None:
     received: list[Any] = []
     child = await start_echo(received, asyncio.Event())
     child.send("ready?")
-    await until(received, 1)
-    await asyncio.wait_for(child.wait(0.1), 5.0)
+    await until(lambda: len(received) >= 1)
+    await asyncio.wait_for(child.wait(0.1), TIMEOUT_S)
     assert not child.running
+    assert f"process {child.pid} has not ended within 0.1 s and is killed" in caplog.text
 
 
 @pytest.mark.parametrize("garbage", [b"\xff\xff\xff\xff", b"\x04\x00\x00\x00what"], ids=["huge", "no pickle"])
@@ -127,8 +123,8 @@ async def test_a_child_that_sends_garbage_is_ended_and_its_end_reported(garbage:
     child = Child(StartedChild(ECHO), lambda _message: None, exited.set)
     await child.connect()
     child.send(("raw", garbage))
-    await asyncio.wait_for(exited.wait(), 5.0)
-    await child.wait(5.0)
+    await asyncio.wait_for(exited.wait(), TIMEOUT_S)
+    await child.wait(TIMEOUT_S)
     assert child.ending == "SIGKILL"
 
 
@@ -137,7 +133,7 @@ async def test_how_a_child_ended_is_reported() -> None:
     child = await start_echo([], exited)
     assert child.ending == "it still runs"
     child.send("close")
-    await child.wait(5.0)
+    await child.wait(TIMEOUT_S)
     assert child.ending == "exit code 0"
 
 
@@ -155,7 +151,7 @@ async def test_an_error_in_serving_one_message_does_not_make_the_server_deaf(
     await child.connect()
     for message in ("good", "bad", "good again"):
         child.send(message)
-    await until(received, 2)
+    await until(lambda: len(received) >= 2)
     assert received == ["good", "good again"]
     assert "serving a message" in caplog.text
     await child.kill()
@@ -176,7 +172,7 @@ async def test_a_level_is_changed_in_children_that_run_and_in_those_that_follow(
     for child in (first, second):
         child.send(("log", "armbridge.echo", logging.DEBUG, "said"))
         child.send("done")
-    await until(received, 2)
+    await until(lambda: len(received) >= 2)
     assert capfd.readouterr().err.count("DEBUG   armbridge.echo: said") == 2
     assert logging.getLogger("armbridge.echo").level == logging.DEBUG
     await first.kill()
@@ -191,7 +187,7 @@ async def test_a_child_logs_as_its_server_does(
     child = await start_echo(received, asyncio.Event())
     child.send(("log", "armbridge.echo_json", logging.ERROR, "said"))
     child.send("done")
-    await until(received, 1)
+    await until(lambda: len(received) >= 1)
     (line,) = [json.loads(line) for line in capfd.readouterr().err.splitlines()]
     assert (line["process"], line["pid"], line["message"]) == (ECHO, child.pid, "said")
     await child.kill()

@@ -25,7 +25,16 @@ from robot.hardware.dynamixel.registers import (
 from robot.hardware.dynamixel.servo_map import ServoMap
 from robot.hardware.dynamixel.survey import RegisterChecks, ServoFound, limits_of, refusal, survey
 from robot.hardware.dynamixel.torque import ServoTorque
-from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, StatusFlag, Steps, Survey
+from robot.hardware.interface import (
+    Actuation,
+    Condition,
+    Flags,
+    HardwareInterface,
+    Measured,
+    StatusFlag,
+    Steps,
+    Survey,
+)
 from robot.hardware.port import resolve_port
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
@@ -121,6 +130,9 @@ class DynamixelHardware(HardwareInterface):
             driven=driven,
             goal_rad=np.where(driven, goal_rad, np.nan),
             max_voltage_v=np.array([each.max_voltage_v for each in found]),
+            # Its overload protection counts the load of seconds by a rule that no document states.
+            actuation=Actuation.unprotected(len(found)),
+            reply_latency_s=self.bus.latency_s,
         )
 
     def read(self) -> Measured | None:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robot.calibration import RAD_PER_TICK, Calibration
+from robot.commissioning.calibrate import read_differences, write_to_servos
 from robot.description.limits import JointBounds
 from robot.errors import StartupError
 from robot.faults import Fault
@@ -20,6 +21,7 @@ from robot.hardware.config import FeetechConfig
 from robot.hardware.feetech import torque
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.packets import StatusFrame
+from robot.hardware.feetech.profiles import FACTORY, ServoProfile
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
     CONTROL_BYTES,
@@ -33,11 +35,13 @@ from robot.hardware.feetech.registers import (
     parse_telemetry,
 )
 from robot.hardware.feetech.servo_map import PERMILLE, ServoMap
-from robot.hardware.feetech.survey import RegisterChecks, ServoFound, read_control, survey
+from robot.hardware.feetech.settings import ServoSettings
+from robot.hardware.feetech.survey import RegisterChecks, ServoFound, offset_refusal, read_control, survey
 from robot.hardware.feetech.torque import TickLimits
 from robot.hardware.interface import (
     FREE_SPEED_RAD_S,
     JUMP_RAD,
+    Actuation,
     Condition,
     Flags,
     HardwareInterface,
@@ -85,7 +89,10 @@ class SerialServos:
     def open(self) -> HardwareInterface:
         """Open the port; see :func:`robot.hardware.port.open_port` for the errors."""
         bus = Bus.open(resolve_port(self._config.port))
-        return FeetechHardware(bus, self._config.calibration, self._bounds, self._guard_limits, self._clock)
+        config = self._config
+        return FeetechHardware(
+            bus, config.calibration, self._bounds, self._guard_limits, self._clock, profile=config.profile
+        )
 
 
 class FeetechHardware(HardwareInterface):
@@ -97,6 +104,7 @@ class FeetechHardware(HardwareInterface):
         bounds: soft limits of the joints.
         guard_limits: torque limits.
         clock: time of the control loop [s].
+        profile: settings that the servos should have; None for those of the known profile that is nearest.
         simulated: True for emulated servos, without cable and supply to check.
 
     Attributes:
@@ -112,6 +120,7 @@ class FeetechHardware(HardwareInterface):
         guard_limits: GuardLimits,
         clock: Callable[[], float],
         *,
+        profile: ServoProfile | None = None,
         simulated: bool = False,
     ) -> None:
         self.bus = bus
@@ -121,6 +130,7 @@ class FeetechHardware(HardwareInterface):
         self._calibration = calibration
         self._bounds = bounds
         self._clock = clock
+        self._profile = profile
         self._simulated = simulated
         self._watch = ServoWatch(self.servos)
         self._found: dict[int, ServoFound] = {}
@@ -133,9 +143,12 @@ class FeetechHardware(HardwareInterface):
 
     def survey(self) -> Steps[Survey]:
         """Survey the servos; see :meth:`HardwareInterface.survey`."""
-        self._found.update((yield from survey(self.bus, self.servos, simulated=self._simulated)))
+        self._found.update((yield from survey(self.bus, self.servos, self._profile, simulated=self._simulated)))
         found = [self._found[servo] for servo in self.servos.ids]
-        own_limits = {servo: each.angle_limits_ticks for servo, each in self._found.items()}
+        actuation = _actuation([each.settings for each in found])
+        self.servos.limit_torque(actuation.max_torque)
+        self.full_torque = self.servos.full_torque / PERMILLE
+        own_limits = {servo: each.settings.angle_limits_ticks for servo, each in self._found.items()}
         bounds = self._bounds.within_servos(self._calibration, own_limits)
         self._limits = TickLimits(self.servos.ticks_range(bounds), own_limits)
         driven = np.array([each.control.torque_on for each in found])
@@ -144,7 +157,9 @@ class FeetechHardware(HardwareInterface):
             bounds=bounds,
             driven=driven,
             goal_rad=np.where(driven, goal_rad, np.nan),
-            max_voltage_v=np.array([each.max_voltage_v for each in found]),
+            max_voltage_v=np.array([each.settings.max_voltage_v for each in found]),
+            actuation=actuation,
+            reply_latency_s=self.bus.latency_s,
         )
 
     def read(self) -> Measured | None:
@@ -194,6 +209,8 @@ class FeetechHardware(HardwareInterface):
         """
         if not self._simulated and not self._calibration.zero_is_known:
             raise StartupError(NO_ZERO)
+        if self._calibration.offsets_known and (reason := offset_refusal(self.servos, self._found)):
+            raise StartupError(reason)
         goals = yield from torque.enable(self.bus, self.servos, self._limits, self._ids(joints))
         self._checks.expect(torque.full_torque(self.servos))
         return self.servos.rad_from_ticks(goals)
@@ -226,15 +243,25 @@ class FeetechHardware(HardwareInterface):
         self._checks.expect(torque.full_torque(self.servos))
         return self.servos.rad_from_ticks(goals)
 
+    def write_calibration(self, calibration: Calibration) -> Steps[str]:
+        """Write homing offsets and angle limits, where they differ; see :mod:`robot.commissioning.calibrate`."""
+        changes = yield from read_differences(self.bus, calibration)
+        yield from write_to_servos(self.bus, changes)
+        servos = {change.servo_id for change in changes}
+        return f"{len(changes)} registers of {len(servos)} servos were written" if changes else "nothing had to change"
+
     def condition(self, joint: int) -> Condition:
         """Return the condition of one servo."""
         servo = self.servos.ids[joint]
+        found = self._found.get(servo)
         return Condition(
             hardware_id=f"servo {servo}",
             torque_enabled=self._checks.torque_on.get(servo),
             age_s=self._watch.age_s(servo, self._clock()),
             silent_cycles=self._watch.silent_cycles[servo],
-            warnings=self._found[servo].warnings if servo in self._found else (),
+            warnings=() if found is None else found.warnings,
+            registers={} if found is None else found.settings.by_name(),
+            expected={} if found is None else {register.name: value for register, value in found.expected.items()},
         )
 
     def label(self, joint: int) -> str:
@@ -258,6 +285,18 @@ class FeetechHardware(HardwareInterface):
             limits = zip(self.servos.ids, share, strict=True)
             self._share, self._share_permille = share, {servo: round(limit * PERMILLE) for servo, limit in limits}
         return self._share_permille
+
+
+def _actuation(settings: Sequence[ServoSettings]) -> Actuation:
+    """Return the strength of servos with these settings."""
+    factory_gain = FACTORY.registers[Register.P_GAIN]
+    return Actuation(
+        stiffness=np.array([each[Register.P_GAIN] / factory_gain for each in settings]),
+        max_torque=np.array([each.max_torque for each in settings]),
+        overload_torque=np.array([each.overload_torque for each in settings]),
+        overload_time_s=np.array([each.protection_time_s for each in settings]),
+        overload_current_a=np.array([each.protection_current_a for each in settings]),
+    )
 
 
 class ServoWatch:

@@ -137,8 +137,8 @@ LAYOUT: Mapping[Register, Layout] = MappingProxyType(
     }
 )
 
-# Register MODEL_NUMBER of an STS3215.
-MODEL_STS3215 = 777
+# Register MODEL_NUMBER of the servos whose registers are these: Feetech's STS series.
+MODELS: Mapping[str, int] = MappingProxyType({"sts3215": 777, "sts3250": 2825})
 
 TELEMETRY_ADDRESS = Register.PRESENT_POSITION
 TELEMETRY_BYTES = 15
@@ -262,12 +262,14 @@ class Control:
         acceleration: register ACCELERATION, 0 after power-up.
         goal_ticks: register GOAL_POSITION.
         torque_limit_permille: register TORQUE_LIMIT, MAX_TORQUE after power-up.
+        locked: True if changes of the EPROM do not outlive a power cut, as after power-up.
     """
 
     torque_on: bool
     acceleration: int
     goal_ticks: int
     torque_limit_permille: int
+    locked: bool = True
 
 
 def parse_control(data: bytes) -> Control:
@@ -289,6 +291,7 @@ def parse_control(data: bytes) -> Control:
         acceleration=value(Register.ACCELERATION),
         goal_ticks=value(Register.GOAL_POSITION),
         torque_limit_permille=value(Register.TORQUE_LIMIT),
+        locked=value(Register.LOCK) == 1,
     )
 
 

@@ -60,6 +60,14 @@ class ServoMap:
         full, gripper = round(limits.torque_limit * PERMILLE), round(limits.gripper_torque_limit * PERMILLE)
         self.full_torque = np.array([gripper if joint.servo.gripper else full for joint in self.joints])
 
+    def limit_torque(self, max_torque: Vector) -> None:
+        """Lower :attr:`full_torque` to what the servos are set to give.
+
+        Args:
+            max_torque: largest share of full duty, shape (joints,).
+        """
+        self.full_torque = np.minimum(self.full_torque, np.round(max_torque * PERMILLE).astype(int))
+
     def label(self, servo_id: int) -> str:
         """Return a servo's joint and id for people."""
         return f"{self.by_id[servo_id].joint} (id {servo_id})"

@@ -10,23 +10,27 @@ show. So the control block of one servo at a time is read back and compared with
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import cycle
 
 from robot.calibration import JointCalibration
 from robot.errors import NoReply, StartupError
 from robot.faults import Fault, FaultCode
-from robot.hardware.feetech.bus import STEP_ATTEMPTS, Bus, read, read_block
+from robot.hardware.feetech.bus import STEP_ATTEMPTS, Bus, read_block
+from robot.hardware.feetech.profiles import ServoProfile, meaning, nearest_profile
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
     CONTROL_BYTES,
-    MODEL_STS3215,
-    VOLT_PER_UNIT,
+    MODELS,
     Control,
     Register,
     parse_control,
 )
 from robot.hardware.feetech.servo_map import ServoMap
+from robot.hardware.feetech.settings import SETTINGS_ADDRESS, SETTINGS_BYTES, ServoSettings, parse_settings
 from robot.hardware.interface import Steps
 
 # Register OPERATING_MODE of a servo that follows position goals.
@@ -50,41 +54,87 @@ class ServoFound:
     """Servo as surveyed.
 
     Attributes:
+        model: register MODEL_NUMBER.
         control: commands that it holds.
-        angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT.
-        max_voltage_v: register MAX_VOLTAGE [V].
-        max_torque_permille: register MAX_TORQUE, the value of TORQUE_LIMIT after power-up.
+        settings: its settings.
         warnings: warnings, a sentence each.
+        expected: values of the settings that differ from the profile.
     """
 
+    model: int
     control: Control
-    angle_limits_ticks: tuple[int, int]
-    max_voltage_v: float
-    max_torque_permille: int
+    settings: ServoSettings
     warnings: tuple[str, ...] = ()
+    expected: Mapping[Register, int] = field(default_factory=dict)
 
 
-def survey(bus: Bus, servos: ServoMap, *, simulated: bool = False) -> Steps[dict[int, ServoFound]]:
+def survey(
+    bus: Bus,
+    servos: ServoMap,
+    profile: ServoProfile | None = None,
+    *,
+    simulated: bool = False,
+) -> Steps[dict[int, ServoFound]]:
     """Survey every servo of the arm, without writing.
 
     Args:
         bus: an open bus.
         servos: servos of the arm.
+        profile: settings that they should have; None for those of the known profile that is nearest.
         simulated: True for emulated servos, without cable and supply to check.
 
     Returns:
         Servos by id.
 
     Raises:
-        StartupError: a servo is missing, or is not an STS3215 in position mode.
+        StartupError: a servo is missing, is of an unknown model, or is not in position mode.
         NoReply: a servo stopped answering.
         PortLost: the port is gone.
     """
-    yield from _check_present(bus, servos, simulated=simulated)
+    models = yield from _check_present(bus, servos, simulated=simulated)
     found = {}
     for joint in servos.joints:
-        found[joint.servo_id] = yield from _look_at(bus, joint)
+        servo = joint.servo_id
+        settings = yield from read_settings(bus, servo)
+        _check_mode(joint, settings)
+        found[servo] = ServoFound(models[servo], (yield from read_control(bus, servo)), settings)
+    held = [(found[joint.servo_id].settings, joint.servo.gripper) for joint in servos.joints]
+    expected = nearest_profile(held) if profile is None else profile
+    versions = Counter(settings.firmware for settings, _ in held)
+    usual_firmware = max(versions, key=lambda version: (versions[version], version))
+    for joint in servos.joints:
+        plain = found[joint.servo_id]
+        compared = replace(plain, expected=expected.differences(plain.settings, gripper=joint.servo.gripper))
+        warnings = tuple(_warnings(joint, compared, expected.name, usual_firmware))
+        found[joint.servo_id] = replace(compared, warnings=warnings)
     return found
+
+
+def offset_refusal(servos: ServoMap, found: Mapping[int, ServoFound]) -> str:
+    """Return the reason not to drive servos whose zero has shifted since the calibration, empty for none.
+
+    A servo subtracts its homing offset from the encoder's position, so that with another one every position means
+    another angle.
+
+    Args:
+        servos: servos of the arm.
+        found: servos as surveyed, by id.
+    """
+    shifted = []
+    for joint in servos.joints:
+        held = found[joint.servo_id].settings[Register.HOMING_OFFSET]
+        if held != joint.homing_offset:
+            angle_deg = math.degrees(abs(joint.rad_s_from_ticks_s(held - joint.homing_offset)))
+            shifted.append(
+                f"{servos.label(joint.servo_id)} by {angle_deg:.1f} deg ({held} instead of {joint.homing_offset} ticks)"
+            )
+    if not shifted:
+        return ""
+    return (
+        f"the zero has shifted since the calibration at {', '.join(shifted)}: another program has written other homing "
+        "offsets into the servos. Either calibrate the arm anew (armbridge calibrate NAME --write-servos), or write "
+        "the calibrated offsets back (armbridge calibrate NAME --write-back)"
+    )
 
 
 def read_control(bus: Bus, servo_id: int) -> Steps[Control]:
@@ -96,6 +146,17 @@ def read_control(bus: Bus, servo_id: int) -> Steps[Control]:
     """
     frame = yield from read_block(bus, servo_id, CONTROL_ADDRESS, CONTROL_BYTES)
     return parse_control(frame.data)
+
+
+def read_settings(bus: Bus, servo_id: int) -> Steps[ServoSettings]:
+    """Read the settings of a servo in one transaction, as a sequence.
+
+    Raises:
+        NoReply: the servo gave no valid reply.
+        PortLost: the port is gone.
+    """
+    frame = yield from read_block(bus, servo_id, SETTINGS_ADDRESS, SETTINGS_BYTES)
+    return parse_settings(frame.data)
 
 
 class RegisterChecks:
@@ -150,7 +211,7 @@ class RegisterChecks:
         wanted = self._expected.get(servo_id)
         if wanted != control.torque_limit_permille:
             self._expected.pop(servo_id, None)
-        fresh = self._found[servo_id].max_torque_permille
+        fresh = self._found[servo_id].settings[Register.MAX_TORQUE]
         rebooted = control.torque_limit_permille == fresh != wanted
         joint = self._servos.by_id[servo_id].joint
         if rebooted and wanted is not None:
@@ -160,20 +221,32 @@ class RegisterChecks:
         return None
 
 
-def _check_present(bus: Bus, servos: ServoMap, *, simulated: bool) -> Steps[None]:
-    missing = []
+def _check_present(bus: Bus, servos: ServoMap, *, simulated: bool) -> Steps[dict[int, int]]:
+    """Return the model number of each servo, by id."""
+    models = {}
     for joint in servos.joints:
         model = yield from _ping(bus, joint.servo_id)
-        if model is None:
-            missing.append(servos.label(joint.servo_id))
-        elif model != MODEL_STS3215:
-            raise StartupError(
-                f"servo {joint.servo_id} ({joint.joint}) is model {model}, not an STS3215 ({MODEL_STS3215})"
-            )
-    if len(missing) == len(servos.joints):
+        if model is not None:
+            models[joint.servo_id] = model
+    if not models:
         raise StartupError(f"no servo answers{'' if simulated else NONE_ANSWERS_ADVICE}")
-    if missing:
+    if missing := [servos.label(joint.servo_id) for joint in servos.joints if joint.servo_id not in models]:
         raise StartupError(f"no answer from {', '.join(missing)}{'' if simulated else MISSING_ADVICE}")
+    for joint in servos.joints:
+        model = models[joint.servo_id]
+        if model not in (_named_model(joint), *MODELS.values()):
+            known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
+            raise StartupError(
+                f"servo {joint.servo_id} ({joint.joint}) is model {model}, none of {known}: if it is a clone with "
+                f'their registers, write model = "{model}" for it into the robot.toml of the arm'
+            )
+    return models
+
+
+def _named_model(joint: JointCalibration) -> int:
+    """Return the model number that the robot's folder names, by name or by number."""
+    name = joint.servo.model
+    return int(name) if name.isdecimal() else MODELS.get(name, MODELS["sts3215"])
 
 
 def _ping(bus: Bus, servo_id: int) -> Steps[int | None]:
@@ -184,28 +257,40 @@ def _ping(bus: Bus, servo_id: int) -> Steps[int | None]:
     return None
 
 
-def _look_at(bus: Bus, joint: JointCalibration) -> Steps[ServoFound]:
-    servo = joint.servo_id
-    mode = yield from read(bus, servo, Register.OPERATING_MODE)
+def _check_mode(joint: JointCalibration, settings: ServoSettings) -> None:
+    mode = settings[Register.OPERATING_MODE]
     if mode != POSITION_MODE:
-        raise StartupError(f"servo {servo} ({joint.joint}) is in operating mode {mode}, not position mode 0")
-    lowest = yield from read(bus, servo, Register.MIN_ANGLE_LIMIT)
-    highest = yield from read(bus, servo, Register.MAX_ANGLE_LIMIT)
-    phase = yield from read(bus, servo, Register.PHASE)
-    return ServoFound(
-        control=(yield from read_control(bus, servo)),
-        angle_limits_ticks=(lowest, highest),
-        max_voltage_v=(yield from read(bus, servo, Register.MAX_VOLTAGE)) * VOLT_PER_UNIT,
-        max_torque_permille=(yield from read(bus, servo, Register.MAX_TORQUE)),
-        warnings=_warnings(joint, (lowest, highest), phase),
-    )
+        raise StartupError(
+            f"servo {joint.servo_id} ({joint.joint}) is in operating mode {mode}, not position mode {POSITION_MODE}: "
+            "armbridge setup --registers sets it"
+        )
 
 
-def _warnings(joint: JointCalibration, limits_ticks: tuple[int, int], phase: int) -> tuple[str, ...]:
-    said = []
+def _warnings(
+    joint: JointCalibration, found: ServoFound, profile: str, usual_firmware: tuple[int, int]
+) -> Iterator[str]:
+    settings = found.settings
+    if found.model != _named_model(joint):
+        yield f"the servo is model {found.model}, not {_named_model(joint)}: its speed and torque may be others"
     calibrated = joint.range_min, joint.range_max
-    if max(abs(a - b) for a, b in zip(limits_ticks, calibrated, strict=True)) > LIMITS_AGREE_WITHIN_TICKS:
-        said.append(f"the servo's angle limits {limits_ticks} differ from the calibrated range {calibrated} ticks")
-    if phase & PHASE_MULTI_TURN:
-        said.append("the servo counts several turns (register PHASE, bit 4), so that its position may overflow")
-    return tuple(said)
+    limits = settings.angle_limits_ticks
+    if max(abs(a - b) for a, b in zip(limits, calibrated, strict=True)) > LIMITS_AGREE_WITHIN_TICKS:
+        yield f"the servo's angle limits {limits} differ from the calibrated range {calibrated} ticks"
+    if settings[Register.PHASE] & PHASE_MULTI_TURN:
+        yield "the servo counts several turns (register PHASE, bit 4), so that its position may overflow"
+    if settings[Register.RETURN_DELAY]:
+        yield f"{meaning(Register.RETURN_DELAY, settings[Register.RETURN_DELAY])}: set register RETURN_DELAY to 0"
+    if not found.control.locked:
+        yield (
+            "the servo's EPROM is unlocked (register LOCK), as lerobot leaves it, so that what is written by mistake "
+            "stays: armbridge setup --registers locks it"
+        )
+    if settings.firmware != usual_firmware:
+        yield "the servo has firmware {}.{}, most others {}.{}".format(*settings.firmware, *usual_firmware)
+    for register, value in found.expected.items():
+        held = settings[register]
+        consequence = meaning(register, held)
+        yield (
+            f"register {register.name} is {held}, not {value} as in the profile {profile}"
+            f"{consequence and f': {consequence}'}"
+        )

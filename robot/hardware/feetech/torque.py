@@ -192,11 +192,17 @@ def clear_overload(bus: Bus, servos: ServoMap, limits: TickLimits, servo_id: int
     """Switch a servo whose overload protection has latched off, and on at its position.
 
     Raises:
-        StartupError: it does not take a value, or moves.
+        StartupError: it ignores torque off, does not take a value, or moves.
         NoReply: the servo gave no valid reply.
         PortLost: the port is gone.
     """
-    yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 0)
+    try:
+        yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 0)
+    except StartupError as error:
+        raise StartupError(
+            f"the overload of {servos.label(servo_id)} stays latched, and the servo ignores torque off: switch the "
+            "servos' supply off and on"
+        ) from error
     yield from _switch_on(bus, servos, servo_id, limits)
 
 

@@ -3,12 +3,18 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from robot.calibration import Calibration
-from robot.commissioning.calibrate import MIDDLE_TICK, Sweep, calibrate, differences, write_to_servos
+from robot.calibration import MAX_TICK, Calibration
+from robot.commissioning.calibrate import (
+    Swept,
+    calibrate,
+    differences,
+    needs_middle,
+    read_differences,
+    write_to_servos,
+)
 from robot.commissioning.scan import scan
+from robot.commissioning.sweep import Sweep
 from robot.errors import CalibrationError
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end
@@ -17,64 +23,67 @@ from tests.helpers.server import read_write_log
 
 IDS = tuple(spec.servo_id for spec in SO101_SERVOS)
 NO_OFFSETS = dict.fromkeys(IDS, 0)
+GRIPPER, ROLL = SO101_SERVOS[-1], SO101_SERVOS[4]
 
 
-def swept(middle, lowest, highest):
-    """A sweep of every joint about its middle, as a servo reports it: within one turn."""
-    sweep = Sweep(dict.fromkeys(IDS, middle))
-    for stop in (lowest, highest):
-        step = 100 if stop > middle else -100
-        for ticks in [*range(middle, stop, step), stop]:
-            sweep.add(dict.fromkeys(IDS, ticks % 4096))
-        sweep.add(dict.fromkeys(IDS, middle % 4096))
-    return sweep
+def swept(lowest=900, highest=3100, *, middles=None, drive_modes=None):
+    """A sweep of every joint but the free one between two ticks."""
+    sweep = Sweep(dict.fromkeys(IDS, 2000))
+    for stop in (lowest, highest, 2000):
+        for ticks in range(sweep.present[1], stop, 500 if stop > sweep.present[1] else -500):
+            sweep.add({servo: ticks for servo in IDS if servo != ROLL.servo_id})
+        sweep.add({servo: stop for servo in IDS if servo != ROLL.servo_id})
+    return Swept(sweep, NO_OFFSETS, {ROLL.servo_id: 2000} if middles is None else middles, drive_modes or {})
 
 
-def test_a_sweep_remembers_how_far_each_joint_was_moved():
-    sweep = swept(2000, 900, 3100)
-    assert (sweep.lowest[3], sweep.present[3], sweep.highest[3]) == (900, 2000, 3100)
-
-
-@given(st.integers(0, 4095), st.integers(-1500, -300), st.integers(300, 1500), st.integers(-2047, 2047))
-def test_wherever_the_encoder_stands_the_new_offset_puts_the_middle_in_the_middle(middle, down, up, offset):
-    sweep = swept(middle, middle + down, middle + up)
-    calibration = calibrate(SO101_SERVOS, sweep, dict.fromkeys(IDS, offset), recentre=True)
-    for joint in calibration.joints:
-        moved_frame = (middle + offset - joint.homing_offset) % 4096
-        assert abs(moved_frame - MIDDLE_TICK) <= 1
-        assert abs(joint.homing_offset) <= 2047
-        if joint.joint != "wrist_roll":
-            assert (joint.range_min, joint.range_max) == (moved_frame + down, moved_frame + up)
-
-
-def test_without_new_offsets_the_ranges_are_what_the_servos_report():
-    calibration = calibrate(SO101_SERVOS, swept(2050, 900, 3100), dict.fromkeys(IDS, 37), recentre=False)
+def test_every_joint_gets_the_middle_of_its_sweep_and_a_free_one_the_middle_that_was_shown():
+    calibration = calibrate(SO101_SERVOS, swept(), recentre=True)
     elbow, roll = calibration.joints[2], calibration.joints[4]
-    assert (elbow.homing_offset, elbow.range_min, elbow.range_max) == (37, 900, 3100)
-    assert (roll.range_min, roll.range_max) == (0, 4095)
+    assert (elbow.homing_offset, elbow.range_min, elbow.range_max) == (-47, 947, 3147)
+    assert (roll.homing_offset, roll.range_min, roll.range_max) == (-47, 0, MAX_TICK)
 
 
-def test_a_range_across_the_seam_is_refused_and_new_offsets_are_named_as_the_remedy():
-    sweep = swept(300, 300 - 1000, 300 + 1000)
-    with pytest.raises(CalibrationError, match=r"-700 to 1300 ticks crosses the seam .*--write-servos"):
-        calibrate(SO101_SERVOS, sweep, NO_OFFSETS, recentre=False)
-    calibrate(SO101_SERVOS, sweep, NO_OFFSETS, recentre=True)
+def test_a_free_joint_that_met_its_stops_is_calibrated_by_them():
+    measured = swept(middles={})
+    assert needs_middle(ROLL, measured.sweep)
+    for ticks in (3000, 3981, 2000, 1000, 113):
+        measured.sweep.add({ROLL.servo_id: ticks})
+    assert not needs_middle(ROLL, measured.sweep)
+    roll = calibrate(SO101_SERVOS, measured, recentre=True).joints[4]
+    assert (roll.homing_offset, roll.range_min, roll.range_max) == (0, 113, 3981)
+
+
+def test_a_free_joint_without_stops_or_a_middle_is_named():
+    with pytest.raises(CalibrationError, match="wrist_roll"):
+        calibrate(SO101_SERVOS, swept(middles={}), recentre=True)
 
 
 def test_a_joint_that_was_not_moved_is_named():
     with pytest.raises(CalibrationError, match="shoulder_pan: was moved by 30 ticks"):
-        calibrate(SO101_SERVOS, swept(2047, 2030, 2060), NO_OFFSETS, recentre=False)
+        calibrate(SO101_SERVOS, swept(1990, 2020), recentre=False)
 
 
-def test_a_free_joint_off_the_formats_middle_needs_a_new_offset():
-    sweep = swept(2047, 900, 3100)
-    sweep.middle[5] = 2500
-    with pytest.raises(CalibrationError, match="wrist_roll: its middle is tick 2500"):
-        calibrate(SO101_SERVOS, sweep, NO_OFFSETS, recentre=False)
+def test_a_mirrored_gripper_is_closed_at_its_higher_tick():
+    plain, mirrored = (
+        calibrate(SO101_SERVOS, swept(drive_modes={GRIPPER.servo_id: mode}), recentre=True).joints[-1]
+        for mode in (0, 1)
+    )
+    assert plain.rad_from_ticks(plain.range_min) == pytest.approx(GRIPPER.lower_rad)
+    assert mirrored.drive_mode == 1
+    assert mirrored.rad_from_ticks(mirrored.range_max) == pytest.approx(GRIPPER.lower_rad)
 
 
 def test_servos_that_hold_the_calibration_differ_in_nothing(bus):
     assert differences(nominal_calibration(), scan(bus, IDS).servos) == []
+    assert run_to_end(read_differences(bus, nominal_calibration())) == []
+
+
+def test_what_the_bus_reads_differs_as_what_a_scan_has_read(bus):
+    elbow = replace(nominal_calibration().joints[2], range_min=950, homing_offset=-12)
+    wanted = Calibration((*nominal_calibration().joints[:2], elbow, *nominal_calibration().joints[3:]))
+    found = run_to_end(read_differences(bus, wanted))
+    assert found == differences(wanted, scan(bus, IDS).servos)
+    assert [each.register for each in found] == [Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT]
 
 
 def test_only_what_differs_is_written_and_it_outlives_a_power_cut(start_emulator, write_log):

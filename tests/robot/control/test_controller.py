@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot.control.assumptions import Assumptions
 from robot.control.checks import START_TOLERANCE_RAD
 from robot.control.controller import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, ArmController
-from robot.control.guards import DROOP_RAD, Guards, Temperatures
+from robot.control.guards import Guards, Temperatures
 from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import StatusFlag
+from robot.hardware.interface import Actuation, StatusFlag
 from robot.messages import (
     ChangePace,
     Continuation,
@@ -40,10 +41,15 @@ LIMITS = GuardLimits()
 class Rig:
     """A controller, its clock, and an arm that follows its goals exactly."""
 
-    def __init__(self, hold_rad: list[float] | None = None, *, simulated: bool = False) -> None:
+    def __init__(
+        self, hold_rad: list[float] | None = None, *, simulated: bool = False, actuation: Actuation | None = None
+    ) -> None:
         self.now_s = 100.0
         full_torque = np.array([0.8] * 5 + [0.5])
-        self.controller = ArmController(NAMES, BOUNDS, Guards(NAMES), full_torque, Temperatures(), simulated=simulated)
+        guards = Guards(NAMES)
+        if actuation is not None:
+            guards = Guards(NAMES, assumptions=Assumptions.of(LIMITS, actuation, full_torque))
+        self.controller = ArmController(NAMES, BOUNDS, guards, full_torque, Temperatures(), simulated=simulated)
         self.controller.hold(np.array(hold_rad or [0.0] * 6))
         self.controller.step(reading(self.controller.goal_rad), self.now_s)
         self.goals = [self.controller.goal_rad]
@@ -359,7 +365,7 @@ def test_after_a_stall_the_goal_goes_back_to_where_the_joint_is() -> None:
     rig.controller.execute(Execute(1, smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=4.0)))
     blocked(rig, 400)
     blocked(rig, 100)
-    assert rig.controller.goal_rad[0] == pytest.approx(BLOCKED_RAD, abs=DROOP_RAD)
+    assert rig.controller.goal_rad[0] == pytest.approx(BLOCKED_RAD, abs=LIMITS.goal_tolerance_rad)
 
 
 def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque() -> None:
@@ -377,6 +383,66 @@ def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque(
     assert rig.controller.fault is None
     assert rig.controller.goal_rad[5] == pytest.approx(object_rad - SQUEEZE_RAD)
     assert rig.controller.torque_limit[5] == pytest.approx(0.5 * GRIP_TORQUE_SHARE)
+
+
+# As lerobot leaves them: half the gain, and a gripper whose overload protection begins at a quarter of its torque.
+LEROBOT = Actuation(
+    stiffness=np.full(6, 0.5),
+    max_torque=np.array([1.0] * 5 + [0.5]),
+    overload_torque=np.array([0.8] * 5 + [0.25]),
+    overload_time_s=np.full(6, 2.0),
+    overload_current_a=np.array([3.25] * 5 + [1.625]),
+)
+PUSHING = [0, 0, 0, 0, 0, -0.45]
+
+
+def test_a_gripper_with_a_low_overload_threshold_squeezes_below_it() -> None:
+    rig = Rig([0.0, 0.0, 0.0, 0.0, 0.0, 1.5], actuation=LEROBOT)
+    rig.controller.execute(Execute(1, smooth_move({"gripper": (1.5, 0.0)}, duration_s=2.0), gripping=True))
+    ended = None
+    for _ in range(300):
+        lag = np.zeros(6)
+        lag[5] = max(0.0, 0.8 - rig.controller.goal_rad[5])
+        ended = rig.tick(lag=lag, load=PUSHING if lag[5] > 0.05 else 0.0)
+        if ended is not None:
+            break
+    assert ended is not None
+    assert ended.outcome is Outcome.GRIPPED
+    assert rig.controller.torque_limit[5] < 0.25
+
+
+def test_a_joint_that_pushes_on_is_relieved_before_its_protection_latches() -> None:
+    rig = Rig(actuation=LEROBOT)
+    pushed_s = 0.0
+    while rig.controller.torque_limit[5] >= 0.25:
+        rig.tick(load=PUSHING)
+        pushed_s += PERIOD_S
+        assert pushed_s < 2.0
+    assert rig.controller.torque_limit[:5] == pytest.approx(0.8)
+    assert rig.controller.fault is None
+
+
+def test_a_joint_that_is_strong_enough_for_ever_is_never_relieved() -> None:
+    rig = Rig()
+    for _ in range(300):
+        rig.tick(load=PUSHING)
+    assert rig.controller.torque_limit[5] == pytest.approx(0.5)
+
+
+def test_the_next_motion_of_a_relieved_joint_has_its_full_torque() -> None:
+    rig = Rig(actuation=LEROBOT)
+    for _ in range(300):
+        rig.tick(load=PUSHING)
+    rig.controller.execute(Execute(1, smooth_move({"gripper": (0.0, 0.5)}, duration_s=1.0)))
+    assert rig.controller.torque_limit[5] == pytest.approx(0.5)
+
+
+def test_a_soft_arm_that_droops_by_what_its_gain_explains_has_arrived() -> None:
+    droop = np.array([0.0, -0.08, 0.0, 0.0, 0.0, 0.0])
+    for actuation, outcome in ((None, Outcome.NOT_SETTLED), (LEROBOT, Outcome.REACHED)):
+        rig = Rig(actuation=actuation)
+        rig.controller.execute(Execute(1, move(shoulder_lift=(0.0, 0.5))))
+        assert rig.until_end(lag=droop)[0].outcome is outcome
 
 
 def test_motions_of_different_joints_run_side_by_side() -> None:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from robot.calibration import Calibration
 from robot.faults import Fault, FaultCode
-from robot.hardware.config import EmulatedConfig
+from robot.hardware.config import EmulatedConfig, FeetechConfig
+from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import StatusFlag
-from robot.messages import GuardLimits, Mode, Order
+from robot.messages import GuardLimits, Mode, Order, Outcome
 from tests.helpers.arm_rig import CALIBRATION, ArmRig
 from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.motions import smooth_move
 
 IDS = [joint.servo_id for joint in CALIBRATION.joints]
 
@@ -46,6 +51,17 @@ def test_the_guards_bear_what_is_configured(emulator: SteppedEmulator) -> None:
     assert fault is not None
     assert "it needs 9 V at least" in fault.message
     assert rig.bus.read(1, Register.TORQUE_LIMIT) == 400
+
+
+def test_a_bus_that_waits_long_for_replies_is_silent_after_several_of_them_only(emulator: SteppedEmulator) -> None:
+    emulator.port.latency_s = 0.1
+    rig = ArmRig(emulator)
+    rig.until_mode(Mode.HOLDING)
+    emulator.command(offline=IDS)
+    rig.run(0.9)
+    assert rig.mode is Mode.HOLDING
+    rig.run(0.2)
+    assert rig.fault_code == FaultCode.BUS_SILENT.value
 
 
 @pytest.mark.parametrize(
@@ -112,3 +128,114 @@ def test_without_a_fault_there_is_nothing_to_reset(rig: ArmRig) -> None:
 def test_an_arm_that_is_enabled_already_is_left_alone(rig: ArmRig) -> None:
     rig.order(Order.ENABLE)
     assert rig.order(Order.ENABLE).message == "the arm is enabled already"
+
+
+SHIFTED_TICKS = -85
+
+
+def calibrated(emulator: SteppedEmulator, **settings: object) -> ArmRig:
+    """An arm whose calibration says which homing offsets its servos should have, as a file does."""
+    return ArmRig(emulator, hardware=FeetechConfig(replace(CALIBRATION, offsets_known=True), "/dev/arm"), **settings)
+
+
+def test_an_arm_whose_zero_has_shifted_is_read_but_not_switched_on(emulator: SteppedEmulator) -> None:
+    emulator.open_bus().write(3, Register.HOMING_OFFSET, SHIFTED_TICKS)
+    rig = calibrated(emulator)
+    rig.until_mode(Mode.FAULT)
+    assert rig.fault_code == FaultCode.STARTUP_REFUSED.value
+    assert "the zero has shifted" in str(rig.supervisor.fault)
+    assert rig.torque() == [0] * len(IDS)
+    assert rig.state.position_rad is not None
+    rig.order(Order.RESET_FAULT)
+    answer = rig.order(Order.ENABLE)
+    assert not answer.done
+    assert "--write-back" in answer.message
+    assert rig.torque() == [0] * len(IDS)
+
+
+def test_an_arm_whose_offsets_are_the_calibrations_is_switched_on(emulator: SteppedEmulator) -> None:
+    calibrated(emulator).until_mode(Mode.HOLDING)
+
+
+def test_an_arm_that_holds_with_a_shifted_zero_is_not_dropped(emulator: SteppedEmulator) -> None:
+    rig = calibrated(emulator)
+    rig.until_mode(Mode.HOLDING)
+    rig.bus.write(3, Register.HOMING_OFFSET, SHIFTED_TICKS)
+    again = calibrated(emulator)
+    again.until_mode(Mode.FAULT)
+    assert "the zero has shifted" in str(again.supervisor.fault)
+    assert again.torque() == [1] * len(IDS)
+
+
+def as_lerobot_leaves_them(emulator: SteppedEmulator) -> None:
+    bus = emulator.open_bus()
+    for joint in CALIBRATION.joints:
+        for register, value in LEROBOT.expected(gripper=joint.servo.gripper).items():
+            bus.write(joint.servo_id, register, value)
+
+
+def test_a_gripper_of_lerobot_squeezes_for_long_without_an_overload(emulator: SteppedEmulator) -> None:
+    as_lerobot_leaves_them(emulator)
+    rig = ArmRig(emulator)
+    rig.until_mode(Mode.HOLDING)
+    rig.execute(smooth_move({"gripper": (0.0, 1.2)}, 1.0))
+    rig.until(lambda: bool(rig.ended))
+    emulator.command(obstacle={"6": CALIBRATION.joints[5].ticks_from_rad(0.6)})
+    rig.execute(smooth_move({"gripper": (1.2, 0.0)}, 1.0), motion_id=2, gripping=True)
+    rig.until(lambda: len(rig.ended) == 2)
+    assert rig.ended[-1].outcome is Outcome.GRIPPED
+    rig.run(6.0)
+    assert rig.supervisor.fault is None
+    assert abs(rig.state.load[5]) > 0.1
+
+
+def test_a_gripper_of_lerobot_that_is_kept_from_its_goal_is_relieved_before_an_overload(
+    emulator: SteppedEmulator,
+) -> None:
+    as_lerobot_leaves_them(emulator)
+    rig = ArmRig(emulator)
+    rig.until_mode(Mode.HOLDING)
+    rig.execute(smooth_move({"gripper": (0.0, 1.2)}, 1.0))
+    rig.until(lambda: bool(rig.ended))
+    # So near to the goal that the gripper counts as being there, and pushes on.
+    emulator.command(obstacle={"6": CALIBRATION.joints[5].ticks_from_rad(0.9)})
+    rig.execute(smooth_move({"gripper": (1.2, 0.81)}, 1.0), motion_id=2)
+    rig.until(lambda: len(rig.ended) == 2)
+    assert rig.ended[-1].outcome is Outcome.REACHED
+    rig.run(6.0)
+    assert rig.supervisor.fault is None
+    assert abs(rig.state.load[5]) < LEROBOT.gripper[Register.OVERLOAD_TORQUE] / 100.0
+
+
+def other_elbow() -> Calibration:
+    """The calibration with another offset and range of the elbow."""
+    elbow = replace(CALIBRATION.joints[2], homing_offset=-25, range_min=940, range_max=3200)
+    return Calibration((*CALIBRATION.joints[:2], elbow, *CALIBRATION.joints[3:]))
+
+
+def test_a_relaxed_arm_takes_a_calibration_into_its_servos(rig: ArmRig) -> None:
+    answer = rig.order(Order.WRITE_CALIBRATION, other_elbow())
+    assert answer.done, answer.message
+    assert "3 registers of 1 servos" in answer.message
+    registers = (Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT, Register.LOCK)
+    assert [rig.bus.read(3, register) for register in registers] == [-25, 940, 3200, 1]
+    assert rig.torque() == [0] * len(IDS)
+
+
+def test_an_arm_that_holds_takes_none(emulator: SteppedEmulator) -> None:
+    rig = ArmRig(emulator)
+    rig.until_mode(Mode.HOLDING)
+    answer = rig.order(Order.WRITE_CALIBRATION, other_elbow())
+    assert not answer.done
+    assert "relax it first" in answer.message
+    assert rig.bus.read(3, Register.HOMING_OFFSET) == 0
+
+
+def test_a_hand_that_turns_a_relaxed_joint_across_the_seam_is_no_fault(emulator: SteppedEmulator, rig: ArmRig) -> None:
+    # A reading from one end of the turn to the other within a cycle.
+    emulator.command(jump={"3": -1000})
+    rig.run(0.1)
+    emulator.command(jump={"3": 1100})
+    rig.run(0.1)
+    assert rig.mode is Mode.RELAXED
+    assert rig.order(Order.ENABLE).done

@@ -111,6 +111,7 @@ WRONG = {
     "held": ("[held_joints]\na1 = 7.0", r"held_joints.a1: must be from -2.9 to 2.9, not 7"),
     "group": ('[planning]\ngroup = "leg"', "planning.group: the SRDF has no group 'leg', but arm"),
     "tip": ('[planning]\ntip = "toe"', "planning.tip: the URDF has no link 'toe'"),
+    "park": ('[planning]\npark = "bed"', "planning.park: the SRDF has no state 'bed', but "),
     "frame": ('[planning]\nframe = "world"', "planning.frame: must be the root link 'pedestal', not 'world'"),
     "hulls": ('[robot]\nhulls = "hulls.json"', r"hulls.json cannot be read"),
     "yaml": ('[robot]\njoint_limits = "limits.yaml"', r"limits.yaml cannot be read"),

@@ -21,6 +21,7 @@ from robot.emulator.control import (
     FOR_SERVOS,
     LEAD_S,
     NUMBERS,
+    PLUGS,
     REHEARSALS,
     SWITCHES,
     VALUES,
@@ -105,7 +106,7 @@ def test_a_command_is_put_on_record(emulation, log_path):
     assert line["command"] == {"push": {"2": 50}}
 
 
-@pytest.mark.parametrize("name", [*NUMBERS, *FOR_SERVOS, *VALUES, *SWITCHES, "plugged"])
+@pytest.mark.parametrize("name", [*NUMBERS, *FOR_SERVOS, *PLUGS, *VALUES, *SWITCHES, "plugged"])
 def test_every_command_is_documented(name):
     assert f'``{{"{name}": ' in control.COMMANDS_HELP
 
@@ -523,7 +524,7 @@ def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_shows_it(
                 with pytest.raises(NoReply):
                     bus.ping(6)
             process.terminate()
-            _, shown = process.communicate(timeout=5.0)
+            _, shown = process.communicate(timeout=30.0)
             assert shown == '2.0 s: {"offline": [6]} {"ok": true}\n'
         finally:
             process.kill()

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.in_process import MAX_CONTROLLERS, MAX_WAITING_BYTES, CommandedPort, ControlSocket, EmulatedServos
-from robot.errors import NoReply, PortError, PortLost
+from robot.errors import NoReply, PortError, PortLost, StartupError
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.hardware import FeetechHardware
@@ -292,6 +292,21 @@ def test_driven_servos_start_with_torque_on_and_stay_where_they_are(make, clock)
     assert after == pytest.approx(before, abs=0.03)
 
 
+def test_servos_with_a_shifted_zero_start_relaxed_and_are_refused_torque(make):
+    hardware = make(population="ros2_driver", driven=True).open()
+    run_to_end(hardware.survey())
+    assert not run_to_end(hardware.driven()).any()
+    with pytest.raises(StartupError, match="the zero has shifted since the calibration at shoulder_pan"):
+        run_to_end(hardware.enable(range(6)))
+
+
+def test_servos_that_are_found_again_are_where_they_were_read(make):
+    first = make(population="ros2_driver", start_rad={"elbow_flex": 0.5})
+    seen = dict(zip(NAMES, read(first.open()).position_rad.tolist(), strict=True))
+    again = make(population="ros2_driver", start_rad=seen, resumes=True)
+    assert read(again.open()).position_rad == pytest.approx(list(seen.values()), abs=0.002)
+
+
 def test_servos_go_on_while_the_hardware_is_closed(make, clock):
     servos = make()
     hardware = servos.open()
@@ -361,7 +376,7 @@ class Controller:
     def __init__(self, path: Path) -> None:
         self.socket = socket.socket(socket.AF_UNIX)
         self.socket.connect(str(path))
-        self.socket.settimeout(5.0)
+        self.socket.settimeout(30.0)
         self._lines = self.socket.makefile("rb")
 
     def send(self, line: bytes) -> None:

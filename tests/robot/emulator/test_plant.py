@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -10,8 +11,9 @@ from robot.emulator.plant import (
     AMBIENT_C,
     HAND_TICKS_S,
     NO_LOAD_TICKS_S,
+    SQUEEZING,
     STALL_CURRENT_A,
-    TIME_CONSTANT_S,
+    WELL_COOLED,
     Drive,
     Motor,
     Plant,
@@ -172,7 +174,7 @@ def warm(motor, duration_s, current_a):
 def test_a_motor_without_current_stays_as_warm_as_the_air_or_cools_to_it():
     assert warm(Motor(), 10.0, 0.0) == AMBIENT_C
     hot = Motor(70.0)
-    assert AMBIENT_C < warm(hot, TIME_CONSTANT_S, 0.0) < 48.0
+    assert AMBIENT_C < warm(hot, WELL_COOLED.cooling_s, 0.0) < 48.0
 
 
 def test_a_motor_warms_with_the_square_of_its_current_whatever_its_sign():
@@ -188,3 +190,21 @@ def test_a_stalled_motor_is_too_hot_after_a_minute_and_a_resting_arm_never():
 
 def test_heat_can_be_hastened():
     assert warm(Motor(rate=100.0), 1.0, 1.0) == pytest.approx(warm(Motor(), 100.0, 1.0), rel=0.01)
+
+
+@pytest.mark.parametrize(("share", "within_s"), [(0.25, 60.0), (0.5, 30.0)])
+def test_a_squeezing_gripper_is_at_50_degc_within_a_minute_and_cools_slowly(share, within_s):
+    gripper = Motor(heating=SQUEEZING)
+    assert 50.0 < warm(gripper, within_s, share * STALL_CURRENT_A) < 60.0
+    assert warm(gripper, 60.0, 0.0) > 48.0
+
+
+def test_the_other_joints_stay_cool_under_the_same_current():
+    assert warm(Motor(), 60.0, 0.25 * STALL_CURRENT_A) < 35.0
+
+
+def test_half_the_gain_droops_twice_as_far():
+    soft, stiff = plant_at(2000.0, gravity=191.0), plant_at(2000.0, gravity=191.0)
+    run(soft, replace(drive_to(2000.0), p_gain=16), 2.0)
+    run(stiff, drive_to(2000.0), 2.0)
+    assert 2000.0 - soft.position_ticks == pytest.approx(2.0 * (2000.0 - stiff.position_ticks), rel=0.01)

@@ -32,7 +32,13 @@ from robot.hardware.interface import StatusFlag
 
 
 def servo_at(ticks=2048.0, limits=(800, 3300), offset=0):
-    return Servo(4, Plant(ticks + offset, 0.0, 4095.0), limits, offset)
+    eprom = {
+        Register.ID: 4,
+        Register.MIN_ANGLE_LIMIT: limits[0],
+        Register.MAX_ANGLE_LIMIT: limits[1],
+        Register.HOMING_OFFSET: offset,
+    }
+    return Servo(Plant(ticks + offset, 0.0, 4095.0), eprom)
 
 
 def put(servo, register, value):
@@ -102,7 +108,7 @@ def test_present_position_is_the_encoder_less_the_homing_offset(offset):
     servo = servo_at(2000.0, offset=offset)
     assert get(servo, Register.PRESENT_POSITION) == 2000
     put(servo, Register.HOMING_OFFSET, 0)
-    assert get(servo, Register.PRESENT_POSITION) == 2000 + offset
+    assert get(servo, Register.PRESENT_POSITION) == (2000 + offset) % 4096
 
 
 def test_a_power_cut_clears_what_is_not_eprom():

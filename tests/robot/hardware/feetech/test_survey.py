@@ -8,9 +8,18 @@ import pytest
 from robot.errors import StartupError
 from robot.faults import FaultCode
 from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.profiles import LEROBOT, ServoProfile
 from robot.hardware.feetech.registers import Control, Register
 from robot.hardware.feetech.servo_map import ServoMap
-from robot.hardware.feetech.survey import CYCLES_BETWEEN, PHASE_MULTI_TURN, RegisterChecks, ServoFound, survey
+from robot.hardware.feetech.settings import SETTINGS_BYTES, ServoSettings, parse_settings
+from robot.hardware.feetech.survey import (
+    CYCLES_BETWEEN,
+    PHASE_MULTI_TURN,
+    RegisterChecks,
+    ServoFound,
+    offset_refusal,
+    survey,
+)
 from robot.hardware.feetech.torque import full_torque
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, run
 from tests.helpers.emulator import SteppedEmulator
@@ -27,7 +36,7 @@ def test_a_survey_reports_commands_and_limits_of_every_servo(bus: Bus) -> None:
     for joint in CALIBRATION.joints:
         servo = found[joint.servo_id]
         assert not servo.control.torque_on
-        assert servo.angle_limits_ticks == (joint.range_min, joint.range_max)
+        assert servo.settings.angle_limits_ticks == (joint.range_min, joint.range_max)
         assert servo.warnings == ()
 
 
@@ -81,6 +90,68 @@ def test_a_servo_that_counts_several_turns_is_reported(bus: Bus) -> None:
     assert "PHASE" in warning
 
 
+def set_all(bus: Bus, profile: ServoProfile) -> None:
+    for joint in CALIBRATION.joints:
+        for register, value in profile.expected(gripper=joint.servo.gripper).items():
+            bus.write(joint.servo_id, register, value)
+
+
+def test_servos_as_lerobot_leaves_them_are_well(bus: Bus) -> None:
+    set_all(bus, LEROBOT)
+    assert {servo: found.warnings for servo, found in run(survey(bus, SERVOS)).items()} == dict.fromkeys(SERVOS.ids, ())
+
+
+def test_a_setting_that_differs_from_its_profile_is_told_with_its_consequence(bus: Bus) -> None:
+    set_all(bus, LEROBOT)
+    bus.write(3, Register.PROTECTION_TIME, 20)
+    found = run(survey(bus, SERVOS))
+    assert [servo for servo in SERVOS.ids if found[servo].warnings] == [3]
+    (warning,) = found[3].warnings
+    assert (
+        "register PROTECTION_TIME is 20, not 200 as in the profile lerobot: an overload latches after 0.2 s" in warning
+    )
+
+
+def test_servos_are_compared_with_the_profile_of_the_arm_if_it_has_one(bus: Bus) -> None:
+    found = run(survey(bus, SERVOS, LEROBOT))
+    assert all("P_GAIN is 32, not 16" in " ".join(found[servo].warnings) for servo in SERVOS.ids)
+    assert all(found[servo].expected[Register.P_GAIN] == 16 for servo in SERVOS.ids)
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "words"),
+    [
+        (Register.RETURN_DELAY, 250, "500 us later"),
+        (Register.LOCK, 0, "EPROM is unlocked"),
+        (Register.P_GAIN, 8, "droops further"),
+        (Register.MAX_TORQUE, 300, "30 % of its torque"),
+    ],
+)
+def test_whatever_is_set_otherwise_is_told(bus: Bus, register: Register, value: int, words: str) -> None:
+    bus.write(2, register, value)
+    (warning,) = run(survey(bus, SERVOS))[2].warnings
+    assert words in warning
+
+
+def test_an_arm_is_surveyed_in_few_transactions(bus: Bus) -> None:
+    before = bus.counters.sent
+    run(survey(bus, SERVOS))
+    # A ping and the model, the settings, and the commands.
+    assert bus.counters.sent - before == 4 * len(SERVOS.ids)
+
+
+def test_a_homing_offset_that_is_the_calibrations_refuses_nothing(bus: Bus) -> None:
+    assert offset_refusal(SERVOS, run(survey(bus, SERVOS))) == ""
+
+
+def test_a_homing_offset_that_another_program_wrote_is_refused_with_both_remedies(bus: Bus) -> None:
+    bus.write(3, Register.HOMING_OFFSET, -85)
+    reason = offset_refusal(SERVOS, run(survey(bus, SERVOS)))
+    assert "elbow_flex (id 3) by 7.5 deg (-85 instead of 0 ticks)" in reason
+    assert "calibrate the arm anew" in reason
+    assert "--write-back" in reason
+
+
 def test_lost_replies_do_not_hinder_a_survey(start_emulator: Start) -> None:
     bus = start_emulator("--drop", "0.03", "--corrupt", "0.03", "--seed", "3").open_bus()
     assert len(run(survey(bus, SERVOS))) == len(SERVOS.ids)
@@ -93,7 +164,9 @@ WELL = Control(True, 254, 2048, 800)
 
 @pytest.fixture
 def checks() -> RegisterChecks:
-    made = RegisterChecks(SERVOS, {servo: ServoFound(WELL, (0, 4095), 8.0, 1000) for servo in SERVOS.ids})
+    settings = parse_settings(bytes(SETTINGS_BYTES)).values | {Register.MAX_TORQUE: 1000}
+    found = ServoFound(777, WELL, ServoSettings(settings))
+    made = RegisterChecks(SERVOS, dict.fromkeys(SERVOS.ids, found))
     made.expect(full_torque(SERVOS))
     return made
 

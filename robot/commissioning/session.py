@@ -1,0 +1,298 @@
+"""Calibration step by step, for a terminal and for a server alike: what to ask a person, and what follows. Pure.
+
+The session moves and writes nothing. :meth:`CalibrationSession.answer` says which act is due: to relax the arm before
+the sweep, and to write the calibration at the end; who has carried it out goes on with :meth:`CalibrationSession.begin`
+and :meth:`CalibrationSession.finish`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from robot.calibration import Calibration
+from robot.commissioning.calibrate import Swept, calibrate, needs_middle
+from robot.commissioning.directions import AskedMotion, spoken, turned_the_other_way
+from robot.commissioning.sweep import MIDDLE_TICK, Sweep, expected_width, met_both_stops
+from robot.description.servo_table import ServoSpec
+from robot.errors import CalibrationError
+
+# Names of steps; those of directions and middles end with the joint's name.
+HOLD, SWEEP, WRITE = "hold", "sweep", "write"
+DIRECTION, MIDDLE = "direction of ", "middle of "
+
+# Answers.
+RELAX, DONE, SKIP, SKIP_ALL, AS_IT_IS, WRITE_NOW, AGAIN = (
+    "relax the arm",
+    "done",
+    "skip",
+    "skip all",
+    "go on with these ranges",
+    "write",
+    "sweep again",
+)
+
+# Share of the whole that each step begins at.
+_SWEPT, _WRITING = 0.6, 0.95
+
+
+class Act(Enum):
+    """Act that an answer asks for."""
+
+    RELAX = "relax"
+    WRITE = "write"
+
+
+@dataclass(frozen=True)
+class Step:
+    """Step of a procedure.
+
+    Attributes:
+        name: unique in the procedure.
+        instruction: what the person is to do, in sentences.
+        answers: what may be answered.
+    """
+
+    name: str
+    instruction: str
+    answers: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SweptRange:
+    """Range of one joint so far; positions count on across the seam between ticks 4095 and 0.
+
+    Attributes:
+        joint: name of the joint.
+        lowest: lowest position [ticks].
+        present: latest position [ticks].
+        highest: highest position [ticks].
+        expected_width: width of its range in the URDF [ticks].
+        done: True when nothing more is asked of it.
+        note: what is missing; empty for nothing.
+    """
+
+    joint: str
+    lowest: int
+    present: int
+    highest: int
+    expected_width: int
+    done: bool
+    note: str
+
+
+class CalibrationSession:
+    """Calibration of one arm, from holding it to writing the result.
+
+    Args:
+        servos: servos of the arm.
+        motions: motion that shows the direction of each joint, by joint.
+        recentre: True for new homing offsets, which are then written to the servos; False to keep theirs.
+
+    Attributes:
+        recentre: as given.
+        step: the step to answer; None once the session has ended.
+        findings: what was found, a sentence each.
+        calibration: the result; None before the step that asks for it to be written.
+    """
+
+    def __init__(self, servos: Sequence[ServoSpec], motions: Mapping[str, AskedMotion], *, recentre: bool) -> None:
+        self._servos = tuple(servos)
+        self._motions = motions
+        self.recentre = recentre
+        self._sweep: Sweep | None = None
+        self._offsets: Mapping[int, int] = {}
+        self._asked_from: dict[int, int] = {}
+        self._middles: dict[int, int] = {}
+        self._drive_modes: dict[int, int] = {}
+        self._to_ask: list[ServoSpec] = []
+        self._to_show: list[ServoSpec] = []
+        self.findings: list[str] = []
+        self.calibration: Calibration | None = None
+        self.step: Step | None = Step(
+            HOLD, "Torque will be switched off, and the arm sinks: hold it, then answer.", (RELAX,)
+        )
+
+    @property
+    def progress(self) -> float:
+        """Share of the steps that is done, 0 to 1."""
+        if self.step is None:
+            return 1.0
+        if self.step.name == HOLD or self._sweep is None:
+            return 0.0
+        if self.step.name == SWEEP:
+            return _SWEPT * sum(each.done for each in self.ranges()) / len(self._servos)
+        if self.step.name == WRITE:
+            return _WRITING
+        left = len(self._to_show) + len(self._to_ask)
+        return _WRITING - (_WRITING - _SWEPT) * left / (2 * len(self._servos))
+
+    def ranges(self) -> tuple[SweptRange, ...]:
+        """Return the range of each joint; none before the sweep."""
+        sweep = self._sweep
+        return () if sweep is None else tuple(self._range(servo, sweep) for servo in self._servos)
+
+    def _range(self, servo: ServoSpec, sweep: Sweep) -> SweptRange:
+        servo_id, width = servo.servo_id, expected_width(servo)
+        met = met_both_stops(servo, sweep.width(servo_id))
+        done = met or servo.turns_freely
+        share = min(sweep.width(servo_id) / width, 1.0)
+        note = "" if met else f"{share:.0%} of the expected range"
+        if servo.turns_freely and not met:
+            note = f"{'may turn' if share < 1.0 else 'turns'} freely: its middle is asked for"
+        return SweptRange(
+            servo.joint, sweep.lowest[servo_id], sweep.present[servo_id], sweep.highest[servo_id], width, done, note
+        )
+
+    def begin(self, ticks: Mapping[int, int], offsets: Mapping[int, int]) -> None:
+        """Begin the sweep: the arm is relaxed.
+
+        Args:
+            ticks: positions, by servo id.
+            offsets: registers HOMING_OFFSET, by servo id [ticks].
+        """
+        self._sweep, self._offsets = Sweep(ticks), dict(offsets)
+        self._ask_for_sweep()
+
+    def _ask_for_sweep(self, *answers: str) -> None:
+        self.findings, self.calibration = [], None
+        self._middles, self._drive_modes = {}, {}
+        free = ", ".join(spoken(servo.joint) for servo in self._servos if servo.turns_freely)
+        also = f" {free.capitalize()} may have no stops: turn it as far as it goes, a turn at most." if free else ""
+        self.step = Step(
+            SWEEP,
+            f"Move every joint by hand, slowly, from one stop to the other, in any order, the gripper too.{also}",
+            (DONE, *answers),
+        )
+
+    def take(self, ticks: Mapping[int, int]) -> None:
+        """Take positions of some servos, by id [ticks]."""
+        if self._sweep is not None and self.calibration is None:
+            self._sweep.add(ticks)
+
+    def answer(self, answer: str) -> Act | None:
+        """Take the answer to the present step.
+
+        Returns:
+            The act that is now due; None for none.
+
+        Raises:
+            CalibrationError: it cannot go on so; the step stays, and the sentence says what is missing.
+        """
+        step = self.step
+        if step is None or answer not in step.answers:
+            allowed = "none" if step is None else ", ".join(step.answers)
+            raise CalibrationError("answer", answer, f"cannot be given now; what can be answered: {allowed}")
+        if step.name == HOLD:
+            return Act.RELAX
+        if step.name == SWEEP:
+            self._end_sweep(as_it_is=answer == AS_IT_IS)
+        elif step.name.startswith(MIDDLE):
+            servo = self._to_show.pop(0)
+            self._middles[servo.servo_id] = self._swept.present[servo.servo_id]
+            self._next()
+        elif step.name.startswith(DIRECTION):
+            self._take_direction(answer)
+        elif answer == AGAIN:
+            self._sweep = Sweep(self._swept.present)
+            self._ask_for_sweep()
+        else:
+            return Act.WRITE
+        return None
+
+    def finish(self) -> None:
+        """End the session: the calibration is written."""
+        self.step = None
+
+    @property
+    def _swept(self) -> Sweep:
+        if self._sweep is None:
+            raise CalibrationError("answer", "", "nothing was swept yet")
+        return self._sweep
+
+    def _end_sweep(self, *, as_it_is: bool) -> None:
+        short = [each for each in self.ranges() if not each.done]
+        if short and not as_it_is:
+            self._ask_for_sweep(AS_IT_IS)
+            listed = ", ".join(f"{each.joint} has {each.note}" for each in short)
+            raise CalibrationError(
+                "sweep",
+                short[0].joint,
+                f"did not meet both stops ({listed}): move on, or answer {AS_IT_IS!r} where something is in the way",
+            )
+        # Refuses what no motion for directions could mend.
+        calibrate(self._servos, self._measured(assumed=True), recentre=self.recentre)
+        for each in short:
+            self.findings.append(f"{each.joint} covered {each.note} only: its zero is wrong by half of what is missing")
+        self._to_show = [servo for servo in self._servos if needs_middle(servo, self._swept)]
+        self._to_ask = [servo for servo in self._servos if servo.joint in self._motions]
+        self._next()
+
+    def _measured(self, *, assumed: bool = False) -> Swept:
+        """Return what was measured; assumed middles are those that a free joint may have."""
+        middles = dict(self._middles)
+        if assumed and self.recentre:
+            middles = {**self._swept.present, **middles}
+        elif assumed:
+            # Where the servo keeps its offset, the middle is checked when it is shown.
+            middles = {**dict.fromkeys(self._swept.present, MIDDLE_TICK), **middles}
+        return Swept(self._swept, self._offsets, middles, self._drive_modes)
+
+    def _take_direction(self, answer: str) -> None:
+        servo = self._to_ask[0]
+        motion = self._motions[servo.joint]
+        if answer == DONE:
+            moved = self._swept.present[servo.servo_id] - self._asked_from[servo.servo_id]
+            try:
+                mirrored = turned_the_other_way(servo, motion, moved)
+            except CalibrationError:
+                self._ask_direction(servo)
+                raise
+            self._note_direction(servo, mirrored=mirrored)
+        skipped = self._to_ask if answer == SKIP_ALL else [servo] if answer == SKIP else []
+        self.findings += [f"the direction of {each.joint} was not checked" for each in skipped]
+        self._to_ask = [] if answer == SKIP_ALL else self._to_ask[1:]
+        self._next()
+
+    def _note_direction(self, servo: ServoSpec, *, mirrored: bool) -> None:
+        if servo.zero == "ends":
+            self._drive_modes[servo.servo_id] = int(mirrored)
+            if mirrored:
+                self.findings.append(f"{servo.joint} is mirrored: the calibration says so by drive_mode 1")
+        elif mirrored:
+            self.findings.append(
+                f"{servo.joint} turned the other way than the model: its horn is mounted mirrored, or its servo counts "
+                f"the other way; mount it as the model has it, or set sign = {-servo.sign} for it in the arm's "
+                "robot.toml, and calibrate anew, before anything moves"
+            )
+
+    def _next(self) -> None:
+        """Go on with the middles that are to be shown, the directions, and the question whether to write."""
+        if self._to_show:
+            name = self._to_show[0].joint
+            self.step = Step(
+                f"{MIDDLE}{name}",
+                f"Turn {spoken(name)} to the middle of its way, as the model has it at zero, and hold it there.",
+                (DONE,),
+            )
+        elif self._to_ask:
+            self._ask_direction(self._to_ask[0])
+        else:
+            self.calibration = calibrate(self._servos, self._measured(), recentre=self.recentre)
+            self.step = Step(
+                WRITE,
+                "Write the calibration to the servos and to its file?"
+                if self.recentre
+                else "Write the calibration to its file? The servos stay as they are.",
+                (WRITE_NOW, AGAIN),
+            )
+
+    def _ask_direction(self, servo: ServoSpec) -> None:
+        self._asked_from[servo.servo_id] = self._swept.present[servo.servo_id]
+        request = self._motions[servo.joint].request
+        self.step = Step(
+            f"{DIRECTION}{servo.joint}",
+            f"Hold the arm about as the model has it at zero. Now {request}, then answer.",
+            (DONE, SKIP, SKIP_ALL),
+        )

@@ -1,0 +1,441 @@
+"""Setup of new servos: each gets its id and the settings that the driver relies on; only what differs is written.
+
+New servos all have the id 1, so that only one of them may be on the bus. The state of a setup is what the servos hold:
+a servo is looked for at every baud rate and id, and one whose setup was broken off is found again and finished. Its id
+is written after its other settings, and its baud rate last.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from robot.commissioning.register_backup import SavedServo, read_registers
+from robot.commissioning.scan import BAUDRATES, FACTORY_ID
+from robot.description.servo_table import ServoSpec
+from robot.errors import NoReply, RobotError, StartupError
+from robot.hardware.feetech.bus import ATTEMPTS, STEP_ATTEMPTS, Bus, read, write_verified
+from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile
+from robot.hardware.feetech.registers import (
+    MODELS,
+    TELEMETRY_ADDRESS,
+    TELEMETRY_BYTES,
+    VOLT_PER_UNIT,
+    Register,
+)
+from robot.hardware.feetech.settings import EPROM, SETTINGS, ServoSettings
+from robot.hardware.feetech.survey import PHASE_MULTI_TURN, POSITION_MODE
+from robot.hardware.interface import Result, Steps, run_to_end
+
+# Baud rate of the driver, 1 Mbaud, and its value of register BAUD_RATE.
+BAUDRATE = BAUDRATES[0]
+BAUDRATE_CODE = 0
+
+# Baud rates by register BAUD_RATE, those that the port supports.
+BAUDRATE_BY_CODE: Mapping[int, int] = MappingProxyType(dict(zip((0, 1, 2, 3, 4, 6, 7), BAUDRATES, strict=True)))
+
+# Time for the last bytes to leave the adapter, and for the servo to store its new rate, before the port is reopened.
+REOPENING_S = 0.05
+
+# Register RESPONSE_LEVEL of a servo that acknowledges every instruction.
+ACKNOWLEDGES_ALL = 1
+
+FULL_RANGE_TICKS = (0, 4095)
+
+# Reads that tell one servo from several of one id, whose replies collide, and how many of them may be disturbed: a bad
+# plug disturbs some, two servos nearly all.
+PROBES = 6
+MAX_DISTURBED = 2
+
+# Longest return delay, 0.5 ms, and the time of a reply through a slow adapter.
+PROBE_INTERVAL_S = 0.01
+
+NO_ANSWER = (
+    "no servo answers at any baud rate: is the supply on, the adapter's jumper on B, and the servo's plug pushed home?"
+)
+
+
+class ServoLine:
+    """Port of the servos, open at one baud rate at a time.
+
+    Args:
+        open_bus: opens the bus at a baud rate.
+        wait: waits for a time [s].
+    """
+
+    def __init__(self, open_bus: Callable[[int], Bus], wait: Callable[[float], None] = time.sleep) -> None:
+        self._open = open_bus
+        self._wait = wait
+        self._bus: Bus | None = None
+        self._baudrate = 0
+
+    def at(self, baudrate: int) -> Bus:
+        """Return the bus at a baud rate.
+
+        Raises:
+            PortError: the port cannot be opened.
+        """
+        if self._bus is None or self._baudrate != baudrate:
+            self.close()
+            self._bus, self._baudrate = self._open(baudrate), baudrate
+        return self._bus
+
+    def run(self, steps: Steps[Result]) -> Result:
+        """Run a sequence on the bus to its end."""
+        return run_to_end(steps, self._wait)
+
+    def close(self) -> None:
+        """Close the port, if it is open."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            bus.close()
+
+
+@dataclass(frozen=True)
+class FoundServo:
+    """Servo found on the bus.
+
+    Attributes:
+        servo_id: its id.
+        baudrate: baud rate at which it answers.
+        registers: value of every register.
+    """
+
+    servo_id: int
+    baudrate: int
+    registers: Mapping[Register, int]
+
+    @property
+    def settings(self) -> ServoSettings:
+        """Settings that it keeps."""
+        return ServoSettings({register: self.registers[register] for register in SETTINGS})
+
+    @property
+    def voltage_v(self) -> float:
+        """Supply [V]."""
+        return self.registers[Register.PRESENT_VOLTAGE] * VOLT_PER_UNIT
+
+
+@dataclass(frozen=True)
+class Change:
+    """Register that is to get another value."""
+
+    register: Register
+    held: int
+    wanted: int
+
+
+def search(
+    line: ServoLine,
+    joint: ServoSpec,
+    arm: Sequence[ServoSpec],
+    say: Callable[[str], None],
+) -> FoundServo:
+    """Find the servo that is to turn a joint, at any baud rate and with any id.
+
+    Servos that have their ids already may be connected as well.
+
+    Args:
+        line: the servos' port.
+        joint: joint of the servo.
+        arm: servos of the arm.
+        say: tells progress.
+
+    Raises:
+        StartupError: none may be meant, or more than one; the text says how to part them.
+        NoReply: a servo stopped answering.
+        PortError: the port cannot be opened, or is gone.
+    """
+    found: list[FoundServo] = []
+    for baudrate in BAUDRATES:
+        if baudrate != BAUDRATE:
+            say(f"looking at {baudrate} baud ...")
+        found += look(line, baudrate, {joint.servo_id, FACTORY_ID})
+        if candidates := _candidates(found, joint, arm):
+            if len(candidates) > 1:
+                ids = ", ".join(str(servo.servo_id) for servo in candidates)
+                raise StartupError(
+                    f"servos {ids} answer, and any of them may be that of {joint.joint}: unplug all but this one"
+                )
+            return candidates[0]
+    if not found:
+        raise StartupError(NO_ANSWER)
+    names = {servo.servo_id: servo.joint for servo in arm}
+    present = ", ".join(f"{servo.servo_id} ({names[servo.servo_id]})" for servo in found)
+    raise StartupError(
+        f"only servo {present} answers, which has its id already: plug in the servo of {joint.joint}, or push its plug "
+        "home"
+    )
+
+
+def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServo]:
+    """Find and read the servos that answer at one baud rate; nothing is written.
+
+    Args:
+        line: the servos' port.
+        baudrate: baud rate to look at.
+        ids: ids that are also asked one by one, since a reply to a broadcast may get lost.
+
+    Raises:
+        StartupError: several servos have the same id.
+        NoReply: a servo stopped answering.
+        PortError: the port cannot be opened, or is gone.
+    """
+    bus = line.at(baudrate)
+    garbled = bus.counters.discarded_bytes
+    heard = set(bus.broadcast_ping())
+    garbled = bus.counters.discarded_bytes - garbled
+    heard |= {servo_id for servo_id in ids if servo_id not in heard and _answers(bus, servo_id)}
+    for servo_id in sorted(heard):
+        line.run(_check_single(bus, servo_id))
+    if garbled and not heard:
+        raise StartupError(
+            f"replies at {baudrate} baud are garbled: several servos with the same id answer at once, or a plug has "
+            "bad contact; unplug all servos but one"
+        )
+    return [FoundServo(each, baudrate, line.run(read_registers(bus, each))) for each in sorted(heard)]
+
+
+def check_model(servo: FoundServo, joint: ServoSpec) -> None:
+    """Raise StartupError for a servo of an unknown model, whose registers may have other meanings."""
+    model = servo.registers[Register.MODEL_NUMBER]
+    if model not in MODELS.values() and str(model) != joint.model:
+        known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
+        raise StartupError(
+            f"servo {servo.servo_id} is model {model}, none of {known}: its registers may have other meanings; "
+            "--any-model writes to it all the same"
+        )
+
+
+def supply_complaint(servo: FoundServo) -> str:
+    """Return a sentence about a supply that the servo is not made for, empty for a good one."""
+    lowest = servo.registers[Register.MIN_VOLTAGE] * VOLT_PER_UNIT
+    highest = servo.registers[Register.MAX_VOLTAGE] * VOLT_PER_UNIT
+    if lowest <= servo.voltage_v <= highest:
+        return ""
+    consequence = (
+        "it may burn out: switch the supply off" if servo.voltage_v > highest else "it is too weak: use another supply"
+    )
+    return (
+        f"servo {servo.servo_id} has a supply of {servo.voltage_v:.1f} V and is made for {lowest:.1f} to "
+        f"{highest:.1f} V: {consequence}"
+    )
+
+
+def choose_profile(
+    name: str | None, own: ServoProfile | None, servos: Iterable[tuple[FoundServo, bool]]
+) -> ServoProfile:
+    """Choose the profile of settings for some servos.
+
+    Args:
+        name: name of a profile that was asked for; None for the arm's own, or without one for the nearest.
+        own: profile of the arm's folder, if it has one.
+        servos: servos, with True for one of the gripper.
+    """
+    if name is not None:
+        return PROFILES[name]
+    return own or nearest_profile((servo.settings, gripper) for servo, gripper in servos)
+
+
+def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> tuple[Change, ...]:
+    """Return the registers to change for a servo to turn a joint.
+
+    Angle limits and homing offset of a servo that has the joint's id are its calibration, and stay. Those of any other
+    belong to another joint and are cleared.
+
+    Args:
+        servo: the servo.
+        joint: joint that it is to turn.
+        profile: settings that it should have.
+    """
+    held = servo.registers
+    wanted = {
+        Register.RETURN_DELAY: 0,
+        Register.RESPONSE_LEVEL: ACKNOWLEDGES_ALL,
+        Register.PHASE: held[Register.PHASE] & ~PHASE_MULTI_TURN,
+        Register.OPERATING_MODE: POSITION_MODE,
+        **profile.expected(gripper=joint.gripper),
+        Register.ID: joint.servo_id,
+        Register.BAUD_RATE: BAUDRATE_CODE,
+    }
+    lowest, highest = FULL_RANGE_TICKS
+    if servo.servo_id != joint.servo_id:
+        wanted[Register.HOMING_OFFSET] = 0
+    if servo.servo_id != joint.servo_id or servo.settings.angle_limits_ticks == (0, 0):
+        wanted |= {Register.MIN_ANGLE_LIMIT: lowest, Register.MAX_ANGLE_LIMIT: highest}
+    return _changes(held, wanted)
+
+
+def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[Change, ...]:
+    """Return the registers to change for a servo to be as it was saved.
+
+    Args:
+        servo: the servo.
+        saved: its backup.
+        alone: True for the only servo on the bus, which gets id and baud rate back as well: among others it might
+            become the second one of its id.
+    """
+    back = {register: saved.registers[register] for register in EPROM if register in saved.registers}
+    if not alone:
+        back.pop(Register.ID, None)
+    # A rate that the file does not vouch for might make the servo unreachable.
+    if not alone or BAUDRATE_BY_CODE.get(back.get(Register.BAUD_RATE, -1)) != saved.baudrate:
+        back.pop(Register.BAUD_RATE, None)
+    return _changes(servo.registers, back)
+
+
+def needs_writing(servo: FoundServo, changes: Sequence[Change]) -> bool:
+    """Return True for a servo with registers to change, or whose EPROM is unlocked."""
+    return bool(changes) or servo.registers[Register.LOCK] != 1
+
+
+def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> FoundServo:
+    """Relax a servo and write its changes, each read back; its EPROM is locked at the end, also after a failure.
+
+    Args:
+        line: the servos' port.
+        servo: the servo, as found.
+        changes: registers to change.
+
+    Returns:
+        The servo as it is afterwards.
+
+    Raises:
+        StartupError: it keeps another value, or cannot be relaxed.
+        NoReply: it stopped answering.
+        PortError: the port cannot be opened, or is gone.
+    """
+    writer = _Writer(line, servo.servo_id, servo.baudrate)
+    try:
+        writer.unlock()
+        for change in changes:
+            writer.write(change)
+        writer.lock()
+    except BaseException:
+        # An interrupted exchange may leave replies behind: the port is opened anew.
+        line.close()
+        with contextlib.suppress(RobotError):
+            writer.lock()
+        raise
+    registers = line.run(read_registers(line.at(writer.baudrate), writer.servo_id))
+    if kept := [change for change in changes if registers[change.register] != change.wanted]:
+        names = ", ".join(f"{change.register.name} {registers[change.register]}" for change in kept)
+        raise StartupError(f"servo {writer.servo_id} does not keep what was written to it: it has {names}")
+    return FoundServo(writer.servo_id, writer.baudrate, registers)
+
+
+class _Writer:
+    """Access to one servo whose id and baud rate change on the way.
+
+    Args:
+        line: the servos' port.
+        servo_id: present id.
+        baudrate: present baud rate.
+
+    Attributes:
+        servo_id: present id.
+        baudrate: present baud rate.
+    """
+
+    def __init__(self, line: ServoLine, servo_id: int, baudrate: int) -> None:
+        self._line = line
+        self.servo_id = servo_id
+        self.baudrate = baudrate
+
+    def unlock(self) -> None:
+        """Relax the servo, then unlock its EPROM."""
+        bus = self._line.at(self.baudrate)
+        try:
+            self._line.run(write_verified(bus, self.servo_id, Register.TORQUE_ENABLE, 0))
+        except StartupError as error:
+            raise StartupError(
+                f"servo {self.servo_id} does not switch its torque off: cut the servos' supply and switch it on again"
+            ) from error
+        self._line.run(write_verified(bus, self.servo_id, Register.LOCK, 0))
+
+    def write(self, change: Change) -> None:
+        """Write a change and read it back."""
+        match change.register:
+            case Register.ID:
+                self._line.run(self._write_id(change.wanted))
+            case Register.BAUD_RATE:
+                self._line.run(self._write_baudrate(change.wanted))
+            case _:
+                bus = self._line.at(self.baudrate)
+                self._line.run(write_verified(bus, self.servo_id, change.register, change.wanted))
+
+    def lock(self) -> None:
+        """Lock the EPROM."""
+        self._line.run(write_verified(self._line.at(self.baudrate), self.servo_id, Register.LOCK, 1))
+
+    def _write_id(self, new_id: int) -> Steps[None]:
+        bus = self._line.at(self.baudrate)
+        for _ in range(STEP_ATTEMPTS):
+            yield 0.0
+            # The servo may acknowledge with either id.
+            with contextlib.suppress(NoReply):
+                bus.write(self.servo_id, Register.ID, new_id, attempts=1)
+            with contextlib.suppress(NoReply):
+                if (yield from read(bus, new_id, Register.ID)) == new_id:
+                    self.servo_id = new_id
+                    return
+        raise StartupError(f"servo {self.servo_id} does not take the id {new_id}")
+
+    def _write_baudrate(self, code: int) -> Steps[None]:
+        before, after = self.baudrate, BAUDRATE_BY_CODE[code]
+        for _ in range(ATTEMPTS):
+            # A sync write is not acknowledged: a servo may reply at either rate.
+            self._line.at(before).sync_write(Register.BAUD_RATE, {self.servo_id: bytes([code])})
+            yield REOPENING_S
+            with contextlib.suppress(NoReply):
+                if (yield from read(self._line.at(after), self.servo_id, Register.BAUD_RATE)) == code:
+                    self.baudrate = after
+                    return
+        raise StartupError(f"servo {self.servo_id} does not answer at {after} baud after it was set to it")
+
+
+def _candidates(found: Sequence[FoundServo], joint: ServoSpec, arm: Sequence[ServoSpec]) -> list[FoundServo]:
+    """Return the servos that may be meant to turn a joint: the one with its id, else those with none of the arm's."""
+    own = [servo for servo in found if servo.servo_id == joint.servo_id]
+    others = {servo.servo_id for servo in arm} - {FACTORY_ID}
+    return own or [servo for servo in found if servo.servo_id not in others]
+
+
+def _answers(bus: Bus, servo_id: int) -> bool:
+    """Return True when anything comes back from an id, garbled or not."""
+    for _ in range(ATTEMPTS):
+        before = bus.counters.discarded_bytes
+        if bus.sync_read((servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES) or bus.counters.discarded_bytes > before:
+            return True
+    return False
+
+
+def _check_single(bus: Bus, servo_id: int) -> Steps[None]:
+    """Raise StartupError when several servos answer to an id: their replies collide, or come one after the other."""
+    disturbed = 0
+    for _ in range(PROBES):
+        before = bus.counters.discarded_bytes
+        # The reply of a servo with a longer return delay comes by itself, behind the first one.
+        yield PROBE_INTERVAL_S
+        with contextlib.suppress(NoReply):
+            bus.read(servo_id, Register.PRESENT_POSITION, attempts=1)
+        disturbed += bus.counters.discarded_bytes > before
+    if disturbed > MAX_DISTURBED:
+        raise StartupError(
+            f"several servos with the id {servo_id} answer at once, or a plug has bad contact: unplug all of them but "
+            "one"
+        )
+
+
+def _changes(held: Mapping[Register, int], wanted: Mapping[Register, int]) -> tuple[Change, ...]:
+    """Return the registers that differ, those last by which the servo is reached."""
+    last = (Register.ID, Register.BAUD_RATE)
+    ordered = [*(register for register in wanted if register not in last), *last]
+    return tuple(
+        Change(register, held[register], wanted[register])
+        for register in ordered
+        if register in wanted and held[register] != wanted[register]
+    )

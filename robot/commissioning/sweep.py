@@ -1,0 +1,171 @@
+"""Sweep of the joints by hand from stop to stop, and the homing offset that follows from it. Pure.
+
+lerobot asks for the middle pose first and sets the homing offsets before the sweep, so that a wrong middle pose makes a
+joint cross the seam between ticks 4095 and 0. Here positions are tracked across the seam, nothing is written before the
+sweep is complete, and the middle of what was swept becomes the middle of the turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from robot.calibration import MAX_HOMING_OFFSET, MAX_TICK, RAD_PER_TICK, TICKS_PER_TURN, WIDEST_RANGE_TICKS
+from robot.description.servo_table import ServoSpec
+from robot.errors import CalibrationError
+
+# Tick of the middle in lerobot.
+MIDDLE_TICK = 2047
+
+# Least range of a sweep; the smallest range of a joint, the gripper's, has 1400 ticks.
+LEAST_SWEEP_TICKS = 500
+
+# The middle of a wider range leaves no room on both sides: the register's 11 bits may put it one tick off.
+WIDEST_SWEEP_TICKS = MAX_TICK - 1
+
+# Ranges of measured arms are up to 12 deg narrower than the URDF's, a tenth of the range; a joint that covered less
+# than this share has not met both stops.
+STOPS_SHARE = 0.8
+
+# lerobot's format takes MIDDLE_TICK for the middle of the joint that turns freely; further off (9 deg) its zero would
+# be wrong.
+FREE_MIDDLE_WITHIN_TICKS = 100
+
+
+class Sweep:
+    """Ranges covered by the servos, tracked across the seam: positions count on beyond 0 and 4095.
+
+    Args:
+        ticks: positions at the start, by servo id.
+
+    Attributes:
+        lowest: lowest position so far, by servo id [ticks].
+        highest: highest position so far, by servo id [ticks].
+        present: latest position, by servo id [ticks].
+    """
+
+    def __init__(self, ticks: Mapping[int, int]) -> None:
+        self.lowest = dict(ticks)
+        self.highest = dict(ticks)
+        self.present = dict(ticks)
+
+    def add(self, ticks: Mapping[int, int]) -> None:
+        """Add positions of some servos, by id [ticks]; a joint must turn by less than half a turn between readings."""
+        for servo_id, reading in ticks.items():
+            half = TICKS_PER_TURN // 2
+            moved = (reading - self.present[servo_id] + half) % TICKS_PER_TURN - half
+            position = self.present[servo_id] + moved
+            self.present[servo_id] = position
+            self.lowest[servo_id] = min(self.lowest[servo_id], position)
+            self.highest[servo_id] = max(self.highest[servo_id], position)
+
+    def width(self, servo_id: int) -> int:
+        """Return the width of a servo's range [ticks]."""
+        return self.highest[servo_id] - self.lowest[servo_id]
+
+
+def expected_width(servo: ServoSpec) -> int:
+    """Return the width of the joint's range in the URDF [ticks]."""
+    return round((servo.upper_rad - servo.lower_rad) / RAD_PER_TICK)
+
+
+def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
+    """Return True when a joint that covered such a range has met both of its stops.
+
+    A joint that the robot's folder calls free may have stops all the same, as the SO-101's wrist has; one that covered
+    nearly a whole turn has none.
+    """
+    if servo.turns_freely and width_ticks > WIDEST_RANGE_TICKS:
+        return False
+    return width_ticks >= STOPS_SHARE * expected_width(servo)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Range of a servo under its homing offset.
+
+    Attributes:
+        homing_offset: register HOMING_OFFSET [ticks].
+        range_min: lowest position [ticks].
+        range_max: highest position [ticks].
+    """
+
+    homing_offset: int
+    range_min: int
+    range_max: int
+
+
+def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Placed:
+    """Place the swept range of a joint with stops within the turn.
+
+    Args:
+        servo: the joint's servo.
+        sweep: ranges of all servos.
+        offset: register HOMING_OFFSET during the sweep [ticks].
+        recentre: True for a new homing offset, False to keep the servo's.
+
+    Raises:
+        CalibrationError: the joint was hardly moved, turned by a whole turn, or its range crosses the seam.
+    """
+    lowest, highest, width = sweep.lowest[servo.servo_id], sweep.highest[servo.servo_id], sweep.width(servo.servo_id)
+    if width < LEAST_SWEEP_TICKS:
+        raise CalibrationError(
+            "sweep", servo.joint, f"was moved by {width} ticks only: move every joint from stop to stop"
+        )
+    if width > WIDEST_SWEEP_TICKS:
+        raise CalibrationError(
+            "sweep",
+            servo.joint,
+            f"was turned by {width} ticks, and has no stops within a turn of {TICKS_PER_TURN}: they are missing, or "
+            "its horn slips; a joint without stops has turns_freely = true in robot.toml",
+        )
+    if recentre:
+        middle = (lowest + highest) // 2
+        offset, shift = _centred(middle, offset)
+        lowest, highest = lowest + shift, highest + shift
+    if lowest < 0 or highest > MAX_TICK:
+        raise CalibrationError(
+            "sweep",
+            servo.joint,
+            f"its range of {lowest} to {highest} ticks crosses the seam between {MAX_TICK} and 0: its servo needs a "
+            "new homing offset (--write-servos)",
+        )
+    return Placed(offset, lowest, highest)
+
+
+def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) -> Placed:
+    """Place a joint that turns freely: its range is the turn, and its middle the tick that lerobot takes for it.
+
+    Args:
+        servo: the joint's servo.
+        middle: position at which the joint is in its middle [ticks].
+        offset: register HOMING_OFFSET at that time [ticks].
+        recentre: True for a new homing offset, False to keep the servo's.
+
+    Raises:
+        CalibrationError: the middle is elsewhere, and the servo keeps its offset.
+    """
+    if recentre:
+        return Placed(_centred(middle, offset)[0], 0, MAX_TICK)
+    middle %= TICKS_PER_TURN
+    if abs(middle - MIDDLE_TICK) > FREE_MIDDLE_WITHIN_TICKS:
+        raise CalibrationError(
+            "sweep",
+            servo.joint,
+            f"its middle is tick {middle}, and the file's format takes {MIDDLE_TICK} for it: the servo needs a new "
+            "homing offset (--write-servos)",
+        )
+    return Placed(offset, 0, MAX_TICK)
+
+
+def _centred(middle: int, offset: int) -> tuple[int, int]:
+    """Return the homing offset that makes a position the middle, and the shift of positions with it [ticks].
+
+    The register has 11 bits and a sign: where 2048 would be needed, the middle is one tick off.
+    """
+    encoder = middle + offset
+    centred = (encoder - MIDDLE_TICK) % TICKS_PER_TURN
+    if centred > TICKS_PER_TURN // 2:
+        centred -= TICKS_PER_TURN
+    centred = min(centred, MAX_HOMING_OFFSET)
+    return centred, (encoder - centred) % TICKS_PER_TURN - middle

@@ -1,0 +1,76 @@
+"""Assumptions of the controller about each joint that follow from how strong its actuator is set to be.
+
+A servo with half the position gain droops twice as far, and one that protects itself from 25 % of its torque on must
+not be asked to hold with more. The settings of the program hold for servos as the factory leaves them; here they are
+adapted to the servos that were found. Pure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from robot.hardware.interface import Actuation
+from robot.messages import GuardLimits
+from robot.trajectory import Vector
+
+# Of the distance at which a joint counts as being at its goal, 0.06 rad, a third is backlash (0.9 to 1.0 deg were
+# measured); the rest is droop under load (1.8 to 2.6 deg), in inverse proportion to the gain.
+DROOP_SHARE = 2.0 / 3.0
+LARGEST_TOLERANCE_RAD = 0.3
+
+# A protection is kept at this distance: its threshold is compared with a load that is measured in steps of 0.1 % and
+# that ripples.
+MARGIN = 0.8
+
+# A joint that is loaded beyond its protection's threshold is relieved after this share of the protection's time.
+RELIEF_SHARE = 0.5
+
+# A stall is told well before the protection of the servo latches.
+STALL_SHARE = 0.25
+
+# Current of a stalled STS3215 C001 at full duty (Feetech's data sheet: 2.4 A at 6 V, 2.7 A at 7.4 V).
+STALL_CURRENT_A = 2.7
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """Assumptions about the joints, each of shape (joints,).
+
+    Attributes:
+        goal_tolerance_rad: greatest distance of a settled joint from its goal [rad].
+        sustained_torque: share of full duty that a joint may use for ever.
+        relieve_after_s: time above it after which a joint is limited to it; infinite where that is never needed [s].
+        stall_current_a: current above which a joint that all but stands still is stalled [A].
+        stall_time_s: time for which that must last [s].
+    """
+
+    goal_tolerance_rad: Vector
+    sustained_torque: Vector
+    relieve_after_s: Vector
+    stall_current_a: Vector
+    stall_time_s: Vector
+
+    @classmethod
+    def of(cls, limits: GuardLimits, actuation: Actuation, full_torque: Vector) -> Self:
+        """Adapt the program's limits to the actuators.
+
+        Args:
+            limits: limits for actuators as the factory leaves them.
+            actuation: strength of the actuators.
+            full_torque: largest share of full duty that each joint is given, shape (joints,).
+        """
+        # A higher gain than the factory's does not make the gears stiffer.
+        softness = 1.0 / np.clip(actuation.stiffness, 1e-2, 1.0)
+        tolerance = limits.goal_tolerance_rad * (1.0 + DROOP_SHARE * (softness - 1.0))
+        threshold = np.minimum(actuation.overload_torque, actuation.overload_current_a / STALL_CURRENT_A)
+        within = threshold >= full_torque
+        return cls(
+            goal_tolerance_rad=np.minimum(tolerance, max(LARGEST_TOLERANCE_RAD, limits.goal_tolerance_rad)),
+            sustained_torque=np.where(within, full_torque, np.minimum(MARGIN * threshold, full_torque)),
+            relieve_after_s=np.where(within, np.inf, RELIEF_SHARE * actuation.overload_time_s),
+            stall_current_a=np.minimum(limits.stall_current_a, MARGIN * actuation.overload_current_a),
+            stall_time_s=np.minimum(limits.stall_time_s, STALL_SHARE * actuation.overload_time_s),
+        )

@@ -1,0 +1,119 @@
+"""Populations of servos: the states in which the servos of real arms are found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from robot.calibration import MAX_TICK
+from robot.emulator.plant import SQUEEZING, WELL_COOLED, Heating
+from robot.hardware.feetech.profiles import LEROBOT
+from robot.hardware.feetech.registers import MODELS, Register
+
+# The SO-101's usual supply, and that of its 12 V variant [V].
+SUPPLY_V = 5.0
+SUPPLY_12_V = 12.0
+
+
+@dataclass(frozen=True)
+class Population:
+    """State of an arm's servos before a program finds them.
+
+    A tuple has one value for each joint in turn, and begins again behind its last.
+
+    Attributes:
+        registers: EPROM of each servo, where it differs from a new one's.
+        gripper: the same of the gripper's servo alone.
+        servo_id: id of every servo, as the factory leaves it; None for those of the calibration.
+        limits_ticks: angle limits of every servo; None for the calibrated ranges.
+        has_offsets: True if the servos hold the calibration's homing offsets, False if they hold none.
+        offset_shift_ticks: added to the homing offset after the arm was calibrated.
+        horn_ticks: encoder ticks by which the horns are mounted away from where the calibration has them.
+        firmware: minor version of the firmware, behind major version 3.
+        unlocked: True if the EPROM is found unlocked, as a program has left it.
+        powers_up_unlocked: True if the EPROM is unlocked after each power-up.
+        powers_up_holding: True if power-ups leave torque on.
+        overload_latches: True if only a power cycle clears an overload, and the servo ignores torque off until then.
+        supply_v: supply [V].
+        gripper_heating: heat of the gripper's motor.
+        free_joint_stops_ticks: mechanical stops of the joint that is calibrated to a whole turn; None for that.
+    """
+
+    registers: Mapping[Register, int] = field(default_factory=dict)
+    gripper: Mapping[Register, int] = field(default_factory=dict)
+    servo_id: int | None = None
+    limits_ticks: tuple[int, int] | None = None
+    has_offsets: bool = True
+    offset_shift_ticks: tuple[int, ...] = (0,)
+    horn_ticks: tuple[int, ...] = (0,)
+    firmware: tuple[int, ...] = (10,)
+    unlocked: bool = False
+    powers_up_unlocked: bool = False
+    powers_up_holding: bool = False
+    overload_latches: bool = False
+    supply_v: float = SUPPLY_V
+    gripper_heating: Heating = WELL_COOLED
+    free_joint_stops_ticks: tuple[int, int] | None = None
+
+    @property
+    def has_shifted(self) -> bool:
+        """True if the servos' zero has shifted since the calibration."""
+        return any(self.offset_shift_ticks)
+
+
+WHOLE_TURN = 0, MAX_TICK
+
+# Two printed parts of the SO-101's wrist meet there (lerobot, pull request 4583), whatever its calibration says.
+WRIST_ROLL_STOPS = 113, 3981
+
+FACTORY = Population()
+
+# As lerobot leaves them when it disconnects (its so_follower.py): its registers, and the EPROM unlocked.
+LEROBOT_CONFIGURED = Population(
+    {**LEROBOT.registers, Register.RETURN_DELAY: 0},
+    LEROBOT.gripper,
+    unlocked=True,
+    gripper_heating=SQUEEZING,
+    free_joint_stops_ticks=WRIST_ROLL_STOPS,
+)
+
+# A driver for ROS 2 with homing offsets of its own in its YAML file (ros-physical-ai/feetech_ros2_driver): these are
+# 8 to 18 deg from the calibrated ones.
+ROS2_DRIVER = Population(
+    limits_ticks=WHOLE_TURN,
+    offset_shift_ticks=(91, -120, 204, -150, 100, 0),
+    gripper_heating=SQUEEZING,
+    free_joint_stops_ticks=WRIST_ROLL_STOPS,
+)
+
+# A compatible servo of 12 V under the model number of the STS3250, its firmware not the same throughout an arm.
+CLONE = Population(
+    {Register.MODEL_NUMBER: MODELS["sts3250"], Register.RETURN_DELAY: 250, Register.MAX_VOLTAGE: 140},
+    firmware=(10, 10, 9, 10, 43, 10),
+    powers_up_unlocked=True,
+    powers_up_holding=True,
+    overload_latches=True,
+    supply_v=SUPPLY_12_V,
+    gripper_heating=SQUEEZING,
+    free_joint_stops_ticks=WRIST_ROLL_STOPS,
+)
+
+# New servos, each put into the arm as it came out of its box: the horns are where the encoders happened to stand.
+KIT = Population(
+    {Register.RETURN_DELAY: 250},
+    servo_id=1,
+    limits_ticks=WHOLE_TURN,
+    has_offsets=False,
+    horn_ticks=(120, -340, 260, -180, 410, 60),
+)
+
+POPULATIONS: Mapping[str, Population] = MappingProxyType(
+    {
+        "factory": FACTORY,
+        "lerobot": LEROBOT_CONFIGURED,
+        "ros2_driver": ROS2_DRIVER,
+        "clone": CLONE,
+        "kit": KIT,
+    }
+)

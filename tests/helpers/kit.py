@@ -1,0 +1,55 @@
+"""A new kit: six servos as the factory makes them, of which any may be plugged in."""
+
+from __future__ import annotations
+
+from robot.commissioning.setup import ServoLine
+from robot.emulator.servo import Servo
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.registers import Register, encode
+from robot.hardware.feetech.settings import SETTINGS
+from tests.helpers.emulator import SteppedEmulator
+
+# Options of the emulator of a kit.
+KIT = ("--population", "kit")
+
+
+def set_registers(servo: Servo, values: dict[Register, int]) -> None:
+    """Set registers of an emulated servo, stored as by another program."""
+    servo.write(Register.LOCK, encode(Register.LOCK, 0))
+    for register, value in values.items():
+        servo.write(register, encode(register, value))
+    if Register.LOCK not in values:
+        servo.write(Register.LOCK, encode(Register.LOCK, 1))
+
+
+class Kit:
+    """Servos of an emulator with the options :data:`KIT`, of which none is plugged in at first.
+
+    Attributes:
+        emulator: as given.
+        servos: in the order of the chain.
+    """
+
+    def __init__(self, emulator: SteppedEmulator) -> None:
+        self.emulator = emulator
+        self.servos = emulator.servo_bus.servos
+        self.plug()
+
+    def plug(self, *places: int) -> None:
+        """Have the servos at these places of the chain on the wire, from 0 on, and no others."""
+        joints = [servo.joint for servo in self.servos]
+        plugged = [joints[place] for place in places]
+        self.emulator.command(unplug=[joint for joint in joints if joint not in plugged], plug=plugged)
+
+    def line(self) -> ServoLine:
+        """Return the servos' port, in the emulator's time."""
+        return ServoLine(self.open, self.emulator.run)
+
+    def open(self, baudrate: int) -> Bus:
+        """Open the bus at a baud rate."""
+        self.emulator.port.baudrate = baudrate
+        return self.emulator.open_bus()
+
+    def held(self, place: int) -> dict[Register, int]:
+        """Return the settings of a servo."""
+        return {register: self.servos[place].value(register) for register in SETTINGS}

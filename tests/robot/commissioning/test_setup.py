@@ -1,0 +1,319 @@
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+
+from robot.commissioning.register_backup import SavedServo
+from robot.commissioning.setup import (
+    changes_back,
+    changes_for,
+    check_model,
+    choose_profile,
+    look,
+    needs_writing,
+    search,
+    supply_complaint,
+    write,
+)
+from robot.errors import PortLost, StartupError
+from robot.hardware.feetech.profiles import FACTORY, LEROBOT
+from robot.hardware.feetech.registers import Register
+from tests.helpers.kit import KIT, Kit, set_registers
+from tests.helpers.robots import SO101_SERVOS
+from tests.helpers.server import read_write_log
+
+PAN, LIFT, ELBOW, FLEX, ROLL, GRIPPER = SO101_SERVOS
+
+
+@pytest.fixture
+def kit(start_emulator):
+    return Kit(start_emulator(*KIT))
+
+
+def find(kit, joint):
+    return search(kit.line(), joint, SO101_SERVOS, lambda _text: None)
+
+
+def set_up(kit, joint, profile=LEROBOT):
+    """What the command does with the servo that is plugged in."""
+    line = kit.line()
+    servo = search(line, joint, SO101_SERVOS, lambda _text: None)
+    changes = changes_for(servo, joint, profile)
+    return write(line, servo, changes) if needs_writing(servo, changes) else servo
+
+
+def finished(kit, place, joint):
+    """Whether a servo keeps without power all that its joint needs."""
+    kit.servos[place].power_up()
+    kit.plug(place)
+    servo = find(kit, joint)
+    return servo.servo_id == joint.servo_id and not needs_writing(servo, changes_for(servo, joint, LEROBOT))
+
+
+def test_a_new_servo_gets_the_id_and_settings_of_its_joint_for_good(kit):
+    kit.plug(5)
+    set_up(kit, GRIPPER)
+    kit.servos[5].power_up()
+    held = kit.held(5)
+    assert (held[Register.ID], held[Register.RETURN_DELAY], held[Register.P_GAIN]) == (6, 0, 16)
+    assert held[Register.OVERLOAD_TORQUE] == 25
+    assert finished(kit, 5, GRIPPER)
+
+
+def test_only_what_differs_is_written_and_the_eprom_is_locked(start_emulator, write_log):
+    kit = Kit(start_emulator(*KIT, "--write-log", str(write_log)))
+    kit.plug(4)
+    before = len(read_write_log(write_log))
+    set_up(kit, ROLL, FACTORY)
+    written = {entry["address"] for entry in read_write_log(write_log)[before:] if entry["data"]}
+    assert written == {Register.TORQUE_ENABLE, Register.LOCK, Register.RETURN_DELAY, Register.ID}
+    assert kit.servos[4].value(Register.LOCK) == 1
+
+
+def test_a_servo_is_relaxed_before_anything_else_is_written(start_emulator, write_log):
+    kit = Kit(start_emulator(*KIT, "--write-log", str(write_log)))
+    kit.plug(4)
+    kit.servos[4].power_up(holding=True)
+    before = len(read_write_log(write_log))
+    set_up(kit, ROLL)
+    assert read_write_log(write_log)[before]["address"] == Register.TORQUE_ENABLE
+    assert kit.servos[4].value(Register.TORQUE_ENABLE) == 0
+
+
+@pytest.mark.parametrize(("code", "servo_id"), [(0, 1), (0, 77), (1, 1), (4, 253), (7, 6)])
+def test_a_servo_is_found_at_any_rate_and_id(kit, code, servo_id):
+    set_registers(kit.servos[5], {Register.ID: servo_id, Register.BAUD_RATE: code})
+    kit.plug(5)
+    set_up(kit, GRIPPER)
+    assert finished(kit, 5, GRIPPER)
+    assert kit.servos[5].value(Register.BAUD_RATE) == 0
+
+
+def test_a_servo_of_several_turns_in_another_mode_counts_one_turn_and_holds_positions(kit):
+    set_registers(kit.servos[5], {Register.PHASE: 12 | 0x10, Register.OPERATING_MODE: 3, Register.RESPONSE_LEVEL: 0})
+    kit.plug(5)
+    set_up(kit, GRIPPER)
+    held = kit.held(5)
+    assert (held[Register.PHASE], held[Register.OPERATING_MODE], held[Register.RESPONSE_LEVEL]) == (12, 0, 1)
+
+
+def test_two_servos_of_one_id_are_refused_with_how_to_part_them(kit):
+    kit.plug(4, 5)
+    with pytest.raises(StartupError, match=r"several servos with the id 1 .*unplug all of them but one"):
+        find(kit, GRIPPER)
+
+
+def test_servos_whose_replies_do_not_collide_are_told_apart_as_well(kit):
+    set_registers(kit.servos[4], {Register.RETURN_DELAY: 0})
+    kit.plug(4, 5)
+    with pytest.raises(StartupError, match="several servos with the id 1"):
+        find(kit, GRIPPER)
+
+
+def test_two_servos_of_an_id_that_nobody_expects_are_refused_as_well(kit):
+    for place in (4, 5):
+        set_registers(kit.servos[place], {Register.ID: 77})
+    kit.plug(4, 5)
+    with pytest.raises(StartupError, match="unplug all"):
+        find(kit, GRIPPER)
+
+
+def test_replies_that_nobody_can_read_are_refused(kit):
+    set_registers(kit.servos[5], {Register.ID: 77})
+    kit.plug(5)
+    kit.emulator.command(corrupt=1.0)
+    with pytest.raises(StartupError, match=r"garbled: several servos with the same id.*unplug all servos but one"):
+        find(kit, GRIPPER)
+
+
+def test_one_servo_is_not_taken_for_two_though_some_replies_are_disturbed(kit):
+    kit.plug(5)
+    kit.emulator.command(corrupt=0.1)
+    assert [find(kit, GRIPPER).servo_id for _ in range(10)] == [1] * 10
+
+
+def test_servos_that_have_their_ids_may_stay_connected(kit):
+    kit.plug(5)
+    set_up(kit, GRIPPER)
+    kit.plug(4, 5)
+    set_up(kit, ROLL)
+    kit.plug(3, 4, 5)
+    found = look(kit.line(), 1_000_000, ())
+    assert [servo.servo_id for servo in found] == [1, 5, 6]
+
+
+def test_a_servo_of_another_joint_is_never_taken(kit):
+    kit.plug(5)
+    set_up(kit, GRIPPER)
+    with pytest.raises(StartupError, match=r"only servo 6 \(gripper\) answers.*plug in the servo of wrist_roll"):
+        find(kit, ROLL)
+
+
+def test_of_two_servos_that_might_be_meant_none_is_taken(kit):
+    set_registers(kit.servos[5], {Register.ID: 77})
+    kit.plug(4, 5)
+    with pytest.raises(StartupError, match="servos 1, 77 answer"):
+        find(kit, GRIPPER)
+
+
+def test_silence_is_explained(kit):
+    with pytest.raises(StartupError, match="supply"):
+        find(kit, GRIPPER)
+
+
+def test_a_calibration_stays_with_its_joint_and_leaves_with_it(kit):
+    calibration = {Register.MIN_ANGLE_LIMIT: 900, Register.MAX_ANGLE_LIMIT: 3100, Register.HOMING_OFFSET: -40}
+    set_registers(kit.servos[0], calibration)
+    kit.plug(0)
+    assert {register: set_up(kit, PAN).registers[register] for register in calibration} == calibration
+    cleared = set_up(kit, ELBOW).registers
+    assert [cleared[register] for register in calibration] == [0, 4095, 0]
+
+
+def test_a_servo_without_limits_gets_them_though_its_id_is_right(kit):
+    set_registers(kit.servos[0], {Register.MIN_ANGLE_LIMIT: 0, Register.MAX_ANGLE_LIMIT: 0})
+    kit.plug(0)
+    assert set_up(kit, PAN).settings.angle_limits_ticks == (0, 4095)
+
+
+def test_an_unlocked_eprom_is_locked_though_nothing_differs(kit):
+    kit.plug(5)
+    set_up(kit, GRIPPER)
+    set_registers(kit.servos[5], {Register.LOCK: 0})
+    set_up(kit, GRIPPER)
+    assert kit.servos[5].value(Register.LOCK) == 1
+
+
+def test_an_unknown_model_is_refused_with_the_way_round(kit):
+    kit.plug(5)
+    servo = find(kit, GRIPPER)
+    check_model(servo, GRIPPER)
+    unknown = type(servo)(1, 1_000_000, {**servo.registers, Register.MODEL_NUMBER: 1234})
+    with pytest.raises(StartupError, match=r"model 1234.*--any-model"):
+        check_model(unknown, GRIPPER)
+
+
+@pytest.mark.parametrize(("supply_v", "said"), [(5.0, ""), (12.1, "burn out"), (3.5, "too weak")])
+def test_a_supply_that_the_servo_is_not_made_for_is_said(kit, supply_v, said):
+    kit.plug(5)
+    kit.emulator.command(supply=supply_v)
+    complaint = supply_complaint(find(kit, GRIPPER))
+    assert said in complaint
+    assert bool(said) == bool(complaint)
+
+
+def test_without_a_wish_the_nearest_profile_is_kept(kit):
+    set_registers(kit.servos[4], {Register.P_GAIN: 16})
+    kit.plug(4)
+    servo = find(kit, ROLL)
+    assert choose_profile(None, None, [(servo, False)]) is LEROBOT
+    assert choose_profile("factory", LEROBOT, [(servo, False)]) is FACTORY
+    assert choose_profile(None, FACTORY, [(servo, False)]) is FACTORY
+
+
+class Broken(BaseException):
+    """Ctrl-C, or anything else that ends the command."""
+
+
+def break_off(kit, packets, error):
+    """Have the line fail for good with this error after so many packets."""
+    port = kit.emulator.port
+    sent = iter(range(packets))
+    write_port = type(port).writePort
+
+    def write_some(packet):
+        if next(sent, None) is None:
+            raise error
+        return write_port(port, packet)
+
+    port.writePort = write_some
+
+
+@pytest.mark.parametrize("error", [Broken(), PortLost("/dev/stepped", "unplugged")], ids=["interrupted", "unplugged"])
+@pytest.mark.parametrize("powered_down", [False, True])
+def test_a_setup_broken_off_after_any_packet_is_finished_by_the_next(kit, error, powered_down):
+    servo = kit.servos[5]
+    fresh = {**kit.held(5), Register.BAUD_RATE: 1}
+    kit.plug(5)
+    broken, packets = True, 1
+    while broken:
+        set_registers(servo, {register: fresh[register] for register in fresh if register >= Register.ID})
+        broken = False
+        break_off(kit, packets, error)
+        try:
+            set_up(kit, GRIPPER)
+        except (Broken, PortLost):
+            broken = True
+        del kit.emulator.port.writePort
+        if powered_down:
+            servo.power_up()
+        set_up(kit, GRIPPER)
+        assert finished(kit, 5, GRIPPER)
+        packets += 1
+    assert packets > 40
+
+
+def test_a_servo_that_forgets_a_value_when_its_eprom_is_locked_is_not_taken_for_done(kit, monkeypatch):
+    kit.plug(5)
+    servo = kit.servos[5]
+    take = servo.write
+
+    def forget(address, data):
+        take(address, data)
+        if address == Register.LOCK and data == b"\1":
+            take(Register.P_GAIN, bytes([32]))
+
+    monkeypatch.setattr(servo, "write", forget)
+    with pytest.raises(StartupError, match="does not keep what was written to it: it has P_GAIN 32"):
+        set_up(kit, GRIPPER)
+
+
+def test_an_interrupted_write_leaves_the_eprom_locked(kit):
+    kit.plug(5)
+    line = kit.line()
+    servo = search(line, GRIPPER, SO101_SERVOS, lambda _text: None)
+    read = type(kit.emulator.port).receive
+    unlocked = iter([False])
+
+    def interrupt(timeout_s):
+        if kit.servos[5].value(Register.LOCK) == 0:
+            for _ in unlocked:
+                raise Broken
+        return read(kit.emulator.port, timeout_s)
+
+    kit.emulator.port.receive = interrupt
+    with contextlib.suppress(Broken):
+        write(line, servo, changes_for(servo, GRIPPER, LEROBOT))
+    assert next(unlocked, "used") == "used"
+    assert kit.servos[5].value(Register.LOCK) == 1
+
+
+def saved(kit, place, joint):
+    kit.plug(place)
+    servo = find(kit, joint)
+    return SavedServo(joint.joint, servo.servo_id, joint.servo_id, servo.baudrate, servo.registers)
+
+
+def test_a_servo_alone_gets_back_all_that_it_had(kit):
+    set_registers(kit.servos[5], {Register.BAUD_RATE: 1, Register.HOMING_OFFSET: 77})
+    before = kit.held(5)
+    entry = saved(kit, 5, GRIPPER)
+    after = set_up(kit, GRIPPER)
+    write(kit.line(), after, changes_back(after, entry, alone=True))
+    assert kit.held(5) == before
+
+
+def test_among_others_a_servo_keeps_its_id(kit):
+    entry = saved(kit, 5, GRIPPER)
+    after = set_up(kit, GRIPPER)
+    changed = [change.register for change in changes_back(after, entry, alone=False)]
+    assert Register.RETURN_DELAY in changed
+    assert Register.ID not in changed
+
+
+def test_a_baud_rate_that_would_make_the_servo_unreachable_is_not_restored(kit):
+    entry = saved(kit, 5, GRIPPER)
+    after = set_up(kit, GRIPPER)
+    odd = SavedServo("gripper", 1, 6, 1_000_000, {**entry.registers, Register.BAUD_RATE: 5})
+    assert Register.BAUD_RATE not in [change.register for change in changes_back(after, odd, alone=True)]

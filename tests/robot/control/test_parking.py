@@ -1,0 +1,279 @@
+"""The end of an arm that is parked, on emulated servos, ticked in their own time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot.description.robot_folder import built_in
+from robot.messages import (
+    END_TIMEOUT_S,
+    PARKING_TIMEOUT_S,
+    ChangePace,
+    Course,
+    EndState,
+    KeepParking,
+    Mode,
+    Order,
+    Outcome,
+    ParkingPlan,
+    Shutdown,
+    Stop,
+    Stream,
+)
+from robot.trajectory import Trajectory
+from tests.helpers.arm_rig import NAMES, ArmRig
+from tests.helpers.motions import smooth_move
+
+REST = built_in("so101").model.named_states["arm"]["rest"]
+
+# A relaxed elbow sinks until its stop holds it.
+SINK_RAD = 0.1
+
+Start = Callable[..., ArmRig]
+
+
+def way_to_rest(duration_s: float = 3.0) -> ParkingPlan:
+    """Way from where every joint is at 0."""
+    trajectory = smooth_move({name: (0.0, position) for name, position in REST.items()}, duration_s)
+    return ParkingPlan(trajectory, dict.fromkeys(NAMES, 0.0))
+
+
+def pan(duration_s: float = 2.0) -> Trajectory:
+    return smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s)
+
+
+@pytest.fixture
+def start_parked() -> Start:
+    def start(plan: ParkingPlan | None = None, **settings: Any) -> ArmRig:
+        rig = ArmRig(on_server_lost=EndState.PARK, on_exit=EndState.PARK, **settings)
+        rig.until_mode(Mode.HOLDING)
+        rig.supervisor.handle(KeepParking(plan or way_to_rest()))
+        return rig
+
+    return start
+
+
+@pytest.fixture
+def rig(start_parked: Start) -> ArmRig:
+    return start_parked()
+
+
+def lose_server(rig: ArmRig) -> None:
+    rig.alive = False
+    rig.supervisor.lose_server()
+
+
+def until_ended(rig: ArmRig, timeout_s: float = PARKING_TIMEOUT_S + END_TIMEOUT_S + 1.0) -> None:
+    rig.until(lambda: rig.supervisor.finished(), timeout_s)
+
+
+def distance_to_rest(rig: ArmRig) -> float:
+    """Greatest distance of a joint from the rest pose, by the servos."""
+    assert rig.state.position_rad is not None
+    at = dict(zip(NAMES, rig.state.position_rad.tolist(), strict=True))
+    return max(abs(at[name] - position) for name, position in REST.items())
+
+
+def test_a_server_that_is_gone_at_rest_leaves_a_parked_and_relaxed_arm(rig: ArmRig) -> None:
+    lose_server(rig)
+    until_ended(rig)
+    assert rig.torque() == [0] * 6
+    assert distance_to_rest(rig) < SINK_RAD
+
+
+def test_an_arm_relaxed_at_its_rest_pose_hardly_sinks(rig: ArmRig) -> None:
+    lose_server(rig)
+    until_ended(rig)
+    rig.run(10.0)
+    assert distance_to_rest(rig) < SINK_RAD
+
+
+def test_an_orderly_end_parks_the_arm(rig: ArmRig) -> None:
+    rig.supervisor.handle(Shutdown())
+    until_ended(rig)
+    assert rig.torque() == [0] * 6
+    assert distance_to_rest(rig) < SINK_RAD
+
+
+def test_a_server_that_is_gone_in_mid_motion_sends_the_arm_back_before_it_parks(rig: ArmRig) -> None:
+    rig.execute(pan())
+    rig.run(1.0)
+    assert rig.state.goal_rad is not None
+    assert rig.state.goal_rad[0] > 0.3
+    goals: list[float] = []
+    lose_server(rig)
+    rig.until(lambda: bool(goals.append(float(rig.state.goal_rad[0]))) or abs(goals[-1]) < 1e-6)  # type: ignore[index]
+    others = rig.state.goal_rad[1:]
+    assert np.allclose(others, 0.0, atol=0.02), "the arm parks before it is back"
+    until_ended(rig)
+    assert [ended.outcome for ended in rig.ended] == [Outcome.STOPPED, Outcome.REACHED]
+    assert distance_to_rest(rig) < SINK_RAD
+
+
+def sinks(rig: ArmRig) -> bool:
+    """The arm was relaxed without going anywhere near its rest pose."""
+    until_ended(rig)
+    return rig.torque() == [0] * 6 and distance_to_rest(rig) > 0.3
+
+
+def test_a_way_that_begins_elsewhere_is_not_played(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.execute(smooth_move({"wrist_roll": (0.0, 0.3)}, 1.0))
+    rig.until(lambda: bool(rig.ended))
+    lose_server(rig)
+    assert sinks(rig)
+    assert "planned with joint wrist_roll at 0.000 rad, which is at 0.300 rad" in caplog.text
+
+
+def test_a_gripper_that_was_moved_since_makes_the_way_one_from_elsewhere(rig: ArmRig) -> None:
+    rig.execute(smooth_move({"gripper": (0.0, 0.5)}, 1.0))
+    rig.until(lambda: bool(rig.ended))
+    lose_server(rig)
+    assert sinks(rig)
+
+
+def test_without_a_way_the_arm_is_relaxed(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.supervisor.handle(KeepParking(None))
+    lose_server(rig)
+    assert sinks(rig)
+    assert "no way to the rest pose is known" in caplog.text
+
+
+def test_a_scene_that_changes_on_the_way_ends_parking(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.supervisor.handle(Shutdown())
+    rig.run(0.5)
+    rig.supervisor.handle(KeepParking(None))
+    assert sinks(rig)
+    assert "the scene has changed" in caplog.text
+
+
+def test_a_motion_that_began_elsewhere_is_braked_and_not_played_back(rig: ArmRig) -> None:
+    rig.execute(smooth_move({"wrist_roll": (0.0, 0.3)}, 1.0), motion_id=1)
+    rig.until(lambda: bool(rig.ended))
+    rig.execute(pan(), motion_id=2)
+    rig.run(1.0)
+    lose_server(rig)
+    assert sinks(rig)
+    assert rig.state.position_rad is not None
+    assert rig.state.position_rad[0] > 0.3
+
+
+def test_a_stream_has_no_way_back(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.supervisor.handle(Stream(1, ("shoulder_pan",)))
+    rig.tick()
+    lose_server(rig)
+    assert sinks(rig)
+    assert "no way back" in caplog.text
+
+
+def test_a_paused_motion_is_not_set_going_by_the_end(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.execute(pan())
+    rig.run(1.0)
+    rig.supervisor.handle(ChangePace(course=Course.PAUSED))
+    rig.run(0.5)
+    lose_server(rig)
+    assert sinks(rig)
+    assert "the motion is paused" in caplog.text
+
+
+def test_a_way_that_takes_too_long_is_not_begun(start_parked: Start, caplog: pytest.LogCaptureFixture) -> None:
+    rig = start_parked(way_to_rest(PARKING_TIMEOUT_S + 1.0))
+    lose_server(rig)
+    assert sinks(rig)
+    assert "above the limit" in caplog.text
+
+
+def test_parking_that_is_slowed_down_ends_at_its_deadline(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.supervisor.handle(ChangePace(speed_factor=0.05))
+    lose_server(rig)
+    assert sinks(rig)
+    assert f"not at its rest pose after {PARKING_TIMEOUT_S:g} s" in caplog.text
+
+
+def test_an_end_in_a_hurry_relaxes_instead(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.supervisor.handle(Shutdown())
+    rig.run(0.5)
+    rig.supervisor.handle(Shutdown(hurry=True))
+    assert sinks(rig)
+    assert "told not to wait" in caplog.text
+
+
+def test_a_stop_ends_parking_and_the_arm_is_relaxed(rig: ArmRig) -> None:
+    rig.supervisor.handle(Shutdown())
+    rig.run(0.5)
+    rig.supervisor.handle(Stop())
+    assert sinks(rig)
+
+
+def test_an_emergency_stop_ends_parking(rig: ArmRig) -> None:
+    rig.supervisor.handle(Shutdown())
+    rig.run(0.5)
+    assert rig.order(Order.EMERGENCY_STOP).done
+    until_ended(rig)
+    assert rig.torque() == [0] * 6
+    assert rig.fault_code == "emergency_stop"
+
+
+def test_a_relaxed_arm_stays_where_it_is(rig: ArmRig) -> None:
+    rig.order(Order.RELAX)
+    lose_server(rig)
+    assert sinks(rig)
+    assert rig.ended == []
+
+
+def test_an_arm_at_its_rest_pose_is_relaxed_at_once(rig: ArmRig) -> None:
+    plan = way_to_rest()
+    rig.execute(plan.trajectory)
+    rig.until(lambda: bool(rig.ended))
+    there = plan.trajectory.sample(plan.trajectory.duration_s)[0]
+    held = dict.fromkeys(NAMES, 0.0) | dict(zip(plan.trajectory.joint_names, there.tolist(), strict=True))
+    still = np.zeros((1, len(there)))
+    nowhere = Trajectory(plan.trajectory.joint_names, np.zeros(1), there[np.newaxis], still, still)
+    rig.supervisor.handle(KeepParking(ParkingPlan(nowhere, held)))
+    lose_server(rig)
+    until_ended(rig, 4.0)
+    assert rig.torque() == [0] * 6
+
+
+def test_a_server_that_is_silent_at_rest_is_waited_for_before_the_arm_parks(rig: ArmRig) -> None:
+    rig.alive = False
+    rig.run(4.5)
+    assert rig.mode is Mode.HOLDING
+    rig.until_mode(Mode.MOVING)
+    rig.until_mode(Mode.RELAXED)
+    assert distance_to_rest(rig) < SINK_RAD
+
+
+def test_a_server_that_comes_back_while_the_arm_brakes_finds_it_holding(rig: ArmRig) -> None:
+    rig.execute(pan())
+    rig.run(1.0)
+    rig.alive = False
+    rig.run(2.0)
+    rig.alive = True
+    rig.until_mode(Mode.HOLDING)
+    assert [ended.outcome for ended in rig.ended] == [Outcome.STOPPED]
+    rig.run(8.0)
+    assert rig.mode is Mode.HOLDING
+
+
+def test_a_server_that_comes_back_while_the_arm_parks_stops_it(rig: ArmRig) -> None:
+    rig.alive = False
+    rig.until_mode(Mode.MOVING)
+    rig.run(0.5)
+    rig.alive = True
+    rig.until_mode(Mode.HOLDING)
+    rig.run(8.0)
+    assert rig.mode is Mode.HOLDING
+    assert distance_to_rest(rig) > 0.3
+
+
+def test_a_fault_on_the_way_ends_parking(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    lose_server(rig)
+    rig.run(0.5)
+    rig.emulator.command(temperature={"3": 68})
+    until_ended(rig)
+    assert "the arm has a fault" in caplog.text
+    assert rig.torque() == [0] * 6

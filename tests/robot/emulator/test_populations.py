@@ -1,0 +1,297 @@
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+
+from robot.emulator.arm import build_servos, weight_of
+from robot.emulator.plant import Plant
+from robot.emulator.populations import FACTORY, KIT, POPULATIONS, ROS2_DRIVER
+from robot.emulator.servo import PHASE_MULTI_TURN, Servo
+from robot.emulator.servo_bus import superimposed
+from robot.errors import NoReply
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.profiles import LEROBOT
+from robot.hardware.feetech.registers import Register, encode
+from robot.hardware.interface import StatusFlag
+from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.robots import nominal_calibration, so101
+
+JOINTS = [joint.joint for joint in nominal_calibration().joints]
+
+
+@pytest.fixture
+def kit():
+    emulator = SteppedEmulator("--population", "kit")
+    yield emulator
+    emulator.end()
+
+
+def leave_only(kit: SteppedEmulator, *joints: str) -> None:
+    assert kit.command(unplug=JOINTS) == {"ok": True}
+    assert kit.command(plug=list(joints)) == {"ok": True}
+
+
+def test_servos_with_one_id_cannot_be_understood(kit):
+    bus = kit.open_bus()
+    with pytest.raises(NoReply):
+        bus.ping(1)
+    assert bus.counters.discarded_bytes > 0
+    assert bus.broadcast_ping() == {}
+
+
+def test_one_servo_alone_on_the_wire_is_a_new_one(kit):
+    leave_only(kit, "elbow_flex")
+    bus = kit.open_bus()
+    assert bus.ping(1) == 777
+    assert list(bus.broadcast_ping()) == [1]
+    assert bus.read(1, Register.HOMING_OFFSET) == 0
+    assert (bus.read(1, Register.MIN_ANGLE_LIMIT), bus.read(1, Register.MAX_ANGLE_LIMIT)) == (0, 4095)
+
+
+def set_id(bus: Bus, present: int, wanted: int) -> None:
+    bus.write(present, Register.LOCK, 0)
+    # The acknowledgement bears the new id.
+    with contextlib.suppress(NoReply):
+        bus.write(present, Register.ID, wanted)
+    bus.write(wanted, Register.LOCK, 1)
+
+
+def test_a_kit_gets_its_ids_one_servo_at_a_time_and_keeps_them(kit):
+    bus = kit.open_bus()
+    for number in range(6, 0, -1):
+        assert kit.command(unplug=JOINTS, plug=[number]) == {"ok": True}
+        set_id(bus, 1, number)
+    kit.command(plug=JOINTS)
+    assert list(bus.broadcast_ping()) == [1, 2, 3, 4, 5, 6]
+    assert [servo.servo_id for servo in kit.servo_bus.servos] == [1, 2, 3, 4, 5, 6]
+
+
+def test_two_of_a_kit_that_take_an_id_together_still_collide(kit):
+    leave_only(kit, "wrist_roll", "gripper")
+    bus = kit.open_bus()
+    with pytest.raises(NoReply):
+        bus.write(1, Register.ID, 6)
+    kit.command(unplug=["wrist_roll"])
+    assert bus.ping(6) == 777
+
+
+def test_a_servo_that_shares_its_id_leaves_the_others_understood(kit):
+    leave_only(kit, "shoulder_pan", "wrist_roll", "gripper")
+    bus = kit.open_bus()
+    kit.command(unplug=["shoulder_pan", "wrist_roll"])
+    set_id(bus, 1, 6)
+    kit.command(plug=["shoulder_pan", "wrist_roll"])
+    assert list(bus.broadcast_ping()) == [6]
+    assert list(bus.sync_read([1, 6], 56, 15)) == [6]
+
+
+def test_an_unplugged_servo_has_lost_its_power(kit):
+    leave_only(kit, "gripper")
+    bus = kit.open_bus()
+    bus.write(1, Register.TORQUE_ENABLE, 1)
+    with contextlib.suppress(NoReply):
+        bus.write(1, Register.ID, 6)
+    kit.command(plug=["gripper"])
+    assert bus.read(6, Register.TORQUE_ENABLE) == 1
+    kit.command(unplug=["gripper"])
+    with pytest.raises(NoReply):
+        bus.ping(6)
+    kit.command(plug=["gripper"])
+    # The id was written while the EPROM was locked.
+    assert bus.read(1, Register.TORQUE_ENABLE) == 0
+
+
+@pytest.mark.parametrize("place", [0, 7, "thumb", None])
+def test_a_servo_that_is_not_in_the_chain_cannot_be_unplugged(kit, place):
+    assert "joints or their numbers in the chain, 1 to 6" in kit.command(unplug=[place])["error"]
+
+
+def test_packets_sent_at_once_are_heard_as_none_of_them():
+    packet = b"\xff\xff\x01\x02\x00\xfc"
+    assert superimposed([packet]) == packet
+    heard = superimposed([packet, packet])
+    assert packet not in heard
+    assert heard
+
+
+NOMINAL = nominal_calibration()
+ELBOW, WRIST_ROLL, GRIPPER = 2, 4, 5
+
+
+def servos_of(population: str) -> list[Servo]:
+    return build_servos(NOMINAL, [0.0] * 6, POPULATIONS[population])
+
+
+def put(servo: Servo, register: Register, value: int) -> None:
+    servo.write(register, encode(register, value))
+
+
+def run(servo: Servo, duration_s: float) -> None:
+    for _ in range(round(duration_s / 0.01)):
+        servo.step(0.01)
+
+
+def test_lerobots_servos_have_its_registers_and_an_open_eprom():
+    for servo, joint in zip(servos_of("lerobot"), NOMINAL.joints, strict=True):
+        expected = LEROBOT.expected(gripper=joint.servo.gripper)
+        assert {register: servo.value(register) for register in expected} == expected
+        assert servo.value(Register.LOCK) == 0
+        servo.power_up()
+        assert servo.value(Register.LOCK) == 1
+
+
+def test_another_drivers_offsets_shift_what_is_read_and_not_the_arm():
+    for before, after in zip(servos_of("factory"), servos_of("ros2_driver"), strict=True):
+        shift = after.value(Register.HOMING_OFFSET) - before.value(Register.HOMING_OFFSET)
+        assert after.present_ticks == before.present_ticks - shift
+        assert after.plant.position_ticks == before.plant.position_ticks
+    assert [each.value(Register.HOMING_OFFSET) for each in servos_of("ros2_driver")] == list(
+        ROS2_DRIVER.offset_shift_ticks
+    )
+
+
+def test_servos_found_again_read_what_they_read_before():
+    start_rad = [0.1, -0.5, 0.4, 0.2, 0.1, 0.3]
+    for shifted, true in zip(
+        build_servos(NOMINAL, start_rad, ROS2_DRIVER, as_read=True),
+        build_servos(NOMINAL, start_rad, FACTORY),
+        strict=True,
+    ):
+        assert shifted.present_ticks == true.present_ticks
+
+
+def test_clones_are_of_one_other_model_but_not_of_one_firmware():
+    clones = servos_of("clone")
+    assert {servo.value(Register.MODEL_NUMBER) for servo in clones} == {2825}
+    assert len({servo.value(Register.FIRMWARE_MINOR) for servo in clones}) > 1
+    for clone in clones:
+        assert (clone.value(Register.TORQUE_ENABLE), clone.value(Register.LOCK)) == (1, 0)
+        run(clone, 0.5)
+        assert clone.error == 0
+
+
+@pytest.mark.parametrize("population", ["lerobot", "ros2_driver", "clone"])
+def test_the_wrist_stops_before_its_calibrated_range_ends(population):
+    wrist = servos_of(population)[WRIST_ROLL]
+    wrist.plant.hand_ticks = 5000.0
+    run(wrist, 3.0)
+    assert wrist.plant.position_ticks == 3981.0
+    wrist.plant.hand_ticks = -5000.0
+    run(wrist, 3.0)
+    assert wrist.plant.position_ticks == 113.0
+
+
+def test_an_id_written_to_a_locked_servo_is_lost_with_its_power():
+    servo = servos_of("factory")[0]
+    put(servo, Register.ID, 9)
+    servo.power_up()
+    assert servo.servo_id == 1
+
+
+def servo_at(position: float, offset: int = 0, phase: int = 12) -> Servo:
+    return Servo(Plant(position, -4000.0, 8000.0), {Register.HOMING_OFFSET: offset, Register.PHASE: phase})
+
+
+@pytest.mark.parametrize(
+    ("position", "offset", "phase", "shown"),
+    [
+        (4090.0, 0, 12, 4090),
+        (4100.0, 0, 12, 4),
+        (-3.0, 0, 12, 4093),
+        (10.0, 100, 12, 4006),
+        (4090.0, -100, 12, 94),
+        (4100.0, 0, 12 | PHASE_MULTI_TURN, 4100),
+        (10.0, 100, 12 | PHASE_MULTI_TURN, -90),
+    ],
+)
+def test_the_position_begins_again_after_a_turn_unless_the_servo_counts_turns(position, offset, phase, shown):
+    assert servo_at(position, offset, phase).present_ticks == shown
+
+
+@pytest.mark.parametrize(("goal", "reached"), [(4000, 4000.0), (20, 20.0)])
+def test_a_goal_across_the_seam_is_approached_the_long_way_round(goal, reached):
+    servo = servo_at(4080.0)
+    put(servo, Register.GOAL_POSITION, goal)
+    put(servo, Register.TORQUE_ENABLE, 1)
+    run(servo, 4.0)
+    assert servo.plant.position_ticks == pytest.approx(reached, abs=1.0)
+
+
+def test_a_joint_pushed_across_the_seam_runs_on_towards_its_goal_in_the_next_turn():
+    servo = servo_at(4090.0)
+    put(servo, Register.GOAL_POSITION, 4090)
+    put(servo, Register.TORQUE_ENABLE, 1)
+    run(servo, 0.2)
+    servo.plant.position_ticks = 4100.0
+    run(servo, 5.0)
+    assert servo.plant.position_ticks == servo.plant.upper_stop_ticks
+
+
+def test_a_hand_finds_a_position_behind_the_seam():
+    wrist = build_servos(NOMINAL, [0.0] * 6, KIT)[WRIST_ROLL]
+    assert wrist.plant.upper_stop_ticks > 4200
+    wrist.plant.hand_ticks = wrist.encoder_ticks(50)
+    wrist.plant.position_ticks = 4000.0
+    wrist.plant.hand_ticks = wrist.encoder_ticks(50)
+    run(wrist, 1.0)
+    assert (wrist.plant.position_ticks, wrist.present_ticks) == (4146.0, 50)
+
+
+def latched_clone() -> Servo:
+    servo = servos_of("clone")[ELBOW]
+    servo.plant.block(servo.plant.position_ticks)
+    put(servo, Register.GOAL_POSITION, servo.present_ticks + 800)
+    run(servo, 2.5)
+    assert servo.error == StatusFlag.OVERLOAD
+    return servo
+
+
+@pytest.mark.parametrize("data", [(Register.TORQUE_ENABLE, [0]), (39, [0, 0, 254])], ids=["alone", "in a block"])
+def test_a_servo_whose_overload_has_latched_ignores_torque_off_until_it_has_no_power(data):
+    servo = latched_clone()
+    address, values = data
+    servo.write(address, bytes(values))
+    run(servo, 1.0)
+    assert (servo.value(Register.TORQUE_ENABLE), servo.error) == (1, StatusFlag.OVERLOAD)
+    assert abs(servo.plant.duty_permille) == 200.0
+    servo.unplug()
+    servo.plug_in()
+    assert servo.error == 0
+    put(servo, Register.TORQUE_ENABLE, 0)
+    assert servo.value(Register.TORQUE_ENABLE) == 0
+
+
+def test_a_mirrored_horn_turns_the_weight_and_not_what_the_servo_says():
+    servos = build_servos(NOMINAL, [0.3] * 6)
+    weigh = weight_of(so101(), NOMINAL, servos)
+    weigh()
+    elbow = servos[ELBOW]
+    registers, load = elbow.read(0, 40), elbow.plant.gravity_permille
+    true_ticks = elbow.joint_ticks
+    elbow.mirror()
+    weigh()
+    assert elbow.read(0, 40) == registers
+    assert elbow.joint_ticks == pytest.approx(true_ticks)
+    assert elbow.plant.gravity_permille == pytest.approx(-load)
+    elbow.plant.position_ticks += 100.0
+    weigh()
+    assert elbow.joint_ticks == pytest.approx(true_ticks - 100.0)
+
+
+def test_a_loaded_shoulder_droops_by_20_to_30_ticks_with_lerobots_gain():
+    start_rad = [0.0, 1.3, -1.3, 0.0, 0.0, 0.0]
+    droops = []
+    for population in ("factory", "lerobot"):
+        servos = build_servos(NOMINAL, start_rad, POPULATIONS[population])
+        weight_of(so101(), NOMINAL, servos)()
+        shoulder = servos[1]
+        goal = shoulder.present_ticks
+        # With a payload it is 1.5 kg at 10 cm.
+        shoulder.plant.gravity_permille *= 1.47 * 130.0 / abs(shoulder.plant.gravity_permille)
+        put(shoulder, Register.GOAL_POSITION, goal)
+        put(shoulder, Register.TORQUE_ENABLE, 1)
+        run(shoulder, 2.0)
+        droops.append(abs(goal - shoulder.plant.position_ticks))
+    assert 20.0 < droops[1] < 30.0
+    assert droops[1] == pytest.approx(2.0 * droops[0], rel=0.02)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,28 +14,38 @@ import uvloop
 
 from planners.pool import PlannerPool
 from planners.shared_pool import SharedPlanners
-from robot.arm import Arm
-from robot.messages import ArmHealth, ArmState, EndState, Mode
+from robot.arm import CLOSE_LIMIT_S, Arm
+from robot.errors import OrderRefused
+from robot.messages import ArmHealth, ArmState, Mode, Order
 from robot.processes import StartedChild
 from server.access.authorization import Access
 from server.access.control_lease import ControlServices
+from server.access.one_time_tokens import OneTimeTokenService
+from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
+from server.arm.commissioning import Commissioning, Procedure
 from server.arm.services import ArmPace, ArmServices
 from server.arm.setup import Description, arm_config, check_parameters
 from server.arm.topics import ArmStateTopics, JointStates, states_are_observed
+from server.arm.verifying import VerificationProcedure
 from server.config import RecordingSettings, Settings
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
+from server.execution.parking import LastClient, Parking
 from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, Route, page_is_built
 from server.gateway.listener import Listener
 from server.graph.topics import Graph
 from server.interfaces import load_registry
-from server.lifecycle import BackgroundTask, Part, start_in_order, stop_in_reverse, stop_signals, unless_ended
+from server.lifecycle import BackgroundTask, Part, first_of, start_in_order, stop_in_reverse, stop_signals, unless_ended
+from server.monitoring.fault_files import FaultFiles
 from server.monitoring.health import Sources
+from server.monitoring.log_ring import LogRing
 from server.monitoring.memory import SWITCH_INTERVAL_S, CollectorPolicy, MemoryKeeper
 from server.monitoring.monitor import Monitor
 from server.monitoring.ros_topics import Diagnostics, Rosout, offer_level_services
+from server.monitoring.servo_history import ServoHistory
 from server.monitoring.systemd import SystemdNotifier, on_debug_signal, on_hangup
 from server.moveit.interface import MoveItInterface
+from server.moveit.named_states import data_directory
 from server.rosapi import RosApi
 from server.zenoh.bridge import bridge_of
 
@@ -43,9 +54,17 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("armbridge")
 
-# Longest stop of all parts together, and what an arm that relaxes takes besides [s].
+# Longest stop of all parts together, but for the arm's end [s].
 STOP_TOTAL_S = 2.6
-RELAXING_S = 2.5
+
+# More than the arm's handle gives its process [s].
+ARM_STOP_S = CLOSE_LIMIT_S + 10.0
+
+# Source of parking, in log lines and reports.
+LAST_CLIENT = "arm.on_last_client"
+
+# Planning the way to the rest pose takes milliseconds; a planner may be working on something else [s].
+PREPARING_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -73,12 +92,32 @@ def serve(settings: Settings, arm_process: StartedChild | None = None, inherited
         ConfigurationError: settings that contradict each other or the robot.
         StartError: a part that cannot start, such as a port in use.
     """
+    # Read once: systemd's variables are gone from the environment then, and a new start goes on notifying.
+    notifier = SystemdNotifier.from_environment()
 
     async def run() -> None:
-        await App(settings, arm_process, inherited).run()
+        app = App(settings, arm_process, inherited, notifier=notifier)
+        while (start := await app.run()) is not None:
+            app = App(start.settings, inherited=inherited, recalibrated=start.recalibrated, notifier=notifier)
 
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    uvloop.run(run())
+    try:
+        uvloop.run(run())
+    finally:
+        notifier.close()
+
+
+@dataclass(frozen=True)
+class NewStart:
+    """Start of the server in place of one that has ended: the arm was calibrated.
+
+    Attributes:
+        settings: everything that can be chosen.
+        recalibrated: the new calibration.
+    """
+
+    settings: Settings
+    recalibrated: Recalibrated
 
 
 class App:
@@ -88,10 +127,17 @@ class App:
         settings: everything that can be chosen.
         arm_process: the arm's process, if it was started ahead.
         inherited: parts that are made already; None for a server on its own.
+        recalibrated: calibration that the server before this one has written; None for the first.
+        notifier: notifier of systemd; None for a server that is not its service.
     """
 
     def __init__(
-        self, settings: Settings, arm_process: StartedChild | None = None, inherited: Inherited | None = None
+        self,
+        settings: Settings,
+        arm_process: StartedChild | None = None,
+        inherited: Inherited | None = None,
+        recalibrated: Recalibrated | None = None,
+        notifier: SystemdNotifier | None = None,
     ) -> None:
         description = Description.read(settings.arm) if inherited is None else inherited.description
         robot = description.robot
@@ -116,8 +162,12 @@ class App:
             takes_goals_along=settings.goals.on_disconnect == "stop",
         )
         self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
+        config = arm_config(settings, description)
+        if recalibrated is not None:
+            resumed = config.hardware.resumed(recalibrated.position_rad, driven=False)
+            config = replace(config, hardware=resumed)
         self._arm = Arm(
-            arm_config(settings, description),
+            config,
             self._on_state,
             self._on_health,
             arm_process,
@@ -130,16 +180,45 @@ class App:
         )
 
         # Behind all that may refuse, so that no file is begun in vain; ahead of the parts that latch messages.
+        self._log_ring = LogRing()
         self._recorder = open_recorder(settings.recording, graph, robot.name)
         self._joint_states = JointStates(graph)
         self._arm_state = ArmStateTopics(graph, robot, self._arm.state)
-        self._diagnostics = Diagnostics(graph, robot.name)
+        diagnostics = settings.diagnostics
+        self._fault_files = FaultFiles(
+            diagnostics.directory(data_directory(os.environ)), diagnostics.fault_files, self._log_ring, robot.name
+        )
+        self._diagnostics = Diagnostics(graph, robot.name, lambda: self._fault_files.latest)
+        self._history = ServoHistory(graph)
         rosapi = RosApi(graph, params=access.params)
         self._moveit = MoveItInterface(graph, robot, settings, rosapi.parameters.keep, self._arm, self._pool)
-        ArmServices(graph, self._arm, self._moveit.stop)
+        self._parking = Parking(
+            self._arm,
+            robot,
+            settings.arm,
+            settings.moveit,
+            self._pool,
+            self._moveit.scene,
+            self._moveit.queue,
+        )
+        ArmServices(graph, self._arm, self._moveit.stop, self._parking.park)
+        self._last_client = LastClient(
+            settings.arm,
+            drivers=lambda: len(access.drivers),
+            busy=lambda: not self._nothing_moves(),
+            park=lambda: self._parking.park(LAST_CLIENT),
+            relax=lambda: self._arm.order(Order.RELAX),
+        )
         ArmPace(graph, self._arm)
+        self._inherits = inherited is not None
+        self._next: NewStart | None = None
+        self._start_anew = asyncio.Event()
+        ended = None if recalibrated is None else recalibrated.ended
+        self._commissioning = Commissioning(graph, self._commission, ended)
         self._control = ControlServices(graph, access.lease)
+        OneTimeTokenService(graph, access.one_time_tokens, access.tokens, lambda: self._listener.page_urls_elsewhere)
         offer_level_services(graph)
+        self._log_ring.offer(graph)
         self._rosout = Rosout(graph, asyncio.get_running_loop())
 
         sources = Sources(
@@ -154,13 +233,16 @@ class App:
         )
         self._collector = CollectorPolicy(keeps_frozen=inherited is not None)
         self._memory = MemoryKeeper(self._collector, self._nothing_moves)
-        self._monitor = Monitor(sources, SystemdNotifier.from_environment())
+        self._monitor = Monitor(sources, notifier or SystemdNotifier())
         routes.update(self._monitor.routes)
 
-    async def run(self) -> None:
+    async def run(self) -> NewStart | None:
         """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails.
 
         A second signal hurries the stop.
+
+        Returns:
+            The start that is to follow at once, after a calibration; None for the end.
         """
         ending, hurry = stop_signals()
         on_hangup(self._listener.reload_certificate, ending.set)
@@ -170,15 +252,47 @@ class App:
         try:
             if await unless_ended(ending, start_in_order(self._parts(), started)):
                 self._tell_start()
-                await ending.wait()
+                await first_of(ending, self._start_anew)
             log.info("stopping")
         finally:
-            self._monitor.notify_stopping()
-            relaxing = self._settings.arm.on_exit is EndState.RELAX
-            await stop_in_reverse(started, STOP_TOTAL_S + (RELAXING_S if relaxing else 0.0), hurry)
-            self._monitor.close()
+            self._monitor.notify_stopping(starts_anew=self._start_anew.is_set() and not ending.is_set())
+            await stop_in_reverse(started, STOP_TOTAL_S, hurry)
             self._collector.stop()
         log.info("stopped")
+        return None if ending.is_set() else self._next
+
+    def _commission(self, procedure: str, name: str) -> Procedure:
+        """Make a procedure.
+
+        Raises:
+            RobotError: it cannot begin.
+        """
+        if busy := self._moveit.queue.busy:
+            raise OrderRefused(f"the arm is in use: {busy}")
+        if procedure == "calibrate":
+            if self._inherits:
+                raise OrderRefused("the arms of a classroom have one calibration together, which is not changed here")
+            check_state_rate(self._settings.arm.joint_state_rate_hz)
+            file, in_use = calibration_file(name, self._description)
+            trims_rad = self._settings.arm.zero_offset_rad
+            return CalibrationProcedure(
+                self._arm, self._description, file, trims_rad, self._moveit.stop, self._use, in_use=in_use
+            )
+        if procedure == "verify":
+            calibration, moveit = self._description.calibration, self._moveit
+            joints = () if calibration is None else calibration.joints
+            ends = frozenset(joint.joint for joint in joints if joint.servo.zero == "ends")
+            return VerificationProcedure(self._arm, self._description.robot, ends, moveit.go_to, moveit.queue.cancel)
+        raise OrderRefused(f"there is no procedure {procedure[:80]!r}, but calibrate and verify")
+
+    def _use(self, recalibrated: Recalibrated) -> None:
+        """Start anew with a calibration: everything that was made with the old one is made again."""
+        settings, listener = self._settings, self._listener
+        # At the same place for its clients, and relaxed: nobody has said that the arm may be switched on.
+        arm = settings.arm.model_copy(update={"calibration": recalibrated.file, "start_enabled": False})
+        place = settings.server.model_copy(update={"port": listener.port, "tcp_port": listener.tcp_port})
+        self._next = NewStart(settings.model_copy(update={"arm": arm, "server": place}), recalibrated)
+        self._start_anew.set()
 
     def _parts(self) -> list[Part]:
         """List the parts in the order of their start.
@@ -190,7 +304,8 @@ class App:
         diagnostics = BackgroundTask("diagnostics", self._diagnostics.run)
         memory = BackgroundTask("memory", self._memory.run)
         message_types = BackgroundTask("message types", self._graph.message_types.compile_waiting)
-        relaxing_s = RELAXING_S if self._settings.arm.on_exit is EndState.RELAX else 0.0
+        parking = BackgroundTask("parking", self._parking.run)
+        last_client = BackgroundTask("the last client", self._last_client.run)
         parts = [
             Part("the monitor", monitor.start, monitor.stop),
             # Restored before anybody can see it, and written when nobody can change it any more.
@@ -199,13 +314,20 @@ class App:
             Part("clients", self._listener.bind, self._close_clients, 0.6),
             Part("planners", self._pool.start, self._pool.close, 0.4),
             Part("diagnostics", diagnostics.start, diagnostics.stop),
-            Part("the arm", self._arm.launch, self._arm.close, 0.8 + relaxing_s),
+            # It has its own limits, by its own clock: a simulated arm is slow where the machine is busy.
+            Part("the arm", self._arm.launch, self._arm.close, ARM_STOP_S, beyond_total=True),
+            Part(
+                "the way to the rest pose", stop=self._parking.prepare_exit, deadline_s=PREPARING_S, beyond_total=True
+            ),
             Part("goals", self._start_goals, self._moveit.close, 1.1),
+            Part("commissioning", stop=self._commissioning.close),
             # Clients are answered from here on; goals that they send wait for the arm.
             Part("connections", self._listener.open),
             Part("the arm's first state", self._wait_for_arm),
             # Loaded meanwhile; whoever is told that the server is ready need not wait for them.
             Part("the planners' first plans", self._wait_for_planners),
+            Part("parking", parking.start, parking.stop),
+            Part("the last client", last_client.start, last_client.stop),
             Part("memory", memory.start, memory.stop),
             # Ready without them: whoever comes first waits for a type of his own, at most 20 ms.
             Part("message types", message_types.start, message_types.stop),
@@ -239,7 +361,9 @@ class App:
         """Write the last messages, those of the stop among them."""
         if self._recorder is not None:
             await self._recorder.close()
+        await self._fault_files.close()
         self._rosout.close()
+        self._log_ring.close()
 
     def _nothing_moves(self) -> bool:
         return not self._moveit.queue.busy and self._arm.state.mode is not Mode.MOVING
@@ -248,12 +372,18 @@ class App:
         self._joint_states.publish(state)
         self._arm_state.take_state(state)
         self._diagnostics.take_state(state)
+        self._history.take_state(state)
+        self._fault_files.take_state(state)
         self._moveit.take_state(state)
+        self._commissioning.take_state(state)
 
     def _on_health(self, health: ArmHealth) -> None:
         self._arm_state.take_health(health)
         self._diagnostics.take_health(health)
+        self._history.take_health(health)
+        self._fault_files.take_health(health)
         self._monitor.take_health(health)
+        self._commissioning.take_health(health)
 
     def _tell_start(self) -> None:
         self._monitor.notify_started()

@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 import argparse
+import logging
+import os
 import re
 import sys
+import threading
 from collections.abc import Sequence
 from importlib import metadata
+from typing import NoReturn
 
-from server.commands.arm import add_calibrate_parser, add_doctor_parser, add_relax_parser, add_scan_parser
+from server.commands.arm import add_doctor_parser, add_relax_parser, add_scan_parser
+from server.commands.calibrate import add_calibrate_parser
+from server.commands.certificate import add_certificate_parser
 from server.commands.classroom import add_classroom_parser
 from server.commands.config import add_config_parser, add_systemd_unit_parser
 from server.commands.plan import add_plan_parser
+from server.commands.report import add_report_parser
 from server.commands.robot import add_robot_parser
 from server.commands.serve import add_emulate_parser, add_replay_parser, add_serve_parser
+from server.commands.setup import add_setup_parser
 from server.commands.terminal import EXIT_CODES
+from server.commands.verify import add_verify_parser
 from server.config_keys import unknown
 
 # In the order in which someone with a new arm needs them.
 COMMANDS = (
     add_serve_parser,
+    add_setup_parser,
     add_scan_parser,
     add_calibrate_parser,
+    add_verify_parser,
     add_doctor_parser,
     add_relax_parser,
     add_robot_parser,
@@ -29,8 +40,10 @@ COMMANDS = (
     add_classroom_parser,
     add_replay_parser,
     add_emulate_parser,
+    add_certificate_parser,
     add_config_parser,
     add_systemd_unit_parser,
+    add_report_parser,
 )
 
 
@@ -47,11 +60,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
+def run_process() -> NoReturn:
+    """Run the command and end the process with its exit code.
+
+    A daemon thread is in the middle of a library's call when that did not end in time, as zenoh's with a machine that
+    reads nothing. When such a thread comes back to an interpreter that is being finalized, Python ends it, for which a
+    library in Rust aborts the process (exit code 134). So the interpreter is not finalized then.
+    """
+    code = main()
+    if any(thread.daemon for thread in threading.enumerate()):
+        logging.shutdown()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="armbridge",
-        description="Drive a robot arm from any rosbridge client, without ROS. A new SO-101: scan, calibrate, "
-        "doctor, then serve.",
+        description="Drive a robot arm from any rosbridge client, without ROS. A new SO-101: setup, scan, "
+        "calibrate, doctor, then serve.",
         epilog=f"{EXIT_CODES} armbridge COMMAND --help explains a command.",
     )
     parser.add_argument("--version", action="version", version=f"armbridge {metadata.version('armbridge')}")
@@ -64,4 +93,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process()

@@ -188,6 +188,12 @@ class ArmSettings(SettingsSection):
     """what becomes of the arm after such a silence."""
     on_exit: EndState = EndState.HOLD
     """what becomes of the arm when the server ends in good order."""
+    on_last_client: Literal["nothing", "park", "relax"] = "nothing"
+    """what becomes of the arm when the last client that may drive it has left."""
+    last_client_delay_s: float = Field(default=10.0, ge=0.0, le=86_400.0)
+    """time without such a client until then [s]."""
+    park_state: str | None = None
+    """named state of the SRDF in which the arm is parked; None for the robot's own, which is ``rest`` for most."""
     on_emergency_stop: EmergencyPolicy = EmergencyPolicy.TORQUE_OFF
     """what an emergency stop does."""
     # The servos protect themselves at 70 degC.
@@ -266,6 +272,24 @@ class RecordingSettings(SettingsSection):
         return self
 
 
+class DiagnosticsSettings(SettingsSection):
+    """The files about faults."""
+
+    # Each has some 300 kB.
+    fault_files: int = Field(default=20, ge=0, le=10_000)
+    """how many files about faults are kept, the newest: the last minute of log and joints before each; 0 for none."""
+    fault_directory: Path | None = None
+    """where they are kept; None for a folder in the user's data directory."""
+
+    def directory(self, data: Path) -> Path:
+        """Return the directory of the files about faults.
+
+        Args:
+            data: directory of the server's files.
+        """
+        return self.fault_directory or data / "faults"
+
+
 class EmulatorSettings(SettingsSection):
     """The emulated servos of a simulated arm."""
 
@@ -275,6 +299,8 @@ class EmulatorSettings(SettingsSection):
     """probability that a reply has a wrong byte."""
     seed: int = 0
     """of the random faults."""
+    population: Literal["factory", "lerobot", "ros2_driver", "clone", "kit"] = "factory"
+    """state in which the servos are found, as ``armbridge emulate --population`` names it."""
     write_log: Path | None = None
     """file that gets a line of JSON for every write to a servo."""
     control: Path | None = None
@@ -297,6 +323,7 @@ class Settings(BaseSettings):
     scene: SceneSettings = SceneSettings()
     planning: PlanningSettings = PlanningSettings()
     recording: RecordingSettings = RecordingSettings()
+    diagnostics: DiagnosticsSettings = DiagnosticsSettings()
     zenoh: ZenohSettings = ZenohSettings()
     emulator: EmulatorSettings = EmulatorSettings()
 

@@ -35,12 +35,14 @@ class Part:
         start: starts it; may fail, which ends the server.
         stop: stops it, also when its start has failed or was cancelled half-way; cancelled at its deadline.
         deadline_s: longest time for the stop [s].
+        beyond_total: True where the time of its stop does not count towards the total of all.
     """
 
     name: str
     start: Callable[[], Awaitable[None]] = nothing
     stop: Callable[[], Awaitable[None]] = nothing
     deadline_s: float = 0.1
+    beyond_total: bool = False
 
 
 class BackgroundTask:
@@ -98,6 +100,14 @@ def stop_signals() -> tuple[asyncio.Event, asyncio.Event]:
     return ending, hurry
 
 
+async def first_of(*events: asyncio.Event) -> None:
+    """Wait until one of some events is set."""
+    waiting = [asyncio.create_task(_until(event)) for event in events]
+    await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+    for each in waiting:
+        each.cancel()
+
+
 async def unless_ended(ending: asyncio.Event, starting: Coroutine[Any, Any, None]) -> bool:
     """Start, unless the end comes before that is done; says whether it is."""
     started, ended = asyncio.create_task(starting), asyncio.create_task(_until(ending))
@@ -121,14 +131,19 @@ async def stop_in_reverse(
 
     Args:
         started: in the order of their start.
-        total_s: longest time of all stops together [s].
+        total_s: longest time of all stops together, but for those beyond the total [s].
         hurry: set by whoever will not wait; each part then has HURRIED_S.
         clock: monotonic time [s].
     """
     hurry = hurry or asyncio.Event()
     until_s = clock() + total_s
     for left, part in zip(reversed(range(len(started))), reversed(started), strict=True):
-        await _stop(part, allowance_s(part.deadline_s, until_s - clock(), left), hurry)
+        began_s = clock()
+        if part.beyond_total:
+            await _stop(part, part.deadline_s, hurry)
+            until_s += clock() - began_s
+        else:
+            await _stop(part, allowance_s(part.deadline_s, until_s - began_s, left), hurry)
 
 
 def allowance_s(deadline_s: float, left_s: float, parts_left: int) -> float:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from benchmarks.campaign.scenario import Happening
+from benchmarks.campaign.scenario import Happening, scenario_of
 from benchmarks.campaign.seed_run import run_seed
+from robot.emulator.populations import POPULATIONS
 
 SEEDS = {
     Happening.UNPLUG: 2,
@@ -18,7 +20,21 @@ SEEDS = {
 
 @pytest.mark.parametrize("happening", SEEDS)
 def test_a_seed_of_the_campaign_finds_no_violation(happening: Happening, tmp_path: Path) -> None:
-    result = run_seed(SEEDS[happening], tmp_path)
+    result = run_seed(SEEDS[happening], tmp_path, "factory")
     assert result.happening == happening.value
     assert result.writes
     assert not result.violations
+
+
+@pytest.mark.parametrize("population", [name for name in POPULATIONS if name != "factory"])
+def test_a_seed_of_the_campaign_finds_no_violation_on_other_servos(population: str, tmp_path: Path) -> None:
+    result = run_seed(SEEDS[Happening.UNPLUG], tmp_path, population)
+    assert result.population == population
+    assert result.states
+    assert not result.violations
+
+
+def test_the_seed_draws_the_servos_and_nothing_else_depends_on_them() -> None:
+    drawn = [scenario_of(seed) for seed in range(200)]
+    assert {scenario.population for scenario in drawn} == set(POPULATIONS)
+    assert replace(drawn[7], population="kit") == scenario_of(7, "kit")

@@ -160,10 +160,11 @@ async def test_neither_a_hung_arm_nor_hung_planners_nor_a_deaf_client_hold_up_th
             await client.websocket.wait_closed()
             assert client.websocket.close_code == 1001
         deaf.transport.abort()
-    assert (code, seconds < 3.0) == (0, True)
-    _, alive = await asyncio.to_thread(psutil.wait_procs, children, timeout=2)
+    # Far more than it waits for them, and far less than a planner would keep it.
+    assert (code, seconds < 30.0) == (0, True)
+    _, alive = await asyncio.to_thread(psutil.wait_procs, children, timeout=30)
     assert not alive
-    assert server.has_logged("stopping: the arm did not end within")
+    assert server.has_logged("the arm process does not end and is killed")
 
 
 async def deaf_client(url: str) -> ClientConnection:
@@ -185,7 +186,7 @@ async def test_a_server_answers_before_its_arm_is_ready_and_a_goal_waits_for_it(
         assert first["message"] == "the arm is not connected: the arm process is starting"
         await reaches(client)
     process.terminate()
-    assert await asyncio.wait_for(process.wait(), 5.0) == 0
+    assert await asyncio.wait_for(process.wait(), 30.0) == 0
 
 
 async def test_a_server_that_was_killed_can_be_started_again_at_once(server: RunningServer) -> None:
@@ -196,7 +197,7 @@ async def test_a_server_that_was_killed_can_be_started_again_at_once(server: Run
             await reaches(client)
 
 
-async def until_open(port: int, timeout_s: float = 20.0) -> str:
+async def until_open(port: int, timeout_s: float = 60.0) -> str:
     """The URL of a server that is starting, once its port is there."""
     until_s = time.monotonic() + timeout_s
     while time.monotonic() < until_s:

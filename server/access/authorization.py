@@ -21,6 +21,7 @@ from protocol.operations import (
 )
 from server.access.authentication import RosauthVerifier, Tokens
 from server.access.control_lease import ControlLease
+from server.access.one_time_tokens import VALID_FOR_S, OneTimeTokens
 from server.access.permissions import Identity, NameFilter, Role
 from server.access.rate_limits import RateLimiter
 from server.access.settings import AccessSettings
@@ -41,6 +42,11 @@ CONTROLLER_ACTIONS = tuple(
 
 # Topics that a client is known to be allowed to publish on; those beyond are checked for each message.
 MAX_SETTLED = 1000
+
+_NO_TOKEN = (
+    "field token: it is none of the tokens here; a one-time token lets one connection in, within"
+    f" {VALID_FOR_S:g} s after it was issued"
+)
 
 _WHAT_TO_SHOW = {
     Role.VIEW: "a token",
@@ -89,6 +95,7 @@ GOAL = Rule(Role.OPERATE, drives=True, goal=True)
 PLANNING_GOAL = Rule(Role.OPERATE, drives=True, goal=True, plan_only=("planning_options", "plan_only"))
 CALLED_GOAL = Rule(Role.OPERATE, drives=True, goal=True, plan_only=("plan_only",), plans=True)
 CONFIGURING = Rule(Role.ADMIN)
+COMMISSIONING = Rule(Role.ADMIN, drives=True)
 
 _ROSAPI_LOOKING = (
     "action_feedback_details",
@@ -127,19 +134,33 @@ SERVICES: Mapping[str, Rule] = {
     "/rosapi/delete_param": CONFIGURING,
     "/rosapi/set_param": CONFIGURING,
     "/apply_planning_scene": WORKING,
+    "/arm/commissioning/answer": COMMISSIONING,
+    "/arm/commissioning/begin": COMMISSIONING,
+    "/arm/commissioning/cancel": CONFIGURING,
     "/arm/emergency_stop": STOPPING,
     "/arm/enable": SWITCHING,
     # It slows the arm down to rest, which harms nobody.
+    "/arm/park": SWITCHING,
     "/arm/pause": WORKING,
     "/arm/relax": SWITCHING,
     "/arm/release_control": WORKING,
     "/arm/reset_fault": SWITCHING,
     "/arm/resume": SWITCHING,
+    "/arm/scenes/delete": CONFIGURING,
+    "/arm/scenes/list": LOOKING,
+    "/arm/scenes/load": WORKING,
+    "/arm/scenes/save": CONFIGURING,
+    "/arm/servo_history": LOOKING,
     "/arm/step_back": SWITCHING,
     "/arm/stop": STOPPING,
     "/arm/take_control": WORKING,
     "/arm/who_am_i": LOOKING,
     "/armbridge/get_logger_levels": LOOKING,
+    "/armbridge/goal_history": LOOKING,
+    "/armbridge/goal_record": LOOKING,
+    "/armbridge/issue_one_time_token": CONFIGURING,
+    # Lines name addresses and files.
+    "/armbridge/last_log_lines": CONFIGURING,
     "/armbridge/set_logger_levels": CONFIGURING,
     "/check_goals": PLANNING,
     "/check_state_validity": PLANNING,
@@ -189,6 +210,7 @@ TOPICS: Mapping[str, Rule] = {
     "/moveit_goal_pose": GOAL,
     "/planning_scene": WORKING,
     "/planning_scene_world": WORKING,
+    "/servo_node/command_timeout": SWITCHING,
     "/servo_node/delta_joint_cmds": SWITCHING,
     "/servo_node/delta_twist_cmds": SWITCHING,
     "/servo_node/pose_target_cmds": SWITCHING,
@@ -288,6 +310,7 @@ class Authorizer:
         self._goals = RateLimiter(access.settings.goals_per_s, access.settings.goal_burst)
         # Topics as the client spells them: it publishes on the same few, thousands of times a second.
         self._settled: set[str] = set()
+        access.note_driver(node)
 
     def may_publish(self, topic: str) -> bool:
         """Return True for a topic, as the client spells it, on which it is known to be allowed any message."""
@@ -321,11 +344,13 @@ class Authorizer:
         """Give the client the identity that it has shown."""
         self._node.identity = identity
         self._settled.clear()
+        self._access.note_driver(self._node)
         if identity.role < Role.OPERATE:
             self._access.lease.leave(self._node)
 
     def leave(self) -> None:
         """Free the control of a client that has left."""
+        self._access.drivers.discard(self._node)
         self._access.lease.leave(self._node)
 
     def publishing(self, topic: str, message: Mapping[str, Any]) -> str | None:
@@ -401,7 +426,9 @@ class Access:
         settings: as given.
         clock: as given.
         tokens: tokens and their owners.
+        one_time_tokens: tokens that let one connection in each.
         lease: control of the arm.
+        drivers: clients that are connected and whose role lets them drive.
         topics: filter of topics.
         services: filter of services and actions.
         params: filter of parameters.
@@ -418,7 +445,9 @@ class Access:
         busy: Callable[[], RunningGoal | None] = lambda: None,
     ) -> None:
         self.tokens = Tokens.from_settings(settings)
+        self.one_time_tokens = OneTimeTokens(clock)
         self.lease = ControlLease(settings.control, settings.control_idle_s, wall_clock, busy)
+        self.drivers: set[Node] = set()
         self.topics = NameFilter("access.topics_glob", settings.topics_glob)
         self.services = NameFilter("access.services_glob", settings.services_glob, ALWAYS_SERVICES)
         self.params = NameFilter("access.params_glob", settings.params_glob)
@@ -431,10 +460,18 @@ class Access:
         """Return the check of a client's operations on a graph."""
         return Authorizer(node, self, graph)
 
+    def note_driver(self, node: Node) -> None:
+        """Count a client among those that may drive, or no longer, by its present role."""
+        if node.identity is not None and node.identity.role >= Role.OPERATE:
+            self.drivers.add(node)
+        else:
+            self.drivers.discard(node)
+
     def identify(self, shown: Auth) -> Identity | str:
         """Return the identity that a client shows in the op ``auth``, or a sentence why it shows none."""
         if shown.token is not None:
-            return self.tokens.identify(shown.token) or "field token: it is none of the tokens here"
+            identity = self.tokens.identify(shown.token) or self.one_time_tokens.use(shown.token)
+            return identity or _NO_TOKEN
         if shown.mac is None:
             return "wanted the field token, or rosauth's mac, client, dest, rand, t, level and end; got neither"
         return self._rosauth.identify(shown, self._wall_clock())

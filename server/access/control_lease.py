@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
+from importlib import metadata
 from typing import Any, Literal, TypeAlias
 
 from server.access.permissions import Role
@@ -236,7 +237,7 @@ class ControlServices:
     def _who(self, call: Call) -> None:
         caller = call.caller
         role = "" if caller.identity is None else caller.identity.role.name.lower()
-        told = {"name": caller.name, "address": caller.address, "role": role}
+        told = {"name": caller.name, "address": caller.address, "role": role, "version": metadata.version("armbridge")}
         answer(call, lambda _request: {"success": True, "message": json.dumps(told)})
 
     def _answer(self, call: Call, refusal: str | None) -> None:

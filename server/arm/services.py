@@ -16,6 +16,7 @@ log = logging.getLogger("armbridge.arm")
 
 ENABLE = "/arm/enable"
 RELAX = "/arm/relax"
+PARK = "/arm/park"
 STOP = "/arm/stop"
 EMERGENCY_STOP = "/arm/emergency_stop"
 RESET_FAULT = "/arm/reset_fault"
@@ -36,15 +37,23 @@ class ArmServices:
         graph: the graph that they belong to.
         arm: the arm.
         end_goals: ends the active goal and all that wait, and stops every motion, for a reason.
+        park: moves the arm to its rest pose and relaxes it, for a source.
     """
 
-    def __init__(self, graph: Graph, arm: Arm, end_goals: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        arm: Arm,
+        end_goals: Callable[[str], None],
+        park: Callable[[str], Awaitable[CommandDone]],
+    ) -> None:
         self._graph = graph
         self._arm = arm
         self._end_goals = end_goals
         self._node = Node("arm services")
         self._offer(ENABLE, lambda: arm.order(Order.ENABLE))
         self._offer(RELAX, self._relax)
+        self._offer(PARK, lambda: park(PARK))
         self._offer(STOP, self._stop)
         self._offer(EMERGENCY_STOP, lambda: self._emergency_stop(EMERGENCY_STOP))
         self._offer(RESET_FAULT, lambda: arm.order(Order.RESET_FAULT))

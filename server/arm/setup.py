@@ -20,6 +20,7 @@ from robot.hardware.config import (
     HardwareConfig,
     IdealConfig,
 )
+from robot.hardware.feetech.profiles import ServoProfile, profile_of
 from robot.messages import ArmConfig
 from server.config import ArmSettings, EmulatorSettings, Settings
 from server.errors import ConfigurationError
@@ -129,7 +130,7 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
     if settings.arm.serial is not None:
         if dynamixel:
             return DynamixelConfig(description.calibration, settings.arm.serial, description.hardware.baud)
-        return FeetechConfig(description.calibration, settings.arm.serial)
+        return FeetechConfig(description.calibration, settings.arm.serial, _profile(description))
     if dynamixel:
         return _emulated_dynamixels(settings, description.calibration)
     if emulator.write_log is not None:
@@ -141,11 +142,20 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
         drop=emulator.drop,
         corrupt=emulator.corrupt,
         seed=emulator.seed,
+        profile=_profile(description),
+        population=emulator.population,
         write_log=emulator.write_log,
         control=emulator.control,
         # Nothing can jump or fall when it is switched on: the half second that this takes is for real arms.
         driven=settings.arm.start_enabled,
     )
+
+
+def _profile(description: Description) -> ServoProfile | None:
+    try:
+        return profile_of(description.hardware.profile)
+    except RobotError as error:
+        raise ConfigurationError(str(error)) from error
 
 
 def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> EmulatedDynamixelConfig:
@@ -155,6 +165,11 @@ def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> Emulat
             raise ConfigurationError(
                 f"emulator.{name}: emulated Dynamixel servos have none, so that {str(value)!r} cannot be used"
             )
+    if emulator.population != EmulatorSettings().population:
+        raise ConfigurationError(
+            f"emulator.population: emulated Dynamixel servos have one state only, so that {emulator.population!r} "
+            "cannot be used"
+        )
     return EmulatedDynamixelConfig(
         calibration,
         drop=emulator.drop,

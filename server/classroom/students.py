@@ -67,6 +67,7 @@ class Student:
                 "scene": base.scene.model_copy(update={"file": self.folder / "scene.json"}),
                 "goals": base.goals.model_copy(update={"named_states_file": self.folder / "named_states.json"}),
                 "recording": recording.model_copy(update={"file": file}),
+                "diagnostics": base.diagnostics.model_copy(update={"fault_directory": self.folder / "faults"}),
             }
         )
 

@@ -25,8 +25,8 @@ PR_SET_PDEATHSIG = 1
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD)
 
-# A server takes 2.6 s at most, and its arm brakes meanwhile; twenty of them share the cores.
-END_TIMEOUT_S = 15.0
+# A server takes 2.6 s at most, and the end of its arm up to 20 s where it is parked; twenty of them share the cores.
+END_TIMEOUT_S = 40.0
 
 # Interval of looking for what has nothing to do with signals.
 CHECK_S = 0.2

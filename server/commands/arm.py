@@ -1,20 +1,16 @@
-"""Commands on a real arm: ``armbridge scan``, ``calibrate``, ``doctor`` and ``relax``."""
+"""Commands on a real arm: ``armbridge scan``, ``doctor`` and ``relax``."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import json
-import os
 import textwrap
-import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
-from robot.calibration import Calibration, new_calibration_path, reserved, save
-from robot.commissioning.calibrate import Difference, Sweep, calibrate, differences, write_to_servos
+from robot.calibration import Calibration
 from robot.commissioning.doctor import (
     EXPERIMENTS,
     Experiment,
@@ -26,13 +22,13 @@ from robot.commissioning.doctor import (
     judge_scan,
     run_experiment,
 )
-from robot.commissioning.scan import BAUDRATES, ScanResult, ServoReport, explain_missing, read_telemetry, scan
+from robot.commissioning.scan import BAUDRATES, ScanResult, ServoReport, explain_missing, scan
 from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.description.limits import JointBounds
 from robot.description.servo_table import ServoSpec
-from robot.errors import NoReply, StartupError
+from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, parse_telemetry
+from robot.hardware.feetech.registers import Register
 from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.feetech.torque import LOWER_S, relax
 from robot.hardware.interface import run_to_end, status_names
@@ -93,7 +89,10 @@ def _scan(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 def _complaints(result: ScanResult, servos: Sequence[ServoSpec], baudrate: int) -> list[str]:
     if baudrate == BAUDRATES[0]:
         return explain_missing(result, servos)
-    return [f"servo {servo_id} listens at {baudrate} baud: set it to {BAUDRATES[0]}" for servo_id in sorted(result.ids)]
+    return [
+        f"servo {servo_id} listens at {baudrate} baud: set it to {BAUDRATES[0]} (armbridge setup)"
+        for servo_id in sorted(result.ids)
+    ]
 
 
 def _row(servo: ServoReport, names: Mapping[int, str]) -> list[object]:
@@ -112,118 +111,6 @@ def _row(servo: ServoReport, names: Mapping[int, str]) -> list[object]:
         "on" if servo.torque_enable else "off",
         ", ".join(status_names(telemetry.status)) or "-",
     ]
-
-
-# Fast enough to follow a hand across the seam (no joint turns by half a turn meanwhile), slow enough to be read.
-SWEEP_PERIOD_S = 0.02
-
-
-def add_calibrate_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
-    parser = subparsers.add_parser(
-        "calibrate",
-        help="record the arm's middle pose and joint ranges in a calibration file of lerobot's format",
-        description="Switches torque off, asks you to hold the arm with every joint in the middle of its range, then "
-        "to move every joint that has stops from one to the other, and writes a file like lerobot's. "
-        "Nothing is written to the servos unless you say --write-servos.",
-        epilog=EXIT_CODES,
-    )
-    parser.add_argument(
-        "file", metavar="NAME_OR_PATH", help="where to write: a file, or an id for lerobot's calibration directory"
-    )
-    add_robot(parser)
-    add_serial(parser)
-    parser.add_argument(
-        "--write-servos",
-        action="store_true",
-        help="choose new homing offsets and write them and the angle limits into the servos' EPROM, where they differ",
-    )
-    parser.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
-    parser.add_argument("--yes", action="store_true", help="do not ask before torque is switched off")
-    parser.set_defaults(run=run_calibrate)
-
-
-def run_calibrate(options: argparse.Namespace) -> int:
-    """Carry out the command."""
-    return guarded(lambda terminal: _calibrate(options, terminal))
-
-
-def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    hardware = read_hardware(options)
-    path = new_calibration_path(options.file, hardware.calibrations, os.environ)
-    with reserved(path, overwrite=options.overwrite):
-        return _calibrate_to(path, hardware.servos, options, terminal)
-
-
-def _calibrate_to(path: Path, servos: Sequence[ServoSpec], options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    ids = tuple(servo.servo_id for servo in servos)
-    with contextlib.closing(open_bus(options)) as bus:
-        terminal.say("looking at the servos ...")
-        result = scan(bus, ids)
-        if missing := explain_missing(result, servos):
-            raise StartupError("; ".join(missing))
-        if not options.yes and not terminal.confirm("Torque will be switched off and the arm sinks: hold it. Go on?"):
-            return ExitCode.FAILED
-        if relax_arm(bus, servos, terminal) is not ExitCode.DONE:
-            return ExitCode.FAILED
-        offsets = {servo.servo_id: servo.homing_offset_ticks for servo in result.servos}
-        sweep = _sweep(bus, servos, terminal)
-        calibration = calibrate(servos, sweep, offsets, recentre=options.write_servos)
-        changes = differences(calibration, scan(bus, ids).servos)
-        if options.write_servos:
-            _write(bus, changes, terminal)
-        elif changes:
-            terminal.say("the servos' angle limits stay as they are (--write-servos would change them):")
-            terminal.say(_differences_table(changes))
-    save(calibration, path)
-    terminal.tell(_calibration_table(calibration))
-    terminal.say(f"written to {path}")
-    return ExitCode.DONE
-
-
-def _sweep(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> Sweep:
-    ids = tuple(servo.servo_id for servo in servos)
-    free = "".join(f" but {servo.joint}" for servo in servos if servo.turns_freely)
-    gripper = "".join(f", the {servo.joint} from closed to open" for servo in servos if servo.gripper)
-    terminal.await_enter("Hold the arm with every joint in the middle of its range")
-    sweep = Sweep({servo_id: read_telemetry(bus, servo_id).position_ticks for servo_id in ids})
-    terminal.say(f"Move every joint{free} slowly from stop to stop{gripper}. Press Enter when the ranges grow no more.")
-    while not terminal.entered():
-        frames = bus.sync_read(ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
-        sweep.add({servo_id: parse_telemetry(frame.data).position_ticks for servo_id, frame in frames.items()})
-        terminal.show_live(_sweep_table(servos, sweep))
-        time.sleep(SWEEP_PERIOD_S)
-    return sweep
-
-
-def _write(bus: Bus, changes: list[Difference], terminal: Terminal) -> None:
-    if not changes:
-        terminal.say("the servos hold these values already")
-        return
-    terminal.say("writing to the servos:")
-    terminal.say(_differences_table(changes))
-    run_to_end(write_to_servos(bus, changes))
-
-
-def _sweep_table(servos: Sequence[ServoSpec], sweep: Sweep) -> str:
-    rows = [
-        (servo.joint, *(by_id[servo.servo_id] for by_id in (sweep.lowest, sweep.present, sweep.highest)))
-        for servo in servos
-    ]
-    return table(("joint", "lowest", "present", "highest"), rows)
-
-
-def _calibration_table(calibration: Calibration) -> str:
-    rows = [
-        (joint.joint, joint.servo_id, joint.homing_offset, joint.range_min, joint.range_max)
-        for joint in calibration.joints
-    ]
-    return table(("joint", "id", "homing_offset", "range_min", "range_max"), rows)
-
-
-def _differences_table(changes: list[Difference]) -> str:
-    rows = [(each.joint, each.register.name, each.in_servo, each.calibrated) for each in changes]
-    return table(("joint", "register", "in the servo", "calibrated"), rows)
 
 
 # Three seconds at 100 Hz: enough for a 99th percentile.
@@ -279,17 +166,37 @@ def _doctor(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         terminal.say(f"armbridge: --servo must be one of {', '.join(map(str, ids))}, not {driven}")
         return ExitCode.USAGE
     with contextlib.closing(open_bus(options)) as bus:
-        terminal.say("looking at the servos ...")
-        result = scan(bus, ids)
-        findings = judge_scan(result, servos, calibration)
+        result, findings = examine_bus(bus, servos, calibration, options.cycles, terminal)
         present = tuple(servo.servo_id for servo in result.servos)
-        if present:
-            findings += _measure(bus, present, options.cycles, terminal)
         if driven in present and not options.read_only:
             findings += _experiment(ServoRig(bus, driven, present), terminal, yes=options.yes)
-    terminal.tell(_as_json(findings) if options.json else _as_text(findings))
+    terminal.tell(as_json(findings) if options.json else _as_text(findings))
     problems = any(finding.verdict is Verdict.PROBLEM for finding in findings)
     return ExitCode.PROBLEMS if problems else ExitCode.DONE
+
+
+def examine_bus(
+    bus: Bus, servos: Sequence[ServoSpec], calibration: Calibration | None, cycles: int, terminal: Terminal
+) -> tuple[ScanResult, list[Finding]]:
+    """Scan the bus, measure it and judge both; nothing is written.
+
+    Args:
+        bus: an open bus.
+        servos: servos of the arm.
+        calibration: calibration of the arm; None if it is not known.
+        cycles: number of cycles at 100 Hz to measure.
+        terminal: tells of the progress.
+
+    Raises:
+        PortLost: the port is gone.
+    """
+    terminal.say("looking at the servos ...")
+    result = scan(bus, tuple(servo.servo_id for servo in servos))
+    findings = judge_scan(result, servos, calibration)
+    present = tuple(servo.servo_id for servo in result.servos)
+    if present:
+        findings += _measure(bus, present, cycles, terminal)
+    return result, findings
 
 
 def _measure(bus: Bus, ids: tuple[int, ...], cycles: int, terminal: Terminal) -> list[Finding]:
@@ -318,7 +225,8 @@ def _agreed(experiment: Experiment, rig: ServoRig, terminal: Terminal, *, yes: b
     return terminal.confirm(f"{experiment.name}: {experiment.does}{driven}. Go on?")
 
 
-def _as_json(findings: list[Finding]) -> str:
+def as_json(findings: list[Finding]) -> str:
+    """Return findings as a JSON list."""
     return json.dumps(
         [
             {"check": finding.check, "verdict": finding.verdict.value, "says": finding.says, "remedy": finding.remedy}

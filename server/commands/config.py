@@ -73,8 +73,10 @@ def _as_table(values: list[tuple[Setting, Any, str]]) -> str:
     return table(("setting", "value", "unit", "source"), rows)
 
 
-# The arm process brakes, relaxes if it is to, and ends within 5.5 s of the server's death; then it may be killed.
+# The arm process brakes, relaxes if it is to, and ends within 5.5 s of the server's death; one that parks the arm takes
+# up to 15 s more, and is waited for as long as it runs. Then it may be killed.
 _AFTER_DEATH_S = 6
+_PARKING_S = 15
 
 # Words that need no quotes.
 _PLAIN = re.compile(r"[A-Za-z0-9_@/.+=:,-]+")
@@ -96,8 +98,10 @@ Type=notify
 NotifyAccess=main
 ExecStart={command}
 ExecReload=/bin/kill -HUP $MAINPID
-# When the server was killed, its arm process brakes the arm and ends by itself: give it the time.
-ExecStopPost=/bin/sh -c '[ "$$SERVICE_RESULT" = success ] || sleep {after_death_s}'
+# When the server was killed, its arm process brakes or parks the arm and ends by itself: give it the time.
+ExecStopPost=/bin/sh -c '[ "$$SERVICE_RESULT" = success ] || {{ sleep {after_death_s}; \
+  for i in $$(seq {parking_s}); do pgrep -u "$$(id -u)" -f "robot[.]control[.]loop" >/dev/null && sleep 1; done; \
+  true; }}'
 Restart=on-failure
 RestartSec=2
 # Wrong settings stay wrong.
@@ -106,7 +110,7 @@ WatchdogSec=20
 TimeoutStartSec=60
 # The server gets SIGTERM and ends its children in order; what is left after the timeout is killed.
 KillMode=mixed
-TimeoutStopSec=15
+TimeoutStopSec=30
 
 {user}
 # The group that serial ports belong to.
@@ -194,6 +198,7 @@ def unit(command: list[str], config: Path | None, user: str | None, group: str) 
     return _UNIT.format(
         command=" ".join(_quoted(word) for word in words),
         after_death_s=_AFTER_DEATH_S,
+        parking_s=_PARKING_S,
         usage=int(ExitCode.USAGE),
         user="DynamicUser=yes" if user is None else f"User={user}",
         group=group,

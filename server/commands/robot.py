@@ -6,6 +6,8 @@ import argparse
 
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
+from robot.errors import DescriptionError
+from robot.hardware.feetech.profiles import profile_of
 from server.commands.options import Subparsers
 from server.commands.robot_import import add_parser
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
@@ -44,7 +46,13 @@ def run_check(options: argparse.Namespace) -> int:
         terminal.tell(problem)
     if found:
         return ExitCode.PROBLEMS
-    terminal.tell(_summary(robot_folder.resolve(options.folder)))
+    resolved = robot_folder.resolve(options.folder)
+    try:
+        profile_of(resolved.hardware.profile)
+    except DescriptionError as error:
+        terminal.tell(str(error))
+        return ExitCode.PROBLEMS
+    terminal.tell(_summary(resolved))
     return ExitCode.DONE
 
 

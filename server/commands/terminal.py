@@ -81,18 +81,15 @@ class Terminal:
         self.say(f"{request}, then press Enter.")
         self._line()
 
-    def entered(self) -> bool:
-        """Tell whether Enter was pressed since the last question; does not wait.
+    def line_typed(self) -> str | None:
+        """Return the line that was typed since the last question, None before Enter; does not wait.
 
         Raises:
             AnswerMissing: the input ended.
         """
         if b"\n" not in self._received and select.select([self._input], [], [], 0.0)[0]:
             self._receive()
-        if b"\n" not in self._received:
-            return False
-        self._line()
-        return True
+        return self._line() if b"\n" in self._received else None
 
     def _line(self) -> str:
         while b"\n" not in self._received:

@@ -255,7 +255,7 @@ class GoalExecutor:
         held_rad = self._held_rad()
         motion = request.trajectory(held_rad)
         self._time_limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
-        planned = PlannedSequence(Performed(held_rad, (motion,)), ("as given",))
+        planned = PlannedSequence(Performed(held_rad, (motion,)))
         self._show_soon(planned)
         return await self._play(planned, UNCHECKED, report)
 

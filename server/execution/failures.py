@@ -24,9 +24,9 @@ from planners.problem import (
     StateQuestion,
 )
 from planners.scene import Scene
-from robot import files
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
+from robot.files import FileSeries
 
 log = logging.getLogger("armbridge.failed_goals")
 
@@ -34,9 +34,6 @@ log = logging.getLogger("armbridge.failed_goals")
 WRITING_TIMEOUT_S = 2.0
 
 PREFIX = "goal-"
-
-# The lock of the directory is that of a file of this name in it: servers that share the directory write one at a time.
-LOCKED_NAME = "goals"
 
 # Checked shares of the way, the farthest first: a place nearer to the start than the last is no help.
 SHARES = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3)
@@ -57,16 +54,20 @@ class FailedGoals:
 
     def __init__(self, directory: Path, robot: RobotModel, wall_clock: Callable[[], float], max_files: int) -> None:
         self._directory = directory
+        self._files = FileSeries(directory, PREFIX, ".json", max_files)
         self._robot = robot
         self._wall_clock = wall_clock
-        self._max_files = max_files
 
     async def save(self, problem: PlanningProblem, scene: Scene, failure: PlanningFailure) -> None:
         """Write a problem file; errors are only logged."""
         now = datetime.fromtimestamp(self._wall_clock(), UTC)
-        name = f"{PREFIX}{now:%Y%m%dT%H%M%S.%fZ}-{failure.code.name}"
+        name = f"{now:%Y%m%dT%H%M%S.%fZ}-{failure.code.name}"
+
+        def content(stem: str) -> bytes:
+            return problem_file.text(stem, problem, scene, self._robot, failure).encode()
+
         try:
-            writing = asyncio.to_thread(self._write, name, problem, scene, failure)
+            writing = asyncio.to_thread(self._files.add, name, content)
             path = await asyncio.wait_for(writing, WRITING_TIMEOUT_S)
         except TimeoutError:
             log.warning("a failed goal is not saved in %s within %g s", self._directory, WRITING_TIMEOUT_S)
@@ -74,19 +75,6 @@ class FailedGoals:
             log.warning("a failed goal is not saved in %s: %s", self._directory, error)
         else:
             log.info("the failed goal is saved: armbridge plan --all %s", path)
-
-    def _write(self, name: str, problem: PlanningProblem, scene: Scene, failure: PlanningFailure) -> Path:
-        with files.locked(self._directory / LOCKED_NAME):
-            path, number = self._directory / f"{name}.json", 0
-            while path.exists():
-                number += 1
-                path = self._directory / f"{name}-{number}.json"
-            text = problem_file.text(path.stem, problem, scene, self._robot, failure)
-            files.replace(path, text.encode())
-            saved = sorted(self._directory.glob(f"{PREFIX}*.json"))
-            for oldest in saved[: -self._max_files]:
-                oldest.unlink(missing_ok=True)
-        return path
 
 
 class Alternatives:

@@ -110,10 +110,11 @@ class PlannedSequence:
 
     @property
     def summary(self) -> str:
-        """Methods and times, for people."""
-        found = f"{', '.join(self.methods)}, {self.duration_s:.2f} s"
+        """Sentence for people: duration, methods and planning time; of a motion that a client sent, the first alone."""
         planning_s = self.performed.planning_time_s
-        return f"{found}, planned in {planning_s * 1e3:.0f} ms" if planning_s else found
+        planning = [f"planned in {planning_s * 1e3:.0f} ms"] if planning_s else []
+        found = "; ".join([*([", ".join(self.methods)] if self.methods else []), *planning])
+        return f"a motion of {self.duration_s:.1f} s{f' ({found})' if found else ''}"
 
     def with_plan(self, plan: Plan | CartesianPlan) -> PlannedSequence:
         """Return the sequence with one more motion."""

@@ -246,7 +246,7 @@ class Player:
             return Answer(CODE_OF_OUTCOME[ended.outcome], ended.message, {"outcome": ended.outcome.value})
         if self._end is None:
             return Answer(MoveItErrorCode.PREEMPTED, ended.message)
-        return Answer(self._end.code, f"{self._end.message}: {ended.message}", self._end.details)
+        return Answer(self._end.code, f"{self._end.message}; {ended.message}", self._end.details)
 
 
 def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:

@@ -30,6 +30,7 @@ from websockets.datastructures import Headers
 from protocol.errors import one_line, shorten
 from robot.logs import LogLimiter
 from server.access.authentication import AuthThrottle, Tokens
+from server.access.one_time_tokens import OneTimeTokens
 from server.access.permissions import ANYONE, Identity, Role
 from server.access.rate_limits import RateLimiter, client_key, is_loopback, parse_address
 from server.access.settings import AccessSettings
@@ -361,6 +362,7 @@ class AdmissionPolicy:
         tokens: tokens and their owners; None for a server without any.
         settings: the section ``access``, with the names of the server and the origins that may connect.
         clock: monotonic time [s].
+        one_time_tokens: tokens that let one connection in each; None for a server without any.
 
     Attributes:
         auth_throttle: throttle of guesses; also for tokens that come later than the request, by the op ``auth``.
@@ -371,8 +373,10 @@ class AdmissionPolicy:
         tokens: Tokens | None = None,
         settings: AccessSettings | None = None,
         clock: Callable[[], float] = time.monotonic,
+        one_time_tokens: OneTimeTokens | None = None,
     ) -> None:
         settings = settings or AccessSettings()
+        self._one_time_tokens = one_time_tokens or OneTimeTokens(clock)
         self.auth_throttle = AuthThrottle(clock)
         self._tokens = tokens or Tokens({}, ANYONE)
         self._hosts = AllowedHosts(settings.allowed_hosts, own_names())
@@ -446,6 +450,9 @@ class AdmissionPolicy:
             return HttpResponse.of_text(HTTPStatus.TOO_MANY_REQUESTS, wait, retry)
         token = presented.pop()
         owner = self._tokens.identify(token)
+        if owner is None and not request.upgrade:
+            # The page that came in with a one-time token asks for the robot's meshes with it.
+            owner = self._one_time_tokens.reader(token)
         if owner is None:
             self.auth_throttle.record_failure(request.address, token)
             self._count_refusal("token", request.address, f"{request.address} has shown a token that is nobody's")

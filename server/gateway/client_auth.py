@@ -10,7 +10,7 @@ from protocol.operations import Auth, Operation
 from protocol.session import Packed, Refusal
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access, Authorizer
-from server.access.permissions import display_name
+from server.access.permissions import Identity, display_name
 from server.gateway.client_context import ClientContext
 
 log = logging.getLogger("armbridge.gateway")
@@ -58,9 +58,11 @@ class ClientAuth:
         self._auth = auth
         self._authorizer = authorizer
         self._disconnected = False
+        self._identity: Identity | None = None
 
     def release(self) -> None:
         """Let go of the connection of a client that has left."""
+        self._auth.access.one_time_tokens.release(self._identity)
         self._auth.release()
 
     def check_first_frame(self, frame: str | bytes) -> bool:
@@ -96,6 +98,8 @@ class ClientAuth:
                 throttle.record_failure(address, operation.token or operation.mac)
             self._disconnect(f"auth: {identity}")
             return
+        self._auth.access.one_time_tokens.release(self._identity)
+        self._identity = identity
         former, is_new = node.name, identity != node.identity
         self._authorizer.authenticate(identity)
         node.name = display_name(identity, node.address)

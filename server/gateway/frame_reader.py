@@ -24,7 +24,7 @@ _MASK_BYTES = 4
 
 
 class Piece(NamedTuple):
-    """What is next in the received bytes.
+    """Next part of the received bytes.
 
     Attributes:
         raw: the bytes: a whole message in its frame, or else any of other frames.

@@ -26,6 +26,8 @@ from protocol.messages import Stamp
 from protocol.send_budget import SendBudget
 from robot.logs import LogLimiter
 from server.access.authorization import Access, unlimited
+from server.access.host_addresses import host_addresses
+from server.access.rate_limits import is_loopback
 from server.config import ServerSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway.admission import (
@@ -46,6 +48,9 @@ from server.graph.topics import Graph
 from server.timers import CallLater, Timer, call_later
 
 log = logging.getLogger("armbridge.gateway")
+
+# Addresses that stand for all of this machine's.
+EVERY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 - what is compared with
 
 CERTIFICATE, KEY = "server.tls_certificate", "server.tls_key"
 
@@ -295,7 +300,9 @@ class Listener:
         self._port = settings.port
         self._http = http or HttpHandler()
         self._access = access or unlimited()
-        self.admission = AdmissionPolicy(self._access.tokens, self._access.settings)
+        self.admission = AdmissionPolicy(
+            self._access.tokens, self._access.settings, one_time_tokens=self._access.one_time_tokens
+        )
         pair = settings.tls_certificate, settings.tls_key
         self._tls = None if pair[0] is None or pair[1] is None else Tls(pair[0], pair[1])
         self._limiter = ConnectionLimiter(settings)
@@ -342,6 +349,17 @@ class Listener:
     def page_url(self) -> str:
         """URL of the page, for browsers."""
         return f"{'http' if self._tls is None else 'https'}://{self._authority}/"
+
+    @property
+    def page_urls_elsewhere(self) -> Sequence[str]:
+        """URLs of the page for browsers on other machines; none for a server that listens to this machine only."""
+        listening = [each.getsockname()[0] for each in self._sockets]
+        found = [each for each in listening if each not in EVERY_ADDRESS]
+        if len(found) < len(listening):
+            found += [each for each in host_addresses() if ":" not in each or "::" in listening]
+        scheme = "http" if self._tls is None else "https"
+        addresses = [each for each in dict.fromkeys(found) if not is_loopback(each)]
+        return [f"{scheme}://{f'[{each}]' if ':' in each else each}:{self._port}/" for each in addresses]
 
     @property
     def _authority(self) -> str:

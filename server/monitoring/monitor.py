@@ -363,14 +363,17 @@ class Monitor:
         self._sources.started = True
         self._notifier.notify_ready("; ".join(self.health().reasons) or "ready")
 
-    def notify_stopping(self) -> None:
-        """Take note of the begin of the stop, and notify systemd."""
-        self._sources.stopping = True
-        self._notifier.notify_stopping()
+    def notify_stopping(self, *, starts_anew: bool = False) -> None:
+        """Take note of the begin of the stop, and notify systemd.
 
-    def close(self) -> None:
-        """Send the last notifications; nothing is notified any more."""
-        self._notifier.close()
+        Args:
+            starts_anew: True if the server starts again at once: systemd ends a service that says it stops.
+        """
+        self._sources.stopping = True
+        if starts_anew:
+            self._notifier.notify_status("starting anew")
+        else:
+            self._notifier.notify_stopping()
 
     def health(self) -> Health:
         """Return the health of the server at this moment."""

@@ -10,11 +10,16 @@ import logging
 import math
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from protocol.messages import Stamp
 from robot import logs
+from robot.advice import ADVICE, Complaint, advise, complaints_in
+from robot.faults import Fault
+from robot.hardware.config import SIMULATED_PORTS
+from robot.hardware.interface import status_names
 from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel, message_of
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm.topics import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values, status
@@ -29,6 +34,9 @@ LEVEL_STALE = 3
 
 PERIOD_S = 1.0
 
+# Beginning of the names of the joints' statuses.
+JOINT_PREFIX = "arm: "
+
 # Three missing reports; diagnostic_aggregator waits longer, 5 s. A simulated arm that runs slower than real time sends
 # its reports more rarely in proportion.
 STALE_AFTER_S = 3.0
@@ -39,6 +47,10 @@ SLOW_FACTOR = 0.9
 # A servo is read a hundred times a second.
 SERVO_STALE_AFTER_S = 1.0
 
+# Lost replies for which cables deserve a look, and their share; single ones get lost on a good arm.
+MANY_LOST = 20
+LOST_SHARE = 0.01
+
 
 class Diagnostics:
     """Publishes the latest health of the arm, also when no new report comes.
@@ -46,11 +58,13 @@ class Diagnostics:
     Args:
         graph: graph to publish on.
         robot_name: name of the hardware.
+        fault_file: returns the latest file about a fault; None before.
     """
 
-    def __init__(self, graph: Graph, robot_name: str) -> None:
+    def __init__(self, graph: Graph, robot_name: str, fault_file: Callable[[], Path | None]) -> None:
         self._graph = graph
         self._robot_name = robot_name
+        self._fault_file = fault_file
         self._node = Node("diagnostics")
         self._state: ArmState | None = None
         self._health: ArmHealth | None = None
@@ -61,7 +75,8 @@ class Diagnostics:
         while True:
             await asyncio.sleep(PERIOD_S)
             if self._state is not None:
-                message = diagnostic_array(self._state, self._health, time.time(), self._robot_name)
+                file = self._fault_file()
+                message = diagnostic_array(self._state, self._health, time.time(), self._robot_name, file)
                 self._graph.publish(self._node, TOPIC, message)
 
     def take_state(self, state: ArmState) -> None:
@@ -73,7 +88,9 @@ class Diagnostics:
         self._health = health
 
 
-def diagnostic_array(state: ArmState, health: ArmHealth | None, now_s: float, robot_name: str) -> dict[str, Any]:
+def diagnostic_array(
+    state: ArmState, health: ArmHealth | None, now_s: float, robot_name: str, fault_file: Path | None = None
+) -> dict[str, Any]:
     """Return the diagnostic_msgs/DiagnosticArray: the arm first, then its servos.
 
     Args:
@@ -81,8 +98,11 @@ def diagnostic_array(state: ArmState, health: ArmHealth | None, now_s: float, ro
         health: latest report; None before the first.
         now_s: wall-clock time [s since the epoch].
         robot_name: name of the hardware.
+        fault_file: latest file about a fault.
     """
     arm = status(state, robot_name)
+    if fault_file is not None:
+        arm["values"] += key_values({"fault_file": str(fault_file)})
     age_s = now_s - state.stamp_s
     if age_s > STALE_AFTER_S:
         arm |= {"level": LEVEL_STALE, "message": f"the last state of the arm is {age_s:.1f} s old"}
@@ -93,8 +113,7 @@ def diagnostic_array(state: ArmState, health: ArmHealth | None, now_s: float, ro
         if health.real_time_factor < SLOW_FACTOR and arm["level"] == LEVEL_OK:
             share = f"{health.real_time_factor:.0%} of real time"
             arm |= {"level": LEVEL_WARN, "message": f"{arm['message']}, at {share}: this machine is busy"}
-        faulty = state.fault.joint if state.fault is not None else ""
-        statuses += [_joint_status(joint, stale=stale, faulty=joint.joint == faulty) for joint in health.joints]
+        statuses += [_joint_status(joint, health, state.fault, stale=stale) for joint in health.joints]
         arm["level"] = max(arm["level"], *(min(each["level"], LEVEL_WARN) for each in statuses))
     return {"header": {"stamp": Stamp.from_seconds(now_s).as_message(), "frame_id": ""}, "status": statuses}
 
@@ -124,9 +143,10 @@ def _percentiles_ms(values_s: Sequence[float]) -> str:
     return f"p50 {p50:.3f}, p99 {p99:.3f}, max {greatest:.3f}"
 
 
-def _joint_status(joint: JointHealth, *, stale: bool, faulty: bool) -> dict[str, Any]:
+def _joint_status(joint: JointHealth, health: ArmHealth, fault: Fault | None, *, stale: bool) -> dict[str, Any]:
     level, message = LEVEL_OK, "no complaints"
-    if faulty:
+    of_joint = fault if fault is not None and fault.joint == joint.joint else None
+    if of_joint is not None:
         level, message = LEVEL_ERROR, "; ".join(("the arm's fault is about this joint", *joint.warnings))
     elif stale or joint.age_s > SERVO_STALE_AFTER_S:
         level, message = LEVEL_STALE, "; ".join(joint.warnings) or "the servo is not being read"
@@ -134,10 +154,10 @@ def _joint_status(joint: JointHealth, *, stale: bool, faulty: bool) -> dict[str,
         level, message = LEVEL_WARN, "; ".join(joint.warnings)
     return {
         "level": level,
-        "name": f"arm: {joint.joint}",
+        "name": f"{JOINT_PREFIX}{joint.joint}",
         "message": message,
         "hardware_id": joint.hardware_id,
-        "values": key_values(_joint_values(joint)),
+        "values": key_values(_joint_values(joint) | _story(joint, health, of_joint)),
     }
 
 
@@ -158,6 +178,31 @@ def _joint_values(joint: JointHealth) -> dict[str, str]:
         "age_s": f"{joint.age_s:.3f}",
         "silent_cycles": str(joint.silent_cycles),
     }
+
+
+def _story(joint: JointHealth, health: ArmHealth, fault: Fault | None) -> dict[str, str]:
+    """Return the servo's registers, its errors by kind, and what to do about these and its complaints of now."""
+    values = {f"register/{name}": str(value) for name, value in joint.registers.items()}
+    values |= {f"expected/{name}": str(value) for name, value in joint.expected.items()}
+    errors = {"silent_cycles": joint.silent_cycles, **joint.errors}
+    values |= {f"error/{kind}": str(count) for kind, count in errors.items()}
+    advice = [] if fault is None else [str(fault)]
+    # What the fault says of itself is not said twice.
+    others = [each for each in _complaints(joint, health) if fault is None or ADVICE[each].do is not fault.code]
+    advice += advise(others, simulated=health.port in SIMULATED_PORTS)
+    if advice:
+        values["advice"] = "\n".join(advice)
+    return values
+
+
+def _complaints(joint: JointHealth, health: ArmHealth) -> Iterator[Complaint]:
+    """Yield the complaints of the moment, then the errors that were counted."""
+    yield from complaints_in(joint.warnings)
+    yield from (Complaint(name) for name in status_names(joint.status))
+    yield from (Complaint(kind) for kind in joint.errors)
+    # A cycle sends a read, and writes while the arm is driven.
+    if health.bus is not None and joint.silent_cycles > max(MANY_LOST, LOST_SHARE * health.bus.sent):
+        yield Complaint.SILENT_CYCLES
 
 
 log = logging.getLogger("armbridge.monitoring")

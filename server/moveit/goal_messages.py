@@ -35,7 +35,7 @@ UNIT_TOLERANCE = 0.01
 
 @dataclass(frozen=True)
 class GoalOptions:
-    """What a goal chooses for itself, where a topic's goal has what is selected and configured.
+    """Choices of a goal for itself, in place of those selected and configured for a topic's goals.
 
     Attributes:
         group: its planning group; None for the selected one.

@@ -173,8 +173,8 @@ class GoalStatusTopics:
         """Publish the progress of a goal, whatever topic or action it came by."""
         self._publish_status(goal, progress, LEVEL_OK, {})
 
-    def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
-        """Log the end of a goal and publish its final status, then the one result of a goal from a topic."""
+    def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> Message:
+        """Log the end of a goal, publish its final status and return it; then the result of a goal from a topic."""
         instead = suggestion(goal.message, answer.details, self._robot)
         message = answer.message if instead is None else instead.added_to(answer.message)
         succeeded = answer.code is MoveItErrorCode.SUCCESS
@@ -186,15 +186,15 @@ class GoalStatusTopics:
         if instead is not None:
             details["suggested_goal"] = json.dumps(instead.as_data())
         done = Progress(GoalState.DONE, message, 1.0 if succeeded else 0.0)
-        self._publish_status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, details)
-        if goal.source not in (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC):
-            return
-        result = {"val": int(answer.code), "message": message, "source": f"{goal.source}#{goal.goal_id}"}
-        self._publish(goal, RESULT_TOPIC, result)
+        status = self._publish_status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, details)
+        if goal.source in (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC):
+            result = {"val": int(answer.code), "message": message, "source": f"{goal.source}#{goal.goal_id}"}
+            self._publish(goal, RESULT_TOPIC, result)
+        return status
 
     def _publish_status(
         self, goal: QueuedGoal[Motion], progress: Progress, level: int, details: Mapping[str, str]
-    ) -> None:
+    ) -> Message:
         values = {
             "state": progress.state.value,
             "fraction": f"{progress.fraction:.3f}",
@@ -211,6 +211,7 @@ class GoalStatusTopics:
             "values": key_values({**values, **details}),
         }
         self._publish(goal, STATUS_TOPIC, status)
+        return status
 
     def _publish(self, goal: QueuedGoal[Motion], topic: str, message: Mapping[str, Any]) -> None:
         # Other clients wait for the end of goals of their own.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import time
 from collections.abc import Callable
@@ -15,9 +16,9 @@ from server.config import Settings
 from server.execution.executor import GoalExecutor, GoalExecutors
 from server.execution.failures import FailedGoals
 from server.execution.monitors import CurrentState
-from server.execution.motions import Motion
+from server.execution.motions import Motion, Positions
 from server.execution.motions_in_progress import MotionsInProgress
-from server.execution.queue import Answer, GoalQueue, QueuedGoal, RunningGoal
+from server.execution.queue import Answer, GoalQueue, Progress, QueuedGoal, RunningGoal
 from server.execution.time_limits import TimeLimits
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -26,7 +27,8 @@ from server.moveit.actions.move_group import MotionActions
 from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics, TransformsTopics
 from server.moveit.goal_calls import GoalCalls
-from server.moveit.goal_messages import GoalTranslator
+from server.moveit.goal_history import GoalHistory
+from server.moveit.goal_messages import GoalOptions, GoalTranslator
 from server.moveit.goal_topics import Confirmation, GoalChecks, GoalReports, GoalStatusTopics, GoalTopics
 from server.moveit.gripper import FETCH_ACTION, GRIPPER_ACTION, PARALLEL_ACTION, Gripper, GripperActions
 from server.moveit.named_states import NamedStates, NamedStatesFile, NamedStatesServices, default_path
@@ -35,6 +37,7 @@ from server.moveit.requests.context import planning_group
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.interface import SceneInterface
+from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
 from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.moveit.services.move_group_services import offer_services
@@ -58,6 +61,7 @@ class MoveItInterface:
     Attributes:
         goal_counters: counters of answered goals.
         queue: of goals.
+        scene: the planning scene.
     """
 
     def __init__(
@@ -72,14 +76,17 @@ class MoveItInterface:
         moveit, goals = settings.moveit, settings.goals
         self._graph = graph
         self._current = CurrentState(arm, robot)
-        self._scene = SceneState(robot)
-        frames = Frames(robot, self._scene)
+        self.scene = SceneState(robot)
+        frames = Frames(robot, self.scene)
         assumed = AssumedStates(robot)
-        self._scene_interface = SceneInterface(graph, robot, self._scene, assumed, self._current, moveit)
+        self._scene_interface = SceneInterface(graph, robot, self.scene, assumed, self._current, moveit)
         self._saved_scene: SavedScene | None = None
         if settings.scene.keep:
             file = SceneFile(settings.scene.file or default_path("planning_scene", robot, os.environ))
-            self._saved_scene = SavedScene(file, self._scene, robot, graph.message_types)
+            self._saved_scene = SavedScene(file, self.scene, robot, graph.message_types)
+        # Beside the file of the present scene, in a folder of their own.
+        folder = default_path("scenes", robot, os.environ).with_suffix("")
+        offer_named_scenes(graph, NamedScenes(folder, self.scene, robot, graph.message_types), self._current)
         self._description = RobotDescription(graph, robot, keep_parameter)
         self._display = DisplayTopics(graph, robot)
         self._transforms = TransformsTopics(graph, robot, settings.arm.tf_rate_hz)
@@ -100,7 +107,7 @@ class MoveItInterface:
                 arm,
                 robot,
                 pool,
-                self._scene,
+                self.scene,
                 failed_goals,
                 self._display.performed,
                 self._confirmation.wait,
@@ -112,8 +119,9 @@ class MoveItInterface:
         node = Node("moveit")
         self.goal_counters = GoalCounters()
         self._goal_status = GoalStatusTopics(graph, node, robot)
+        self._goal_history = GoalHistory(graph, robot, lambda: self.scene.scene, time.time)
         self.queue: GoalQueue[Motion] = GoalQueue(
-            self._executors, goals.policy, goals.capacity, self._goal_status.publish_progress, self._on_answer
+            self._executors, goals.policy, goals.capacity, self._on_progress, self._on_answer
         )
 
         group = planning_group(robot, "", moveit)
@@ -122,7 +130,7 @@ class MoveItInterface:
             pool=pool,
             forward=ForwardPlacements(robot),
             frames=frames,
-            scene_state=self._scene,
+            scene_state=self.scene,
             current=self._current,
             assumed=assumed,
             parameters=PlannerParameters(moveit.model_copy(update={"group_name": group.name})),
@@ -134,13 +142,14 @@ class MoveItInterface:
         states = NamedStates(robot, group.name, states_file.load(), states_file.change)
         self._named_states = NamedStatesServices(graph, robot, states, self._current)
         translator = GoalTranslator(robot, moveit, states, frames, self._current, self._context.problems)
+        self._translator = translator
         self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)
         self._goal_calls = GoalCalls(graph, self.queue, translator, self._confirmation, self._context)
         reports = GoalReports(robot, moveit)
-        self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self._scene)
+        self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self.scene)
 
         # Goals and commands of MoveIt's clients.
-        self._servo = ServoNode(graph, robot, moveit, self._scene, frames.resolve, arm, pool, lambda: self.queue.busy)
+        self._servo = ServoNode(graph, robot, moveit, self.scene, frames.resolve, arm, pool, lambda: self.queue.busy)
         self._gripper = None
         if robot.gripper is not None:
             joints = [robot.joints[name] for name in robot.gripper.joints]
@@ -168,6 +177,7 @@ class MoveItInterface:
         self._transforms.open(time.time())
         self._confirmation.open()
         self._goal_status.open()
+        self._goal_history.open()
         self._goal_topics.open()
         self._goal_calls.open()
         self._named_states.open()
@@ -190,6 +200,24 @@ class MoveItInterface:
             None if remaining_s is None else RunningGoal("a goal of the gripper", remaining_s)
         )
 
+    def go_to(self, positions_rad: Positions, scaling: float) -> tuple[str, asyncio.Future[Answer]]:
+        """Queue a goal for joints of the arm.
+
+        Args:
+            positions_rad: joint -> position [rad].
+            scaling: share of the velocity and acceleration limits.
+
+        Returns:
+            Its number, and its answer to come.
+
+        Raises:
+            RefusedError: there is no such joint.
+        """
+        message = {"name": list(positions_rad), "position": list(positions_rad.values())}
+        motion = self._translator.joints(message, GoalOptions(None, scaling, scaling))
+        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        return self.queue.submit("the server", motion, on_answer=answered.set_result, message=message), answered
+
     def stop(self, reason: str) -> None:
         """End the active goal and all that wait, and stop every motion."""
         self.queue.stop(reason)
@@ -200,7 +228,12 @@ class MoveItInterface:
         await self._servo.close()
         await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
 
+    def _on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+        self._goal_history.take_progress(goal, progress)
+        self._goal_status.publish_progress(goal, progress)
+
     def _on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
         self.goal_counters.count(goal.source, answer)
         self._display.contacts_of(answer.details)
-        self._goal_status.publish_answer(goal, answer)
+        status = self._goal_status.publish_answer(goal, answer)
+        self._goal_history.take_answer(goal, answer, status)

@@ -247,18 +247,27 @@ class _Content(BaseModel):
 
 
 def default_path(content: str, robot: RobotModel, environment: Mapping[str, str]) -> Path:
-    """Return the default path of a file that the server keeps of a robot, in the XDG base directory for data.
+    """Return the default path of a file that the server keeps of a robot.
 
     Args:
         content: beginning of the file's name.
         robot: the arm, whose name is in that of the file.
         environment: environment variables.
     """
+    safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in robot.name)
+    return data_directory(environment) / f"{content}_{safe}.json"
+
+
+def data_directory(environment: Mapping[str, str]) -> Path:
+    """Return the directory of the server's files, in the XDG base directory for data.
+
+    Args:
+        environment: environment variables.
+    """
     data_home = environment.get("XDG_DATA_HOME") or str(
         Path(environment.get("HOME", "~")).expanduser() / ".local/share"
     )
-    safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in robot.name)
-    return Path(data_home) / "armbridge" / f"{content}_{safe}.json"
+    return Path(data_home) / "armbridge"
 
 
 class NamedStatesFile:

@@ -82,3 +82,38 @@ def test_a_file_that_cannot_be_used_is_one_line_and_exit_2(options: list[str], w
     assert answer.returncode == 2
     assert len(answer.stderr.splitlines()) == 1
     assert words in answer.stderr
+
+
+# Sessions of zenoh whose callbacks never end; the interpreter's own end would abort for nearly every one.
+HELD_UP = """
+import threading, time, zenoh
+from server import cli
+
+def hold(_sample):
+    held.release()
+    while True:
+        time.sleep(0.0001)
+
+def talk_to_oneself():
+    config = zenoh.Config()
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("listen/endpoints", "[]")
+    session = zenoh.open(config)
+    subscriber = session.declare_subscriber("a", hold)
+    session.put("a", b"")
+
+held = threading.Semaphore(0)
+threads = [threading.Thread(target=talk_to_oneself, daemon=True) for _ in range(8)]
+for thread in threads:
+    thread.start()
+for _ in threads:
+    held.acquire(timeout=30.0)
+print("said", end="")
+cli.main = lambda: 3
+cli.run_process()
+"""
+
+
+def test_a_network_that_does_not_end_changes_no_exit_code() -> None:
+    answer = subprocess.run([sys.executable, "-c", HELD_UP], capture_output=True, text=True, timeout=60, check=False)
+    assert (answer.returncode, answer.stdout, answer.stderr) == (3, "said", "")

@@ -14,6 +14,7 @@ from server.lifecycle import (
     BackgroundTask,
     Part,
     allowance_s,
+    first_of,
     start_in_order,
     stop_in_reverse,
     stop_signals,
@@ -116,6 +117,16 @@ async def test_a_hurry_leaves_each_step_little_time() -> None:
     assert loop.time() == pytest.approx(0.01 + 2 * HURRIED_S)
 
 
+async def test_a_step_beyond_the_total_leaves_the_others_their_time(caplog: pytest.LogCaptureFixture) -> None:
+    taken: list[str] = []
+    loop = asyncio.get_running_loop()
+    arm = Part("arm", stop=recorder(taken, "arm", 20.0), deadline_s=30.0, beyond_total=True)
+    clients = part("clients", recorder(taken, "clients", 0.8), 1.0)
+    await stop_in_reverse([clients, arm], TOTAL_S, clock=loop.time)
+    assert taken == ["arm", "clients"]
+    assert caplog.text == ""
+
+
 @pytest.mark.parametrize(
     ("deadline_s", "left_s", "after", "allowed_s"),
     [
@@ -155,3 +166,12 @@ async def test_a_start_that_fails_is_raised() -> None:
 
     with pytest.raises(StartError):
         await unless_ended(asyncio.Event(), start())
+
+
+async def test_the_first_of_some_events_ends_the_wait() -> None:
+    one, other = asyncio.Event(), asyncio.Event()
+    waiting = asyncio.create_task(first_of(one, other))
+    await asyncio.sleep(1.0)
+    assert not waiting.done()
+    other.set()
+    await asyncio.wait_for(waiting, 1.0)

@@ -75,16 +75,9 @@ class SceneFile:
             OSError: it cannot be read.
         """
         try:
-            with self.path.open("rb") as file:
-                text = file.read(MAX_FILE_BYTES + 1)
+            return read_bounded(self.path, MAX_FILE_BYTES)
         except FileNotFoundError:
             return None
-        if len(text) > MAX_FILE_BYTES:
-            raise ValueError(f"it has more than {MAX_FILE_BYTES} bytes")
-        try:
-            return json.loads(text)
-        except RecursionError as error:
-            raise ValueError("it nests too deep") from error
 
     def write(self, message: Message) -> None:
         """Replace the content; a crash leaves the old one or the new one.
@@ -93,16 +86,12 @@ class SceneFile:
             ValueError: the message is too large; the file is removed, for an older scene would be a wrong one.
             OSError: it cannot be written.
         """
-        pieces, size = [], 0
-        for piece in encoded(message):
-            # Give the interpreter's lock to the event loop, if that waits for it, and not only every 5 ms.
-            time.sleep(0)
-            pieces.append(piece)
-            size += len(piece)
-            if size > MAX_FILE_BYTES:
-                self.path.unlink(missing_ok=True)
-                raise ValueError(f"it has more than {MAX_FILE_BYTES} bytes as text")
-        files.replace(self.path, b"".join(pieces))
+        try:
+            text = encoded_bounded(message, MAX_FILE_BYTES)
+        except ValueError:
+            self.path.unlink(missing_ok=True)
+            raise
+        files.replace(self.path, text)
 
 
 class SavedScene:
@@ -132,7 +121,6 @@ class SavedScene:
         self._message_types = message_types
         self._clock = clock
         self._call_later = call_later
-        self._srdf_matrix = AllowedCollisionMatrix.of_robot(robot)
         self._kept = state.contents
         self._delay_s = DELAY_S
         self._timer: Timer | None = None
@@ -188,7 +176,7 @@ class SavedScene:
             content = self._file.read()
             if content is None:
                 return
-            self._state.apply_diff(self._complete(content), None)
+            self._state.apply_diff(complete_scene(self._message_types, content), None)
         except (ValueError, MessageError, RefusedError) as error:
             aside = files.set_aside(self._file.path)
             log.warning(
@@ -199,23 +187,6 @@ class SavedScene:
         log.info(
             "the planning scene is restored from %s: %d objects, %d of them held", self._file.path, world + held, held
         )
-
-    def _complete(self, content: Any) -> Message:
-        """Return the complete moveit_msgs/PlanningScene; objects are completed one by one, as they came.
-
-        Raises:
-            MessageError: it is none.
-        """
-        complete = self._message_types.complete
-        world: list[Any] = []
-        held: list[Any] = []
-        if isinstance(content, dict):
-            world, content = _taken(content, "world", "collision_objects")
-            held, content = _taken(content, "robot_state", "attached_collision_objects")
-        message = complete(SCENE_TYPE, content)
-        message["world"]["collision_objects"] = [complete(OBJECT_TYPE, each) for each in world]
-        message["robot_state"]["attached_collision_objects"] = [complete(ATTACHED_TYPE, each) for each in held]
-        return message
 
     def _schedule(self) -> None:
         if self._open and self._timer is None and self._writing is None:
@@ -239,7 +210,7 @@ class SavedScene:
         # What cannot be written is not tried again before the next change.
         self._kept = contents
         try:
-            await asyncio.to_thread(self._file.write, self._message(contents))
+            await asyncio.to_thread(self._file.write, kept_message(contents, self._robot))
         except (OSError, ValueError) as error:
             if not self._failing:
                 log.warning("the planning scene is not kept in %s: %s", self._file.path, error)
@@ -248,12 +219,65 @@ class SavedScene:
             self._failing = False
         self._delay_s = max(DELAY_S, (self._clock() - began_s) / WRITING_SHARE)
 
-    def _message(self, contents: SceneContents) -> Message:
-        """Return the scene as a message; a matrix that nobody has changed is left to the SRDF of the next start."""
-        message = scene_message(contents, self._robot, NO_STATE, EVERYTHING)
-        if contents.allowed_collisions == self._srdf_matrix:
-            message["allowed_collision_matrix"] = NO_MATRIX
-        return message
+
+def kept_message(contents: SceneContents, robot: RobotModel) -> Message:
+    """Return a scene as the message to keep; a matrix that nobody has changed is left to the SRDF of the next start."""
+    message = scene_message(contents, robot, NO_STATE, EVERYTHING)
+    if contents.allowed_collisions == AllowedCollisionMatrix.of_robot(robot):
+        message["allowed_collision_matrix"] = NO_MATRIX
+    return message
+
+
+def complete_scene(message_types: MessageTypes, content: Any) -> Message:
+    """Return the complete moveit_msgs/PlanningScene of a file; objects are completed one by one, as they came.
+
+    Raises:
+        MessageError: it is none.
+    """
+    complete = message_types.complete
+    world: list[Any] = []
+    held: list[Any] = []
+    if isinstance(content, dict):
+        world, content = _taken(content, "world", "collision_objects")
+        held, content = _taken(content, "robot_state", "attached_collision_objects")
+    message = complete(SCENE_TYPE, content)
+    message["world"]["collision_objects"] = [complete(OBJECT_TYPE, each) for each in world]
+    message["robot_state"]["attached_collision_objects"] = [complete(ATTACHED_TYPE, each) for each in held]
+    return message
+
+
+def read_bounded(path: Path, max_bytes: int) -> Any:
+    """Return the content of a JSON file.
+
+    Raises:
+        ValueError: it is too large, or no JSON.
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        text = file.read(max_bytes + 1)
+    if len(text) > max_bytes:
+        raise ValueError(f"it has more than {max_bytes} bytes")
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("it nests too deep") from error
+
+
+def encoded_bounded(message: Message, max_bytes: int) -> bytes:
+    """Return a message as JSON, made in a thread beside the event loop.
+
+    Raises:
+        ValueError: it is too large.
+    """
+    pieces, size = [], 0
+    for piece in encoded(message):
+        # Give the interpreter's lock to the event loop, if that waits for it, and not only every 5 ms.
+        time.sleep(0)
+        pieces.append(piece)
+        size += len(piece)
+        if size > max_bytes:
+            raise ValueError(f"it has more than {max_bytes} bytes as text")
+    return b"".join(pieces)
 
 
 def encoded(value: Any) -> Iterator[bytes]:

@@ -9,6 +9,9 @@ from pydantic import Field, model_validator
 from planners.servo.question import ServoLimits
 from server.config_keys import SettingsSection
 
+# Least time after which a command expires [s]: one period of the loop.
+LEAST_TIMEOUT_S = 0.02
+
 
 class ServoParameters(SettingsSection):
     """Parameters of the servo loop."""
@@ -22,8 +25,8 @@ class ServoParameters(SettingsSection):
     joint_scale: float = Field(default=0.5, gt=0.0, le=10.0)
     """speed of a joint for a command of 1 [rad/s]."""
     # A browser that sends 60 commands a second pauses for up to a quarter of a second to collect garbage.
-    incoming_command_timeout: float = Field(default=0.25, ge=0.02, le=5.0)
-    """time after which a command expires [s]."""
+    incoming_command_timeout: float = Field(default=0.25, ge=LEAST_TIMEOUT_S, le=5.0)
+    """time after which a command expires [s]; a client may choose a shorter one for its own commands."""
     rate_hz: float = Field(default=50.0, ge=20.0, le=100.0)
     """rate of new joint velocities [Hz]."""
     velocity_scaling: float = Field(default=1.0, gt=0.0, le=1.0)

@@ -218,7 +218,7 @@ class ServoSession:
         self._publish_status, self._interrupted = publish_status, interrupted
         self._clock = clock
         self._input: ServoInput = JointVelocities({})
-        self._received_at_s = -math.inf
+        self._expires_at_s = -math.inf
         self._task: asyncio.Task[None] | None = None
         self._stream: ArmStream | None = None
         self._released = False
@@ -235,15 +235,21 @@ class ServoSession:
             positions |= dict(zip(self._setup.joints, ahead.tolist(), strict=True))
         return positions
 
-    def set_command(self, command: ServoInput) -> None:
-        """Follow a command; the loop starts if it is not running."""
-        self._input, self._received_at_s = command, self._clock()
+    def set_command(self, command: ServoInput, timeout_s: float = math.inf) -> None:
+        """Follow a command; the loop starts if it is not running.
+
+        Args:
+            command: the command.
+            timeout_s: time after which it expires, if that is earlier than the loop's own timeout [s].
+        """
+        self._input = command
+        self._expires_at_s = self._clock() + min(timeout_s, self._setup.timeout_s)
         if self._task is None:
             self._task = asyncio.create_task(self._run(), name="servo")
 
     def release(self) -> None:
         """Drop the command, bring the arm to rest and end the loop."""
-        self._received_at_s = -math.inf
+        self._expires_at_s = -math.inf
         if self._stream is not None:
             self._released = True
             self._arm.stop(self._stream.ended)
@@ -305,7 +311,7 @@ class ServoSession:
     def _command(self, positions_rad: Positions) -> ServoCommand:
         """Return the command to follow now, in the root link; a halt if the last command has expired."""
         command = to_planning_frame(self._input, self._resolve, positions_rad)
-        if self._clock() - self._received_at_s <= self._setup.timeout_s:
+        if self._clock() <= self._expires_at_s:
             return command
         return halt_command(command)
 

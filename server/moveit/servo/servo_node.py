@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import math
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Container, Coroutine
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -23,7 +25,9 @@ from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message
 from server.moveit.requests.context import planning_group, tip_link
+from server.moveit.requests.error_codes import invalid
 from server.moveit.scene.scene_state import SceneState
+from server.moveit.servo.parameters import LEAST_TIMEOUT_S
 from server.moveit.servo.servo_loop import (
     Resolve,
     ServoInput,
@@ -40,6 +44,8 @@ TWIST_TOPIC = "/servo_node/delta_twist_cmds"
 JOINT_TOPIC = "/servo_node/delta_joint_cmds"
 POSE_TOPIC = "/servo_node/pose_target_cmds"
 STATUS_TOPIC = "/servo_node/status"
+TIMEOUT_TOPIC = "/servo_node/command_timeout"
+PARAMETERS_TOPIC = "/servo_node/parameters"
 
 SWITCH_SERVICE = "/servo_node/switch_command_type"
 PAUSE_SERVICE = "/servo_node/pause_servo"
@@ -49,6 +55,15 @@ UNPAUSE_SERVICE = "/servo_node/unpause_servo"
 RESET_SERVICE = "/servo_node/reset_servo_status"
 
 INT8 = "std_msgs/Int8"
+
+# Parameters that a client needs to send velocities of its choice.
+PUBLISHED_PARAMETERS = {
+    "command_in_type",
+    "linear_scale",
+    "rotational_scale",
+    "joint_scale",
+    "incoming_command_timeout",
+}
 
 # moveit_servo/status_codes.h of humble; the other values are the same in both generations.
 HUMBLE_NUMBERS = {
@@ -217,6 +232,39 @@ class CommandGate:
         return self._busy()
 
 
+class CommandTimeouts:
+    """Times after which commands expire, chosen by clients for their own commands, until they leave.
+
+    Args:
+        longest_s: ``incoming_command_timeout``, which a longer choice does not extend [s].
+    """
+
+    def __init__(self, longest_s: float) -> None:
+        self._longest_s = longest_s
+        self._chosen_s: dict[object, float] = {}
+
+    def choose(self, client: object, timeout_s: float, present: Container[object]) -> None:
+        """Set the timeout of a client, and forget those of clients that have left.
+
+        Args:
+            client: publisher of the choice.
+            timeout_s: time after which its commands expire [s].
+            present: every client that has a choice and is still connected.
+
+        Raises:
+            RefusedError: no finite number, or one below `LEAST_TIMEOUT_S`.
+        """
+        if not math.isfinite(timeout_s) or timeout_s < LEAST_TIMEOUT_S:
+            text = f"{TIMEOUT_TOPIC}: data must be at least {LEAST_TIMEOUT_S:g} s, not {timeout_s:g}"
+            raise invalid(text, field="data")
+        self._chosen_s = {each: chosen_s for each, chosen_s in self._chosen_s.items() if each in present}
+        self._chosen_s[client] = timeout_s
+
+    def timeout_s(self, client: object) -> float:
+        """Return the time after which a client's commands expire [s]."""
+        return min(self._chosen_s.get(client, self._longest_s), self._longest_s)
+
+
 class ServoNode:
     """MoveIt Servo's node.
 
@@ -263,12 +311,15 @@ class ServoNode:
         self._resolve = resolve
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
+        self._timeouts = CommandTimeouts(timeout_s)
         self._gate = CommandGate(self._present, timeout_s, unavailable)
         self._session = ServoSession(arm, setup, ask, resolve, self._status.publish, self._gate.interrupt)
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""
         for kind in CommandType:
             self._subscribe(kind)
+        self._subscribe_timeouts()
+        self._publish_parameters()
         self._offer()
 
     async def close(self) -> None:
@@ -281,16 +332,16 @@ class ServoNode:
         def deliver(published: PublishedMessage) -> None:
             rejection = self._gate.rejection(published.publisher, kind, time.monotonic())
             if rejection is None:
-                follow(published.msg)
+                follow(published.publisher, published.msg)
             elif rejection.from_owner:
                 self._status.publish(ServoStatus.INVALID, rejection.message)
             elif rejection.message != self._logged:
                 self._logged = rejection.message
                 log.warning("servo: %s", rejection.message)
 
-        def follow(message: Message) -> None:
+        def follow(client: object, message: Message) -> None:
             try:
-                self._session.set_command(self._read(kind, message))
+                self._session.set_command(self._read(kind, message), self._timeouts.timeout_s(client))
             except RefusedError as error:
                 self._status.publish(ServoStatus.INVALID, str(error))
 
@@ -298,6 +349,24 @@ class ServoNode:
             log.warning("%s: %s", topic, error)
 
         self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject))
+
+    def _subscribe_timeouts(self) -> None:
+        def deliver(published: PublishedMessage) -> None:
+            try:
+                present = self._graph.publishers(TIMEOUT_TOPIC)
+                self._timeouts.choose(published.publisher, float(published.msg["data"]), present)
+            except RefusedError as error:
+                self._status.publish(ServoStatus.INVALID, str(error))
+
+        def reject(error: MessageError) -> None:
+            log.warning("%s: %s", TIMEOUT_TOPIC, error)
+
+        self._graph.subscribe(self._node, TIMEOUT_TOPIC, "std_msgs/Float64", Subscriber(deliver, reject))
+
+    def _publish_parameters(self) -> None:
+        self._graph.advertise(self._node, PARAMETERS_TOPIC, "std_msgs/String", latch=True)
+        values = self._parameters.model_dump(include=PUBLISHED_PARAMETERS)
+        self._graph.publish(self._node, PARAMETERS_TOPIC, {"data": json.dumps(values)})
 
     def _read(self, kind: CommandType, message: Message) -> ServoInput:
         match kind:

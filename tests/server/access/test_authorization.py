@@ -53,6 +53,19 @@ def asked(authorizer: Authorizer, op: str, **fields: Any) -> str | None:
     return authorizer.refusal(parse({"op": op, **fields}))
 
 
+def test_the_clients_that_may_drive_are_known_until_they_leave_or_show_a_lower_role() -> None:
+    world = World(operate_tokens={"otto": "o" * 32})
+    nobody, screen, otto = world.authorizer(None), world.authorizer(SCREEN), world.authorizer(OTTO)
+    assert len(world.access.drivers) == 1
+    nobody.authenticate(ADA)
+    assert len(world.access.drivers) == 2
+    screen.leave()
+    otto.authenticate(SCREEN)
+    assert len(world.access.drivers) == 1
+    nobody.leave()
+    assert not world.access.drivers
+
+
 GOAL = {"topic": "/moveit_goal_named", "msg": {"data": "home"}}
 ACTION = {"action": "/move_action", "action_type": "moveit_msgs/action/MoveGroup"}
 
@@ -60,6 +73,8 @@ NEEDS = [
     (Role.VIEW, "subscribe", {"topic": "/joint_states"}),
     (Role.VIEW, "call_service", {"service": "/rosapi/topics"}),
     (Role.VIEW, "call_service", {"service": "/compute_ik"}),
+    (Role.VIEW, "call_service", {"service": "/armbridge/goal_history"}),
+    (Role.VIEW, "call_service", {"service": "/armbridge/goal_record"}),
     (Role.VIEW, "call_service", {"service": "/arm/stop"}),
     (Role.VIEW, "call_service", {"service": "arm/emergency_stop"}),
     (Role.VIEW, "call_service", {"service": "/move_action/_action/cancel_goal"}),
@@ -77,12 +92,16 @@ NEEDS = [
     (Role.OPERATE, "advertise_action", {"action": "/mine", "type": "control_msgs/PointHead"}),
     (Role.OPERATE, "send_action_goal", ACTION),
     (Role.OPERATE, "call_service", {"service": "/arm/relax"}),
+    (Role.OPERATE, "call_service", {"service": "/arm/park"}),
     (Role.OPERATE, "call_service", {"service": "/apply_planning_scene"}),
     (Role.OPERATE, "call_service", {"service": "/of_a_client"}),
     (Role.ADMIN, "call_service", {"service": "/rosapi/set_param"}),
     (Role.ADMIN, "call_service", {"service": "/set_planner_params"}),
     (Role.ADMIN, "call_service", {"service": "/save_robot_state"}),
     (Role.ADMIN, "call_service", {"service": "/armbridge/set_logger_levels"}),
+    (Role.ADMIN, "call_service", {"service": "/arm/commissioning/begin"}),
+    (Role.ADMIN, "call_service", {"service": "/arm/commissioning/answer"}),
+    (Role.ADMIN, "call_service", {"service": "/arm/commissioning/cancel"}),
     # The id that a client hangs on the name is no way past the table.
     (Role.ADMIN, "call_service", {"service": "/rosapi/set_param#1"}),
     (Role.ADMIN, "call_service", {"service": "rosapi/set_param#/arm/stop"}),
@@ -327,7 +346,7 @@ def test_a_client_is_known_by_its_token() -> None:
 
 def test_a_wrong_token_is_nobodys_and_not_repeated() -> None:
     refusal = access_of().identify(Auth(token="guess"))
-    assert refusal == "field token: it is none of the tokens here"
+    assert str(refusal).startswith("field token: it is none of the tokens here; a one-time token")
 
 
 def test_a_client_is_known_by_a_proof_as_clients_of_rosauth_make_it() -> None:

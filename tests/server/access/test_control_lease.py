@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from importlib import metadata
 from typing import Any
 
 import pytest
@@ -320,7 +321,8 @@ def test_the_status_tells_when_control_will_be_free(world: World) -> None:
 def test_a_client_is_told_what_it_is_called_and_what_it_may_do(world: World) -> None:
     world.client("a").node.address = "10.0.0.1:5"
     answered = world.call("a", "/arm/who_am_i")
-    assert json.loads(answered["message"]) == {"name": "a", "address": "10.0.0.1:5", "role": "admin"}
+    told = {"name": "a", "address": "10.0.0.1:5", "role": "admin", "version": metadata.version("armbridge")}
+    assert json.loads(answered["message"]) == told
 
 
 async def test_over_sockets_one_drives_others_are_answered_and_anyone_stops(

@@ -2,14 +2,17 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import socket
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
 from robot.calibration import Calibration, JointCalibration, new_calibration_path, save
+from robot.description.robot_folder import built_in
+from robot.emulator.populations import POPULATIONS
 from robot.hardware.config import (
     DynamixelConfig,
     EmulatedConfig,
@@ -18,6 +21,7 @@ from robot.hardware.config import (
     HardwareConfig,
     IdealConfig,
 )
+from robot.hardware.feetech.registers import Register
 from robot.messages import EmergencyPolicy, EndState, GuardLimits
 from server.arm.setup import Description, arm_config, check_parameters
 from server.config import ArmSettings, EmulatorSettings, GuardSettings, Settings
@@ -100,6 +104,30 @@ def test_a_port_means_servos_there(tmp_path: Path) -> None:
     assert hardware_of(arm=ArmSettings(serial="auto", **files)) == FeetechConfig(nominal, "auto")
 
 
+def own_profile(folder: Path, profile: str) -> Path:
+    copied = folder / "arm"
+    shutil.copytree(built_in("so101").folder, copied)
+    file = copied / "robot.toml"
+    file.write_text(f"{file.read_text()}\n[hardware.profile]\n{profile}\n")
+    return copied
+
+
+@pytest.mark.parametrize("serial", ["/dev/arm", None])
+def test_the_servos_should_have_the_settings_of_the_arms_own_profile(tmp_path: Path, serial: str | None) -> None:
+    robot = own_profile(tmp_path, 'base = "lerobot"\nregisters = { P_GAIN = 20 }')
+    hardware = hardware_of(arm=ArmSettings(robot=str(robot), serial=serial))
+    assert isinstance(hardware, FeetechConfig | EmulatedConfig)
+    assert hardware.profile is not None
+    assert hardware.profile.expected(gripper=True)[Register.P_GAIN] == 20
+    assert hardware.profile.expected(gripper=True)[Register.MAX_TORQUE] == 500
+
+
+def test_a_setting_that_servos_do_not_have_is_refused_with_its_place(tmp_path: Path) -> None:
+    robot = own_profile(tmp_path, "registers = { P_GANE = 20 }")
+    with pytest.raises(ConfigurationError, match=r"hardware\.profile\.registers\.P_GANE: there is no such setting"):
+        hardware_of(arm=ArmSettings(robot=str(robot)))
+
+
 def test_no_port_means_emulated_servos_with_the_faults_that_are_set(tmp_path: Path) -> None:
     assert hardware_of() == EmulatedConfig(nominal_calibration(), driven=True)
     places = {"write_log": tmp_path / "writes.jsonl", "control": tmp_path / "control"}
@@ -128,6 +156,22 @@ def test_an_option_that_emulated_dynamixel_servos_do_not_have_is_refused(name: s
         hardware_of(arm=ArmSettings(robot="koch_v1_1"), emulator=emulator)
 
 
+def test_emulated_dynamixel_servos_have_one_state_only() -> None:
+    with pytest.raises(ConfigurationError, match=r"emulator\.population: .* so that 'kit' cannot be used"):
+        hardware_of(arm=ArmSettings(robot="koch_v1_1"), emulator=EmulatorSettings(population="kit"))
+
+
+def test_the_state_of_emulated_servos_is_a_setting() -> None:
+    emulated = hardware_of(emulator=EmulatorSettings(population="lerobot"))
+    assert isinstance(emulated, EmulatedConfig)
+    assert emulated.population == "lerobot"
+    assert emulated.resumed({}, driven=True).population == "lerobot"
+
+
+def test_every_population_can_be_set() -> None:
+    assert set(get_args(EmulatorSettings.model_fields["population"].annotation)) == set(POPULATIONS)
+
+
 def test_a_calibration_of_a_koch_may_have_whole_turns_in_its_homing_offsets(tmp_path: Path) -> None:
     joints = tuple(replace(joint, homing_offset=-7000) for joint in dynamixel.CALIBRATION.joints)
     save(Calibration(joints), tmp_path / "koch.json")
@@ -137,7 +181,14 @@ def test_a_calibration_of_a_koch_may_have_whole_turns_in_its_homing_offsets(tmp_
     assert on_port.calibration.zero_is_known
 
 
-BUS_OPTIONS = {"drop": 0.1, "corrupt": 0.1, "seed": 1, "write_log": Path("writes.jsonl"), "control": Path("control")}
+BUS_OPTIONS = {
+    "drop": 0.1,
+    "corrupt": 0.1,
+    "seed": 1,
+    "population": "clone",
+    "write_log": Path("writes.jsonl"),
+    "control": Path("control"),
+}
 
 
 @pytest.mark.parametrize("name", EmulatorSettings.model_fields)

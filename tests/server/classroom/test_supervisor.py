@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,14 +16,15 @@ import pytest
 from server.classroom import supervisor as supervisor_module
 from server.classroom.supervisor import Member
 from tests.helpers.server import ROOT
+from tests.helpers.waiting import wait_until
 
 pytestmark = pytest.mark.real_time
 
 SOON_S = 30.0
 
-# A member that waits for SIGTERM, and one that writes to its log, and ends after a while.
+# Members that say when they wait for SIGTERM or ignore it, and one that writes to its log, and ends after a while.
 PROGRAM = """
-import logging, signal, sys, time
+import logging, os, signal, sys, time
 from pathlib import Path
 from server.classroom.supervisor import Member, supervise
 
@@ -35,11 +35,13 @@ def wait():
         Path({folder!r}, "ended").touch()
         raise SystemExit
     signal.signal(signal.SIGTERM, take)
+    Path({folder!r}, f"ready {{os.getpid()}}").touch()
     while True:
         time.sleep(1)
 
 def be_deaf():
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    Path({folder!r}, f"ready {{os.getpid()}}").touch()
     while True:
         time.sleep(1)
 
@@ -64,7 +66,7 @@ def run(tmp_path: Path) -> Iterator[Callable[[str], psutil.Process]]:
         process = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, text=True)
         started.append(process)
         supervisor = psutil.Process(process.pid)
-        until(lambda: (tmp_path / "two.log").exists() and bool(supervisor.children()))
+        wait_until(lambda: (tmp_path / "two.log").exists() and bool(supervisor.children()))
         return supervisor
 
     yield start
@@ -74,54 +76,48 @@ def run(tmp_path: Path) -> Iterator[Callable[[str], psutil.Process]]:
         process.communicate()
 
 
-def until(condition: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + SOON_S
-    while not condition():
-        assert time.monotonic() < until_s
-        time.sleep(0.02)
+def until_ready(folder: Path) -> None:
+    """Wait until both members have their handlers of SIGTERM, without which it ends them at once."""
+    wait_until(lambda: len(list(folder.glob("ready *"))) == 2)
 
 
 def test_a_member_that_ends_is_started_again_later_each_time(
     run: Callable[[str], psutil.Process], tmp_path: Path
 ) -> None:
     supervisor = run("end")
-    until(lambda: (tmp_path / "two.log").read_text().count("begun") >= 3)
+    wait_until(lambda: (tmp_path / "two.log").read_text().count("begun") >= 3)
     (first, *_) = supervisor.children()
     assert first.is_running()
 
 
 def test_one_signal_ends_all_in_good_order(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
     supervisor = run("wait")
-    until(lambda: len(supervisor.children()) == 2)
-    time.sleep(0.2)
+    until_ready(tmp_path)
     supervisor.send_signal(signal.SIGINT)
-    until(lambda: not supervisor.is_running() or supervisor.status() == psutil.STATUS_ZOMBIE)
+    wait_until(lambda: not supervisor.is_running() or supervisor.status() == psutil.STATUS_ZOMBIE)
     assert (tmp_path / "ended").exists()
 
 
-def test_a_member_that_does_not_listen_is_killed(run: Callable[[str], psutil.Process]) -> None:
+def test_a_member_that_does_not_listen_is_killed(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
     supervisor = run("be_deaf")
-    until(lambda: len(supervisor.children()) == 2)
-    time.sleep(0.2)
+    until_ready(tmp_path)
     children = supervisor.children()
     supervisor.send_signal(signal.SIGTERM)
-    until(lambda: not any(child.is_running() for child in children))
+    wait_until(lambda: not any(child.is_running() for child in children))
 
 
 def test_members_end_with_a_supervisor_that_is_killed(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
     supervisor = run("wait")
-    until(lambda: len(supervisor.children()) == 2)
-    time.sleep(0.2)
+    until_ready(tmp_path)
     children = supervisor.children()
     supervisor.kill()
-    until(lambda: not any(child.is_running() for child in children))
+    wait_until(lambda: not any(child.is_running() for child in children))
     assert (tmp_path / "ended").exists()
 
 
-def test_members_are_out_of_reach_of_the_terminals_ctrl_c(run: Callable[[str], psutil.Process]) -> None:
+def test_members_are_out_of_reach_of_the_terminals_ctrl_c(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
     supervisor = run("wait")
-    until(lambda: len(supervisor.children()) == 2)
-    time.sleep(0.2)
+    until_ready(tmp_path)
     assert all(os.getsid(child.pid) == child.pid for child in supervisor.children())
 
 

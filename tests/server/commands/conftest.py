@@ -17,6 +17,7 @@ from robot.hardware.feetech.bus import Bus
 from robot.hardware.interface import run_to_end
 from server import cli
 from server.commands import arm as arm_module
+from server.commands import calibrate as calibrate_module
 from server.commands import options as command_options
 from server.commands.terminal import Terminal
 from tests.helpers.emulator import SteppedEmulator
@@ -47,7 +48,8 @@ def armbridge(emulator: SteppedEmulator, monkeypatch: pytest.MonkeyPatch, capsys
 
     monkeypatch.setattr(Bus, "open", open_bus)
     # Torque is lowered in the servos' time.
-    monkeypatch.setattr(arm_module, "run_to_end", functools.partial(run_to_end, wait=emulator.run))
+    for module in (arm_module, calibrate_module):
+        monkeypatch.setattr(module, "run_to_end", functools.partial(run_to_end, wait=emulator.run))
 
     def run(
         command: str, *options: str, answers: str = "", descriptor: int | None = None

@@ -199,6 +199,6 @@ raise SystemExit(options.run(options))
             with contextlib.closing(Bus.open(str(tmp_path / "arm"))) as bus:
                 assert [bus.ping(servo_id) for servo_id in range(1, 7)] == [777] * 6
             process.terminate()
-            assert process.wait(5.0) == 0
+            assert process.wait(30.0) == 0
         finally:
             process.kill()

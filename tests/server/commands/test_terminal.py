@@ -29,17 +29,17 @@ def test_each_question_takes_one_line_of_many(typed):
     write("y\nn\n\n")
     assert terminal.confirm("one")
     assert not terminal.confirm("two")
-    assert terminal.entered()
-    assert not terminal.entered()
+    assert terminal.line_typed() == ""
+    assert terminal.line_typed() is None
 
 
-def test_looking_for_enter_does_not_wait_for_it(typed):
+def test_looking_for_a_line_does_not_wait_for_its_enter(typed):
     terminal, write = typed
-    assert not terminal.entered()
+    assert terminal.line_typed() is None
     write("half a line")
-    assert not terminal.entered()
+    assert terminal.line_typed() is None
     write("\n")
-    assert terminal.entered()
+    assert terminal.line_typed() == "half a line"
 
 
 def test_an_input_that_ends_answers_nothing():

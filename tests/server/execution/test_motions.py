@@ -28,6 +28,7 @@ from server.execution.motions import (
     LEAD_IN_SCALING,
     SAME_START_RAD,
     START_TOLERANCE_RAD,
+    PlannedSequence,
     Positions,
     SplicePoint,
     Step,
@@ -35,6 +36,7 @@ from server.execution.motions import (
     splice_point_of,
     with_lead_in,
 )
+from server.execution.queue import Performed
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101
 
@@ -76,7 +78,11 @@ async def test_each_step_is_planned_from_where_the_one_before_ends() -> None:
     assert planned.failure is None
     assert len(planned.performed.planned) == 2
     assert (planned.duration_s, planned.performed.planning_time_s) == (2.0, 0.5)
-    assert planned.summary == "straight line, straight line, 2.00 s, planned in 500 ms"
+    assert planned.summary == "a motion of 2.0 s (straight line, straight line; planned in 500 ms)"
+
+
+def test_the_sentence_of_a_motion_that_a_client_sent_names_no_method() -> None:
+    assert PlannedSequence(Performed({}, (smooth_move({"a": (0.0, 0.5)}, 1.0),))).summary == "a motion of 1.0 s"
 
 
 async def test_the_motions_before_a_failure_are_kept_and_the_item_is_named() -> None:

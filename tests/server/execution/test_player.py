@@ -91,7 +91,7 @@ async def test_every_outcome_has_its_code_and_message(stage: Stage, outcome: Out
 
 async def test_the_answer_after_a_stop_names_its_reason(stage: Stage) -> None:
     stage.player.stop("a test")
-    assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "a test: stopped half-way")
+    assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "a test; stopped half-way")
 
 
 async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
@@ -116,7 +116,7 @@ async def test_a_contact_on_the_way_stops_the_motion_with_its_code_and_details(s
     stage.player.stop("too late")
     answer = await stage.answer()
     assert (answer.code, answer.details) == (CONTACT.code, CONTACT.details)
-    assert answer.message == "would touch the wall: stopped half-way"
+    assert answer.message == "would touch the wall; stopped half-way"
 
 
 async def test_only_the_active_motion_is_stopped(stage: Stage) -> None:
@@ -148,7 +148,7 @@ async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lag
     answer = await stage.answer()
     assert answer.code is MoveItErrorCode.TIMED_OUT
     assert answer.message.startswith("the arm did not end the motion; joint ")
-    assert "is 0.000 rad behind: stopped half-way" in answer.message
+    assert "is 0.000 rad behind; stopped half-way" in answer.message
 
 
 @pytest.fixture
@@ -291,4 +291,4 @@ async def test_an_outgoing_motion_can_be_stopped(stage: Stage) -> None:
 async def test_a_braking_motion_is_not_replaced(stage: Stage) -> None:
     stage.player.stop("a test")
     stage.player.preempt("too late")
-    assert (await stage.answer()).message == "a test: stopped half-way"
+    assert (await stage.answer()).message == "a test; stopped half-way"

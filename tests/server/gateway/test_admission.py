@@ -6,6 +6,7 @@ import pytest
 from websockets.datastructures import Headers
 
 from server.access.authentication import MAX_WRONG, WINDOW_S, Tokens
+from server.access.one_time_tokens import OneTimeTokens
 from server.access.permissions import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
 from server.errors import ConfigurationError
@@ -457,3 +458,14 @@ def test_in_a_pattern_only_the_asterisk_is_special() -> None:
     assert matches("http://[2001:db8::1]", "http://[2001:db8::1]")
     assert not matches("http://2", "http://[2001:db8::1]")
     assert not matches("https://a.lab.evil.com", "https://*.lab")
+
+
+def test_a_one_time_token_reads_files_while_its_connection_is_open_and_opens_none_by_the_handshake() -> None:
+    one_time = OneTimeTokens()
+    policy = AdmissionPolicy(LOCKED, one_time_tokens=one_time)
+    token = one_time.issue(ANYONE, "operate")
+    header = "Authorization", f"Bearer {token}"
+    assert refused(policy.check(request_for("/robot/x", header, upgrade=False)))[0] == 401
+    one_time.use(token)
+    assert policy.check(request_for("/robot/x", header, upgrade=False)) == Identity("one-time-1", Role.VIEW)
+    assert refused(policy.check(request_for("/", header, upgrade=True)))[0] == 401

@@ -316,7 +316,7 @@ async def test_a_robot_without_files_has_its_description_and_no_robot_nothing() 
 async def test_a_websocket_is_one_whatever_its_path(site: Site, path: str) -> None:
     async with connect(f"ws://127.0.0.1:{site.port}{path}") as websocket:
         await websocket.send('{"op": "call_service", "service": "/none", "id": "a"}')
-        assert "/none" in str(await asyncio.wait_for(websocket.recv(), 5.0))
+        assert "/none" in str(await asyncio.wait_for(websocket.recv(), 30.0))
 
 
 async def test_the_log_is_silent_about_pages_that_load(site: Site, caplog: pytest.LogCaptureFixture) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
@@ -19,6 +19,7 @@ from server.gateway.listener import Listener
 from server.gateway.transport import WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
+from tests.helpers.waiting import until
 
 TALKER = Node("talker")
 TIMEOUT_S = 60.0
@@ -57,12 +58,6 @@ class World:
     @property
     def used_bytes(self) -> int:
         return self.listener._budget.used_bytes
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(TIMEOUT_S):
-        while not condition():
-            await asyncio.sleep(0.005)
 
 
 async def numbers(client: ClientConnection, count: int) -> list[int]:

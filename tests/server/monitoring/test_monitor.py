@@ -6,7 +6,6 @@ import logging
 import mmap
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -58,6 +57,7 @@ from server.monitoring.systemd import SystemdNotifier
 from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.clock import SteppedLoop
 from tests.helpers.server import RunningServer, ServerOnBus
+from tests.helpers.systemd import Systemd
 from tests.server.monitoring.watched_parts import (
     WatchedArm,
     WatchedPlanners,
@@ -477,33 +477,6 @@ async def test_levels_of_the_log_are_changed_while_the_server_runs(served: Serve
         done = await client.call("/armbridge/set_logger_levels", levels=levels)
         assert done["results"] == [{"successful": True, "reason": ""}]
     assert served.server.has_logged("the level of armbridge.operations_test is debug now")
-
-
-class Systemd:
-    """A service notifier, which keeps all that it hears."""
-
-    def __init__(self, path: Path) -> None:
-        self.heard: list[str] = []
-        self.address = str(path)
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(self.address)
-        self._reader = threading.Thread(target=self._listen)
-        self._reader.start()
-
-    def has_heard(self, words: str, times: int = 1) -> bool:
-        until_s = time.monotonic() + TIMEOUT_S
-        while self.heard.count(words) < times and time.monotonic() < until_s:
-            time.sleep(0.02)
-        return self.heard.count(words) >= times
-
-    def close(self) -> None:
-        self._socket.shutdown(socket.SHUT_RD)
-        self._reader.join(TIMEOUT_S)
-        self._socket.close()
-
-    def _listen(self) -> None:
-        while datagram := self._socket.recv(4096):
-            self.heard += datagram.decode().splitlines()
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ import pytest
 
 from protocol.registry import Registry
 from robot import logs as changed
-from robot.faults import Fault, FaultCode
-from robot.hardware.interface import BusCounters
+from robot.faults import REMEDIES, SIMULATED_REMEDIES, Fault, FaultCode
+from robot.hardware.interface import BusCounters, StatusFlag
 from robot.logs import OUR_LOGGER
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.graph.node import Node
@@ -100,6 +100,62 @@ def test_the_joint_of_a_fault_is_an_error() -> None:
     fault = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex")
     arm, servo = statuses(replace(STATE, mode=Mode.FAULT, fault=fault))
     assert (arm["level"], servo["level"]) == (2, 2)
+
+
+def story(joint: JointHealth = SERVO, state: ArmState = STATE, **fields: Any) -> dict[str, str]:
+    told: dict[str, str] = values_of(statuses(state, replace(HEALTH, joints=(joint,), **fields))[1])
+    return told
+
+
+def test_a_joint_tells_its_errors_by_kind_and_what_to_do_about_each() -> None:
+    told = story(replace(SERVO, errors={"overload": 2, "servo_rebooted": 1}))
+    counted = {key: value for key, value in told.items() if key.startswith("error/")}
+    assert counted == {"error/silent_cycles": "2", "error/overload": "2", "error/servo_rebooted": "1"}
+    assert told["advice"].count("overload: ") == told["advice"].count("servo_rebooted: ") == 1
+    assert REMEDIES[FaultCode.OVERLOAD] in told["advice"]
+
+
+def test_a_joint_tells_the_registers_of_its_servo() -> None:
+    told = story(replace(SERVO, registers={"P_GAIN": 16, "HOMING_OFFSET": -12}))
+    assert (told["register/P_GAIN"], told["register/HOMING_OFFSET"]) == ("16", "-12")
+
+
+def test_a_joint_tells_what_a_setting_should_be_that_differs() -> None:
+    told = story(replace(SERVO, registers={"P_GAIN": 16, "D_GAIN": 32}, expected={"P_GAIN": 32}))
+    assert {key: value for key, value in told.items() if key.startswith("expected/")} == {"expected/P_GAIN": "32"}
+
+
+def test_a_joint_without_complaints_needs_no_advice() -> None:
+    assert "advice" not in story()
+
+
+@pytest.mark.parametrize(
+    ("joint", "complaint"),
+    [
+        (replace(SERVO, warnings=("warm: 56 degC",)), "warm: "),
+        (replace(SERVO, status=int(StatusFlag.ENCODER)), "encoder: "),
+        (replace(SERVO, silent_cycles=100), "silent_cycles: "),
+    ],
+)
+def test_what_a_joint_complains_of_now_has_its_advice(joint: JointHealth, complaint: str) -> None:
+    assert story(joint, bus=BusCounters(sent=1000))["advice"].startswith(complaint)
+
+
+@pytest.mark.parametrize(("lost", "sent"), [(21, 10_000), (19, 100)])
+def test_single_lost_replies_need_no_advice(lost: int, sent: int) -> None:
+    assert "advice" not in story(replace(SERVO, silent_cycles=lost), bus=BusCounters(sent=sent))
+
+
+def test_the_joint_of_a_fault_has_its_remedy_once() -> None:
+    fault = Fault(FaultCode.OVERLOAD, "joint elbow_flex is overloaded", "elbow_flex")
+    overloaded = replace(SERVO, status=int(StatusFlag.OVERLOAD), errors={"overload": 1})
+    told = story(overloaded, replace(STATE, mode=Mode.FAULT, fault=fault))
+    assert told["advice"] == str(fault)
+
+
+def test_a_simulated_servo_has_the_advice_for_simulated_ones() -> None:
+    told = story(replace(SERVO, errors={"overload": 1}), port="simulated")
+    assert told["advice"].endswith(SIMULATED_REMEDIES[FaultCode.OVERLOAD])
 
 
 def test_a_servo_that_is_not_read_is_stale() -> None:

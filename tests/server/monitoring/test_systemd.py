@@ -19,7 +19,7 @@ class Systemd:
         self.address = address
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.socket.bind("\0" + address[1:] if address.startswith("@") else address)
-        self.socket.settimeout(5.0)
+        self.socket.settimeout(30.0)
 
     def heard(self) -> list[str]:
         return self.socket.recv(4096).decode().splitlines()

@@ -161,9 +161,9 @@ async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it(
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
     await asyncio.sleep(0.02)
     assert not moving.done()
-    await arm.start(10.0)
+    await arm.start(30.0)
     with pytest.raises(RefusedError, match="/dev/nothing does not exist"):
-        await asyncio.wait_for(moving, 5.0)
+        await asyncio.wait_for(moving, 30.0)
     await arm.close()
 
 

@@ -69,7 +69,7 @@ async def result(client: ArmClient, goal_id: str) -> tuple[int, int]:
 
 async def test_goals_follow_one_another_and_the_last_one_is_reached(client: ArmClient) -> None:
     first = await client.send_goal(MOVE, MOVE_TYPE, to(0.8))
-    await asyncio.sleep(0.4)
+    await client.until_mode("moving")
     second = await client.send_goal("/move_group", MOVE_TYPE, to(-0.2, 1.0))
     assert await result(client, first) == (CANCELED, -7)
     assert await result(client, second) == (SUCCEEDED, 1)

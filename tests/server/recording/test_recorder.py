@@ -111,7 +111,7 @@ class BlockedFiles(FileSeries):
 
     def add(self, entry: RecordedMessage) -> None:
         self.reached.set()
-        assert self.go_on.wait(5.0)
+        assert self.go_on.wait(30.0)
         super().add(entry)
 
 
@@ -153,7 +153,7 @@ def test_a_disk_that_stands_still_costs_messages_and_not_memory(
     writer = WriterThread(files, REGISTRY)
     writer.start()
     writer.put(queued())
-    assert files.reached.wait(5.0)
+    assert files.reached.wait(30.0)
     for number in range(1, 11):
         writer.put(queued(number))
     assert (writer.dropped, writer.queued) == (7, 3)

@@ -18,7 +18,8 @@ from server.zenoh.settings import ZenohSettings
 from server.zenoh.topics import OutgoingTopics
 from tests.helpers.resources import Pair, make_pair, make_signed_pair
 from tests.helpers.server import ROOT
-from tests.helpers.zenoh_network import REGISTRY, TIMEOUT_S, RosMachine, Site, free_port, until
+from tests.helpers.waiting import TIMEOUT_S, until
+from tests.helpers.zenoh_network import REGISTRY, RosMachine, Site, free_port
 from tests.test_readme import blocks
 
 # The bridge.

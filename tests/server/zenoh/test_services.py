@@ -10,7 +10,8 @@ import zenoh
 from server.access.settings import AccessSettings
 from server.errors import ServiceError
 from server.zenoh import services
-from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, free_port, until
+from tests.helpers.waiting import until
+from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, free_port
 
 TRIGGER = "std_srvs/srv/Trigger"
 DONE = b"\x00\x01\x00\x00\x01\x00\x00\x00\x05\x00\x00\x00done\x00"

@@ -14,7 +14,7 @@ import zenoh
 from server.zenoh import session as session_module
 from server.zenoh.session import ReceiveQueue, SessionThread
 from server.zenoh.settings import ZenohSettings, session_config
-from tests.helpers.zenoh_network import until
+from tests.helpers.waiting import until
 
 # The threads; sessions are real ones, none of which connects anywhere.
 

@@ -32,7 +32,7 @@ class Files:
     async def call(self, service, name):
         answered = asyncio.get_running_loop().create_future()
         self.graph.services.call(Node("client"), service, {"file_path_and_name": name}, answered.set_result)
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(30.0):
             return (await answered).values["success"]
 
     def empty(self):

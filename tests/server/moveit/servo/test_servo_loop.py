@@ -174,12 +174,12 @@ class Rig:
         )
 
     async def until_let_go(self) -> None:
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(30.0):
             while self.session._task is not None:
                 await asyncio.sleep(0)
 
     async def until_asked(self, times: int) -> None:
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(30.0):
             while len(self.questions) < times:
                 await asyncio.sleep(0)
 
@@ -286,3 +286,26 @@ async def test_a_bug_releases_the_arm(rig: Rig, caplog: pytest.LogCaptureFixture
     assert rig.arm.streams[0].ended.done()
     assert rig.told[-1][0] is ServoStatus.INVALID
     assert "steering failed" in caplog.text
+
+
+async def test_a_command_expires_earlier_where_its_client_says_so(rig: Rig) -> None:
+    rig.session.set_command(NORTH, timeout_s=0.08)
+    begun_s = rig.clock()
+    asked_s: list[float] = []
+    move = rig.answer
+
+    def answer(question: ServoQuestion) -> ServoAnswer | PlanningFailure:
+        asked_s.append(rig.clock() - begun_s)
+        return move(question)
+
+    rig.answer = answer
+    await rig.until_let_go()
+    halted_s = next(at_s for at_s, question in zip(asked_s, rig.questions, strict=True) if question.command.zero)
+    # The answer to the first halt comes one period after it was asked.
+    assert 0.08 < halted_s - PERIOD_S <= 0.1
+
+
+async def test_no_client_extends_the_timeout(rig: Rig) -> None:
+    rig.session.set_command(NORTH, timeout_s=5.0)
+    await rig.until_let_go()
+    assert sum(not question.command.zero for question in rig.questions) == pytest.approx(TIMEOUT_S / PERIOD_S, abs=1.5)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
+from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
@@ -22,14 +24,17 @@ from server.moveit.servo.servo_node import (
     JOINT_TOPIC,
     LOGGED_AGAIN_S,
     OWNERSHIP_TIMEOUT_S,
+    PARAMETERS_TOPIC,
     PAUSE_SERVICE,
     POSE_TOPIC,
     START_SERVICE,
     STATUS_TOPIC,
     STOP_SERVICE,
     SWITCH_SERVICE,
+    TIMEOUT_TOPIC,
     TWIST_TOPIC,
     CommandGate,
+    CommandTimeouts,
     CommandType,
     Ownership,
     ServoNode,
@@ -39,6 +44,7 @@ from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm
 from tests.helpers.gateway import REGISTRY
+from tests.helpers.waiting import until
 
 NORTH = {"twist": {"linear": {"x": 0.5}}}
 TYPES = {
@@ -60,7 +66,8 @@ class Rig:
         self.node = ServoNode(
             self.graph,
             ROBOT,
-            MoveItParameters(),
+            # No command gets too old where a busy machine takes its time.
+            MoveItParameters(servo={"incoming_command_timeout": 5.0}),
             SceneState(ROBOT),
             lambda _frame, _positions: Pose(),
             self.arm.as_arm,
@@ -96,12 +103,13 @@ async def rig() -> Any:
 
 
 async def test_each_type_of_command_is_followed_without_selecting_it(rig: Rig) -> None:
-    await rig.say(TWIST_TOPIC, NORTH)
-    await rig.say(JOINT_TOPIC, {"joint_names": ["elbow_flex"], "velocities": [0.2]})
-    await asyncio.sleep(0.03)
-    await rig.say(POSE_TOPIC, {"pose": {"position": {"x": 0.3}}})
-    await asyncio.sleep(0.03)
-    assert {type(question.command).__name__ for question in rig.asked} == {"TipTwist", "JointVelocities", "TipTarget"}
+    for topic, message, command in (
+        (TWIST_TOPIC, NORTH, "TipTwist"),
+        (JOINT_TOPIC, {"joint_names": ["elbow_flex"], "velocities": [0.2]}, "JointVelocities"),
+        (POSE_TOPIC, {"pose": {"position": {"x": 0.3}}}, "TipTarget"),
+    ):
+        await rig.say(topic, message)
+        await until(lambda command=command: rig.asked and type(rig.asked[-1].command).__name__ == command)
     assert len(rig.arm.streams) == 1
 
 
@@ -118,8 +126,7 @@ async def test_when_the_first_client_leaves_the_second_may_steer(rig: Rig) -> No
     await rig.say(TWIST_TOPIC, NORTH)
     rig.graph.remove(rig.one)
     await rig.say(JOINT_TOPIC, {"joint_names": ["elbow_flex"], "velocities": [0.2]}, rig.other)
-    await asyncio.sleep(0.03)
-    assert type(rig.asked[-1].command).__name__ == "JointVelocities"
+    await until(lambda: rig.asked and type(rig.asked[-1].command).__name__ == "JointVelocities")
 
 
 async def test_a_bad_command_is_published_on_the_status(rig: Rig) -> None:
@@ -165,10 +172,14 @@ async def test_a_pause_ends_the_steering_until_it_is_lifted(rig: Rig, pause: Any
     assert len(rig.arm.streams) == 2
 
 
-async def hold_the_stick(client: ArmClient, seconds: float, **linear: float) -> None:
-    for _ in range(round(seconds * 100)):
-        await client.say("publish", topic=TWIST_TOPIC, msg={"twist": {"linear": linear}})
-        await asyncio.sleep(0.01)
+PATIENCE_S = 30.0
+
+
+async def hold_the_stick(client: ArmClient, long_enough: Callable[[], bool], **linear: float) -> None:
+    async with asyncio.timeout(PATIENCE_S):
+        while not long_enough():
+            await client.say("publish", topic=TWIST_TOPIC, msg={"twist": {"linear": linear}})
+            await asyncio.sleep(0.01)
 
 
 async def test_a_stick_moves_the_arm_and_gives_way_to_a_goal(client: ArmClient) -> None:
@@ -177,14 +188,12 @@ async def test_a_stick_moves_the_arm_and_gives_way_to_a_goal(client: ArmClient) 
     before = client.topics["/joint_states"][-1]["position"]
     await client.say("subscribe", topic=STATUS_TOPIC, type="moveit_msgs/ServoStatus")
     await client.say("advertise", topic=TWIST_TOPIC, type=TYPES[TWIST_TOPIC])
-    await hold_the_stick(client, 0.6, y=0.5)
-    assert client.topics["/joint_states"][-1]["position"][0] < before[0] - 0.05
+    await hold_the_stick(client, lambda: client.topics["/joint_states"][-1]["position"][0] < before[0] - 0.1, y=0.5)
     assert client.topics[STATUS_TOPIC][-1]["code"] == ServoStatus.NO_WARNING
     results = len(client.topics["/moveit_goal_result"])
     await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "ready"})
-    await hold_the_stick(client, 0.2, y=0.5)
-    told = await client.until(STATUS_TOPIC, lambda statuses: statuses[-1]["code"] == ServoStatus.INVALID)
-    assert told[-1]["message"]
+    await hold_the_stick(client, lambda: client.topics[STATUS_TOPIC][-1]["code"] == ServoStatus.INVALID, y=0.5)
+    assert client.topics[STATUS_TOPIC][-1]["message"]
     reached = await client.until("/moveit_goal_result", lambda all_: len(all_) > results)
     assert reached[-1]["val"] == 1
     assert client.topics["/joint_states"][-1]["position"] == pytest.approx(np.array(before), abs=0.05)
@@ -319,3 +328,38 @@ def test_control_ends_when_the_client_leaves() -> None:
     present.remove(ONE)
     assert ownership.owner(0.1) is None
     assert ownership.take(OTHER, 0.1)
+
+
+def test_a_client_shortens_the_timeout_of_its_own_commands_alone() -> None:
+    timeouts = CommandTimeouts(0.25)
+    timeouts.choose("page", 0.08, {"page"})
+    assert timeouts.timeout_s("page") == 0.08
+    assert timeouts.timeout_s("other") == 0.25
+    timeouts.choose("other", 3.0, {"other"})
+    assert timeouts.timeout_s("other") == 0.25
+    # The page has left meanwhile.
+    assert timeouts.timeout_s("page") == 0.25
+
+
+async def test_the_timeout_of_a_client_counts_for_its_commands(rig: Rig) -> None:
+    for client in (rig.one, rig.other):
+        rig.graph.advertise(client, TIMEOUT_TOPIC, "std_msgs/Float64")
+    await rig.say(TIMEOUT_TOPIC, {"data": 0.03})
+    await rig.say(TWIST_TOPIC, NORTH)
+    await asyncio.sleep(0.15)
+    assert rig.asked[-1].command.zero
+
+
+@pytest.mark.parametrize(("data", "said"), [(0.001, "not 0.001"), (float("nan"), "not nan"), (-1.0, "not -1")])
+async def test_a_bad_timeout_is_rejected_with_limit_and_value(rig: Rig, data: float, said: str) -> None:
+    rig.graph.advertise(rig.one, TIMEOUT_TOPIC, "std_msgs/Float64")
+    await rig.say(TIMEOUT_TOPIC, {"data": data})
+    assert "/servo_node/command_timeout: data must be at least 0.02 s" in rig.heard[-1]["message"]
+    assert said in rig.heard[-1]["message"]
+
+
+async def test_the_scales_are_published_for_clients_that_come_later(rig: Rig) -> None:
+    [latched] = rig.graph.subscribe(rig.one, PARAMETERS_TOPIC, "std_msgs/String", Subscriber(lambda _published: None))
+    told = json.loads(latched.msg["data"])
+    assert told["linear_scale"] == MoveItParameters().servo.linear_scale
+    assert told["command_in_type"] == "unitless"

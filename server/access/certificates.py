@@ -1,0 +1,300 @@
+"""Certificates that browsers on other machines and phones accept: a local authority, and what it signs for this host.
+
+Apple's devices take a server's certificate that is valid for 398 days at most (825 of an authority that the user has
+added), has the purpose serverAuth and names the host in subjectAltName (support.apple.com/en-us/103769, 102028).
+Android's and desktop browsers ask for no more.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.types import PublicKeyTypes
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+    load_pem_private_key,
+)
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from robot.files import locked
+from server.errors import ConfigurationError
+
+# A day less than what phones take, which count the first second as well.
+VALID_DAYS = 397
+AUTHORITY_VALID_DAYS = 3650
+
+# A certificate with less time left is made anew.
+RENEW_DAYS = 30
+
+# Clocks of phones differ from the server's; what is valid from now on would not be valid yet.
+_CLOCK_MARGIN = timedelta(hours=1)
+
+# Each name costs some bytes in every handshake.
+MAX_NAMES = 64
+
+# RFC 1035, section 2.3.4, and RFC 5280, upper bound of a common name.
+_MAX_NAME_CHARACTERS = 253
+_MAX_COMMON_NAME_CHARACTERS = 64
+
+
+@dataclass(frozen=True)
+class CertificateFiles:
+    """Files of the local authority and of the server's certificate.
+
+    Attributes:
+        directory: folder of all of them, open to its owner alone.
+    """
+
+    directory: Path
+
+    @property
+    def authority(self) -> Path:
+        """Certificate of the authority, in PEM; the one that phones are to trust."""
+        return self.directory / "armbridge-authority.crt"
+
+    @property
+    def authority_key(self) -> Path:
+        """Key of the authority."""
+        return self.directory / "armbridge-authority.key"
+
+    @property
+    def certificate(self) -> Path:
+        """Certificate of the server, followed by that of the authority."""
+        return self.directory / "server.pem"
+
+    @property
+    def key(self) -> Path:
+        """Key of the server."""
+        return self.directory / "server.key"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of :func:`ensure_certificate`.
+
+    Attributes:
+        names: names and addresses in the certificate.
+        ends: end of its validity.
+        authority_name: name of the authority, as phones show it.
+        fingerprint: of the authority, SHA-256 as phones show it.
+        made_authority: True when the authority is new, so that phones do not know it yet.
+        reason: reason for a new certificate; empty when the old one stays.
+    """
+
+    names: Sequence[str]
+    ends: datetime
+    authority_name: str
+    fingerprint: str
+    made_authority: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class _Pair:
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+
+def ensure_certificate(files: CertificateFiles, names: Iterable[str], now: datetime | None = None) -> Outcome:
+    """Make the server's certificate, and the authority before it; leave alone what is still good.
+
+    Args:
+        files: where everything is kept.
+        names: host names and IP addresses that the certificate must have.
+        now: present time; None for the clock's.
+
+    Raises:
+        ConfigurationError: a name is no host name and no address, or the files cannot be used.
+    """
+    now = datetime.now(UTC) if now is None else now
+    wanted = [str(each) for each in dict.fromkeys(_checked(name) for name in names)]
+    if not 1 <= len(wanted) <= MAX_NAMES:
+        raise ConfigurationError(f"--name: a certificate has 1 to {MAX_NAMES} names and addresses, not {len(wanted)}")
+    try:
+        files.directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with locked(files.authority):
+            return _ensure(files, wanted, now)
+    except OSError as error:
+        raise ConfigurationError(f"{files.directory}: the certificate cannot be kept there: {error}") from error
+
+
+def _ensure(files: CertificateFiles, wanted: Sequence[str], now: datetime) -> Outcome:
+    authority = _load(files.authority, files.authority_key)
+    made_authority = authority is None or _ends(authority.certificate) < now + timedelta(days=VALID_DAYS)
+    if authority is None or made_authority:
+        authority = _make_authority(now)
+        _write(files.authority_key, _key_pem(authority.key), 0o600)
+        _write(files.authority, _pem(authority.certificate), 0o644)
+    present = _load(files.certificate, files.key)
+    reason = _reason_to_renew(present, authority, wanted, now)
+    if present is None or reason:
+        present = _make_certificate(authority, wanted, now)
+        _write(files.key, _key_pem(present.key), 0o600)
+        _write(files.certificate, _pem(present.certificate) + _pem(authority.certificate), 0o644)
+    fingerprint = authority.certificate.fingerprint(SHA256()).hex(" ").upper()
+    name = authority.certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value
+    return Outcome(
+        _names(present.certificate), _ends(present.certificate), str(name), fingerprint, made_authority, reason
+    )
+
+
+def _reason_to_renew(present: _Pair | None, authority: _Pair, wanted: Sequence[str], now: datetime) -> str:
+    if present is None:
+        return "there was none that can be used"
+    ends = _ends(present.certificate)
+    if ends < now:
+        return f"the old one ended on {ends:%Y-%m-%d}"
+    if ends < now + timedelta(days=RENEW_DAYS):
+        return f"the old one ends on {ends:%Y-%m-%d}"
+    try:
+        present.certificate.verify_directly_issued_by(authority.certificate)
+    except (ValueError, TypeError, InvalidSignature):
+        return "the old one is of another authority"
+    missing = [name for name in wanted if name not in _names(present.certificate)]
+    return f"the old one lacks {', '.join(missing)}" if missing else ""
+
+
+def _checked(name: str) -> str:
+    """Return a name in lower case, or an address in its usual spelling."""
+    text = name.strip().lower().removesuffix(".")
+    try:
+        return str(ip_address(text.strip("[]")))
+    except ValueError:
+        pass
+    labels = text.removeprefix("*.").split(".")
+    good = all(
+        0 < len(label) < _MAX_COMMON_NAME_CHARACTERS and label.isascii() and label.replace("-", "").isalnum()
+        for label in labels
+    )
+    if not good or len(text) > _MAX_NAME_CHARACTERS:
+        raise ConfigurationError(f"--name: {name[:80]!r} is neither a host name nor an IP address")
+    return text
+
+
+def _make_authority(now: datetime) -> _Pair:
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"armbridge authority of {_host_label()}")])
+    usage = _key_usage(signs_certificates=True)
+    built = (
+        _builder(name, name, key, now, AUTHORITY_VALID_DAYS)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(usage, critical=True)
+    )
+    return _Pair(built.sign(key, SHA256()), key)
+
+
+def _host_label() -> str:
+    return os.uname().nodename.partition(".")[0][:40] or "this machine"
+
+
+def _make_certificate(authority: _Pair, names: Sequence[str], now: datetime) -> _Pair:
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, names[0][:_MAX_COMMON_NAME_CHARACTERS])])
+    issuer = authority.certificate
+    built = (
+        _builder(subject, issuer.subject, key, now, VALID_DAYS)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_key_usage(signs_certificates=False), critical=True)
+        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
+        .add_extension(x509.SubjectAlternativeName([_general_name(name) for name in names]), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()), critical=False)
+    )
+    return _Pair(built.sign(authority.key, SHA256()), key)
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, now: datetime, days: int
+) -> x509.CertificateBuilder:
+    begins = now - _CLOCK_MARGIN
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(begins)
+        .not_valid_after(begins + timedelta(days=days))
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    )
+
+
+def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs_certificates,
+        key_cert_sign=signs_certificates,
+        crl_sign=signs_certificates,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _general_name(name: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ip_address(name))
+    except ValueError:
+        return x509.DNSName(name)
+
+
+def _names(certificate: x509.Certificate) -> list[str]:
+    try:
+        extension = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName)
+    except x509.ExtensionNotFound:
+        return []
+    return [str(each.value) for each in extension.value]
+
+
+def _ends(certificate: x509.Certificate) -> datetime:
+    return certificate.not_valid_after_utc
+
+
+def _load(certificate: Path, key: Path) -> _Pair | None:
+    """Read a certificate with its key; None for files that are missing, of no use, or not of each other."""
+    try:
+        read = x509.load_pem_x509_certificate(certificate.read_bytes())
+        read_key = load_pem_private_key(key.read_bytes(), None)
+    except (FileNotFoundError, ValueError, TypeError):
+        return None
+    if not isinstance(read_key, ec.EllipticCurvePrivateKey):
+        return None
+    pair = _Pair(read, read_key)
+    return pair if _public(read_key.public_key()) == _public(read.public_key()) else None
+
+
+def _public(key: PublicKeyTypes) -> bytes:
+    return key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+
+
+def _pem(certificate: x509.Certificate) -> bytes:
+    return certificate.public_bytes(Encoding.PEM)
+
+
+def _key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
+def _write(path: Path, content: bytes, mode: int) -> None:
+    """Replace a file; it has its mode before it has any content."""
+    unfinished = path.with_name(f".{path.name}.new")
+    unfinished.unlink(missing_ok=True)
+    with os.fdopen(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+        os.fchmod(file.fileno(), mode)
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(path)

@@ -1,0 +1,163 @@
+"""One-time tokens: each lets one connection in, soon after an administrator asked for it, as for a phone's QR code."""
+
+from __future__ import annotations
+
+import hmac
+import logging
+import secrets
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Any
+
+from server.access.authentication import Tokens
+from server.access.permissions import Identity, Role
+from server.graph.node import Node
+from server.graph.services import Call, answer
+from server.graph.topics import Graph
+
+log = logging.getLogger("armbridge.access")
+
+SERVICE = "/armbridge/issue_one_time_token"
+SERVICE_TYPE = "armbridge_msgs/srv/IssueOneTimeToken"
+
+# Time to take a phone in hand and scan a code.
+VALID_FOR_S = 120.0
+
+# Tokens that wait for their connection; beyond it the oldest is revoked, as of a page that shows a new code.
+MAX_WAITING = 8
+
+# 128 bits: nobody guesses one in its two minutes.
+TOKEN_BYTES = 16
+
+_ROLES = {role.name.lower(): role for role in Role}
+DEFAULT_ROLE = "operate"
+
+
+class OneTimeTokenError(Exception):
+    """A one-time token that is not issued; the text says why."""
+
+
+@dataclass
+class _Issued:
+    digest: bytes
+    identity: Identity
+    until_s: float
+    used: bool = False
+
+
+class OneTimeTokens:
+    """One-time tokens that wait for their connection, and those of connections that are open.
+
+    Args:
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._issued: list[_Issued] = []
+        self._count = 0
+
+    def issue(self, asker: Identity | None, role: str) -> str:
+        """Return a new token.
+
+        Args:
+            asker: identity of the client that asks for it.
+            role: role of the connection; empty for operate.
+
+        Raises:
+            OneTimeTokenError: there is no such role, or it is above the asker's.
+        """
+        wanted = _ROLES.get(role or DEFAULT_ROLE)
+        if wanted is None:
+            raise OneTimeTokenError(f"field role: must be {', '.join(_ROLES)}, not {role[:40]!r}")
+        if asker is None or wanted > asker.role:
+            has = "none" if asker is None else asker.role.name.lower()
+            raise OneTimeTokenError(f"field role: {wanted.name.lower()} is above the role of this client, {has}")
+        self._forget()
+        waiting = [each for each in self._issued if not each.used]
+        if len(waiting) >= MAX_WAITING:
+            self._issued.remove(waiting[0])
+        self._count += 1
+        token = secrets.token_urlsafe(TOKEN_BYTES)
+        identity = Identity(f"one-time-{self._count}", wanted)
+        self._issued.append(_Issued(_digest(token), identity, self._clock() + VALID_FOR_S))
+        return token
+
+    def use(self, presented: str) -> Identity | None:
+        """Return the identity that a token gives to a connection, once; None for one that gives none."""
+        found = self._find(presented)
+        if found is None or found.used:
+            return None
+        found.used = True
+        return found.identity
+
+    def reader(self, presented: str) -> Identity | None:
+        """Return the identity that a token gives to a request over HTTP, while its connection is open: to view."""
+        found = self._find(presented)
+        return Identity(found.identity.name, Role.VIEW) if found is not None and found.used else None
+
+    def release(self, identity: Identity | None) -> None:
+        """Forget the token of a connection that has ended."""
+        self._issued = [each for each in self._issued if not (each.used and each.identity == identity)]
+
+    def _find(self, presented: str) -> _Issued | None:
+        """Return what was issued as this token; every one is compared, in constant time."""
+        self._forget()
+        wanted, found = _digest(presented), None
+        for each in self._issued:
+            if hmac.compare_digest(each.digest, wanted):
+                found = each
+        return found
+
+    def _forget(self) -> None:
+        now_s = self._clock()
+        self._issued = [each for each in self._issued if each.used or now_s < each.until_s]
+
+
+class OneTimeTokenService:
+    """Service that issues one-time tokens, and tells where other machines find the page.
+
+    Args:
+        graph: graph of the service.
+        one_time_tokens: issues them.
+        tokens: the server's tokens; without any, nobody needs a token.
+        page_urls: returns the URLs of the page for other machines.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        one_time_tokens: OneTimeTokens,
+        tokens: Tokens,
+        page_urls: Callable[[], Sequence[str]],
+    ) -> None:
+        self._one_time_tokens = one_time_tokens
+        self._tokens = tokens
+        self._page_urls = page_urls
+        graph.services.offer_calls(Node("one-time tokens"), SERVICE, SERVICE_TYPE, self._serve)
+
+    def _serve(self, call: Call) -> None:
+        answer(call, lambda request: self._issue(call, request["role"]))
+
+    def _issue(self, call: Call, role: str) -> dict[str, Any]:
+        urls = list(self._page_urls())
+        place = {"urls": urls, "encrypted": any(url.startswith("https:") for url in urls)}
+        if not self._tokens.any:
+            return {
+                "success": True,
+                "message": "this server has no tokens: everybody who reaches it may move the arm",
+            } | place
+        try:
+            token = self._one_time_tokens.issue(call.caller.identity, role)
+        except OneTimeTokenError as error:
+            return {"success": False, "message": str(error)} | place
+        # Without the token, which is in no log.
+        log.info("%s has got a one-time token for the role %s", call.caller, role or DEFAULT_ROLE)
+        message = f"the token lets one connection in within {VALID_FOR_S:g} s"
+        return {"success": True, "message": message, "token": token, "expires_in_s": VALID_FOR_S} | place
+
+
+def _digest(token: str) -> bytes:
+    return sha256(token.encode(errors="surrogatepass")).digest()

@@ -1,0 +1,326 @@
+"""Commissioning of the arm by a client: the services and the topic under ``/arm/commissioning/``.
+
+One procedure at a time, for all admins alike: it outlives the connection of the client that has begun it, so that a
+page may be loaded again, and ends when nobody has answered for a quarter of an hour.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from robot.commissioning.session import Step, SweptRange
+from robot.errors import RobotError
+from robot.messages import ArmHealth, ArmState
+from server.errors import ServiceError
+from server.graph.node import Node
+from server.graph.topics import Graph
+
+log = logging.getLogger("armbridge.commissioning")
+
+BEGIN = "/arm/commissioning/begin"
+ANSWER = "/arm/commissioning/answer"
+CANCEL = "/arm/commissioning/cancel"
+STATE_TOPIC = "/arm/commissioning/state"
+
+# A person who fetches a screwdriver is back by then.
+IDLE_TIMEOUT_S = 900.0
+
+# Live ranges of a sweep: as often as an eye follows.
+SHOWN_EVERY_S = 0.1
+
+# Longest name of a step and of an answer in a refusal.
+MAX_TOLD = 80
+
+Accepted = TypeVar("Accepted")
+
+
+@dataclass(frozen=True)
+class Ended:
+    """End of a procedure.
+
+    Attributes:
+        result: how it ended, a sentence.
+        findings: what was found, a sentence each.
+    """
+
+    result: str = ""
+    findings: tuple[str, ...] = ()
+
+
+class ProcedureFailed(RobotError):  # noqa: N818 - named by the fact
+    """A procedure cannot go on; the text says why."""
+
+
+class Dialogue:
+    """Conversation of a procedure with the person: the present step, and the answer that is waited for.
+
+    Args:
+        procedure: name of the procedure.
+        changed: called after every change of what is shown.
+
+    Attributes:
+        procedure: as given.
+        step: present step.
+        progress: share that is done, 0 to 1.
+        findings: what was found, a sentence each.
+        ranges: ranges of the joints.
+        droops_rad: droop of joints that was measured, by joint [rad].
+    """
+
+    def __init__(self, procedure: str, changed: Callable[[], None]) -> None:
+        self.procedure = procedure
+        self._changed = changed
+        self.step = Step("", "", ())
+        self.progress = 0.0
+        self.findings: list[str] = []
+        self.ranges: Sequence[SweptRange] = ()
+        self.droops_rad: dict[str, float] = {}
+        self._accept: Callable[[str], None] | None = None
+        self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    async def ask(self, step: Step, accept: Callable[[str], Accepted], current: Callable[[], Step | None]) -> Accepted:
+        """Ask until an answer is accepted.
+
+        Args:
+            step: the step with its answers.
+            accept: called with an answer, at once; raises a RobotError when it cannot go on so.
+            current: the step after an answer that was not accepted, which may have other answers.
+
+        Raises:
+            ProcedureFailed: nobody has answered for long, or the procedure cannot go on.
+        """
+        accepted: asyncio.Future[Accepted] = asyncio.get_running_loop().create_future()
+
+        def take(answer: str) -> None:
+            try:
+                accepted.set_result(accept(answer))
+            except RobotError:
+                self.step = current() or self.step
+                self._changed()
+                raise
+            self._accept = None
+
+        self.step, self._accept = step, take
+        self._changed()
+        try:
+            await self._unless_failed(accepted, IDLE_TIMEOUT_S)
+        finally:
+            self._accept = None
+        if not accepted.done():
+            raise ProcedureFailed(f"nobody has answered for {IDLE_TIMEOUT_S / 60.0:.0f} minutes")
+        return accepted.result()
+
+    def tell(self, name: str, instruction: str) -> None:
+        """Show what goes on, where nothing can be answered."""
+        self.step = Step(name, instruction, ())
+        self._changed()
+
+    async def until(self, done: asyncio.Future[Accepted], timeout_s: float) -> Accepted:
+        """Wait for something.
+
+        Raises:
+            ProcedureFailed: it took too long, or the procedure cannot go on.
+        """
+        await self._unless_failed(done, timeout_s)
+        if not done.done():
+            raise ProcedureFailed(f"{self.step.name} took more than {timeout_s:g} s")
+        return done.result()
+
+    async def _unless_failed(self, done: asyncio.Future[Accepted], timeout_s: float) -> None:
+        waiting: list[asyncio.Future[Any]] = [done, self._failure]
+        await asyncio.wait(waiting, timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
+        if self._failure.done():
+            self._failure.result()
+
+    def answer(self, step: str, answer: str) -> str:
+        """Take an answer to the present step; return what comes next.
+
+        Raises:
+            ServiceError: it answers nothing that is asked, or cannot be accepted.
+        """
+        if self._accept is None or step != self.step.name:
+            raise ServiceError(
+                f"step {step[:MAX_TOLD]!r} is not asked about: the present one is {self.step.name!r}, "
+                f"{'which takes no answer' if self._accept is None else 'with ' + ', '.join(self.step.answers)}"
+            )
+        if answer not in self.step.answers:
+            raise ServiceError(
+                f"answer {answer[:MAX_TOLD]!r} is none of step {step!r}: it takes {', '.join(self.step.answers)}"
+            )
+        try:
+            self._accept(answer)
+        except RobotError as error:
+            raise ServiceError(str(error)) from error
+        return f"{step}: {answer}"
+
+    def fail(self, reason: str) -> None:
+        """Have the procedure end."""
+        if not self._failure.done():
+            self._failure.set_exception(ProcedureFailed(reason))
+            # One that ends of itself at the same time does not ask for it.
+            self._failure.exception()
+
+
+class Procedure(Protocol):
+    """One procedure."""
+
+    async def run(self, dialogue: Dialogue) -> str:
+        """Carry it out, from the first question to the sentence on how it ended.
+
+        Raises:
+            RobotError: it cannot be carried out; the text says why.
+        """
+
+    def take_state(self, state: ArmState, dialogue: Dialogue) -> None:
+        """Take the arm's latest state."""
+
+    def take_health(self, health: ArmHealth) -> None:
+        """Take the arm's latest health."""
+
+    def close(self) -> None:
+        """Release what it holds; called once, at its end."""
+
+
+class Commissioning:
+    """Services and topic of the procedures.
+
+    Args:
+        graph: where they are.
+        make: makes a procedure by its name and the name of a calibration; raises a RobotError when it cannot begin.
+        ended: end of the procedure before, if it was followed by a start of the server.
+    """
+
+    def __init__(self, graph: Graph, make: Callable[[str, str], Procedure], ended: Ended | None = None) -> None:
+        self._graph = graph
+        self._make = make
+        self._ended = ended or Ended()
+        self._node = Node("commissioning")
+        self._procedure: Procedure | None = None
+        self._dialogue: Dialogue | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._shown: dict[str, Any] | None = None
+        self._shown_at_s = -math.inf
+        self._health: ArmHealth | None = None
+        graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/CommissioningState", latch=True)
+        offer = graph.services.offer
+        offer(self._node, BEGIN, "armbridge_msgs/BeginCommissioning", self._begin)
+        offer(self._node, ANSWER, "armbridge_msgs/AnswerCommissioning", self._answer)
+        offer(self._node, CANCEL, "std_srvs/Trigger", self._cancel)
+        self._show()
+
+    @property
+    def procedure(self) -> str:
+        """Name of the procedure in progress; empty for none."""
+        return "" if self._dialogue is None else self._dialogue.procedure
+
+    def take_state(self, state: ArmState) -> None:
+        """Pass the arm's latest state on to the procedure in progress."""
+        if self._procedure is None or self._dialogue is None:
+            return
+        self._procedure.take_state(state, self._dialogue)
+        if time.monotonic() - self._shown_at_s >= SHOWN_EVERY_S:
+            self._show()
+
+    def take_health(self, health: ArmHealth) -> None:
+        """Keep the arm's latest health, and pass it on to the procedure in progress."""
+        self._health = health
+        if self._procedure is not None:
+            self._procedure.take_health(health)
+
+    async def close(self) -> None:
+        """End the procedure in progress."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.wait([self._task])
+
+    def _begin(self, request: dict[str, Any]) -> dict[str, Any]:
+        if self._dialogue is not None:
+            return _refused(f"{self._dialogue.procedure} is in progress: answer it, or call {CANCEL}")
+        try:
+            procedure = self._make(request["procedure"], request["name"])
+        except RobotError as error:
+            return _refused(str(error))
+        if self._health is not None:
+            procedure.take_health(self._health)
+        self._procedure, self._dialogue = procedure, Dialogue(request["procedure"], self._show)
+        self._ended = Ended()
+        name = f"commissioning: {request['procedure']}"
+        self._task = asyncio.create_task(self._run(procedure, self._dialogue), name=name)
+        return {"success": True, "message": f"{request['procedure']} begins: see {STATE_TOPIC}"}
+
+    def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        if self._dialogue is None:
+            return _refused(f"nothing is asked: {BEGIN} begins a procedure")
+        try:
+            return {"success": True, "message": self._dialogue.answer(request["step"], request["answer"])}
+        except ServiceError as error:
+            return _refused(str(error))
+
+    def _cancel(self, _request: dict[str, Any]) -> dict[str, Any]:
+        if self._dialogue is None:
+            return _refused("no procedure is in progress")
+        self._dialogue.fail("cancelled")
+        return {"success": True, "message": f"{self._dialogue.procedure} is cancelled"}
+
+    async def _run(self, procedure: Procedure, dialogue: Dialogue) -> None:
+        result = f"{dialogue.procedure} was ended: the server is ending"
+        try:
+            result = await procedure.run(dialogue)
+        except RobotError as error:
+            result = f"{dialogue.procedure} ended early: {error}"
+        except Exception:
+            result = f"{dialogue.procedure} failed; the log has the cause"
+            log.exception("%s failed", dialogue.procedure)
+        finally:
+            with contextlib.suppress(OSError):
+                procedure.close()
+            log.info("%s: %s", dialogue.procedure, result)
+            self._ended = Ended(result, tuple(dialogue.findings))
+            self._procedure = self._dialogue = None
+            self._show()
+
+    def _show(self) -> None:
+        """Publish what there is to show, when it says something new."""
+        self._shown_at_s = time.monotonic()
+        message = self._message()
+        if message != self._shown:
+            self._shown = message
+            self._graph.publish(self._node, STATE_TOPIC, message)
+
+    def _message(self) -> dict[str, Any]:
+        dialogue, ended = self._dialogue, self._ended
+        if dialogue is None:
+            return {"findings": list(ended.findings), "result": ended.result}
+        return {
+            "procedure": dialogue.procedure,
+            "step": dialogue.step.name,
+            "instruction": dialogue.step.instruction,
+            "answers": list(dialogue.step.answers),
+            "progress": dialogue.progress,
+            "joints": [
+                {
+                    "joint": each.joint,
+                    "lowest": each.lowest,
+                    "present": each.present,
+                    "highest": each.highest,
+                    "expected_width": each.expected_width,
+                    "done": each.done,
+                    "note": each.note,
+                    "droop_rad": dialogue.droops_rad.get(each.joint, math.nan),
+                }
+                for each in dialogue.ranges
+            ],
+            "findings": list(dialogue.findings),
+            "result": "",
+        }
+
+
+def _refused(message: str) -> dict[str, Any]:
+    return {"success": False, "message": message}

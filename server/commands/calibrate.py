@@ -1,0 +1,219 @@
+"""``armbridge calibrate``: the calibration session at a terminal, on a bus that no server uses."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from robot.calibration import Calibration, find_calibration, new_calibration_path, reserved, save
+from robot.commissioning.calibrate import Difference, differences, write_to_servos
+from robot.commissioning.directions import asked_motions
+from robot.commissioning.scan import ServoReport, explain_missing, read_telemetry, scan
+from robot.commissioning.session import HOLD, WRITE, Act, CalibrationSession, Step
+from robot.description import robot_folder
+from robot.description.servo_table import ServoSpec
+from robot.errors import CalibrationError, StartupError
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, parse_telemetry
+from robot.hardware.interface import run_to_end
+from server.commands.arm import relax_arm
+from server.commands.options import Subparsers, add_robot, add_serial, guarded, open_bus, read_hardware
+from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
+
+# Fast enough to follow a hand across the seam (no joint turns by half a turn meanwhile), slow enough to be read.
+SWEEP_PERIOD_S = 0.02
+
+
+def add_calibrate_parser(subparsers: Subparsers) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "calibrate",
+        help="record the ranges and directions of the joints in a calibration file of lerobot's format",
+        description="Switches torque off, asks you to move every joint from stop to stop, asks for a motion of each "
+        "joint that shows its direction, and writes a file like lerobot's. "
+        "Nothing is written to the servos unless you say --write-servos.",
+        epilog=EXIT_CODES,
+    )
+    parser.add_argument(
+        "file", metavar="NAME_OR_PATH", help="where to write: a file, or an id for lerobot's calibration directory"
+    )
+    add_robot(parser)
+    add_serial(parser)
+    parser.add_argument(
+        "--write-servos",
+        action="store_true",
+        help="choose homing offsets with which no joint crosses the seam of a turn, and write them and the angle "
+        "limits into the servos' EPROM, where they differ",
+    )
+    parser.add_argument(
+        "--write-back",
+        action="store_true",
+        help="measure nothing: write the offsets and limits of a calibration that is there into the servos",
+    )
+    parser.add_argument("--no-directions", action="store_true", help="do not ask for the joints' directions")
+    parser.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
+    parser.add_argument(
+        "--yes", action="store_true", help="do not ask before torque is switched off, nor before anything is written"
+    )
+    parser.set_defaults(run=run_calibrate)
+
+
+def run_calibrate(options: argparse.Namespace) -> int:
+    """Carry out the command."""
+    return guarded(lambda terminal: (_write_back if options.write_back else _calibrate)(options, terminal))
+
+
+def _write_back(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    hardware = read_hardware(options)
+    calibration = Calibration.load(find_calibration(options.file, hardware.calibrations, os.environ), hardware.servos)
+    with contextlib.closing(open_bus(options)) as bus:
+        changes = differences(calibration, _all_there(bus, hardware.servos, terminal))
+        if not changes:
+            terminal.say("the servos hold these values already")
+            return ExitCode.DONE
+        terminal.say(_differences_table(changes))
+        question = "Torque will be switched off, the arm sinks, and these values are written: hold it. Go on?"
+        if not options.yes and not terminal.confirm(question):
+            return ExitCode.FAILED
+        if relax_arm(bus, hardware.servos, terminal) is not ExitCode.DONE:
+            return ExitCode.FAILED
+        run_to_end(write_to_servos(bus, changes))
+    terminal.say("written to the servos")
+    return ExitCode.DONE
+
+
+def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    hardware = read_hardware(options)
+    path = new_calibration_path(options.file, hardware.calibrations, os.environ)
+    with reserved(path, overwrite=options.overwrite), contextlib.closing(open_bus(options)) as bus:
+        reports = _all_there(bus, hardware.servos, terminal)
+        offsets = {servo.servo_id: servo.homing_offset_ticks for servo in reports}
+        motions = {} if options.no_directions else asked_motions(robot_folder.resolve(options.robot).model)
+        session = CalibrationSession(hardware.servos, motions, recentre=options.write_servos)
+        return _Conversation(session, bus, hardware.servos, offsets, path, terminal, yes=options.yes).run()
+
+
+def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> tuple[ServoReport, ...]:
+    """Read every servo of the arm.
+
+    Raises:
+        StartupError: one is missing.
+    """
+    terminal.say("looking at the servos ...")
+    result = scan(bus, tuple(servo.servo_id for servo in servos))
+    if missing := explain_missing(result, servos):
+        raise StartupError("; ".join(missing))
+    return result.servos
+
+
+class _Conversation:
+    """Calibration session at a terminal."""
+
+    def __init__(
+        self,
+        session: CalibrationSession,
+        bus: Bus,
+        servos: Sequence[ServoSpec],
+        offsets: dict[int, int],
+        path: Path,
+        terminal: Terminal,
+        *,
+        yes: bool,
+    ) -> None:
+        self._session = session
+        self._bus = bus
+        self._servos = servos
+        self._ids = tuple(servo.servo_id for servo in servos)
+        self._offsets = offsets
+        self._path = path
+        self._terminal = terminal
+        self._yes = yes
+
+    def run(self) -> ExitCode:
+        """Ask, until the calibration is written."""
+        session, terminal = self._session, self._terminal
+        while (step := session.step) is not None:
+            if step.name == WRITE and session.calibration is not None:
+                terminal.say(_calibration_table(session.calibration))
+                for finding in session.findings:
+                    terminal.say(f"* {finding}")
+            try:
+                act = session.answer(self._answer(step))
+            except CalibrationError as error:
+                terminal.say(str(error))
+                if not session.ranges() or session.step is None:
+                    raise
+                continue
+            if act is Act.RELAX:
+                if relax_arm(self._bus, self._servos, terminal) is not ExitCode.DONE:
+                    return ExitCode.FAILED
+                ticks = {servo_id: read_telemetry(self._bus, servo_id).position_ticks for servo_id in self._ids}
+                session.begin(ticks, self._offsets)
+            elif act is Act.WRITE:
+                self._write()
+        return ExitCode.DONE
+
+    def _answer(self, step: Step) -> str:
+        """Return the answer to a step; positions are followed and shown meanwhile."""
+        if self._yes and step.name in (HOLD, WRITE):
+            return step.answers[0]
+        first, *others = step.answers
+        typed = "".join(f", or type {each!r} and Enter" for each in others)
+        self._terminal.say(f"{step.instruction} Enter: {first}{typed}.")
+        while (line := self._terminal.line_typed()) is None:
+            if step.name != HOLD:
+                self._follow()
+            time.sleep(SWEEP_PERIOD_S)
+        answer = line.strip().lower() or first
+        if step.name == HOLD and answer != first:
+            raise CalibrationError("answer", answer, "the arm was not relaxed")
+        return answer
+
+    def _follow(self) -> None:
+        frames = self._bus.sync_read(self._ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+        self._session.take({servo: parse_telemetry(frame.data).position_ticks for servo, frame in frames.items()})
+        rows = [(each.joint, each.lowest, each.present, each.highest, each.note) for each in self._session.ranges()]
+        self._terminal.show_live(table(("joint", "lowest", "present", "highest", ""), rows))
+
+    def _write(self) -> None:
+        """Write the calibration to the servos if they are to have it, and to its file."""
+        session, terminal = self._session, self._terminal
+        calibration = session.calibration
+        if calibration is None:
+            raise CalibrationError(str(self._path), "", "there is no result")
+        changes = differences(calibration, scan(self._bus, self._ids).servos)
+        if session.recentre:
+            _write_changes(self._bus, changes, terminal)
+        elif changes:
+            terminal.say("the servos' angle limits stay as they are (--write-servos would change them):")
+            terminal.say(_differences_table(changes))
+        save(calibration, self._path)
+        session.finish()
+        terminal.tell(_calibration_table(calibration))
+        terminal.say(f"written to {self._path}; armbridge verify has a running server compare the arm with it")
+
+
+def _write_changes(bus: Bus, changes: list[Difference], terminal: Terminal) -> None:
+    if not changes:
+        terminal.say("the servos hold these values already")
+        return
+    terminal.say("writing to the servos:")
+    terminal.say(_differences_table(changes))
+    run_to_end(write_to_servos(bus, changes))
+
+
+def _calibration_table(calibration: Calibration) -> str:
+    rows = [
+        (joint.joint, joint.servo_id, joint.homing_offset, joint.range_min, joint.range_max, joint.drive_mode)
+        for joint in calibration.joints
+    ]
+    return table(("joint", "id", "homing_offset", "range_min", "range_max", "drive_mode"), rows)
+
+
+def _differences_table(changes: Sequence[Difference]) -> str:
+    rows = [(each.joint, each.register.name, each.in_servo, each.calibrated) for each in changes]
+    return table(("joint", "register", "in the servo", "calibrated"), rows)

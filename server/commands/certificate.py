@@ -1,0 +1,105 @@
+"""Command ``armbridge certificate``: a certificate for this host that a phone accepts."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from server.commands.options import Subparsers
+from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
+from server.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from server.access.certificates import CertificateFiles, Outcome
+
+_PHONES = """\
+Bring {authority} onto each phone, once.
+iPhone, iPad:
+  1. Send the file by AirDrop or mail, and open it: "Profile Downloaded".
+  2. Settings > General > VPN & Device Management > {common_name} > Install.
+  3. Settings > General > About > Certificate Trust Settings: switch it on.
+Android:
+  1. Copy the file to the phone, by cable or mail.
+  2. Settings > Security > Encryption & credentials > Install a certificate > CA certificate. The
+     words differ from phone to phone: search the settings for "CA certificate".
+  3. Choose the file. Chrome trusts it from then on.
+Compare the fingerprint that the phone shows (SHA-256):
+  {fingerprint}
+Keep {authority_key} to yourself: whoever has it can
+pretend to be any website to these phones. Remove the authority from a phone that is no longer used."""
+
+
+def add_certificate_parser(subparsers: Subparsers) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "certificate",
+        help="make a certificate for this machine that phones and browsers accept (https)",
+        description="Make a local certificate authority, once, and a certificate of it for the names and addresses of "
+        "this machine, and say how the server and a phone take them. Called again it renews the certificate when it "
+        "is about to end or when names or addresses are missing. Nothing is sent anywhere.",
+        epilog=EXIT_CODES,
+    )
+    parser.add_argument(
+        "--name",
+        action="append",
+        default=[],
+        metavar="NAME_OR_ADDRESS",
+        dest="names",
+        help="one more host name or IP address by which phones reach the server; may be repeated",
+    )
+    parser.add_argument(
+        "--directory", type=Path, metavar="FOLDER", help="where the files are kept (tls in the data folder)"
+    )
+    parser.set_defaults(run=run_certificate)
+
+
+def run_certificate(options: argparse.Namespace) -> int:
+    """Carry out the command."""
+    # Imported when it is needed: --help answers without the server's libraries.
+    from server.access.certificates import CertificateFiles, ensure_certificate
+    from server.access.host_addresses import host_addresses
+    from server.gateway.admission import own_names
+    from server.moveit.named_states import data_directory
+
+    terminal = Terminal()
+    directory = options.directory or data_directory(os.environ) / "tls"
+    files = CertificateFiles(directory.absolute())
+    own = ("localhost", *reversed(own_names()), *host_addresses(), "127.0.0.1", "::1")
+    try:
+        outcome = ensure_certificate(files, (*options.names, *own))
+    except ConfigurationError as error:
+        terminal.say(f"armbridge: {error}")
+        return ExitCode.FAILED
+    terminal.tell(description_of(files, outcome))
+    return ExitCode.DONE
+
+
+def description_of(files: CertificateFiles, outcome: Outcome) -> str:
+    """Return what was made, and what to do with it."""
+    certificate = f"The certificate is valid until {outcome.ends:%Y-%m-%d}"
+    made = f"{certificate}; it was made because {outcome.reason}." if outcome.reason else f"{certificate}; it stays."
+    known = "" if outcome.made_authority else " Phones that trust it already need nothing."
+    return "\n".join(
+        (
+            made,
+            f"  certificate  {files.certificate}",
+            f"  its key      {files.key}",
+            f"  authority    {files.authority} ({'new' if outcome.made_authority else 'as before'}).{known}",
+            f"  names        {', '.join(outcome.names)}",
+            "",
+            "Start the server with it, with a token, and for other machines:",
+            "  ARMBRIDGE_ACCESS__TOKEN=$(openssl rand -hex 16) armbridge serve --host 0.0.0.0 \\",
+            f"    --set server.tls_certificate={files.certificate} \\",
+            f"    --set server.tls_key={files.key}",
+            "A server that runs with it takes a renewed one on SIGHUP (systemctl reload armbridge).",
+            "",
+            _PHONES.format(
+                authority=files.authority,
+                authority_key=files.authority_key,
+                common_name=outcome.authority_name,
+                fingerprint=outcome.fingerprint,
+            ),
+        )
+    )

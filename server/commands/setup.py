@@ -1,0 +1,290 @@
+"""The command ``armbridge setup``: ids and settings for new servos, one at a time, and back again."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from robot.commissioning.register_backup import BackupFile, SavedServo, match_saved, read_backup
+from robot.commissioning.scan import BAUDRATES, FACTORY_ID
+from robot.commissioning.setup import (
+    BAUDRATE,
+    NO_ANSWER,
+    Change,
+    FoundServo,
+    ServoLine,
+    changes_back,
+    changes_for,
+    check_model,
+    choose_profile,
+    look,
+    needs_writing,
+    search,
+    supply_complaint,
+    write,
+)
+from robot.description import robot_folder
+from robot.description.servo_table import ServoSpec
+from robot.errors import NoReply, PortError, StartupError
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.profiles import PROFILES, ServoProfile, profile_of
+from robot.hardware.feetech.registers import Register
+from robot.hardware.port import resolve_port
+from server.commands.arm import relax_arm
+from server.commands.options import Subparsers, add_robot, add_serial, guarded, read_hardware
+from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
+from server.moveit.named_states import default_path
+
+
+def add_setup_parser(subparsers: Subparsers) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "setup",
+        help="give new servos their ids and settings, one at a time",
+        description="Asks for one servo after the other, from the gripper to the base, and gives each its id, 1 Mbaud, "
+        "and the settings that the arm needs. Only what differs is written, after a yes, and read back. The registers "
+        "from before are saved to a file first. Break it off whenever you like: the next run goes on.",
+        epilog=EXIT_CODES,
+    )
+    add_robot(parser)
+    add_serial(parser)
+    add = parser.add_argument
+    add(
+        "--profile",
+        choices=tuple(PROFILES),
+        help="gains and protection as the factory or as lerobot sets them (the robot's own, else whichever is nearer)",
+    )
+    add("--joint", action="append", metavar="NAME", help="only the servo of this joint; may be repeated")
+    task = parser.add_mutually_exclusive_group()
+    task.add_argument(
+        "--registers", action="store_true", help="the servos have their ids: only bring their settings into order"
+    )
+    task.add_argument("--restore", type=Path, metavar="FILE", help="write the registers of a backup back to the servos")
+    add("--backup", type=Path, metavar="FILE", help="save the registers from before here (a file named by the time)")
+    add("--any-model", action="store_true", help="write to servos of an unknown model too")
+    add("--yes", action="store_true", help="do not ask before writing")
+    parser.set_defaults(run=run_setup)
+
+
+def run_setup(options: argparse.Namespace) -> int:
+    """Carry out the command."""
+    return guarded(lambda terminal: _run(options, terminal))
+
+
+def _run(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    hardware, robot = read_hardware(options), robot_folder.resolve(options.robot).model
+    joints = [servo.joint for servo in hardware.servos]
+    if unknown := [name for name in options.joint or () if name not in joints]:
+        terminal.say(f"armbridge: --joint must be one of {', '.join(joints)}, not {unknown[0]}")
+        return ExitCode.USAGE
+    stamp = f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%S.%f}"
+    backup = BackupFile(options.backup or default_path(f"registers_{stamp}", robot, os.environ), robot.name)
+    line = ServoLine(lambda baudrate: Bus.open(resolve_port(options.serial), baudrate))
+    visit = _Visit(line, hardware.servos, profile_of(hardware.profile), backup, options, terminal)
+    with contextlib.closing(line):
+        try:
+            return visit.restore(options.restore) if options.restore else visit.set_up()
+        except KeyboardInterrupt:
+            terminal.say("broken off: the servos keep what was written to them; run the command again to go on")
+            raise
+        finally:
+            if not backup.empty:
+                terminal.say(f"registers from before: {backup.path} (armbridge setup --restore FILE)")
+
+
+@dataclass(frozen=True)
+class _Work:
+    """Servo of a joint, and what is to be written to it."""
+
+    joint: str
+    servo: FoundServo
+    changes: tuple[Change, ...]
+
+    @property
+    def saved(self) -> SavedServo:
+        """Its registers before that."""
+        new_id = next((change.wanted for change in self.changes if change.register is Register.ID), self.servo.servo_id)
+        return SavedServo(self.joint, self.servo.servo_id, new_id, self.servo.baudrate, self.servo.registers)
+
+
+class _Visit:
+    """A visit to the servos of an arm.
+
+    Args:
+        line: the servos' port.
+        arm: servos of the arm.
+        own_profile: profile of the arm's folder, if it has one.
+        backup: file to which registers are saved.
+        options: of the command.
+        terminal: asks and tells.
+    """
+
+    def __init__(
+        self,
+        line: ServoLine,
+        arm: Sequence[ServoSpec],
+        own_profile: ServoProfile | None,
+        backup: BackupFile,
+        options: argparse.Namespace,
+        terminal: Terminal,
+    ) -> None:
+        self._line = line
+        self._arm = arm
+        self._own_profile = own_profile
+        self._backup = backup
+        self._options = options
+        self._terminal = terminal
+        self._chosen = [servo for servo in arm if servo.joint in (options.joint or [each.joint for each in arm])]
+        self._problems = False
+
+    def set_up(self) -> ExitCode:
+        """Set the servos up: together if all have their ids, otherwise one by one."""
+        self._terminal.say("looking at the servos ...")
+        present = self._present()
+        if self._options.registers or all(joint.servo_id in present for joint in self._arm):
+            self._set_up_together(present)
+        else:
+            self._terminal.say(
+                f"New servos all have the id {FACTORY_ID}: connect one at a time. Those that got another id may stay "
+                "connected."
+            )
+            for step, joint in enumerate(reversed(self._chosen), start=1):
+                self._terminal.say(f"\nstep {step} of {len(self._chosen)}: {joint.joint}, id {joint.servo_id}")
+                # Any new servo may be the one with the factory's id.
+                self._set_up_one(joint, present.get(joint.servo_id) if joint.servo_id != FACTORY_ID else None)
+        return self._end()
+
+    def restore(self, file: Path) -> ExitCode:
+        """Write the registers of a backup back to the servos that are connected."""
+        saved = read_backup(file)
+        found = self._find({each for servo in saved for each in (servo.servo_id, servo.new_id)})
+        known = match_saved(saved, [servo.servo_id for servo in found])
+        work = []
+        for servo in found:
+            if servo.servo_id not in known:
+                continue
+            before = known[servo.servo_id]
+            if before.servo_id != servo.servo_id and len(found) > 1:
+                self._terminal.say(
+                    f"servo {servo.servo_id} ({before.joint}) keeps its id and baud rate: connect it alone to restore "
+                    f"its id {before.servo_id} too"
+                )
+            work.append(_Work(before.joint, servo, changes_back(servo, before, alone=len(found) == 1)))
+        if strangers := [str(servo.servo_id) for servo in found if servo.servo_id not in known]:
+            self._complain(
+                f"left alone, since {file} does not tell which of its servos they are: {', '.join(strangers)}"
+            )
+        self._carry_out(work)
+        return self._end()
+
+    def _present(self) -> dict[int, FoundServo]:
+        """Return the servos that answer, by id; none when they cannot be told apart."""
+        try:
+            found = look(self._line, BAUDRATE, {joint.servo_id for joint in self._arm})
+        except (StartupError, NoReply) as error:
+            if self._options.registers:
+                raise
+            self._terminal.say(str(error))
+            return {}
+        return {servo.servo_id: servo for servo in found}
+
+    def _find(self, ids: Collection[int]) -> list[FoundServo]:
+        """Return the servos at the first baud rate at which any answers."""
+        for baudrate in BAUDRATES:
+            self._terminal.say(f"looking at {baudrate} baud ...")
+            if found := look(self._line, baudrate, ids):
+                return found
+        raise StartupError(NO_ANSWER)
+
+    def _set_up_together(self, present: Mapping[int, FoundServo]) -> None:
+        if missing := [f"{each.servo_id} ({each.joint})" for each in self._chosen if each.servo_id not in present]:
+            self._complain(f"no answer from servo {', '.join(missing)}: armbridge scan looks for the cause")
+        there = [(joint, present[joint.servo_id]) for joint in self._chosen if joint.servo_id in present]
+        if there:
+            profile = self._profile(there)
+            self._terminal.say(
+                f"the servos have their ids; their settings are compared with the profile {profile.name}"
+            )
+            self._carry_out([self._work(joint, servo, profile) for joint, servo in there])
+
+    def _set_up_one(self, joint: ServoSpec, servo: FoundServo | None) -> None:
+        """Set up the servo of a joint, which is asked for unless it is there; until it works or is declined."""
+        while True:
+            try:
+                if servo is None:
+                    self._terminal.await_enter(f"Plug in the servo of {joint.joint}")
+                    servo = search(self._line, joint, self._arm, self._terminal.say)
+                self._carry_out([self._work(joint, servo, self._profile([(joint, servo)]))])
+            except (StartupError, NoReply, PortError) as error:
+                self._line.close()
+                self._terminal.say(str(error))
+                servo = None
+            else:
+                return
+
+    def _profile(self, servos: Sequence[tuple[ServoSpec, FoundServo]]) -> ServoProfile:
+        held = [(servo, joint.gripper) for joint, servo in servos]
+        return choose_profile(self._options.profile, self._own_profile, held)
+
+    def _work(self, joint: ServoSpec, servo: FoundServo, profile: ServoProfile) -> _Work:
+        if not self._options.any_model:
+            check_model(servo, joint)
+        return _Work(joint.joint, servo, changes_for(servo, joint, profile))
+
+    def _carry_out(self, work: Sequence[_Work]) -> None:
+        """Write what differs, after a yes; a backup comes first."""
+        for each in work:
+            if complaint := supply_complaint(each.servo):
+                self._complain(complaint)
+            if not needs_writing(each.servo, each.changes):
+                self._terminal.say(f"{each.joint} (id {each.servo.servo_id}) is in order: nothing to write")
+        pending = [each for each in work if needs_writing(each.servo, each.changes)]
+        if not pending:
+            return
+        self._terminal.say(_differences(pending))
+        if not self._options.yes and not self._terminal.confirm("The servos go limp: support the arm. Write this?"):
+            self._complain(f"left as they are: {', '.join(each.joint for each in pending)}")
+            return
+        self._relax(pending)
+        for number, each in enumerate(pending, start=1):
+            self._backup.save(each.saved, datetime.now(UTC))
+            after = write(self._line, each.servo, each.changes)
+            which = f"{number} of {len(pending)}: " if len(pending) > 1 else ""
+            names = ", ".join(change.register.name for change in each.changes)
+            written = f"written and read back {names}; " if names else ""
+            self._terminal.say(f"{which}{each.joint} (id {after.servo_id}): {written}EPROM locked")
+
+    def _relax(self, work: Sequence[_Work]) -> None:
+        """Lower the torque of servos that hold an arm, so that it sinks; writing switches it off at once."""
+        ids = {each.servo.servo_id for each in work if each.servo.registers[Register.TORQUE_ENABLE]}
+        if holding := [joint for joint in self._arm if joint.servo_id in ids]:
+            relax_arm(self._line.at(work[0].servo.baudrate), holding, self._terminal)
+
+    def _complain(self, text: str) -> None:
+        self._problems = True
+        self._terminal.say(text)
+
+    def _end(self) -> ExitCode:
+        if self._problems:
+            return ExitCode.PROBLEMS
+        self._terminal.say("done")
+        return ExitCode.DONE
+
+
+def _differences(work: Sequence[_Work]) -> str:
+    rows = [
+        (each.joint, each.servo.servo_id, change.register.name, change.held, change.wanted)
+        for each in work
+        for change in each.changes
+    ]
+    rows += [
+        (each.joint, each.servo.servo_id, Register.LOCK.name, 0, 1)
+        for each in work
+        if each.servo.registers[Register.LOCK] != 1
+    ]
+    return table(("joint", "id", "register", "in the servo", "to write"), rows)

@@ -1,0 +1,348 @@
+"""Parking: planned, checked motions to the arm's rest pose, where it can be relaxed without sinking far.
+
+A motion for a client goes through the goal queue. For the end of the server the arm process has to know the way by
+itself: whenever the arm has come to rest somewhere, or the scene has changed, the way from there is planned in the
+background and kept in the arm process (:meth:`robot.arm.Arm.keep_parking`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from planners.goals import JointGoal
+from planners.pool import PlannerPool
+from planners.problem import MoveItErrorCode, Plan, PlanningProblem
+from robot.arm import Arm
+from robot.description.model import RobotModel
+from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
+from server.config import ArmSettings
+from server.errors import ConfigurationError
+from server.execution.monitors import CurrentState, SceneSource
+from server.execution.motions import Motion, PlannedMotion, Positions
+from server.execution.queue import Answer, GoalPolicy, GoalQueue
+from server.moveit.parameters import MoveItParameters
+
+log = logging.getLogger("armbridge.parking")
+
+# Interval of looking for a new place or another scene [s].
+CHECK_S = 0.2
+
+# Planning a way that is only kept may take this long; most take some milliseconds [s].
+PLANNING_TIME_S = 2.0
+
+# Goals farther from the start of the kept way than this are another place: half the tolerance of the arm process [rad].
+SAME_PLACE_RAD = 0.005
+
+# Braking takes a second at most.
+REST_TIMEOUT_S = 2.0
+
+# States come at 50 Hz, or at 1 Hz from an arm that is set so.
+STATE_POLL_S = 0.02
+STATE_POLLS = 60
+
+
+@dataclass(frozen=True)
+class RestPose:
+    """Pose in which an arm is parked.
+
+    Attributes:
+        state: its name in the SRDF.
+        group: planning group that moves there.
+        positions_rad: position of each joint [rad].
+    """
+
+    state: str
+    group: str
+    positions_rad: Mapping[str, float]
+
+
+def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
+    """Return the arm's rest pose; None for an arm that has none.
+
+    Raises:
+        ConfigurationError: the settings name a state that does not exist.
+    """
+    name = settings.park_state or robot.park_state
+    groups = sorted(robot.named_states, key=lambda group: group != robot.default_group)
+    for group in groups:
+        if name in robot.named_states[group]:
+            return RestPose(name, group, robot.named_states[group][name])
+    if settings.park_state is not None:
+        known = sorted({state for states in robot.named_states.values() for state in states})
+        raise ConfigurationError(
+            f"arm.park_state: the SRDF has no state {name!r}, but {', '.join(known) or 'none at all'}"
+        )
+    return None
+
+
+class Parking:
+    """Parking of one arm.
+
+    Args:
+        arm: the arm.
+        robot: its description.
+        settings: the section ``arm``.
+        parameters: scalings and planning times.
+        pool: the planners.
+        scene: the planning scene.
+        queue: of goals.
+
+    Raises:
+        ConfigurationError: the settings name a state that does not exist.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        robot: RobotModel,
+        settings: ArmSettings,
+        parameters: MoveItParameters,
+        pool: PlannerPool,
+        scene: SceneSource,
+        queue: GoalQueue[Motion],
+    ) -> None:
+        self._arm = arm
+        self._robot = robot
+        self._pose = rest_pose(robot, settings)
+        self._parameters = parameters
+        self._pool = pool
+        self._scene = scene
+        self._queue = queue
+        self._current = CurrentState(arm, robot)
+        self._parks_at_end = EndState.PARK in (settings.on_exit, settings.on_server_lost)
+        self._parks_on_exit = settings.on_exit is EndState.PARK
+        self._place: _Place | None = None
+        self._keeps = False
+        self._parked: set[asyncio.Task[CommandDone]] = set()
+        if self._parks_at_end and self._pose is None:
+            log.warning("%s Where it is to be parked at the end, it is relaxed.", self._no_pose)
+        scene.on_change(self._on_scene_change)
+
+    @property
+    def _no_pose(self) -> str:
+        return (
+            f"The arm cannot be parked: its SRDF has no state {self._robot.park_state!r}; name one by arm.park_state, "
+            "or by park in the table [planning] of its robot.toml."
+        )
+
+    # Parking now.
+
+    def park(self, source: str) -> asyncio.Future[CommandDone]:
+        """End all goals, move the arm to its rest pose, and relax it there.
+
+        Args:
+            source: service, or reason, that asks for it.
+
+        Returns:
+            Future of the answer. An arm that does not come to its rest pose goes on holding.
+        """
+        task = asyncio.create_task(self._park(source), name="park the arm")
+        self._parked.add(task)
+        task.add_done_callback(self._parked.discard)
+        # The motion goes on when the caller does not wait any longer.
+        return asyncio.shield(task)
+
+    async def _park(self, source: str) -> CommandDone:
+        pose = self._pose
+        if pose is None:
+            return CommandDone(0, done=False, message=self._no_pose)
+        joints = frozenset(self._robot.groups[pose.group].joints)
+        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+
+        def take(answer: Answer) -> None:
+            if not answered.done():
+                answered.set_result(answer)
+
+        self._queue.stop(f"the arm is parked by {source}")
+        # Motions outside the queue, as of the gripper, end too before the way is planned.
+        await self._arm.rest(REST_TIMEOUT_S)
+        motion = PlannedMotion((self._problem,), joints)
+        self._queue.submit(source, motion, policy=GoalPolicy.QUEUE, on_answer=take)
+        # The queue answers every goal.
+        answer = await answered
+        if answer.code is not MoveItErrorCode.SUCCESS:
+            log.warning("%s: the arm is not parked: %s", source, answer.message)
+            return CommandDone(0, done=False, message=f"the arm is not parked: {answer.message}")
+        relaxed = await self._arm.order(Order.RELAX)
+        log.info("%s: the arm is at its rest pose %s; %s", source, pose.state, relaxed.message)
+        if not relaxed.done:
+            return relaxed
+        return CommandDone(0, done=True, message=f"the arm is at its rest pose {pose.state!r}, and relaxed")
+
+    def _problem(self, start_rad: Positions) -> PlanningProblem:
+        if self._pose is None:
+            raise AssertionError("a way to no pose is planned")
+        parameters = self._parameters
+        return PlanningProblem(
+            group=self._pose.group,
+            start_rad=start_rad,
+            goal=JointGoal(self._pose.positions_rad, parameters.joint_tolerance),
+            velocity_scaling=parameters.max_velocity_scaling,
+            acceleration_scaling=parameters.max_acceleration_scaling,
+            allowed_time_s=parameters.allowed_planning_time,
+            attempts=parameters.num_planning_attempts,
+            planner_id=parameters.planner_id,
+            optimization_time_s=parameters.optimization_time,
+        )
+
+    # The way that the arm process keeps for its end.
+
+    async def run(self) -> None:
+        """Keep the way from where the arm holds up to date, until cancelled; return at once where none is needed."""
+        while self._parks_at_end and self._pose is not None:
+            await asyncio.sleep(CHECK_S)
+            if not self._queue.busy and self._pool.idle_count and self._is_due:
+                await self._plan()
+
+    async def prepare_exit(self) -> None:
+        """Have the arm process know the way from where the arm has come to rest, before the server ends."""
+        if not self._parks_on_exit or self._pose is None:
+            return
+        await self._arm.rest(REST_TIMEOUT_S)
+        # The end of a motion may come ahead of the state that shows where the arm holds.
+        for _ in range(STATE_POLLS):
+            if self._arm.state.mode is not Mode.MOVING:
+                break
+            await asyncio.sleep(STATE_POLL_S)
+        if self._is_due:
+            await self._plan()
+
+    @property
+    def _is_due(self) -> bool:
+        """True when the arm holds where the way was not planned yet in the present scene."""
+        place = self._here()
+        return place is not None and not place.same_as(self._place)
+
+    def _here(self) -> _Place | None:
+        """Return where the arm holds; None unless it does."""
+        if self._arm.state.mode is not Mode.HOLDING or (held_rad := self._current.positions_rad()) is None:
+            return None
+        return _Place(held_rad, self._scene.scene.version, self._arm.pid)
+
+    async def _plan(self) -> None:
+        """Plan the way from where the arm holds, and have the arm process keep it if it still holds there."""
+        place = self._here()
+        if place is None:
+            return
+        problem = self._problem(place.held_rad)
+        bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
+        plan = await self._pool.ask(bounded, self._scene.scene)
+        if place.version != self._scene.scene.version:
+            return
+        # Of one that failed as well: it is not tried again before something has changed.
+        self._place = place
+        if not isinstance(plan, Plan):
+            log.warning(
+                "no way to the rest pose from here, where the arm would be relaxed at its end: %s", plan.message
+            )
+            self._forget()
+            return
+        if plan.trajectory.duration_s > PARKING_TIMEOUT_S:
+            log.warning(
+                "the way to the rest pose takes %.1f s from here, above the limit of %g s: the arm would be relaxed at "
+                "its end; raise moveit.max_velocity_scaling",
+                plan.trajectory.duration_s,
+                PARKING_TIMEOUT_S,
+            )
+        self._arm.keep_parking(ParkingPlan(plan.trajectory, place.held_rad))
+        self._keeps = True
+        log.debug("the way to the rest pose is known: %.2f s", plan.trajectory.duration_s)
+
+    def _on_scene_change(self) -> None:
+        # Before anything else happens: the server may be lost at any time.
+        self._place = None
+        self._forget()
+
+    def _forget(self) -> None:
+        if self._keeps:
+            self._arm.keep_parking(None)
+            self._keeps = False
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Place from which a way was planned.
+
+    Attributes:
+        held_rad: goal of every joint [rad].
+        version: of the scene.
+        pid: process id of the arm process, which keeps the way.
+    """
+
+    held_rad: Mapping[str, float]
+    version: int
+    pid: int | None
+
+    def same_as(self, other: _Place | None) -> bool:
+        """Return True when a way from another place is one from here."""
+        if other is None or (self.version, self.pid) != (other.version, other.pid):
+            return False
+        return all(abs(value - other.held_rad[name]) <= SAME_PLACE_RAD for name, value in self.held_rad.items())
+
+
+class LastClient:
+    """Parks or relaxes the arm some time after the last client that may drive has left.
+
+    Args:
+        settings: the section ``arm``.
+        drivers: returns the number of connected clients that may drive.
+        busy: returns True while a goal is worked on or the arm moves.
+        park: parks the arm.
+        relax: relaxes it.
+        clock: monotonic time [s].
+    """
+
+    def __init__(
+        self,
+        settings: ArmSettings,
+        drivers: Callable[[], int],
+        busy: Callable[[], bool],
+        park: Callable[[], asyncio.Future[CommandDone]],
+        relax: Callable[[], asyncio.Future[CommandDone]],
+        clock: Callable[[], float] = lambda: asyncio.get_running_loop().time(),
+    ) -> None:
+        self._policy = settings.on_last_client
+        self._delay_s = settings.last_client_delay_s
+        self._drivers = drivers
+        self._busy = busy
+        self._park = park
+        self._relax = relax
+        self._clock = clock
+        self._present = False
+        self._left_s: float | None = None
+
+    async def run(self) -> None:
+        """Watch until cancelled; return at once for the policy ``nothing``."""
+        while self._policy != "nothing":
+            await asyncio.sleep(CHECK_S)
+            if self.due():
+                await self._act()
+
+    def due(self) -> bool:
+        """Return True, once, when the time has come: nobody has come back, and no goal moves any more."""
+        if self._drivers():
+            self._present, self._left_s = True, None
+            return False
+        if self._present:
+            self._present, self._left_s = False, self._clock()
+            log.info("the last client that may drive has left; arm.on_last_client = %r", self._policy)
+        if self._left_s is None or self._clock() - self._left_s < self._delay_s or self._busy():
+            return False
+        self._left_s = None
+        return True
+
+    async def _act(self) -> None:
+        log.info("nobody who may drive is connected: the arm is to %s", self._policy)
+        if self._policy == "park":
+            parked = await self._park()
+            if parked.done:
+                return
+            if self._drivers():
+                log.warning("%s; a client is connected again, and the arm holds", parked.message)
+                return
+            log.warning("%s; it is relaxed where it is", parked.message)
+        relaxed = await self._relax()
+        log.info("nobody who may drive is connected: %s", relaxed.message)

@@ -1,0 +1,224 @@
+"""Files about faults: the last minute before each, for a person who looks for its cause, or reports it.
+
+A file has a JSON object a line: the fault, the last report of the arm's health, the lines of the log, and the states of
+the joints.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import itertools
+import json
+import logging
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
+from enum import Enum
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot.files import FileSeries
+from robot.messages import ArmHealth, ArmState, Mode
+from server.monitoring.log_ring import LogRing
+from server.monitoring.sample_ring import SampleRing
+
+log = logging.getLogger("armbridge.monitoring")
+
+PREFIX = "fault-"
+
+WINDOW_S = 60.0
+
+# The minute at this rate, and its last seconds at that of the states, of which there are 100 a second at most.
+SLOW_PERIOD_S = 0.1
+SLOW_SAMPLES = round(WINDOW_S / SLOW_PERIOD_S)
+FAST_SAMPLES = 500
+
+# A client that causes and resets faults without end must not wear out a memory card; the next file tells of this one.
+LEAST_INTERVAL_S = 10.0
+
+# A disk that takes longer keeps the file to itself.
+WRITING_TIMEOUT_S = 5.0
+
+# Arrays of a state that are kept.
+_QUANTITIES = ("position_rad", "goal_rad", "load", "current_a")
+
+
+class Samples(NamedTuple):
+    """States of the joints.
+
+    Attributes:
+        time_s: shape (samples,) [s], negative before the fault.
+        values: shape (samples, quantities, joints).
+    """
+
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
+class StateTrace:
+    """States of the joints over the last minute, the last seconds of them more closely."""
+
+    def __init__(self) -> None:
+        self._names: tuple[str, ...] = ()
+        self._clear(())
+
+    def _clear(self, names: tuple[str, ...]) -> None:
+        columns = len(_QUANTITIES) * len(names)
+        self._names = names
+        self._slow, self._fast = SampleRing(SLOW_SAMPLES, columns), SampleRing(FAST_SAMPLES, columns)
+        self._slow_s = -np.inf
+
+    def add(self, state: ArmState) -> None:
+        """Keep a state; one without positions has nothing to keep."""
+        arrays = (state.position_rad, state.goal_rad, state.load, state.current_a)
+        present = [array for array in arrays if array is not None]
+        if len(present) < len(arrays):
+            return
+        if state.joint_names != self._names:
+            self._clear(state.joint_names)
+        values, at_s = np.concatenate(present), state.stamp_s
+        self._fast.add(at_s, values)
+        # Also after the wall clock was put back.
+        if not 0.0 <= at_s - self._slow_s < SLOW_PERIOD_S:
+            self._slow_s = at_s
+            self._slow.add(at_s, values)
+
+    def minute(self, end_s: float) -> Samples:
+        """Return the samples of the minute before a time [s since the epoch], oldest first."""
+        fast_s, fast = self._fast.since(end_s - WINDOW_S)
+        slow_s, slow = self._slow.since(end_s - WINDOW_S)
+        before = slow_s < fast_s[0] if len(fast_s) else np.ones(len(slow_s), dtype=bool)
+        times_s, values = np.concatenate((slow_s[before], fast_s)), np.concatenate((slow[before], fast))
+        return Samples(times_s - end_s, values.reshape(len(times_s), len(_QUANTITIES), len(self._names)))
+
+
+class FaultFiles:
+    """Writer of a file about each fault, when it latches, and about each loss of the connection to the arm.
+
+    Args:
+        directory: created with the first file; several servers may share it.
+        keep: limit of files, of some 300 kB each; the oldest make room for new ones. 0 writes none.
+        log_ring: the last lines of the log.
+        robot_name: name of the arm.
+        clock: monotonic time [s].
+
+    Attributes:
+        latest: the last file that this has written; None before.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        keep: int,
+        log_ring: LogRing,
+        robot_name: str,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._files = FileSeries(directory, PREFIX, ".jsonl", keep) if keep else None
+        self._directory = directory
+        self._log_ring = log_ring
+        self._robot_name = robot_name
+        self._clock = clock
+        self._trace = StateTrace()
+        self._state: ArmState | None = None
+        self._health: ArmHealth | None = None
+        self._written_s = -np.inf
+        self._writing: set[asyncio.Task[None]] = set()
+        self.latest: Path | None = None
+
+    def take_health(self, health: ArmHealth) -> None:
+        """Keep the latest report."""
+        self._health = health
+
+    def take_state(self, state: ArmState) -> None:
+        """Keep a state; begin to write a file when it tells of a new fault."""
+        if self._files is None:
+            return
+        before, self._state = self._state, state
+        self._trace.add(state)
+        fault = state.fault
+        if fault is not None and (before is None or fault != before.fault):
+            about = {"code": fault.code.value, "message": fault.message, "remedy": fault.remedy, "joint": fault.joint}
+        elif before is not None and state.mode is Mode.DISCONNECTED is not before.mode:
+            about = {"code": "disconnected", "message": state.reason, "remedy": "", "joint": ""}
+        else:
+            return
+        now_s = self._clock()
+        if now_s - self._written_s < LEAST_INTERVAL_S:
+            log.info("no file about this fault: the last one is %.0f s old", now_s - self._written_s)
+            return
+        self._written_s = now_s
+        task = asyncio.create_task(self._write(self._files, about, state), name="fault file")
+        self._writing.add(task)
+        task.add_done_callback(self._writing.discard)
+
+    async def close(self) -> None:
+        """Wait until the files that were begun are written."""
+        if self._writing:
+            await asyncio.wait(self._writing)
+
+    async def _write(self, series: FileSeries, about: dict[str, str], state: ArmState) -> None:
+        now = datetime.fromtimestamp(state.stamp_s, UTC)
+        name = f"{now:%Y%m%dT%H%M%S.%fZ}-{about['code']}"
+        head, samples = [*self._head(about, state)], self._trace.minute(state.stamp_s)
+
+        # In a thread, as it takes some milliseconds.
+        def content(_stem: str) -> bytes:
+            lines = itertools.chain(map(_plain, head), _state_lines(samples))
+            return "".join(f"{json.dumps(line, allow_nan=False)}\n" for line in lines).encode()
+
+        try:
+            self.latest = await asyncio.wait_for(asyncio.to_thread(series.add, name, content), WRITING_TIMEOUT_S)
+        except TimeoutError:
+            log.warning("the file about this fault is not written to %s in %g s", self._directory, WRITING_TIMEOUT_S)
+        except OSError as error:
+            log.warning("the file about this fault cannot be written to %s: %s", self._directory, error)
+        else:
+            log.info("the last minute before the fault is in %s; armbridge report takes it along", self.latest)
+
+    def _head(self, about: dict[str, str], state: ArmState) -> Iterator[dict[str, Any]]:
+        time_text = datetime.fromtimestamp(state.stamp_s, UTC).isoformat(timespec="milliseconds")
+        yield {
+            "kind": "fault",
+            **about,
+            "time": time_text,
+            "mode": state.mode.value,
+            "robot": self._robot_name,
+            "armbridge": metadata.version("armbridge"),
+            "joints": state.joint_names,
+        }
+        if self._health is not None:
+            yield {"kind": "health", **dataclasses.asdict(self._health)}
+        for line in self._log_ring.since(state.stamp_s - WINDOW_S):
+            fields = {"time_s": round(line.at_s - state.stamp_s, 3), "level": logging.getLevelName(line.level)}
+            yield {"kind": "log", **fields, "process": line.process, "logger": line.logger, "text": line.text}
+
+
+def _state_lines(samples: Samples) -> Iterator[dict[str, Any]]:
+    measured = samples.values.round(4).astype(object)
+    measured[np.isnan(samples.values)] = None
+    for at_s, values in zip(samples.time_s.round(3).tolist(), measured.tolist(), strict=True):
+        yield {"kind": "state", "time_s": at_s, **dict(zip(_QUANTITIES, values, strict=True))}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it; None for a number that is none, or infinite."""
+    match value:
+        case Enum():
+            return value.value
+        case np.ndarray():
+            return _plain(value.tolist())
+        case Mapping():
+            return {key: _plain(each) for key, each in value.items()}
+        case list() | tuple():
+            return [_plain(each) for each in value]
+        case float():
+            return value if math.isfinite(value) else None
+        case _:
+            return value

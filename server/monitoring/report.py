@@ -1,0 +1,252 @@
+"""Report of an installation and its arm: one archive, without secrets, to attach to a report of a problem."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import platform
+import re
+import sys
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from serial.tools import list_ports
+
+from robot.logs import without_secrets
+from server.config import Settings
+from server.monitoring.fault_files import PREFIX
+
+HIDDEN = "***"
+
+# A shorter text is no token, and may stand anywhere.
+LEAST_SECRET_CHARACTERS = 8
+
+# All files about faults together, the newest first; they shrink to a tenth in the archive.
+MAX_FAULT_BYTES = 10_000_000
+MAX_FAULT_FILES = 20
+
+# Of a file that is taken as it is; a robot.toml has a few kilobytes.
+MAX_FILE_BYTES = 1_000_000
+
+README = "README.txt"
+PROBLEMS = "problems.txt"
+
+# Beginning of the members' names, and their content.
+CONTENTS: Mapping[str, str] = {
+    "settings.json": "every setting with its source; tokens and the names of their owners are left out",
+    "versions.json": "armbridge, Python, operating system, kernel, processor, memory, and rights of the user",
+    "packages.txt": "installed Python packages",
+    "ports.json": "serial ports of this machine",
+    "arm/": "robot.toml and the calibration in use",
+    "server/": "the running server: health, metrics, the servos' registers and last minutes, and its last log lines",
+    "faults/": "the last minute of log and joints before each of the last faults",
+    "bus/": "the servos as they answer on the bus: registers, and the findings of doctor; only read",
+    PROBLEMS: "what could not be had, and why",
+}
+
+# Fields and parameters whose values are secret, in JSON, TOML, URLs and zenoh's endpoints.
+_SECRET_FIELD = re.compile(
+    r"((?:password|passwd|passphrase|secret|authorization|private_key\w*)[\"']?\s*[=:]\s*[\"']?)[^\s\"',;&}#]+",
+    re.IGNORECASE,
+)
+_URL_USER = re.compile(r"(\w://)[^/\s\"'@]+@")
+_PRIVATE_KEY = re.compile(r"-----BEGIN [A-Z ]*PRIVATE KEY-----.*?(?:-----END [A-Z ]*PRIVATE KEY-----|\Z)", re.DOTALL)
+_HOMES = re.compile(r"/(home|Users)/[^/\s\"':,;]+")
+
+
+class Redactor:
+    """Blots secrets and names of home directories out of texts.
+
+    Args:
+        secrets: texts that must not be shown, such as tokens.
+        home: the user's home directory.
+    """
+
+    def __init__(self, secrets: Iterable[str], home: Path) -> None:
+        long = {secret for secret in secrets if len(secret) >= LEAST_SECRET_CHARACTERS}
+        # As JSON writes them, too.
+        written = {json.dumps(secret)[1:-1] for secret in long} | long
+        # The longest first: one may be the beginning of another.
+        self._secrets = sorted(written, key=len, reverse=True)
+        homes = {str(home), str(home.resolve())} - {"/", "."}
+        self._homes = [re.compile(rf"{re.escape(each)}(?![\w.-])") for each in sorted(homes, key=len, reverse=True)]
+
+    def text(self, text: str) -> str:
+        """Return a text without secrets."""
+        for secret in self._secrets:
+            text = text.replace(secret, HIDDEN)
+        text = _PRIVATE_KEY.sub(HIDDEN, text)
+        text = _SECRET_FIELD.sub(rf"\g<1>{HIDDEN}", without_secrets(text))
+        text = _URL_USER.sub(rf"\g<1>{HIDDEN}@", text)
+        for home in self._homes:
+            text = home.sub("~", text)
+        return _HOMES.sub(rf"/\g<1>/{HIDDEN}", text)
+
+
+class Report:
+    """Members of a report, each without secrets.
+
+    Args:
+        redactor: blots secrets out of every member.
+    """
+
+    def __init__(self, redactor: Redactor) -> None:
+        self._redactor = redactor
+        self._members: dict[str, bytes] = {}
+        self._problems: list[str] = []
+
+    @property
+    def sizes(self) -> Mapping[str, int]:
+        """Size of each member [bytes]."""
+        return {name: len(content) for name, content in self._members.items()}
+
+    def add(self, name: str, text: str) -> None:
+        """Add a text."""
+        self._members[self._redactor.text(name)] = self._redactor.text(text).encode()
+
+    def add_json(self, name: str, value: object) -> None:
+        """Add a value as JSON."""
+        self.add(name, json.dumps(value, indent=2, default=str) + "\n")
+
+    def add_file(self, name: str, path: Path) -> None:
+        """Add a text file.
+
+        Raises:
+            OSError: it cannot be read.
+        """
+        with path.open("rb") as file:
+            self.add(name, file.read(MAX_FILE_BYTES).decode(errors="replace"))
+
+    def note(self, problem: str) -> None:
+        """Note what could not be had, a sentence."""
+        self._problems.append(problem)
+
+    @contextlib.contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Note what goes wrong within the context: a report about what is broken is made of what is not."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 - any library may fail on the machine that is reported
+            self.note(f"{name}: {str(error) or type(error).__name__}")
+
+    def archive(self) -> bytes:
+        """Return the archive of all members, with a list of them."""
+        if self._problems:
+            self.add(PROBLEMS, "".join(f"{problem}\n" for problem in self._problems))
+        self.add(README, self._readme())
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in self._members.items():
+                archive.writestr(name, content)
+        return packed.getvalue()
+
+    def _readme(self) -> str:
+        there = [
+            f"{name}: {content}."
+            for name, content in CONTENTS.items()
+            if any(member.startswith(name) for member in self._members)
+        ]
+        return "\n".join(("Report of armbridge, made by armbridge report.", "", *there, ""))
+
+
+def add_settings(report: Report, settings: Settings, sources: Mapping[str, str]) -> None:
+    """Add the settings; of tokens only how many there are.
+
+    Args:
+        report: gets them.
+        settings: all of them.
+        sources: source of those that are not at their defaults, by key.
+    """
+    values = settings.model_dump(mode="json")
+    access = values["access"]
+    for name, value in access.items():
+        if name.endswith("_tokens"):
+            access[name] = len(value)
+    report.add_json("settings.json", {"settings": values, "sources": dict(sources)})
+
+
+def add_machine(report: Report) -> None:
+    """Add versions, packages and serial ports of this machine."""
+    with report.part("versions"):
+        report.add_json("versions.json", _versions())
+    with report.part("packages"):
+        packages = {(each.metadata["Name"] or "?", each.version) for each in metadata.distributions()}
+        report.add("packages.txt", "".join(f"{name}=={version}\n" for name, version in sorted(packages)))
+    with report.part("ports"):
+        report.add_json("ports.json", [_port(port) for port in list_ports.comports()])
+
+
+def add_faults(report: Report, directory: Path) -> None:
+    """Add the newest files about faults.
+
+    Args:
+        report: gets them.
+        directory: directory of the files, which need not exist.
+    """
+    left = MAX_FAULT_BYTES
+    for path in sorted(directory.glob(f"{PREFIX}*.jsonl"), reverse=True)[:MAX_FAULT_FILES]:
+        with report.part(f"faults/{path.name}"):
+            left -= path.stat().st_size
+            if left < 0:
+                report.note(f"faults: those before {path.name} are left out, of more than {MAX_FAULT_BYTES} bytes")
+                return
+            report.add(f"faults/{path.name}", path.read_text(errors="replace"))
+
+
+def _versions() -> dict[str, Any]:
+    # Without the machine's name, which platform.platform() leaves out as well.
+    return {
+        "armbridge": metadata.version("armbridge"),
+        "python": sys.version,
+        "system": platform.platform(),
+        "distribution": _distribution(),
+        "kernel": platform.release(),
+        "wsl": "microsoft" in platform.release().lower(),
+        "container": Path("/.dockerenv").exists() or Path("/run/.containerenv").exists(),
+        "processor": _field(Path("/proc/cpuinfo"), "model name") or platform.machine(),
+        "board": _text(Path("/proc/device-tree/model")).strip("\0\n"),
+        "cores": os.cpu_count(),
+        "memory": _field(Path("/proc/meminfo"), "MemTotal"),
+        "groups": _groups(),
+    }
+
+
+def _distribution() -> str:
+    with contextlib.suppress(OSError):
+        return platform.freedesktop_os_release().get("PRETTY_NAME", "")
+    return ""
+
+
+def _groups() -> list[str]:
+    """Return the names of the user's groups, one of which may open serial ports."""
+    import grp
+
+    found = []
+    for number in os.getgroups():
+        with contextlib.suppress(KeyError):
+            found.append(grp.getgrgid(number).gr_name)
+    return found
+
+
+def _field(path: Path, name: str) -> str:
+    """Return the value of the first line ``NAME: VALUE`` in a file of /proc; empty without one."""
+    found = re.search(rf"^{re.escape(name)}\s*:\s*(.*)$", _text(path), re.MULTILINE)
+    return found[1].strip() if found else ""
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(errors="replace")
+    except OSError:
+        return ""
+
+
+def _port(port: Any) -> dict[str, Any]:
+    usb = None if port.vid is None else f"{port.vid:04x}:{port.pid:04x}"
+    access = os.access(port.device, os.R_OK | os.W_OK)
+    return {"device": port.device, "usb_id": usb, "description": port.description, "may_be_opened": access}

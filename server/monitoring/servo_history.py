@@ -1,0 +1,139 @@
+"""History of each servo over the last ten minutes: the service ``/arm/servo_history``.
+
+Samples come with the arm's health, about once a second; events are faults, lost connections, errors that were counted,
+and warnings that came and went.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from robot.messages import ArmHealth, ArmState, JointHealth, Mode
+from server.graph.node import Node
+from server.graph.topics import Graph
+from server.monitoring.sample_ring import SampleRing
+
+SERVICE = "/arm/servo_history"
+SERVICE_TYPE = "armbridge_msgs/srv/GetServoHistory"
+
+WINDOW_S = 600.0
+
+# A report a second; a simulated arm that runs slower than real time sends fewer.
+MAX_SAMPLES = 600
+
+# A loose plug makes events all the time: of all joints together, the latest.
+MAX_EVENTS = 300
+
+# Fields of a sample besides its time, in the order of the columns.
+QUANTITIES = ("temperature_c", "load", "voltage_v", "current_a")
+
+# Figures in warnings change from report to report.
+_FIGURE = re.compile(r"\d+(\.\d+)?")
+
+
+class Event(NamedTuple):
+    """Event in the history; ``joint`` is empty for one of the whole arm, ``at_s`` is monotonic [s]."""
+
+    at_s: float
+    joint: str
+    sentence: str
+
+
+class ServoHistory:
+    """History of an arm's servos.
+
+    Args:
+        graph: graph of the service.
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, graph: Graph, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._samples: dict[str, SampleRing] = {}
+        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self._state: ArmState | None = None
+        # Warnings of each joint by their text without figures, and its errors.
+        self._warnings: dict[str, Mapping[str, str]] = {}
+        self._errors: dict[str, Mapping[str, int]] = {}
+        graph.services.offer(Node("servo history"), SERVICE, SERVICE_TYPE, self._serve)
+
+    def take_state(self, state: ArmState) -> None:
+        """Keep the events of a state."""
+        before, self._state = self._state, state
+        if before is None:
+            return
+        if state.fault is not None and (before.fault is None or state.fault.code is not before.fault.code):
+            self._add(state.fault.joint, f"fault {state.fault.code.value}: {state.fault.message}")
+        elif before.fault is not None and state.fault is None:
+            self._add(before.fault.joint, f"fault {before.fault.code.value} was reset")
+        lost, was_lost = state.mode is Mode.DISCONNECTED, before.mode is Mode.DISCONNECTED
+        if lost and not was_lost:
+            self._add("", f"disconnected: {state.reason}")
+        elif was_lost and not lost:
+            self._add("", "connected")
+
+    def take_health(self, health: ArmHealth) -> None:
+        """Keep the samples of a report, and its events."""
+        now_s = self._clock()
+        for joint in health.joints:
+            if joint.joint not in self._samples:
+                self._samples[joint.joint] = SampleRing(MAX_SAMPLES, len(QUANTITIES))
+            values = tuple(getattr(joint, quantity) for quantity in QUANTITIES)
+            self._samples[joint.joint].add(now_s, values)
+            self._compare_warnings(joint)
+            self._compare_errors(joint)
+
+    def _compare_warnings(self, joint: JointHealth) -> None:
+        warnings = {_FIGURE.sub("", warning): warning for warning in joint.warnings}
+        before = self._warnings.get(joint.joint, {})
+        for kind in warnings.keys() - before.keys():
+            self._add(joint.joint, f"warning: {warnings[kind]}")
+        for kind in before.keys() - warnings.keys():
+            self._add(joint.joint, f"no longer: {before[kind]}")
+        self._warnings[joint.joint] = warnings
+
+    def _compare_errors(self, joint: JointHealth) -> None:
+        before = self._errors.get(joint.joint, {})
+        for kind, count in joint.errors.items():
+            # Opened anew, the hardware counts from zero.
+            if count > before.get(kind, 0):
+                self._add(joint.joint, f"error {kind}, {count} since the servo was connected")
+        self._errors[joint.joint] = joint.errors
+
+    def _add(self, joint: str, sentence: str) -> None:
+        self._events.append(Event(self._clock(), joint, sentence))
+
+    def _serve(self, request: dict[str, Any]) -> dict[str, Any]:
+        joint = request["joint"]
+        samples = self._samples.get(joint)
+        if samples is None:
+            return _response(message=self._refusal(joint))
+        now_s = self._clock()
+        at_s, values = samples.since(now_s - WINDOW_S)
+        columns = {
+            # An ideal arm measures none of these.
+            quantity: [] if np.isnan(column).all() else column.round(4).tolist()
+            for quantity, column in zip(QUANTITIES, values.T, strict=True)
+        }
+        events = [
+            f"{now_s - event.at_s:.0f} s ago: {event.sentence}"
+            for event in self._events
+            if event.joint in ("", joint) and now_s - event.at_s <= WINDOW_S
+        ]
+        return _response(**columns, time_s=(at_s - now_s).round(3).tolist(), events=events, success=True)
+
+    def _refusal(self, joint: str) -> str:
+        if not self._samples:
+            return "the arm has not reported on its servos yet"
+        return f"joint: must be one of {', '.join(self._samples)}, not {joint[:80]!r}"
+
+
+def _response(**fields: Any) -> dict[str, Any]:
+    lists: dict[str, Any] = {name: [] for name in ("time_s", *QUANTITIES, "events")}
+    return {**lists, "success": False, "message": "", **fields}

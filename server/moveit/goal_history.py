@@ -1,0 +1,192 @@
+"""The last goals of all clients: their answers, what was asked, the planned motions, and problem files of them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from planners.files import problem_file
+from planners.problem import PlanningFailure, PlanningProblem
+from planners.scene import Scene
+from robot.description.model import RobotModel
+from robot.trajectory import Trajectory
+from server.errors import RefusedError
+from server.execution.motions import Motion, PlannedMotion
+from server.execution.queue import Answer, GoalState, Progress, QueuedGoal
+from server.graph.node import Node
+from server.graph.topics import Graph
+from server.moveit.poses import Message
+from server.moveit.requests.trajectories import to_message
+
+HISTORY_SERVICE, HISTORY_TYPE = "/armbridge/goal_history", "armbridge_msgs/srv/GetGoalHistory"
+RECORD_SERVICE, RECORD_TYPE = "/armbridge/goal_record", "armbridge_msgs/srv/GetGoalRecord"
+
+MAX_GOALS = 100
+
+# Scenes of 10 000 objects take megabytes; goals in older ones keep the rest of their record.
+MAX_SCENES = 10
+
+# A goal's message with a whole scene or trajectory is longer; people read the beginning.
+MAX_ASKED_CHARACTERS = 20_000
+
+
+@dataclass(frozen=True)
+class GoalRecord:
+    """Record of an answered goal.
+
+    Attributes:
+        stamp_s: time of the answer [s since 1970].
+        status: its last message of ``/moveit_goal_status``.
+        asked: message of its client.
+        planned: the motions.
+        summary: methods and times of the plan, a sentence; empty without a plan.
+        planning_time_s: time spent on planning [s].
+        failure: code and sentence of the answer.
+        problem: problem that failed, else the first one; None for a goal without one that a file can hold.
+        scene: in which it was planned; None once it is forgotten.
+    """
+
+    stamp_s: float
+    status: Message
+    asked: Mapping[str, Any]
+    planned: tuple[Trajectory, ...]
+    summary: str
+    planning_time_s: float
+    failure: PlanningFailure
+    problem: PlanningProblem | None
+    scene: Scene | None
+
+
+class GoalHistory:
+    """Records of the last goals, and the services that tell them.
+
+    Args:
+        graph: where the services are.
+        robot: the arm.
+        scene: returns the present scene.
+        wall_clock: seconds since 1970.
+    """
+
+    def __init__(
+        self, graph: Graph, robot: RobotModel, scene: Callable[[], Scene], wall_clock: Callable[[], float]
+    ) -> None:
+        self._graph = graph
+        self._robot = robot
+        self._scene = scene
+        self._wall_clock = wall_clock
+        self._records: OrderedDict[str, GoalRecord] = OrderedDict()
+        # Scene of each goal in progress when it was planned last: it may change before the answer.
+        self._planned_in: dict[str, Scene] = {}
+        self._summaries: dict[str, str] = {}
+
+    def open(self) -> None:
+        """Offer the services."""
+        node = Node("goal history")
+        self._graph.services.offer(node, HISTORY_SERVICE, HISTORY_TYPE, self._history)
+        self._graph.services.offer(node, RECORD_SERVICE, RECORD_TYPE, self._record)
+
+    def take_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+        """Note the scene of a goal that is being planned, and the summary of its plan."""
+        if progress.state is GoalState.PLANNING:
+            self._planned_in[goal.goal_id] = self._scene()
+        elif progress.state is GoalState.EXECUTING:
+            # The first of them has the plan's methods and times; later ones may say that the motion is paused.
+            self._summaries.setdefault(goal.goal_id, progress.message)
+
+    def take_answer(self, goal: QueuedGoal[Motion], answer: Answer, status: Message) -> None:
+        """Keep the record of a goal; one whose answer is for one client alone is left out.
+
+        Args:
+            goal: the goal.
+            answer: its answer.
+            status: its last status.
+        """
+        scene = self._planned_in.pop(goal.goal_id, None) or self._scene()
+        summary = self._summaries.pop(goal.goal_id, "")
+        if goal.only_for is not None:
+            return
+        performed = answer.performed
+        self._records[goal.goal_id] = GoalRecord(
+            self._wall_clock(),
+            status,
+            goal.message,
+            () if performed is None else performed.planned,
+            summary,
+            0.0 if performed is None else performed.planning_time_s,
+            PlanningFailure(answer.code, answer.message),
+            *_problem(goal.request, answer, scene),
+        )
+        while len(self._records) > MAX_GOALS:
+            self._records.popitem(last=False)
+        self._forget_scenes()
+
+    def _forget_scenes(self) -> None:
+        """Forget the scenes, with the problems in them, beyond the newest few."""
+        newest: set[int] = set()
+        for goal_id, record in reversed(self._records.items()):
+            if record.scene is None:
+                continue
+            newest.add(id(record.scene))
+            if len(newest) > MAX_SCENES:
+                newest.discard(id(record.scene))
+                self._records[goal_id] = replace(record, scene=None)
+
+    def _history(self, _request: dict[str, Any]) -> dict[str, Any]:
+        records = self._records.values()
+        return {"stamps": [each.stamp_s for each in records], "goals": [each.status for each in records]}
+
+    async def _record(self, request: dict[str, Any]) -> dict[str, Any]:
+        goal_id = request["goal_id"]
+        record = self._records.get(goal_id)
+        if record is None:
+            text = f"goal_id: {goal_id[:40]!r} is none of the last {MAX_GOALS} goals that were answered"
+            return _response(success=False, message=text)
+        text = json.dumps(record.asked, default=str)[:MAX_ASKED_CHARACTERS]
+        return _response(
+            success=True,
+            asked=text,
+            planned=[to_message(motion, self._robot.root_link) for motion in record.planned],
+            duration_s=sum(motion.duration_s for motion in record.planned),
+            summary=record.summary,
+            planning_time_s=record.planning_time_s,
+            **await self._file(goal_id, record),
+        )
+
+    async def _file(self, goal_id: str, record: GoalRecord) -> dict[str, str]:
+        if record.problem is None:
+            reason = "no problem file: the goal was refused before planning, follows a path, or brought its own motion"
+            return {"message": reason}
+        if record.scene is None:
+            return {"message": f"no problem file: the scene has changed more than {MAX_SCENES} times since"}
+        name = f"goal-{goal_id}-{record.failure.code.name}"
+        # A scene of 10 000 objects takes tens of milliseconds.
+        text = await asyncio.to_thread(
+            problem_file.text, name, record.problem, record.scene, self._robot, record.failure
+        )
+        return {"problem_name": f"{name}.json", "problem": text}
+
+
+def _problem(request: Motion | None, answer: Answer, scene: Scene) -> tuple[PlanningProblem | None, Scene]:
+    """Return the problem that failed, else the first one, with its scene; None for one that no file can hold."""
+    performed = answer.performed
+    if performed is None or not isinstance(request, PlannedMotion):
+        return None, scene
+    done = performed.planned if len(performed.planned) < len(request.steps) else ()
+    start_rad = dict(performed.start_rad)
+    for motion in done:
+        start_rad |= dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
+    try:
+        problem = request.steps[len(done)](start_rad)
+        planned_in = scene if request.scene is None else request.scene(performed.start_rad)
+    except RefusedError:
+        return None, scene
+    return (problem if isinstance(problem, PlanningProblem) else None), planned_in
+
+
+def _response(**fields: Any) -> dict[str, Any]:
+    texts = dict.fromkeys(("message", "asked", "summary", "problem_name", "problem"), "")
+    return {**texts, "planned": [], "duration_s": 0.0, "planning_time_s": 0.0, **fields}

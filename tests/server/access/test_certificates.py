@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import asyncio
+import ssl
+import stat
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.x509.oid import ExtendedKeyUsageOID
+
+from server.access.certificates import CertificateFiles, ensure_certificate
+from server.config import ServerSettings
+from server.errors import ConfigurationError
+from tests.helpers.gateway import listening
+
+NOW = datetime(2026, 5, 1, 12, tzinfo=UTC)
+NAMES = ("arm.local", "127.0.0.1", "::1")
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> CertificateFiles:
+    return CertificateFiles(tmp_path / "tls")
+
+
+def leaf(files: CertificateFiles) -> x509.Certificate:
+    return x509.load_pem_x509_certificates(files.certificate.read_bytes())[0]
+
+
+def test_the_certificate_has_what_phones_ask_for(files: CertificateFiles) -> None:
+    outcome = ensure_certificate(files, NAMES, NOW)
+    certificate = leaf(files)
+    names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert names.get_values_for_type(x509.DNSName) == ["arm.local"]
+    assert [str(each) for each in names.get_values_for_type(x509.IPAddress)] == ["127.0.0.1", "::1"]
+    usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    assert list(usage) == [ExtendedKeyUsageOID.SERVER_AUTH]
+    validity = certificate.not_valid_after_utc - certificate.not_valid_before_utc
+    assert validity <= timedelta(days=398)
+    assert certificate.not_valid_before_utc < NOW
+    assert outcome.ends == certificate.not_valid_after_utc
+    constraints = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value
+    assert not constraints.ca
+
+
+def test_the_authority_signs_servers_alone(files: CertificateFiles) -> None:
+    ensure_certificate(files, NAMES, NOW)
+    authority = x509.load_pem_x509_certificate(files.authority.read_bytes())
+    constraints = authority.extensions.get_extension_for_class(x509.BasicConstraints)
+    assert constraints.critical
+    assert constraints.value == x509.BasicConstraints(ca=True, path_length=0)
+
+
+def test_keys_and_their_folder_are_of_the_user_alone(files: CertificateFiles) -> None:
+    ensure_certificate(files, NAMES, NOW)
+    modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in (files.authority_key, files.key)}
+    assert modes == {"armbridge-authority.key": 0o600, "server.key": 0o600}
+    assert stat.S_IMODE(files.directory.stat().st_mode) == 0o700
+
+
+async def test_a_client_that_knows_the_authority_alone_trusts_the_server(files: CertificateFiles) -> None:
+    ensure_certificate(files, NAMES)
+    settings = ServerSettings(port=0, tls_certificate=files.certificate, tls_key=files.key)
+    async with listening(settings) as listener:
+        # As strict as RFC 5280 has it, which Python's default is from 3.13 on.
+        context = ssl.create_default_context(cafile=files.authority)
+        context.verify_flags |= ssl.VERIFY_X509_STRICT
+        for name in ("arm.local", "127.0.0.1"):
+            _, writer = await asyncio.open_connection("127.0.0.1", listener.port, ssl=context, server_hostname=name)
+            writer.close()
+            await writer.wait_closed()
+        with pytest.raises(ssl.SSLCertVerificationError, match="not valid for"):
+            await asyncio.open_connection("127.0.0.1", listener.port, ssl=context, server_hostname="other.local")
+
+
+def test_a_good_certificate_stays(files: CertificateFiles) -> None:
+    assert ensure_certificate(files, NAMES, NOW).reason
+    before = files.certificate.read_bytes()
+    outcome = ensure_certificate(files, NAMES[:2], NOW + timedelta(days=300))
+    assert outcome.reason == ""
+    assert not outcome.made_authority
+    assert files.certificate.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("days", "names", "reason"),
+    [
+        (370, NAMES, "the old one ends on 2027-06-02"),
+        (500, NAMES, "the old one ended on 2027-06-02"),
+        (1, (*NAMES, "10.0.0.7"), "the old one lacks 10.0.0.7"),
+    ],
+)
+def test_it_is_renewed_by_the_same_authority(
+    files: CertificateFiles, days: int, names: tuple[str, ...], reason: str
+) -> None:
+    first = ensure_certificate(files, NAMES, NOW)
+    outcome = ensure_certificate(files, names, NOW + timedelta(days=days))
+    assert outcome.reason == reason
+    assert outcome.fingerprint == first.fingerprint
+    assert outcome.names == list(names)
+    assert leaf(files).not_valid_before_utc > NOW
+
+
+def test_an_authority_that_would_end_before_its_certificate_is_made_anew(files: CertificateFiles) -> None:
+    first = ensure_certificate(files, NAMES, NOW)
+    outcome = ensure_certificate(files, NAMES, NOW + timedelta(days=3600))
+    assert outcome.made_authority
+    assert outcome.fingerprint != first.fingerprint
+
+
+@pytest.mark.parametrize("damaged", ["authority", "authority_key", "certificate", "key"])
+def test_a_damaged_file_is_replaced(files: CertificateFiles, damaged: str) -> None:
+    ensure_certificate(files, NAMES, NOW)
+    getattr(files, damaged).write_text("nothing")
+    assert ensure_certificate(files, NAMES, NOW).reason
+    leaf(files).verify_directly_issued_by(x509.load_pem_x509_certificate(files.authority.read_bytes()))
+
+
+@pytest.mark.parametrize("name", ["", "two words", "a_b", "https://arm.local", "a..b", "x" * 300, "10.0.0.2:9090"])
+def test_a_name_that_is_none_is_refused(files: CertificateFiles, name: str) -> None:
+    with pytest.raises(ConfigurationError, match="neither a host name nor an IP address"):
+        ensure_certificate(files, [name], NOW)
+    assert not files.directory.exists()
+
+
+def test_more_names_than_the_limit_are_refused(files: CertificateFiles) -> None:
+    with pytest.raises(ConfigurationError, match="has 1 to 64 names and addresses, not 65"):
+        ensure_certificate(files, [f"10.0.0.{number}" for number in range(65)], NOW)
+
+
+def test_a_folder_that_is_a_file_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigurationError, match="the certificate cannot be kept there"):
+        ensure_certificate(CertificateFiles(tmp_path / "file" / "tls"), NAMES, NOW)

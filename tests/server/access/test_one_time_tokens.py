@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import pytest
+
+from server.access import one_time_tokens as module
+from server.access.one_time_tokens import (
+    MAX_WAITING,
+    SERVICE,
+    VALID_FOR_S,
+    OneTimeTokenError,
+    OneTimeTokens,
+    OneTimeTokenService,
+)
+from server.access.permissions import ANYONE, Identity, Role
+from server.access.settings import AccessSettings
+from tests.helpers.clock import FakeClock
+from tests.helpers.gateway import InProcess
+
+ADA, OTTO = "ada-0123456789abcdef", "otto-0123456789abcdef"
+ADMIN = Identity("ada", Role.ADMIN)
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock()
+
+
+@pytest.fixture
+def issued(clock: FakeClock) -> OneTimeTokens:
+    return OneTimeTokens(clock)
+
+
+def test_a_token_gives_its_role_once(issued: OneTimeTokens) -> None:
+    token = issued.issue(ADMIN, "view")
+    assert issued.use(token) == Identity("one-time-1", Role.VIEW)
+    assert issued.use(token) is None
+
+
+def test_without_a_role_it_may_operate(issued: OneTimeTokens) -> None:
+    identity = issued.use(issued.issue(ADMIN, ""))
+    assert identity is not None
+    assert identity.role is Role.OPERATE
+
+
+def test_it_expires(issued: OneTimeTokens, clock: FakeClock) -> None:
+    early, late = issued.issue(ADMIN, ""), issued.issue(ADMIN, "")
+    clock.advance(VALID_FOR_S - 0.1)
+    assert issued.use(early) is not None
+    clock.advance(0.1)
+    assert issued.use(late) is None
+
+
+@pytest.mark.parametrize("asker", [Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE)])
+def test_nobody_gives_more_than_they_have(issued: OneTimeTokens, asker: Identity) -> None:
+    with pytest.raises(OneTimeTokenError, match="admin is above the role of this client"):
+        issued.issue(asker, "admin")
+
+
+def test_a_client_without_identity_gets_none(issued: OneTimeTokens) -> None:
+    with pytest.raises(OneTimeTokenError, match="above the role of this client, none"):
+        issued.issue(None, "view")
+
+
+def test_a_role_that_is_none_is_refused_in_a_sentence(issued: OneTimeTokens) -> None:
+    with pytest.raises(OneTimeTokenError, match="field role: must be view, operate, admin, not 'king'"):
+        issued.issue(ADMIN, "king")
+
+
+def test_the_oldest_of_too_many_is_revoked(issued: OneTimeTokens) -> None:
+    tokens = [issued.issue(ADMIN, "") for _ in range(MAX_WAITING + 1)]
+    assert issued.use(tokens[0]) is None
+    assert all(issued.use(token) for token in tokens[1:])
+
+
+def test_every_token_is_compared_in_constant_time(issued: OneTimeTokens, monkeypatch: pytest.MonkeyPatch) -> None:
+    tokens = [issued.issue(ADMIN, "") for _ in range(3)]
+    compared: list[bytes] = []
+
+    def compare(one: bytes, other: bytes) -> bool:
+        compared.append(one)
+        return one == other
+
+    monkeypatch.setattr(module.hmac, "compare_digest", compare)
+    issued.use(tokens[0])
+    assert len(compared) == 3
+
+
+def test_files_are_read_with_it_while_its_connection_is_open(issued: OneTimeTokens, clock: FakeClock) -> None:
+    token = issued.issue(ADMIN, "operate")
+    assert issued.reader(token) is None
+    identity = issued.use(token)
+    clock.advance(10 * VALID_FOR_S)
+    assert issued.reader(token) == Identity("one-time-1", Role.VIEW)
+    issued.release(identity)
+    assert issued.reader(token) is None
+
+
+class World(InProcess):
+    """A server that issues one-time tokens."""
+
+    def __init__(self, urls: list[str], **settings: Any) -> None:
+        super().__init__(access=AccessSettings.model_validate(settings))
+        OneTimeTokenService(self.graph, self.access.one_time_tokens, self.access.tokens, lambda: urls)
+
+    def ask(self, client: str, role: str = "") -> dict[str, Any]:
+        self.say(client, op="call_service", service=SERVICE, args={"role": role}, id="asked")
+        (answered,) = (heard for heard in self.heard(client) if heard.get("id") == "asked")
+        return answered["values"] if answered["result"] else {"refused": answered["values"]}
+
+
+@pytest.fixture
+def world() -> World:
+    return World(["https://10.0.0.2:9090/"], admin_tokens={"ada": ADA}, operate_tokens={"otto": OTTO})
+
+
+def test_an_administrator_lets_one_connection_in(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG)
+    world.enter("page", ADMIN)
+    answered = world.ask("page")
+    assert answered["success"]
+    assert answered["urls"] == ["https://10.0.0.2:9090/"]
+    assert answered["encrypted"]
+    assert answered["expires_in_s"] == VALID_FOR_S
+    for name in ("phone", "other"):
+        world.enter(name, None)
+        world.say(name, op="auth", token=answered["token"])
+    assert world.client("phone").node.identity == Identity("one-time-1", Role.OPERATE)
+    assert world.client("other").node.identity is None
+    assert "lets one connection in" in world.closed["other"]
+    assert "one-time token for the role operate" in caplog.text
+    assert answered["token"] not in caplog.text
+
+
+async def test_the_token_ends_with_its_connection(world: World) -> None:
+    world.enter("page", ADMIN)
+    token = world.ask("page")["token"]
+    world.enter("phone", None)
+    world.say("phone", op="auth", token=token)
+    assert world.access.one_time_tokens.reader(token) is not None
+    await world.close("phone")
+    assert world.access.one_time_tokens.reader(token) is None
+
+
+def test_others_than_administrators_are_refused(world: World) -> None:
+    world.enter("page", Identity("otto", Role.OPERATE))
+    assert "needs the role admin" in world.ask("page")["refused"]
+
+
+def test_an_unknown_role_is_answered_in_a_sentence(world: World) -> None:
+    world.enter("page", ADMIN)
+    answered = world.ask("page", "king")
+    assert not answered["success"]
+    assert answered["token"] == ""
+    assert "field role: must be" in answered["message"]
+
+
+def test_a_server_without_tokens_needs_none() -> None:
+    world = World([])
+    world.enter("page", ANYONE)
+    answered = world.ask("page")
+    assert answered["success"]
+    assert answered["token"] == ""
+    assert not answered["encrypted"]
+    assert "this server has no tokens" in answered["message"]

@@ -1,0 +1,257 @@
+"""The ends of a server whose arm is to be parked, by the servos' log."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot.description.robot_folder import built_in
+from tests.helpers.clients import ArmClient, arm_client
+from tests.helpers.server import RunningServer, ServerOnBus, read_write_log, server_on_bus
+from tests.server.conftest import FAST, JOINTS
+
+pytestmark = pytest.mark.real_time
+
+REST = built_in("so101").model.named_states["arm"]["rest"]
+
+# A relaxed elbow sinks until its stop holds it.
+SINK_RAD = 0.1
+
+# Bound of a wait for what takes seconds on a quiet machine.
+SOON_S = 120.0
+
+PARKS = {"ARM__ON_EXIT": "park", "ARM__ON_SERVER_LOST": "park"}
+
+
+class Parked:
+    """A server whose arm is to be parked, and the log of its servos."""
+
+    def __init__(self, made: ServerOnBus, log: Path) -> None:
+        self.server: RunningServer = made.server
+        self.log = log
+
+    @property
+    def arm_pid(self) -> int:
+        return next(int(found[1]) for line in self.lines if (found := re.search(r"\(process (\d+), 100 Hz", line)))
+
+    @property
+    def planner_pids(self) -> list[int]:
+        found = next(match for line in self.lines if (match := re.search(r"planners in processes ([\d, ]+)", line)))
+        return [int(pid) for pid in found[1].split(",")]
+
+    @property
+    def lines(self) -> list[str]:
+        return list(self.server.lines)
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self.lines)
+
+    def kill(self) -> None:
+        """Kill the server, and wait for the end of its arm process."""
+        pid = self.arm_pid
+        self.server.process.kill()
+        self.server.process.wait(SOON_S)
+        self.until_gone(pid)
+
+    def until_gone(self, pid: int) -> None:
+        until_s = time.monotonic() + SOON_S
+        while runs(pid):
+            assert time.monotonic() < until_s, f"the arm process still runs:\n{self.text}"
+            time.sleep(0.05)
+
+    def until_known(self, count: int = 1) -> None:
+        """Wait until the arm process knows so many ways to the rest pose, one after the other."""
+        until_s = time.monotonic() + SOON_S
+        while self.text.count("the way to the rest pose is known") < count:
+            assert time.monotonic() < until_s, self.text
+            time.sleep(0.02)
+
+    @property
+    def relaxed(self) -> bool:
+        return set(read_write_log(self.log)[-1]["torque"].values()) == {0}
+
+    @property
+    def distance_to_rest(self) -> float:
+        """Greatest distance of a joint from the rest pose at the servos' last write [rad]."""
+        present = read_write_log(self.log)[-1]["present"]
+        return max(
+            abs(present[str(JOINTS[name].servo_id)] - JOINTS[name].ticks_from_rad(position)) * 2.0 * 3.1416 / 4096
+            for name, position in REST.items()
+        )
+
+    @property
+    def parked(self) -> bool:
+        return self.relaxed and self.distance_to_rest < SINK_RAD
+
+    @property
+    def sunk(self) -> bool:
+        """The arm was relaxed elsewhere."""
+        return self.relaxed and self.distance_to_rest > 0.3
+
+
+def runs(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@contextmanager
+def parked_server(folder: Path, **settings: str) -> Iterator[Parked]:
+    log = folder / "writes.jsonl"
+    level = {"SERVER__LOG_LEVEL": "debug"}
+    with server_on_bus(EMULATOR__WRITE_LOG=str(log), **{**FAST, **PARKS, **level, **settings}) as made:
+        yield Parked(made, log)
+
+
+@pytest.fixture
+def parking(tmp_path: Path) -> Iterator[Parked]:
+    with parked_server(tmp_path) as parked:
+        yield parked
+
+
+async def begin_to_move(client: ArmClient) -> None:
+    """Return on the way from where every joint is at 0."""
+    await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", {"name": ["shoulder_pan"], "position": [1.5]})
+    await client.until("/joint_states", lambda states: states[-1]["position"][0] > 0.3)
+
+
+def box(z_m: float, **fields: Any) -> dict[str, Any]:
+    """A box of the planning scene in the way of the rest pose."""
+    pose = {"position": {"x": 0.12, "y": 0.0, "z": z_m}, "orientation": {"w": 1.0}}
+    shape = {"type": 1, "dimensions": [0.1, 0.1, 0.1]}
+    return {
+        "header": {"frame_id": "base_link"},
+        "id": "box",
+        "primitives": [shape],
+        "primitive_poses": [pose],
+        **fields,
+    }
+
+
+async def add(client: ArmClient, z_m: float) -> None:
+    scene = {"is_diff": True, "world": {"collision_objects": [box(z_m)]}}
+    assert (await client.call("/apply_planning_scene", scene=scene))["success"]
+
+
+def test_a_server_that_is_killed_at_rest_leaves_a_parked_arm(parking: Parked) -> None:
+    parking.until_known()
+    parking.kill()
+    assert parking.parked
+
+
+async def test_a_server_that_is_killed_in_mid_motion_leaves_a_parked_arm(parking: Parked) -> None:
+    parking.until_known()
+    async with arm_client(parking.server.url) as client:
+        await begin_to_move(client)
+        parking.kill()
+    assert "goes back along its path" in parking.text
+    assert parking.parked
+
+
+async def test_the_way_is_planned_anew_where_the_arm_has_come_to_rest(parking: Parked) -> None:
+    parking.until_known()
+    async with arm_client(parking.server.url) as client:
+        await begin_to_move(client)
+        await client.call("/arm/stop")
+    parking.until_known(2)
+    parking.kill()
+    assert parking.parked
+
+
+async def test_a_scene_in_which_there_is_no_way_has_the_arm_relaxed_where_it_is(parking: Parked) -> None:
+    parking.until_known()
+    async with arm_client(parking.server.url) as client:
+        await add(client, 0.06)
+        assert parking.server.has_logged("no way to the rest pose", SOON_S)
+    parking.kill()
+    assert parking.sunk
+
+
+async def test_an_orderly_end_parks_from_wherever_the_arm_comes_to_rest(parking: Parked) -> None:
+    async with arm_client(parking.server.url) as client:
+        await begin_to_move(client)
+    assert parking.server.end(signal.SIGTERM, SOON_S)[0] == 0
+    assert parking.parked
+
+
+def test_an_end_without_planners_parks_by_the_way_that_is_known(parking: Parked) -> None:
+    parking.until_known()
+    for pid in parking.planner_pids:
+        os.kill(pid, signal.SIGKILL)
+    assert parking.server.end(signal.SIGTERM, SOON_S)[0] == 0
+    assert parking.parked
+
+
+def test_a_second_signal_has_the_arm_relaxed_instead(parking: Parked) -> None:
+    parking.until_known()
+    pid = parking.arm_pid
+    parking.server.process.send_signal(signal.SIGINT)
+    assert parking.server.has_logged("the arm moves to its rest pose", SOON_S)
+    parking.server.process.send_signal(signal.SIGINT)
+    assert parking.server.process.wait(SOON_S) == 0
+    parking.until_gone(pid)
+    assert "told not to wait" in parking.text
+    assert parking.relaxed
+
+
+def test_an_arm_without_a_rest_pose_is_relaxed_at_the_end(tmp_path: Path) -> None:
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    for file in (built_in("so101").folder).iterdir():
+        if file.is_file():
+            (folder / file.name).write_bytes(file.read_bytes())
+    srdf = folder / "so101.srdf"
+    srdf.write_text(srdf.read_text().replace('name="rest"', 'name="folded"'))
+    with parked_server(tmp_path, ARM__ROBOT=str(folder)) as parking:
+        assert "cannot be parked: its SRDF has no state 'rest'" in parking.text
+        assert parking.server.end(signal.SIGTERM, SOON_S)[0] == 0
+        assert parking.sunk
+
+
+async def test_the_arm_is_parked_when_the_last_client_has_left(tmp_path: Path) -> None:
+    settings = {"ARM__ON_LAST_CLIENT": "park", "ARM__LAST_CLIENT_DELAY_S": "0.5"}
+    with parked_server(tmp_path, **settings) as parking:
+        async with arm_client(parking.server.url) as client:
+            await begin_to_move(client)
+        assert parking.server.has_logged("arm.on_last_client: the arm is at its rest pose rest", SOON_S)
+        assert "goal 1 from /moveit_goal_joints: SUCCESS" in parking.text
+        assert parking.parked
+
+
+async def test_the_service_parks_and_relaxes(parking: Parked) -> None:
+    async with arm_client(parking.server.url) as client:
+        answer = await client.call("/arm/park")
+    assert answer == {"success": True, "message": "the arm is at its rest pose 'rest', and relaxed"}
+    assert parking.parked
+
+
+async def test_the_service_answers_why_it_cannot_and_the_arm_goes_on_holding(parking: Parked) -> None:
+    async with arm_client(parking.server.url) as client:
+        await add(client, 0.06)
+        answer = await client.call("/arm/park")
+        assert not answer["success"]
+        assert answer["message"].startswith("the arm is not parked: ")
+        await client.until_mode("holding")
+
+
+async def test_a_stop_keeps_the_arm_from_being_relaxed(parking: Parked) -> None:
+    async with arm_client(parking.server.url) as client:
+        call = asyncio.create_task(client.call("/arm/park"))
+        await client.until_mode("moving")
+        async with arm_client(parking.server.url) as other:
+            await other.call("/arm/stop")
+        answer = await call
+        assert not answer["success"]
+        await client.until_mode("holding")

@@ -1,0 +1,115 @@
+"""Verification without a process: an arm that is where it is put, and goals that end as a test says."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import pytest
+
+from planners.problem import MoveItErrorCode
+from robot.faults import Fault, FaultCode
+from robot.messages import Mode
+from server.arm.commissioning import IDLE_TIMEOUT_S, Dialogue, ProcedureFailed
+from server.arm.verifying import SLOWLY, VerificationProcedure
+from server.execution.queue import Answer
+from tests.helpers.fake_arm import FakeArm
+from tests.helpers.robots import so101
+
+pytestmark = pytest.mark.stepped_time
+
+
+class Goals:
+    """Goal queue that answers each goal at once by the next code, and the last code for ever."""
+
+    def __init__(self, *codes: MoveItErrorCode) -> None:
+        self._codes = list(codes)
+        self.asked: list[Mapping[str, float]] = []
+        self.scalings: set[float] = set()
+        self.cancelled: list[str] = []
+
+    def go_to(self, positions_rad: Mapping[str, float], scaling: float) -> tuple[str, asyncio.Future[Answer]]:
+        self.asked.append(positions_rad)
+        self.scalings.add(scaling)
+        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        if self._codes:
+            code = self._codes.pop(0) if len(self._codes) > 1 else self._codes[0]
+            answered.set_result(Answer(code, f"it ended as {code.name}"))
+        return str(len(self.asked)), answered
+
+    def cancel(self, number: str, _reason: str) -> None:
+        self.cancelled.append(number)
+
+
+class Verification:
+    """A verification whose arm holds."""
+
+    def __init__(self, goals: Goals) -> None:
+        self.arm = FakeArm()
+        self.arm.state = replace(self.arm.state, driven=True)
+        self.procedure = VerificationProcedure(
+            self.arm.as_arm, so101(), frozenset({"gripper"}), goals.go_to, goals.cancel
+        )
+        self.dialogue = Dialogue("verify", lambda: None)
+        self.task = asyncio.create_task(self.procedure.run(self.dialogue))
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        async with asyncio.timeout(5.0):
+            while not condition():
+                await asyncio.sleep(0.01)
+
+    async def say_move(self) -> None:
+        await self.until(lambda: self.dialogue.step.name == "torque")
+        self.dialogue.answer("torque", "move")
+
+
+async def test_nothing_is_asked_of_the_arm_before_the_person_says_move() -> None:
+    goals = Goals(MoveItErrorCode.SUCCESS)
+    verification = Verification(goals)
+    await asyncio.sleep(60.0)
+    assert goals.asked == []
+    verification.task.cancel()
+
+
+async def test_a_pose_that_cannot_be_planned_is_replaced_by_another_one() -> None:
+    goals = Goals(MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.SUCCESS)
+    verification = Verification(goals)
+    await verification.say_move()
+    await verification.until(lambda: verification.dialogue.step.name == "measuring")
+    assert len(goals.asked) == 2
+    assert goals.asked[0] != goals.asked[1]
+    assert goals.scalings == {SLOWLY}
+    verification.task.cancel()
+
+
+@pytest.mark.parametrize("code", [MoveItErrorCode.PREEMPTED, MoveItErrorCode.CONTROL_FAILED])
+async def test_an_arm_that_was_stopped_is_moved_no_further(code: MoveItErrorCode) -> None:
+    goals = Goals(code)
+    verification = Verification(goals)
+    await verification.say_move()
+    with pytest.raises(ProcedureFailed, match=f"zero was not reached: it ended as {code.name}"):
+        await verification.task
+    assert len(goals.asked) == 1
+
+
+async def test_a_fault_on_the_way_ends_it_and_its_goal() -> None:
+    goals = Goals()
+    verification = Verification(goals)
+    await verification.say_move()
+    await verification.until(lambda: bool(goals.asked))
+    fault = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain")
+    verification.procedure.take_state(
+        replace(verification.arm.state, mode=Mode.FAULT, fault=fault), verification.dialogue
+    )
+    with pytest.raises(ProcedureFailed, match="elbow_flex pushes in vain"):
+        await verification.task
+    verification.procedure.close()
+    assert goals.cancelled == ["1"]
+
+
+async def test_a_question_that_nobody_answers_ends_it() -> None:
+    verification = Verification(Goals(MoveItErrorCode.SUCCESS))
+    await asyncio.sleep(IDLE_TIMEOUT_S + 1.0)
+    with pytest.raises(ProcedureFailed, match="nobody has answered for 15 minutes"):
+        await verification.task

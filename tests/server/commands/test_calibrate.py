@@ -1,0 +1,156 @@
+"""``armbridge calibrate`` on stepped servos: the hand moves while the command sleeps between its readings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+
+import pytest
+
+from robot.calibration import Calibration, save
+from robot.emulator.plant import HAND_TICKS_S
+from robot.hardware.feetech.registers import Register
+from server.commands import calibrate
+from server.commands.terminal import ExitCode
+from tests.helpers.robots import SO101_SERVOS, nominal_calibration
+
+STOPS = {joint.servo_id: (joint.range_min, joint.range_max) for joint in nominal_calibration().joints}
+MIDDLE = 2040
+ELBOW, ROLL, GRIPPER = 3, 5, 6
+
+# One thing that a person does: move joints by hand, or type a line.
+Deed = dict[int, int] | str
+
+TO_MIDDLE = dict.fromkeys(STOPS, MIDDLE)
+SWEEP = [
+    {servo: stops[0] for servo, stops in STOPS.items() if servo != ROLL},
+    {servo: stops[1] for servo, stops in STOPS.items() if servo != ROLL},
+    TO_MIDDLE,
+]
+# The sweep, and the middle of the joint that turns freely.
+MEASURED = [*SWEEP, "", ""]
+
+
+@pytest.fixture
+def person(emulator, monkeypatch) -> Iterator[Callable[[Sequence[Deed]], int]]:
+    """Prepares a person: returns the input with all that they type, one deed for each time that the command sleeps."""
+    read_end, write_end = os.pipe()
+    emulator.command(hand={str(servo): ticks for servo, ticks in TO_MIDDLE.items()})
+    emulator.run(1.0)
+    to_do: list[Deed] = []
+
+    def sleep(_seconds):
+        assert to_do, "the command asks for more than this person does"
+        deed = to_do.pop(0)
+        if isinstance(deed, str):
+            os.write(write_end, f"{deed}\n".encode())
+            return
+        emulator.command(hand={str(servo): ticks for servo, ticks in deed.items()})
+        emulator.run(0.2)
+
+    def prepare(deeds):
+        for deed in deeds:
+            if isinstance(deed, str):
+                to_do.append(deed)
+                continue
+            # A hand takes its time, and the command reads meanwhile.
+            to_do.extend([deed] * round(max(abs(b - a) for a, b in STOPS.values()) / HAND_TICKS_S / 0.2 + 2))
+        return read_end
+
+    monkeypatch.setattr(calibrate.time, "sleep", sleep)
+    yield prepare
+    for descriptor in (read_end, write_end):
+        os.close(descriptor)
+
+
+def held(bus, servo_id):
+    registers = Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT
+    return tuple(bus.read(servo_id, register) for register in registers)
+
+
+def test_a_sweep_by_hand_becomes_a_file_and_leaves_the_servos_alone(armbridge, person, bus, tmp_path):
+    before = held(bus, ELBOW)
+    deeds = person([*MEASURED, "skip all"])
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--yes", descriptor=deeds)
+    assert answer.returncode == ExitCode.DONE, answer.stderr
+    elbow = Calibration.load(tmp_path / "arm.json", SO101_SERVOS).joints[2]
+    assert (elbow.range_min, elbow.range_max) == STOPS[ELBOW]
+    assert str(elbow.range_min) in answer.stdout
+    assert held(bus, ELBOW) == before
+
+
+def test_on_request_the_servos_get_what_the_file_says(armbridge, person, bus, tmp_path):
+    # With another offset in the servo the same stops have other ticks.
+    bus.write(ELBOW, Register.HOMING_OFFSET, -900)
+    deeds = person([{**deed, ELBOW: deed[ELBOW] + 900} if isinstance(deed, dict) else deed for deed in MEASURED])
+    answer = armbridge(
+        "calibrate", str(tmp_path / "arm.json"), "--yes", "--write-servos", "--no-directions", descriptor=deeds
+    )
+    assert answer.returncode == ExitCode.DONE, answer.stderr
+    elbow = Calibration.load(tmp_path / "arm.json", SO101_SERVOS).joints[2]
+    assert elbow.homing_offset == pytest.approx(0, abs=1)
+    assert held(bus, ELBOW) == (elbow.homing_offset, elbow.range_min, elbow.range_max)
+
+
+def test_a_mirrored_gripper_is_found_by_opening_it(armbridge, person, tmp_path):
+    # Its servo falls when it opens.
+    deeds = person([*MEASURED, *["skip"] * 5, {GRIPPER: MIDDLE - 400}, ""])
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--yes", descriptor=deeds)
+    assert answer.returncode == ExitCode.DONE, answer.stderr
+    assert "Now open the gripper" in answer.stderr
+    assert "gripper is mirrored" in answer.stderr
+    assert Calibration.load(tmp_path / "arm.json", SO101_SERVOS).joints[-1].drive_mode == 1
+
+
+def test_a_mirrored_joint_is_told_before_anything_is_written(armbridge, person, tmp_path):
+    deeds = person(["", *MEASURED, "skip", "skip", {ELBOW: MIDDLE + 400}, "", "skip all", ""])
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), descriptor=deeds)
+    assert answer.returncode == ExitCode.DONE, answer.stderr
+    assert "elbow_flex turned the other way than the model" in answer.stderr
+
+
+def test_a_file_that_is_there_is_not_replaced(armbridge, tmp_path):
+    file = tmp_path / "arm.json"
+    file.write_text("mine")
+    answer = armbridge("calibrate", str(file))
+    assert answer.returncode == ExitCode.FAILED
+    assert "--overwrite" in answer.stderr
+    assert file.read_text() == "mine"
+
+
+def test_torque_stays_as_it_is_without_a_yes(armbridge, tmp_path):
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), answers="n\n")
+    assert answer.returncode == ExitCode.FAILED
+    assert "relaxing" not in answer.stderr
+
+
+def test_an_arm_that_is_not_moved_is_not_calibrated(armbridge, tmp_path):
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--yes", answers="\n\n")
+    assert answer.returncode == ExitCode.FAILED
+    assert "did not meet both stops" in answer.stderr
+    assert not (tmp_path / "arm.json").exists()
+
+
+def test_an_arm_that_lacks_a_servo_is_not_calibrated(armbridge, emulator, tmp_path):
+    emulator.command(offline=[2])
+    answer = armbridge("calibrate", str(tmp_path / "a.json"))
+    assert answer.returncode == ExitCode.FAILED
+    assert "2 (shoulder_lift)" in answer.stderr
+
+
+def test_offsets_that_another_program_has_written_are_written_back(armbridge, bus, tmp_path):
+    save(nominal_calibration(), tmp_path / "arm.json")
+    calibrated = held(bus, ELBOW)
+    bus.write(ELBOW, Register.HOMING_OFFSET, 200)
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--write-back", answers="y\n")
+    assert answer.returncode == ExitCode.DONE, answer.stderr
+    assert "HOMING_OFFSET" in answer.stderr
+    assert held(bus, ELBOW) == calibrated
+
+
+def test_nothing_is_written_back_without_a_yes(armbridge, bus, tmp_path):
+    save(nominal_calibration(), tmp_path / "arm.json")
+    bus.write(ELBOW, Register.HOMING_OFFSET, 200)
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--write-back", answers="n\n")
+    assert answer.returncode == ExitCode.FAILED
+    assert held(bus, ELBOW)[0] == 200

@@ -1,0 +1,189 @@
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot.faults import Fault, FaultCode
+from robot.messages import ArmState, Mode
+from server.monitoring.fault_files import FAST_SAMPLES, LEAST_INTERVAL_S, SLOW_SAMPLES, FaultFiles
+from server.monitoring.log_ring import LogRing
+from tests.helpers.clients import ArmClient, values_of
+from tests.helpers.cost import count_calls
+from tests.helpers.server import ServerOnBus
+from tests.server.monitoring.watched_parts import JOINTS, arm_health
+
+START_S = 1_000_000.0
+STALLED = Fault(FaultCode.STALLED, "joint gripper pushes in vain", "gripper", START_S)
+HOT = Fault(FaultCode.OVERHEATED, "joint gripper is at 66 degC", "gripper", START_S)
+LOG = logging.getLogger("armbridge.test")
+
+
+def state(at_s: float = 0.0, value: float = 0.0, **fields: Any) -> ArmState:
+    """A state some time after the start, all of whose figures are one."""
+    values = np.full(len(JOINTS), value)
+    arrays = dict.fromkeys(("position_rad", "velocity_rad_s", "load", "current_a", "goal_rad"), values)
+    return ArmState(START_S + at_s, **{"mode": Mode.HOLDING, "joint_names": JOINTS, **arrays, **fields})
+
+
+class World:
+    """Files about faults in a folder, and a clock that stands until a test moves it."""
+
+    def __init__(self, folder: Path, ring: LogRing, keep: int = 20) -> None:
+        self.now_s = 0.0
+        self.folder = folder / "faults"
+        self.files = FaultFiles(self.folder, keep, ring, "so101", lambda: self.now_s)
+
+    async def latch(self, at_s: float = 0.0, fault: Fault | None = STALLED, **fields: Any) -> None:
+        self.files.take_state(state(at_s, mode=Mode.FAULT, fault=fault, **fields))
+        await self.files.close()
+
+    def names(self) -> list[str]:
+        return sorted(path.name for path in self.folder.glob("*.jsonl"))
+
+    def lines(self, kind: str) -> list[dict[str, Any]]:
+        assert self.files.latest is not None
+        lines = [json.loads(line) for line in self.files.latest.read_text().splitlines()]
+        return [line for line in lines if line["kind"] == kind]
+
+
+@pytest.fixture
+def ring() -> Iterator[LogRing]:
+    made = LogRing()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+async def world(tmp_path: Path, ring: LogRing) -> World:
+    return World(tmp_path, ring)
+
+
+async def test_a_fault_leaves_a_file_named_by_time_and_code_with_its_remedy(world: World) -> None:
+    world.files.take_state(state())
+    await world.latch()
+    assert world.names() == ["fault-19700112T134640.000000Z-stalled.jsonl"]
+    (head,) = world.lines("fault")
+    assert (head["code"], head["joint"], head["remedy"]) == ("stalled", "gripper", STALLED.remedy)
+    assert head["joints"] == list(JOINTS)
+
+
+async def test_the_file_has_the_log_and_the_servos_before_the_fault(world: World) -> None:
+    LOG.warning("the gripper is warm")
+    world.files.take_health(arm_health())
+    await world.latch(at_s=logging.LogRecord("", 0, "", 0, "", None, None).created - START_S)
+    assert [line["text"] for line in world.lines("log")] == ["the gripper is warm"]
+    (health,) = world.lines("health")
+    assert [joint["joint"] for joint in health["joints"]] == list(JOINTS)
+
+
+async def test_the_file_has_a_minute_of_states_and_its_last_seconds_at_full_rate(world: World) -> None:
+    for number in range(90 * 50):
+        world.files.take_state(state(number / 50.0, value=number))
+    await world.latch(at_s=90.0)
+    states = world.lines("state")
+    times = [line["time_s"] for line in states]
+    assert times == sorted(times)
+    assert times[0] == pytest.approx(-60.0, abs=0.1)
+    assert times[-1] == 0.0
+    assert np.diff(times[-FAST_SAMPLES:]) == pytest.approx(0.02, abs=0.001)
+    assert max(np.diff(times)) < 0.13
+    for name in ("position_rad", "goal_rad", "load", "current_a"):
+        assert states[-2][name] == [4499.0, 4499.0]
+
+
+async def test_states_without_end_do_not_fill_the_file(world: World) -> None:
+    for number in range(70 * 100):
+        world.files.take_state(state(number / 100.0))
+    await world.latch(at_s=70.0)
+    assert SLOW_SAMPLES < len(world.lines("state")) <= SLOW_SAMPLES + FAST_SAMPLES
+
+
+async def test_figures_that_are_not_measured_are_null(world: World) -> None:
+    world.files.take_state(state(current_a=np.array([np.nan, 0.5])))
+    await world.latch(at_s=0.1)
+    assert world.lines("state")[0]["current_a"] == [None, 0.5]
+
+
+async def test_one_fault_leaves_one_file_and_the_next_one_another(world: World) -> None:
+    for at_s, fault in ((0.0, STALLED), (1.0, STALLED), (2.0, HOT)):
+        world.now_s += LEAST_INTERVAL_S
+        await world.latch(at_s, fault)
+    assert [name.rpartition("-")[2] for name in world.names()] == ["stalled.jsonl", "overheated.jsonl"]
+
+
+async def test_faults_without_end_do_not_wear_the_disk_out(world: World) -> None:
+    for number in range(100):
+        world.now_s += LEAST_INTERVAL_S / 20.0
+        await world.latch(at_s=number, fault=replace(STALLED, stamp_s=float(number)))
+        world.files.take_state(state(number + 0.5))
+    assert len(world.names()) <= 5
+
+
+async def test_the_oldest_files_make_room(tmp_path: Path, ring: LogRing) -> None:
+    world = World(tmp_path, ring, keep=3)
+    for number in range(5):
+        world.now_s += LEAST_INTERVAL_S
+        await world.latch(at_s=number, fault=replace(STALLED, stamp_s=float(number)))
+    assert [name[19:21] for name in world.names()] == ["42", "43", "44"]
+
+
+async def test_a_lost_arm_leaves_a_file(world: World) -> None:
+    world.files.take_state(state())
+    world.files.take_state(ArmState(START_S, Mode.DISCONNECTED, JOINTS, reason="the port is gone"))
+    await world.files.close()
+    assert world.lines("fault")[0]["message"] == "the port is gone"
+
+
+async def test_a_fault_before_the_first_reading_leaves_a_file_without_states(world: World) -> None:
+    world.files.take_state(ArmState(START_S, Mode.FAULT, JOINTS, fault=STALLED))
+    await world.files.close()
+    assert (len(world.lines("fault")), world.lines("state")) == (1, [])
+
+
+async def test_an_arm_that_was_never_there_leaves_none(world: World) -> None:
+    for _ in range(2):
+        world.files.take_state(ArmState(START_S, Mode.DISCONNECTED, JOINTS, reason="no such port"))
+    await world.files.close()
+    assert world.names() == []
+
+
+async def test_files_can_be_switched_off(tmp_path: Path, ring: LogRing) -> None:
+    world = World(tmp_path, ring, keep=0)
+    await world.latch()
+    assert (world.files.latest, world.folder.exists()) == (None, False)
+
+
+async def test_a_directory_that_cannot_be_written_is_told_and_nothing_else(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    world.folder.write_text("a file")
+    await world.latch()
+    assert "cannot be written" in caplog.text
+    assert world.files.latest is None
+
+
+async def test_a_state_is_kept_in_a_few_calls(world: World) -> None:
+    taken = state(0.01)
+    assert count_calls(lambda: world.files.take_state(taken)) < 15
+
+
+async def test_a_running_server_names_the_file_in_its_log_and_diagnostics(
+    client: ArmClient, served: ServerOnBus
+) -> None:
+    # The health comes once a second; a server that has just begun has none to keep.
+    await client.until("/diagnostics", lambda arrays: len(arrays[-1]["status"]) > 1)
+    await client.call("/arm/emergency_stop")
+    arrays = await client.until("/diagnostics", lambda arrays: "fault_file" in values_of(arrays[-1]["status"][0]))
+    path = Path(values_of(arrays[-1]["status"][0])["fault_file"])
+    assert served.server.has_logged(str(path))
+    text = await asyncio.to_thread(path.read_text)
+    kinds = [json.loads(line)["kind"] for line in text.splitlines()]
+    assert (kinds[0], set(kinds)) == ("fault", {"fault", "health", "log", "state"})

@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from server.config import Settings
+from server.monitoring import report as report_module
+from server.monitoring.report import PROBLEMS, README, Redactor, Report, add_faults, add_machine, add_settings
+
+TOKEN = "one-0123456789abcdef"
+HOME = Path("/srv/people/ada")
+
+
+@pytest.fixture
+def report() -> Report:
+    return Report(Redactor([TOKEN], HOME))
+
+
+def members(report: Report) -> dict[str, str]:
+    with zipfile.ZipFile(io.BytesIO(report.archive())) as archive:
+        return {name: archive.read(name).decode() for name in archive.namelist()}
+
+
+SECRETS = {
+    "a token": (f"it was {TOKEN}!", "it was ***!"),
+    "a token of somebody else in an address": ("GET /?token=other-secret&x=1", "GET /?token=***&x=1"),
+    "a header": ("Authorization: Bearer abc.def", "Authorization: *** ***"),
+    "a password": ('{"password": "hunter2", "x": 1}', '{"password": "***", "x": 1}'),
+    "a password of an address": ("socket://ada:hunter2@host:4000", "socket://***@host:4000"),
+    "a key of zenoh": (
+        "tls/host:7447#connect_private_key_base64=AAAA;x=1",
+        "tls/host:7447#connect_private_key_base64=***;x=1",
+    ),
+    "a private key": ("-----BEGIN RSA PRIVATE KEY-----\nAAAA\n-----END RSA PRIVATE KEY-----\n", "***\n"),
+    "the home directory": ("/srv/people/ada/arm.json", "~/arm.json"),
+    "a folder whose name begins alike": ("/srv/people/ada2/arm.json", "/srv/people/ada2/arm.json"),
+    "the home directory of somebody else": ("/home/grace/arm.json and /home/grace", "/home/***/arm.json and /home/***"),
+}
+
+
+@pytest.mark.parametrize(("text", "shown"), SECRETS.values(), ids=SECRETS.keys())
+def test_a_secret_is_blotted_out(text: str, shown: str) -> None:
+    assert Redactor([TOKEN], HOME).text(text) == shown
+
+
+def test_a_token_with_characters_that_json_escapes_is_blotted_out_of_json() -> None:
+    token = 'quoted"and\\0123456789'
+    assert "0123456789" not in Redactor([token], HOME).text(json.dumps({"x": token}))
+
+
+def test_a_token_that_another_one_begins_with_leaves_nothing_behind() -> None:
+    assert Redactor([TOKEN, f"{TOKEN}-and-more"], HOME).text(f"{TOKEN}-and-more") == "***"
+
+
+def test_every_member_is_without_secrets_and_listed(report: Report, tmp_path: Path) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(f"# {TOKEN}")
+    report.add("server/log.txt", TOKEN)
+    report.add_json("settings.json", {"x": [TOKEN]})
+    report.add_file("arm/robot.toml", file)
+    report.note(TOKEN)
+    told = members(report)
+    assert set(told) == {"server/log.txt", "settings.json", "arm/robot.toml", PROBLEMS, README}
+    assert TOKEN not in "".join(told.values())
+    assert [line.partition(":")[0] for line in told[README].splitlines()[2:] if line] == [
+        "settings.json",
+        "arm/",
+        "server/",
+        PROBLEMS,
+    ]
+
+
+def test_settings_have_neither_tokens_nor_the_names_of_their_owners(report: Report) -> None:
+    values: dict[str, Any] = {"access": {"token": TOKEN, "view_tokens": {"grace": "two-0123456789abcdef"}}}
+    add_settings(report, Settings(**values), {"access.token": "file"})
+    told = members(report)["settings.json"]
+    assert "0123456789abcdef" not in told
+    assert "grace" not in told
+    assert json.loads(told)["settings"]["access"]["view_tokens"] == 1
+    assert json.loads(told)["sources"] == {"access.token": "file"}
+
+
+def test_what_fails_is_noted_and_the_rest_is_there(report: Report) -> None:
+    with report.part("bus"):
+        raise LookupError
+    with report.part("arm"):
+        report.add("arm/robot.toml", "name = 'x'")
+    told = members(report)
+    assert told[PROBLEMS] == "bus: LookupError\n"
+    assert "arm/robot.toml" in told
+
+
+def test_the_machine_is_told_by_versions_packages_and_ports(report: Report) -> None:
+    add_machine(report)
+    told = members(report)
+    assert PROBLEMS not in told
+    versions = json.loads(told["versions.json"])
+    assert versions["armbridge"]
+    assert versions["kernel"]
+    assert "numpy==" in told["packages.txt"]
+    assert isinstance(json.loads(told["ports.json"]), list)
+
+
+def test_the_newest_files_about_faults_are_taken_along(
+    report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report_module, "MAX_FAULT_BYTES", 250)
+    (tmp_path / "other.jsonl").write_text("somebody else's")
+    for number in range(4):
+        (tmp_path / f"fault-{number}.jsonl").write_text("x" * 100)
+    add_faults(report, tmp_path)
+    told = members(report)
+    assert [name for name in told if name.startswith("faults/")] == ["faults/fault-3.jsonl", "faults/fault-2.jsonl"]
+    assert "left out" in told[PROBLEMS]
+
+
+def test_without_faults_there_are_no_files(report: Report, tmp_path: Path) -> None:
+    add_faults(report, tmp_path / "none")
+    assert set(members(report)) == {README}

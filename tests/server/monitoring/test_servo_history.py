@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from protocol.registry import Registry
+from robot.faults import Fault, FaultCode
+from robot.messages import ArmState, Mode
+from server.graph.node import Node
+from server.graph.topics import Graph
+from server.monitoring.servo_history import MAX_EVENTS, MAX_SAMPLES, SERVICE, ServoHistory
+from tests.helpers.clients import ArmClient
+from tests.server.monitoring.watched_parts import JOINTS, arm_health
+
+NAN = float("nan")
+STATE = ArmState(100.0, Mode.HOLDING, JOINTS)
+STALLED = Fault(FaultCode.STALLED, "joint gripper pushes in vain", "gripper")
+
+
+class World:
+    """A history whose clock stands until a test moves it."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+        self.graph = Graph(Registry.load())
+        self.history = ServoHistory(self.graph, lambda: self.now_s)
+
+    def report(self, joint: str = "gripper", after_s: float = 1.0, **fields: Any) -> None:
+        self.now_s += after_s
+        health = arm_health()
+        joints = tuple(replace(each, **fields) if each.joint == joint else each for each in health.joints)
+        self.history.take_health(replace(health, joints=joints))
+
+    def asked(self, joint: str = "gripper") -> dict[str, Any]:
+        responses: list[Any] = []
+        self.graph.services.call(Node("test"), SERVICE, {"joint": joint}, responses.append)
+        assert responses[0].ok, responses[0].values
+        values: dict[str, Any] = responses[0].values
+        return values
+
+
+@pytest.fixture
+async def world() -> World:
+    return World()
+
+
+async def test_the_history_of_a_servo_has_its_samples_oldest_first_with_their_age(world: World) -> None:
+    world.report(temperature_c=40.0, load=0.1, voltage_v=5.1, current_a=0.2)
+    world.report(temperature_c=41.0, load=0.2, voltage_v=5.0, current_a=0.3)
+    world.now_s += 0.5
+    told = world.asked()
+    assert told["success"]
+    assert told["time_s"] == [-1.5, -0.5]
+    assert told["temperature_c"] == [40.0, 41.0]
+    assert (told["load"], told["voltage_v"], told["current_a"]) == ([0.1, 0.2], [5.1, 5.0], [0.2, 0.3])
+
+
+async def test_another_servo_has_a_history_of_its_own(world: World) -> None:
+    world.report(temperature_c=60.0)
+    assert world.asked("shoulder_pan")["temperature_c"] == [31.0]
+
+
+async def test_samples_of_more_than_ten_minutes_ago_are_left_out(world: World) -> None:
+    world.report(temperature_c=40.0)
+    world.report(after_s=601.0, temperature_c=41.0)
+    assert world.asked()["temperature_c"] == [41.0]
+
+
+async def test_reports_without_end_do_not_fill_the_memory(world: World) -> None:
+    for number in range(MAX_SAMPLES + 50):
+        world.report(after_s=0.5, temperature_c=float(number))
+    told = world.asked()["temperature_c"]
+    assert (len(told), told[0], told[-1]) == (MAX_SAMPLES, 50.0, MAX_SAMPLES + 49.0)
+
+
+async def test_what_the_hardware_does_not_measure_is_empty(world: World) -> None:
+    world.report(temperature_c=NAN, current_a=NAN)
+    told = world.asked()
+    assert (told["temperature_c"], told["current_a"], len(told["load"])) == ([], [], 1)
+
+
+@pytest.mark.parametrize("joint", ["", "elbow"])
+async def test_an_unknown_joint_is_refused_with_those_that_are_known(world: World, joint: str) -> None:
+    world.report()
+    told = world.asked(joint)
+    assert not told["success"]
+    assert told["message"] == f"joint: must be one of shoulder_pan, gripper, not {joint!r}"
+
+
+async def test_before_the_first_report_there_is_no_history(world: World) -> None:
+    told = world.asked()
+    assert (told["success"], told["message"]) == (False, "the arm has not reported on its servos yet")
+
+
+async def test_a_warning_is_an_event_when_it_comes_and_when_it_goes(world: World) -> None:
+    for degrees in (55, 56, 57):
+        world.report(warnings=(f"warm: {degrees} degC",))
+    world.report()
+    world.now_s += 10.0
+    assert world.asked()["events"] == ["13 s ago: warning: warm: 55 degC", "10 s ago: no longer: warm: 57 degC"]
+    assert world.asked("shoulder_pan")["events"] == []
+
+
+async def test_a_fault_of_a_joint_and_its_reset_are_events_of_that_joint(world: World) -> None:
+    world.report()
+    for state in (STATE, replace(STATE, mode=Mode.FAULT, fault=STALLED), STATE):
+        world.history.take_state(state)
+    assert world.asked()["events"] == [
+        "0 s ago: fault stalled: joint gripper pushes in vain",
+        "0 s ago: fault stalled was reset",
+    ]
+    assert world.asked("shoulder_pan")["events"] == []
+
+
+async def test_an_error_that_was_counted_between_two_reports_is_an_event(world: World) -> None:
+    world.report()
+    world.report(errors={"overload": 1})
+    world.report(errors={"overload": 1})
+    world.report(errors={"overload": 3})
+    assert world.asked()["events"] == [
+        "2 s ago: error overload, 1 since the servo was connected",
+        "0 s ago: error overload, 3 since the servo was connected",
+    ]
+
+
+async def test_a_lost_arm_is_an_event_of_every_joint(world: World) -> None:
+    world.report()
+    for state in (STATE, replace(STATE, mode=Mode.DISCONNECTED, reason="the port is gone"), STATE):
+        world.history.take_state(state)
+    expected = ["0 s ago: disconnected: the port is gone", "0 s ago: connected"]
+    assert [world.asked(joint)["events"] for joint in JOINTS] == [expected, expected]
+
+
+async def test_events_without_end_do_not_fill_the_memory(world: World) -> None:
+    for number in range(MAX_EVENTS):
+        world.report(after_s=0.1, warnings=(f"warm: {number} degC",))
+        world.report(after_s=0.1)
+    assert len(world.asked()["events"]) == MAX_EVENTS
+
+
+async def test_a_client_asks_a_running_server_for_the_history_of_a_servo(client: ArmClient) -> None:
+    await client.until("/diagnostics", lambda arrays: len(arrays[-1]["status"]) > 1)
+    told = await client.call(SERVICE, joint="elbow_flex")
+    assert told["success"], told
+    assert len(told["temperature_c"]) == len(told["time_s"]) > 0
+    assert all(0.0 < volts < 10.0 for volts in told["voltage_v"])

@@ -1,0 +1,179 @@
+"""The records of answered goals, as the services of the goal history tell them."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planners.goals import JointGoal
+from planners.problem import MoveItErrorCode, PlanningProblem
+from planners.scene import EMPTY_SCENE, Scene
+from robot.trajectory import Trajectory
+from server import cli
+from server.execution.motions import PlannedMotion
+from server.execution.queue import Answer, GoalState, Performed, Progress, QueuedGoal
+from server.graph.node import Node
+from server.graph.topics import Graph
+from server.moveit.goal_history import GoalHistory
+from tests.helpers.clients import ArmClient, values_of
+from tests.helpers.fake_arm import JOINTS
+from tests.helpers.moveit import REGISTRY, ROBOT
+
+HISTORY, RECORD = "/armbridge/goal_history", "/armbridge/goal_record"
+STOOD = dict.fromkeys(JOINTS, 0.0)
+NAMED = {"data": "ready"}
+
+STILL = np.zeros((2, 1))
+MOTION = Trajectory(("shoulder_pan",), np.array([0.0, 2.5]), np.array([[0.0], [0.4]]), STILL, STILL)
+
+
+class Records:
+    """A history on a graph of its own, and a client of its services."""
+
+    def __init__(self) -> None:
+        self.scene: Scene = EMPTY_SCENE
+        self._graph = Graph(REGISTRY)
+        stamps = itertools.count(1000)
+        self.history = GoalHistory(self._graph, ROBOT, lambda: self.scene, lambda: float(next(stamps)))
+        self.history.open()
+
+    async def call(self, service: str, **request: Any) -> dict[str, Any]:
+        answered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self._graph.services.call(Node("client"), service, request, answered.set_result)
+        response = await asyncio.wait_for(answered, 20.0)
+        assert response.ok, response.values
+        values: dict[str, Any] = response.values
+        return values
+
+    async def record(self, goal_id: str) -> dict[str, Any]:
+        return await self.call(RECORD, goal_id=goal_id)
+
+    async def ids(self) -> list[str]:
+        return [status["hardware_id"] for status in (await self.call(HISTORY))["goals"]]
+
+
+@pytest.fixture
+def records() -> Records:
+    return Records()
+
+
+def status_of(goal_id: str) -> dict[str, Any]:
+    return {"level": 0, "name": "/moveit_goal_named", "message": "done", "hardware_id": goal_id, "values": []}
+
+
+def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> QueuedGoal[Any]:
+    """A goal that moves the base joint to one position after the other [rad]."""
+    made = [lambda start, to=to: PlanningProblem("arm", start, JointGoal({"shoulder_pan": to})) for to in steps]
+    request = PlannedMotion(tuple(made), frozenset({"shoulder_pan"})) if steps else None
+    return QueuedGoal(goal_id, "/moveit_goal_named", request, message=NAMED, only_for=only_for)
+
+
+def answer(
+    *planned: Trajectory, code: MoveItErrorCode = MoveItErrorCode.SUCCESS, text: str = "the arm is there"
+) -> Answer:
+    return Answer(code, text, performed=Performed(STOOD, planned, planning_time_s=0.012))
+
+
+def take(records: Records, goal_id: str, *steps: float, ends: Answer | None = None, **options: Any) -> None:
+    records.history.take_answer(goal(goal_id, *steps, **options), ends or answer(MOTION), status_of(goal_id))
+
+
+async def test_the_history_tells_the_answered_goals_oldest_first_with_their_times(records: Records) -> None:
+    take(records, "1", 0.4)
+    take(records, "2", 0.4)
+    told = await records.call(HISTORY)
+    assert [status["hardware_id"] for status in told["goals"]] == ["1", "2"]
+    assert told["stamps"] == [1000.0, 1001.0]
+
+
+async def test_the_history_keeps_100_goals(records: Records) -> None:
+    for number in range(103):
+        take(records, str(number), 0.4)
+    assert await records.ids() == [str(number) for number in range(3, 103)]
+    assert not (await records.record("2"))["success"]
+    assert (await records.record("3"))["success"]
+
+
+async def test_a_goal_that_is_answered_to_its_client_alone_has_no_record(records: Records) -> None:
+    take(records, "1", 0.4, only_for=Node("client"))
+    assert await records.ids() == []
+
+
+async def test_an_unknown_goal_is_named_with_the_limit(records: Records) -> None:
+    told = await records.record("x" * 500)
+    assert not told["success"]
+    assert told["message"] == f"goal_id: '{'x' * 40}' is none of the last 100 goals that were answered"
+
+
+async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None:
+    moved = goal("7", 0.4)
+    records.history.take_progress(moved, Progress(GoalState.EXECUTING, "a motion of 2.5 s (rrt; planned in 12 ms)"))
+    records.history.take_progress(moved, Progress(GoalState.EXECUTING, "paused"))
+    records.history.take_answer(moved, answer(MOTION), status_of("7"))
+    told = await records.record("7")
+    assert told["success"]
+    assert json.loads(told["asked"]) == NAMED
+    assert told["duration_s"] == 2.5
+    assert told["planning_time_s"] == 0.012
+    assert told["summary"] == "a motion of 2.5 s (rrt; planned in 12 ms)"
+    assert [part["joint_trajectory"]["joint_names"] for part in told["planned"]] == [["shoulder_pan"]]
+
+
+async def test_what_a_client_asked_for_is_cut_off_at_20000_characters(records: Records) -> None:
+    long = QueuedGoal("1", "/moveit_goal_named", None, message={"data": "y" * 30_000})
+    records.history.take_answer(long, Answer(MoveItErrorCode.FAILURE, "no"), status_of("1"))
+    assert len((await records.record("1"))["asked"]) == 20_000
+
+
+async def test_the_problem_of_a_failed_step_starts_where_the_one_before_ends(records: Records) -> None:
+    failed = answer(MOTION, code=MoveItErrorCode.NO_IK_SOLUTION, text="out of reach")
+    take(records, "1", 0.4, 0.9, ends=failed)
+    told = await records.record("1")
+    assert told["problem_name"] == "goal-1-NO_IK_SOLUTION.json"
+    (problem,) = json.loads(told["problem"])["goal_problems"]
+    assert problem["start"][0] == pytest.approx(0.4)
+    assert problem["goal"]["joints"]["positions_rad"] == {"shoulder_pan": 0.9}
+
+
+async def test_a_goal_that_was_refused_has_a_record_without_a_problem(records: Records) -> None:
+    take(records, "1", ends=Answer(MoveItErrorCode.FAILURE, "there is no pose 'x'"))
+    told = await records.record("1")
+    assert (told["success"], told["problem"], told["planned"]) == (True, "", [])
+    assert told["message"].startswith("no problem file: the goal was refused before planning")
+
+
+async def test_goals_of_the_last_ten_scenes_alone_have_a_problem_file(records: Records) -> None:
+    for number in range(11):
+        records.scene = Scene()
+        planning = goal(str(number), 0.4)
+        records.history.take_progress(planning, Progress(GoalState.PLANNING, "planning"))
+        # What a goal was planned in counts, and not what there is when it is answered.
+        records.scene = EMPTY_SCENE
+        records.history.take_answer(planning, answer(MOTION), status_of(str(number)))
+    forgotten, kept = await records.record("0"), await records.record("1")
+    assert forgotten["message"] == "no problem file: the scene has changed more than 10 times since"
+    assert forgotten["planned"]
+    assert kept["problem"]
+
+
+async def test_armbridge_plan_takes_a_record_as_a_problem_file(
+    client: ArmClient, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    await client.say("subscribe", topic="/moveit_goal_status", type="diagnostic_msgs/DiagnosticStatus")
+    await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "ready"})
+    statuses = await client.until("/moveit_goal_status", lambda all_: values_of(all_[-1])["state"] == "done")
+    goal_id = statuses[-1]["hardware_id"]
+    assert (await client.call(HISTORY))["goals"][-1]["hardware_id"] == goal_id
+    told = await client.call(RECORD, goal_id=goal_id)
+    assert told["success"], told
+    assert told["problem_name"] == f"goal-{goal_id}-SUCCESS.json"
+    path = tmp_path / told["problem_name"]
+    path.write_text(told["problem"])
+    assert await asyncio.to_thread(cli.main, ["plan", str(path), "--seed", "3"]) == 0
+    assert "SUCCESS" in capsys.readouterr().out

@@ -1,0 +1,476 @@
+"""Symptoms of real arms, from what happens to the sentence that names it, as docs/hardware.md quotes it.
+
+The page is read by these tests: a sentence that the program does not say fails here. ``TRAPS.md`` lists all of them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
+from websockets.sync.client import ClientConnection, connect
+
+from robot.calibration import save
+from robot.commissioning.scan import explain_missing, scan
+from robot.errors import PortError, PortLost
+from robot.hardware import boards
+from robot.hardware.config import FeetechConfig
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
+from robot.hardware.feetech.survey import PHASE_MULTI_TURN
+from robot.hardware.interface import StatusFlag
+from robot.hardware.port import _refusal, resolve_port
+from robot.messages import ArmState, Mode, Order
+from server.arm.topics import LEVEL_ERROR, LEVEL_OK
+from server.commands.terminal import ExitCode
+from tests.helpers.arm_rig import CALIBRATION, ArmRig
+from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.motions import smooth_move
+from tests.helpers.robots import SO101_SERVOS
+from tests.helpers.server import ROOT, RunningServer, ServerOnBus, server_on_bus
+from tests.robot.conftest import RunningEmulator, start_terminal  # noqa: F401 - fixtures
+from tests.server.commands.conftest import (  # noqa: F401 - fixtures
+    Run,
+    armbridge,
+    bus,
+    emulator,
+    start_emulator,
+    write_log,
+)
+
+PAGE = ROOT / "docs" / "hardware.md"
+TABLE = ROOT / "tests" / "TRAPS.md"
+
+LIFT, ELBOW, ROLL, GRIPPER = 2, 3, 5, 6
+
+ANSWER_TIMEOUT_S = 30.0
+
+
+def sections() -> dict[str, str]:
+    """The symptoms of the page: heading and text of each."""
+    part = PAGE.read_text().split("\n## By symptom\n")[1].split("\n## ")[0]
+    return dict(re.findall(r"^### (.+)\n((?:(?!### ).*\n?)*)", part, re.MULTILINE))
+
+
+SYMPTOMS = sections()
+
+
+def sentences(symptom: str) -> list[str]:
+    """What the program says of a symptom, with an ellipsis for every value."""
+    said = SYMPTOMS[symptom].split("* **It says**")[1].split("\n* ")[0]
+    return re.findall(r"`([^`]+)`", said)
+
+
+def assert_said(symptom: str, text: str) -> None:
+    """Assert that a text contains what the page quotes for a symptom."""
+    quoted = sentences(symptom)
+    assert quoted
+    for sentence in quoted:
+        pattern = ".+?".join(re.escape(part) for part in sentence.split("…"))
+        assert re.search(pattern, text, re.DOTALL), f"{symptom}: {sentence!r} is not in {text!r}"
+
+
+def test_every_symptom_says_what_is_seen_why_and_what_to_do() -> None:
+    assert len(SYMPTOMS) > 20
+    for symptom, text in SYMPTOMS.items():
+        assert re.findall(r"^\* \*\*(.+?)\*\*", text, re.MULTILINE) == ["It says", "Why", "Do"], symptom
+
+
+def test_every_symptom_is_in_the_table_of_traps_with_a_test_that_exists() -> None:
+    rows = re.findall(r"^\| \[(.+?)\]\(\S+?\) \|.*\| `([\w/.]+\.py)::(\w+)`", TABLE.read_text(), re.MULTILINE)
+    assert {symptom for symptom, _, _ in rows} == set(SYMPTOMS)
+    named = re.findall(r"`([\w/.]+\.py)::(\w+)`", TABLE.read_text())
+    assert [name for file, name in named if f"def {name}(" not in (ROOT / "tests" / file).read_text()] == []
+
+
+# The board and its port.
+
+
+@pytest.fixture
+def plugged_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[ListPortInfo]:
+    """Serial devices of this machine, of which there are none at first."""
+    found: list[ListPortInfo] = []
+    monkeypatch.setattr(list_ports, "comports", lambda: found)
+    for name in ("NAMES_BY_DEVICE", "NAMES_BY_SOCKET", "KERNEL_RELEASE", "BOARD_MODEL"):
+        monkeypatch.setattr(boards, name, tmp_path / name)
+    return found
+
+
+def device(path: str, vid: int, pid: int) -> ListPortInfo:
+    info = ListPortInfo(path)
+    info.vid, info.pid, info.product = vid, pid, "Serial"
+    return info
+
+
+def test_a_machine_without_a_known_board_says_what_is_plugged_in_instead(plugged_in: list[ListPortInfo]) -> None:
+    for others in ([], [device("/dev/ttyACM0", 0x2341, 0x0043)]):
+        plugged_in[:] = others
+        with pytest.raises(PortError) as refused:
+            resolve_port("auto")
+        assert_said("The board is not found", str(refused.value))
+
+
+def test_two_boards_are_both_named(plugged_in: list[ListPortInfo]) -> None:
+    plugged_in += [device("/dev/ttyACM0", 0x1A86, 0x55D3), device("/dev/ttyUSB0", 0x1A86, 0x7523)]
+    with pytest.raises(PortError) as refused:
+        resolve_port("auto")
+    assert_said("Two boards are plugged in", str(refused.value))
+
+
+def test_a_port_of_another_group_names_the_group() -> None:
+    assert_said("The port may not be opened", str(_refusal("/dev/ttyACM0", 13, "Permission denied")))
+
+
+def test_a_port_that_another_program_has_open_says_so() -> None:
+    assert_said("The port is in use", str(_refusal("/dev/ttyACM0", 16, "Device or resource busy")))
+
+
+# An arm process on emulated servos, which it takes for real ones.
+
+
+@pytest.fixture
+def servos() -> SteppedEmulator:
+    return SteppedEmulator(wire_time=False)
+
+
+def holding(servos: SteppedEmulator) -> ArmRig:
+    rig = ArmRig(servos)
+    rig.until_mode(Mode.HOLDING)
+    return rig
+
+
+# The offsets of this calibration are known: those of a flawless arm.
+CALIBRATED = FeetechConfig(replace(CALIBRATION, offsets_known=True), "/dev/arm")
+
+
+def refused_at_start(servos: SteppedEmulator) -> str:
+    """What an arm says that cannot be taken over as it is found."""
+    rig = ArmRig(servos, hardware=CALIBRATED)
+    rig.until(lambda: rig.supervisor.fault is not None or any(state.reason for state in states(rig)))
+    return f"{rig.supervisor.fault or ''} {rig.state.reason}"
+
+
+def states(rig: ArmRig) -> list[ArmState]:
+    return [message for message in rig.sent if isinstance(message, ArmState)]
+
+
+def fault_of(rig: ArmRig) -> str:
+    rig.until(lambda: rig.supervisor.fault is not None, timeout_s=60.0)
+    return str(rig.supervisor.fault)
+
+
+def warnings(servos: SteppedEmulator) -> str:
+    """What an arm that can be driven warns of."""
+    rig = holding(servos)
+    rig.run(1.2)
+    return "\n".join(warning for joint in rig.health.joints for warning in joint.warnings)
+
+
+def store(servos: SteppedEmulator, register: Register, value: int, *ids: int) -> None:
+    """Leave a setting in servos, as another program does."""
+    writer = servos.open_bus()
+    for each in ids:
+        # Not acknowledged: a servo replies by its new id, and at its new rate.
+        for written, content in ((Register.LOCK, 0), (register, value)):
+            writer.sync_write(written, {each: encode(written, content)})
+    lock = Register.LOCK, encode(Register.LOCK, 1)
+    for each in range(1, 7):
+        writer.sync_write(lock[0], {each: lock[1]})
+
+
+def ticks(joint: str, position_rad: float) -> int:
+    return next(each for each in CALIBRATION.joints if each.joint == joint).ticks_from_rad(position_rad)
+
+
+def test_an_unplugged_board_is_a_lost_port(servos: SteppedEmulator) -> None:
+    rig = holding(servos)
+    servos.command(plugged=False)
+    with pytest.raises(PortLost) as lost:
+        rig.run(1.0)
+    assert_said("The port vanishes while the arm runs", str(lost.value))
+
+
+def test_a_servo_of_another_model_is_named_with_what_to_write_into_robot_toml(servos: SteppedEmulator) -> None:
+    servos.servo_bus.servos[LIFT - 1]._memory.set(Register.MODEL_NUMBER, 2307)
+    assert_said("A servo is of another model", refused_at_start(servos))
+
+
+def test_a_servo_in_wheel_mode_is_refused(servos: SteppedEmulator) -> None:
+    store(servos, Register.OPERATING_MODE, 1, ELBOW)
+    assert_said("A servo is in another operating mode", refused_at_start(servos))
+
+
+def test_a_gripper_that_another_program_has_squeezed_too_hard_has_cut_its_torque(servos: SteppedEmulator) -> None:
+    rig = holding(servos)
+    store(servos, Register.OVERLOAD_TORQUE, 25, GRIPPER)
+    # A hand, or a program that grips on, loads the gripper for longer than the protection of its servo bears.
+    servos.command(push={str(GRIPPER): 300})
+    assert_said("The gripper stops after two seconds", fault_of(rig))
+
+
+def test_an_overload_that_only_a_power_cut_clears_says_so_at_the_reset(servos: SteppedEmulator) -> None:
+    rig = holding(servos)
+    servos.command(overload_latches=[GRIPPER])
+    store(servos, Register.OVERLOAD_TORQUE, 25, GRIPPER)
+    servos.command(push={str(GRIPPER): 300})
+    fault_of(rig)
+    servos.command(push={str(GRIPPER): 0})
+    rig.run(5.0)
+    answer = rig.order(Order.RESET_FAULT)
+    assert not answer.done
+    assert_said("A servo answers every instruction with an error", answer.message)
+    assert "switch the servos' supply off and on" in answer.message
+
+
+def test_a_hot_gripper_is_a_warning_first_and_then_a_fault(servos: SteppedEmulator) -> None:
+    rig = holding(servos)
+    servos.command(temperature={str(GRIPPER): 57})
+    rig.run(1.2)
+    assert any("warm: 57 degC" in warning for joint in rig.health.joints for warning in joint.warnings)
+    servos.command(temperature={str(GRIPPER): 66})
+    assert_said("The gripper is hot", fault_of(rig))
+
+
+def test_a_gain_that_no_profile_has_is_told_with_its_effect(servos: SteppedEmulator) -> None:
+    store(servos, Register.P_GAIN, 8, LIFT)
+    assert_said("The arm is two degrees low", warnings(servos))
+
+
+def test_a_rewritten_homing_offset_refuses_torque_with_both_remedies() -> None:
+    told = refused_at_start(SteppedEmulator("--population", "ros2_driver", wire_time=False))
+    assert_said("The zero has shifted", told)
+    assert "elbow_flex (id 3) by 17.9 deg (204 instead of 0 ticks)" in told
+
+
+def test_angle_limits_of_another_calibration_are_a_warning(servos: SteppedEmulator) -> None:
+    store(servos, Register.MAX_ANGLE_LIMIT, ticks("elbow_flex", 1.0), ELBOW)
+    assert_said("The servos hold another calibration's limits", warnings(servos))
+
+
+def test_a_joint_outside_its_range_is_to_be_brought_inside_by_hand(servos: SteppedEmulator) -> None:
+    store(servos, Register.MAX_ANGLE_LIMIT, ticks("elbow_flex", -0.5), ELBOW)
+    assert_said("A joint stands outside its range", refused_at_start(servos))
+
+
+def test_a_joint_that_meets_a_stop_pushes_in_vain(servos: SteppedEmulator) -> None:
+    rig = holding(servos)
+    servos.command(obstacle={str(ELBOW): ticks("elbow_flex", 0.3)})
+    rig.execute(smooth_move({"elbow_flex": (0.0, 1.0)}, 2.0))
+    assert_said("A joint turns the wrong way, or gears crack at the first motion", fault_of(rig))
+
+
+def test_a_wrist_that_stops_before_its_limit_pushes_in_vain(servos: SteppedEmulator) -> None:
+    rig = holding(servos)
+    servos.command(obstacle={str(ROLL): ticks("wrist_roll", 2.2)})
+    rig.execute(smooth_move({"wrist_roll": (0.0, 2.6)}, 2.0))
+    assert_said("wrist_roll stops before its limit", fault_of(rig))
+
+
+def test_a_servo_that_counts_turns_is_a_warning(servos: SteppedEmulator) -> None:
+    store(servos, Register.PHASE, 12 | PHASE_MULTI_TURN, ROLL)
+    assert_said("A joint's position leaps by a turn", warnings(servos))
+
+
+def test_an_arm_that_lerobot_has_driven_is_unlocked_and_otherwise_well() -> None:
+    told = warnings(SteppedEmulator("--population", "lerobot", wire_time=False))
+    assert_said("The EPROM is unlocked", told)
+    assert set(told.splitlines()) == set(sentences("The EPROM is unlocked"))
+
+
+def squeeze(servos: SteppedEmulator) -> None:
+    """Have another program close the gripper on something hard until its servo protects itself."""
+    writer = servos.open_bus()
+    servos.command(obstacle={str(GRIPPER): ticks("gripper", 0.5)})
+    writer.write(GRIPPER, Register.TORQUE_ENABLE, 1)
+    writer.sync_write(GOAL_ADDRESS, {GRIPPER: goal_block(ticks("gripper", 1.2), 1000)})
+    servos.run(4.0)
+    assert writer.read(GRIPPER, Register.STATUS) == StatusFlag.OVERLOAD
+    servos.command(obstacle={str(GRIPPER): None})
+
+
+def test_an_overload_of_a_clone_that_another_program_has_left_asks_for_a_power_cut() -> None:
+    clone = SteppedEmulator("--population", "clone", wire_time=False)
+    squeeze(clone)
+    rig = ArmRig(clone)
+    assert_said("The gripper stops after two seconds", fault_of(rig))
+    rig.run(3.0)
+    assert_said("A servo answers every instruction with an error", rig.order(Order.RESET_FAULT).message)
+    clone.command(power_cycle=[GRIPPER])
+    rig.run(1.0)
+    assert rig.order(Order.RESET_FAULT).done
+
+
+def test_an_overload_that_another_program_has_left_is_cleared_by_the_reset() -> None:
+    lerobot = SteppedEmulator("--population", "lerobot", wire_time=False)
+    squeeze(lerobot)
+    rig = ArmRig(lerobot)
+    assert_said("The gripper stops after two seconds", fault_of(rig))
+    rig.run(3.0)
+    assert rig.order(Order.RESET_FAULT).done
+
+
+def test_a_servo_with_too_much_voltage_is_a_fault(servos: SteppedEmulator) -> None:
+    rig = holding(servos)
+    servos.command(supply=12.0)
+    assert_said("A 7.4 V servo has 12 V", fault_of(rig))
+
+
+def test_a_weak_supply_is_a_fault(servos: SteppedEmulator) -> None:
+    rig = holding(servos)
+    servos.command(supply=4.2)
+    assert_said("The supply is too weak", fault_of(rig))
+
+
+def test_a_servo_that_starts_anew_is_a_fault(servos: SteppedEmulator) -> None:
+    rig = holding(servos)
+    servos.command(power_cycle=[ELBOW])
+    assert_said("A servo starts anew while the arm moves", fault_of(rig))
+
+
+def test_a_servo_that_falls_silent_is_named(servos: SteppedEmulator) -> None:
+    rig = holding(servos)
+    servos.command(offline=[ELBOW])
+    assert_said("One servo falls silent", fault_of(rig))
+
+
+def test_less_torque_than_the_profile_has_is_told_with_its_effect(servos: SteppedEmulator) -> None:
+    store(servos, Register.MAX_TORQUE, 300, LIFT)
+    assert_said("The joints are weak, slow or uneven", warnings(servos))
+
+
+# Commands on the emulated servos.
+
+
+def test_a_bus_that_is_silent_after_a_power_cycle_is_told_with_what_all_servos_share(
+    emulator: SteppedEmulator,  # noqa: F811 - the fixture
+    armbridge: Run,  # noqa: F811 - the fixture
+) -> None:
+    store(emulator, Register.BAUD_RATE, 1, *range(1, 7))
+    answer = armbridge("scan")
+    assert answer.returncode == ExitCode.PROBLEMS
+    assert_said("After a power cycle nothing answers", answer.stderr)
+    assert "servo 3 listens at 500000 baud" in armbridge("scan", "--all-bauds").stderr
+
+
+@pytest.fixture
+def kit(start_emulator: Callable[..., SteppedEmulator]) -> SteppedEmulator:  # noqa: F811 - the fixture
+    """New servos, all in the chain."""
+    return start_emulator("--population", "kit")
+
+
+def test_new_servos_that_all_have_the_id_1_collide(kit: SteppedEmulator) -> None:
+    told = "\n".join(explain_missing(scan(kit.open_bus(), range(1, 7)), SO101_SERVOS))
+    assert_said("Replies are garbled", told)
+    assert "power supply" not in told
+
+
+def test_a_new_servo_alone_is_told_to_be_new(kit: SteppedEmulator) -> None:
+    kit.command(unplug=[1, 2, 3, 4, 5])
+    assert_said(
+        "All servos answer as id 1", "\n".join(explain_missing(scan(kit.open_bus(), range(1, 7)), SO101_SERVOS))
+    )
+
+
+def test_servos_behind_a_loose_cable_are_told_with_the_cable(
+    emulator: SteppedEmulator,  # noqa: F811 - the fixture
+    armbridge: Run,  # noqa: F811 - the fixture
+) -> None:
+    emulator.command(offline=[4, 5, 6])
+    assert_said("Servos from one joint on are silent", armbridge("scan").stderr)
+
+
+def test_an_arm_that_stays_stiff_is_relaxed_without_a_server(
+    emulator: SteppedEmulator,  # noqa: F811 - the fixture
+    armbridge: Run,  # noqa: F811 - the fixture
+) -> None:
+    store(emulator, Register.TORQUE_ENABLE, 1, *range(1, 7))
+    answer = armbridge("relax")
+    assert answer.returncode == ExitCode.DONE
+    assert_said("The arm drops when the server ends, or stays stiff", answer.stderr)
+
+
+# A server on emulated servos behind a serial port, as people start it.
+
+
+def test_a_server_whose_servos_another_program_has_shifted_refuses_to_enable_them(
+    start_terminal: Callable[..., RunningEmulator],  # noqa: F811 - the fixture
+    tmp_path: Path,
+) -> None:
+    joints = [replace(each, homing_offset=23) if each.joint == "elbow_flex" else each for each in CALIBRATION.joints]
+    file = tmp_path / "my_arm.json"
+    save(replace(CALIBRATION, joints=tuple(joints)), file)
+    port = start_terminal().port
+    with RunningServer(f"--port 0 --serial {port} --calibration {file}") as server, connect(server.url) as client:
+        assert_said("The zero has shifted", enabling(client))
+        # Refused for the same reason after a reset, which asks the servos anew.
+        call(client, "/arm/reset_fault")
+        assert_said("The zero has shifted", enabling(client))
+
+
+def call(client: ClientConnection, service: str) -> dict[str, Any]:
+    """Call a service of the arm; return its answer."""
+    client.send(json.dumps({"op": "call_service", "service": service, "id": service}))
+    while (answer := json.loads(client.recv(timeout=ANSWER_TIMEOUT_S)))["op"] != "service_response":
+        pass
+    values: dict[str, Any] = answer["values"]
+    return values
+
+
+def enabling(client: ClientConnection) -> str:
+    """Return why torque is refused, once the servos have been checked."""
+    until_s = time.monotonic() + ANSWER_TIMEOUT_S
+    while "still being checked" in (answer := call(client, "/arm/enable"))["message"] and time.monotonic() < until_s:
+        time.sleep(0.1)
+    assert not answer["success"]
+    return str(answer["message"])
+
+
+# A server and its simulated arm: what a client reads of a fault, and how it gets out of it.
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Iterator[ServerOnBus]:
+    with server_on_bus() as running:
+        yield running
+
+
+@pytest.mark.parametrize(
+    ("symptom", "commands", "remedy"),
+    [
+        ("The gripper is hot", {"temperature": {"6": 66}}, {"temperature": {"6": 40}}),
+        ("A 7.4 V servo has 12 V", {"supply": 12.0}, {"supply": 5.0}),
+        ("The supply is too weak", {"supply": 4.2}, {"supply": 5.0}),
+        ("One servo falls silent", {"offline": [ELBOW]}, {"online": [ELBOW]}),
+        ("A servo starts anew while the arm moves", {"power_cycle": [ELBOW]}, {"push": {"3": 0}}),
+        ("The gripper stops after two seconds", {"status": {"6": int(StatusFlag.OVERLOAD)}}, {"status": {"6": 0}}),
+    ],
+)
+def test_a_client_reads_the_sentence_and_after_the_remedy_resets_the_fault(
+    simulation: ServerOnBus, symptom: str, commands: dict[str, object], remedy: dict[str, object]
+) -> None:
+    url = simulation.server.url
+    with connect(url) as watching, connect(url) as calling:
+        watching.send(json.dumps({"op": "subscribe", "topic": "/arm/state"}))
+        await_state(watching, LEVEL_OK)
+        simulation.emulator.command(**commands)
+        assert_said(symptom, await_state(watching, LEVEL_ERROR))
+        simulation.emulator.command(**remedy)
+        until_s = time.monotonic() + ANSWER_TIMEOUT_S
+        while not (call(calling, "/arm/reset_fault")["success"] and call(calling, "/arm/enable")["success"]):
+            assert time.monotonic() < until_s, "the fault stays"
+            time.sleep(0.05)
+
+
+def await_state(client: ClientConnection, level: int) -> str:
+    """Return what the arm says in the first state of a level."""
+    while True:
+        operation = json.loads(client.recv(timeout=ANSWER_TIMEOUT_S))
+        if operation["op"] == "publish" and operation["msg"]["level"] == level:
+            return str(operation["msg"]["message"])

@@ -1,8 +1,14 @@
+import { readFileSync } from "node:fs";
 import { defineConfig } from "vitest/config";
+
+const project = readFileSync(new URL("../../pyproject.toml", import.meta.url), "utf8");
+const version = /^version = "(.+)"$/m.exec(project)?.[1] ?? "";
 
 export default defineConfig({
   // Relative, so that the page also works behind a proxy that serves it under a path.
   base: "./",
+  // Version of armbridge that the page is built with; the server tells its own.
+  define: { __VERSION__: JSON.stringify(version) },
   build: {
     outDir: "dist",
     target: "es2022",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.helpers.clients import tip
 from tests.helpers.page import LOOK_MS, PATIENCE_MS, OpenPage, opened
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.helpers.server import RunningServer
@@ -20,8 +22,14 @@ if TYPE_CHECKING:
 JOINTS = ["lift", "a2", "a3", "a4", "a5", "a6", "a7"]
 GRIPPER_ACTION = "/fingers_controller/gripper_action"
 
+# Panels in which every joint of the group is named.
+PANELS_WITH_JOINTS = ("move", "drive", "plots")
+
 # The servos of an ideal arm are exact; what remains is the last tick.
 ARRIVED = 0.01
+
+# Far more than an arm at rest moves.
+MOVED_M = 0.1
 
 
 def finger(side: str, sign: int) -> str:
@@ -72,6 +80,47 @@ def test_the_joints_of_the_group_are_listed_and_one_that_slides_in_millimetres(p
     page.until_text("joint-lift-measured", "mm")
     page.until_text("joint-a2-measured", "°")
     page.shot("other_arm")
+
+
+def assert_every_panel_shows(page: OpenPage, joints: list[str]) -> None:
+    """Open each panel, and look for all joints in those that list them."""
+    for panel in page.open_panels():
+        if panel in PANELS_WITH_JOINTS:
+            for joint in joints:
+                page.until_text(f"panel-{panel}", joint)
+    assert page.errors == []
+    page.open_panel("move")
+
+
+def test_every_panel_lists_the_joints_that_the_description_has(page: OpenPage) -> None:
+    assert_every_panel_shows(page, JOINTS)
+
+
+@pytest.fixture(scope="module")
+def fetch(settings: dict[str, str]) -> Iterator[RunningServer]:
+    """A server with the robot whose lift and arm are eight joints, beside a gripper of two fingers."""
+    own = {key: value for key, value in settings.items() if not key.startswith("ARMBRIDGE_ARM__")}
+    with RunningServer("--port 0 --robot fetch", own) as running:
+        yield running
+
+
+def test_an_arm_with_a_lift_has_all_panels_and_moves(browser: Browser, fetch: RunningServer) -> None:
+    with opened(browser) as page:
+        page.open(fetch.port)
+        page.until_state("s.srdf !== null && Object.keys(s.limits).length > 0")
+        assert page.part("group").locator("option").all_text_contents() == ["arm", "arm_with_torso"]
+        page.part("group").select_option("arm_with_torso")
+        page.part("joint-torso_lift_joint-number").wait_for()
+        joints = page.part("joints").locator("b").all_text_contents()
+        assert len(joints) == 8
+        assert_every_panel_shows(page, joints)
+        before_m = tip(fetch.url, "gripper_link")
+        page.part("named-tucked").click()
+        page.part("plan-and-move").click()
+        page.until_state("s.goal.code === 1")
+        assert math.dist(tip(fetch.url, "gripper_link"), before_m) > MOVED_M
+        page.shot("fetch")
+        assert page.errors == []
 
 
 def test_a_joint_that_slides_is_moved_by_a_number_in_millimetres(page: OpenPage) -> None:

@@ -55,9 +55,9 @@ def set_speed(page: OpenPage, percent: float) -> None:
 
 
 def type_target(page: OpenPage, position_m: tuple[float, float, float]) -> None:
-    for axis, value in zip("xyz", position_m, strict=True):
+    for axis, value_m in zip("xyz", position_m, strict=True):
         box = page.part(f"target-{axis}")
-        box.fill(str(value))
+        box.fill(f"{1e3 * value_m:g}")
         box.press("Enter")
 
 

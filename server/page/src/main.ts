@@ -1,16 +1,23 @@
 import "./style.css";
+import "./accessibility.css";
 import { exposeToConsole } from "./inspect";
 import { Authentication, storedToken, takeTokenFromUrl } from "./link/authentication";
 import { ArmCommands, StopCommand } from "./link/commands";
+import { CommissioningCommands, subscribeCommissioning } from "./link/commissioning";
 import { Connection, serverUrl } from "./link/connection";
-import { moveObject } from "./link/messages";
 import { MoveGroupClient, subscribeDisplayedPlans } from "./link/move-group";
+import { fetchPhoneAccess } from "./link/phone";
+import { RegionScan } from "./link/reachable-region";
 import { checkReachability } from "./link/reachability";
+import { fetchGoalHistory, fetchGoalRecord } from "./link/goal-history";
+import { SceneEditor } from "./link/scene-editor";
+import { SequencePlayer } from "./link/sequence";
+import { fetchServoHistory } from "./link/servo-history";
+import { JogSender, subscribeServoNode } from "./link/servo-node";
 import { fetchActions, resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
 import { createPanel } from "./panel/panel";
 import { emptyState } from "./state/state";
 import { Store } from "./state/store";
-import type { ObjectMoved } from "./view/interactive-markers";
 import { startView } from "./view/view";
 
 /** Start the page: the panel first, so that STOP is there even if the rest fails. */
@@ -23,10 +30,20 @@ function startPage(): void {
   const moveGroup = new MoveGroupClient(connection, store);
   const commands = new ArmCommands(connection, store);
   const stopCommand = new StopCommand(connection, store, () => moveGroup.cancel());
-  createPanel({ store, moveGroup, commands, stopCommand, authentication });
+  const jogSender = new JogSender(connection, store, (position) => void commands.moveGripper(position));
+  const commissioning = new CommissioningCommands(connection, store);
+  const servoHistory = (joint: string): ReturnType<typeof fetchServoHistory> => fetchServoHistory(connection, joint);
+  const phoneAccess = (): ReturnType<typeof fetchPhoneAccess> => fetchPhoneAccess(connection);
+  const goalRecord = (id: string): ReturnType<typeof fetchGoalRecord> => fetchGoalRecord(connection, id);
+  const sceneEditor = new SceneEditor(connection, store);
+  const sequencePlayer = new SequencePlayer(connection, store);
+  createPanel({ store, moveGroup, commands, stopCommand, jogSender, commissioning, authentication, phoneAccess, servoHistory, goalRecord, sceneEditor, sequencePlayer });
   subscribeTopics(connection, store);
   subscribeControl(connection, store);
+  subscribeCommissioning(connection, store);
+  subscribeServoNode(connection, store);
   checkReachability(connection, store);
+  new RegionScan(connection, store);
   subscribeDisplayedPlans(connection, store, moveGroup);
   const subscribed_topics = new Set<string>();
   store.subscribe(
@@ -36,12 +53,12 @@ function startPage(): void {
       resetAfterReconnect(store);
       subscribeControllerState(connection, store, subscribed_topics).catch(() => undefined);
       fetchActions(connection, store).catch(() => undefined);
+      fetchGoalHistory(connection, store).catch(() => undefined);
     },
   );
   connection.open();
   const canvas = document.querySelector<HTMLCanvasElement>("#view");
-  const moved: ObjectMoved = (...pose) => commands.publishCollisionObject(moveObject(...pose));
-  exposeToConsole(store, canvas && startView(canvas, store, moved));
+  exposeToConsole(store, canvas && startView(canvas, store, (...pose) => void sceneEditor.move(...pose)));
 }
 
 startPage();

@@ -1,8 +1,9 @@
 import { armGripper, gripperAction } from "../logic/joints";
-import type { JointValues, State, SuggestedGoal } from "../state/state";
+import type { State, SuggestedGoal } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
+import { t } from "../texts/texts";
 import { STATUS_ABORTED, type Connection } from "./connection";
-import { gripperGoal, jointJog, type TriggerResponse } from "./messages";
+import { gripperGoal, type TriggerResponse } from "./messages";
 
 /** Requests of the user other than planned motions; every rejection becomes a notice. */
 export class ArmCommands {
@@ -25,8 +26,7 @@ export class ArmCommands {
     return this.attempt(async () => {
       const request = { name, robot: "", state: {} };
       const { success } = await this.connection.call<{ success: boolean }>("/save_robot_state", request);
-      const text = success ? `“${name}” is saved` : `“${name}” could not be saved; the log says why`;
-      setNotice(this.store, "save", text);
+      setNotice(this.store, "save", t(success ? "answer.saved" : "answer.not_saved", { name }));
       return success;
     });
   }
@@ -70,19 +70,9 @@ export class ArmCommands {
       const type = "control_msgs/action/GripperCommand";
       const { status, values, reason } = await this.connection.goal(action, type, gripperGoal(position)).result;
       const refused = status === STATUS_ABORTED || values === null;
-      setNotice(this.store, "gripper", refused ? `Gripper: ${reason || "the goal was aborted; the log says why"}` : "");
+      const text = t("answer.gripper", { reason: reason || t("answer.gripper.aborted") });
+      setNotice(this.store, "gripper", refused ? text : "");
     });
-  }
-
-  /** Add, move or remove an object of the planning scene. */
-  publishCollisionObject(object: object): void {
-    this.attempt(() => this.connection.publish("/collision_object", "moveit_msgs/CollisionObject", object));
-  }
-
-  /** Jog joints until shortly after the last call: fractions of the joint speed, -1 to 1. */
-  jog(velocities: JointValues): void {
-    const message = jointJog(velocities);
-    this.attempt(() => this.connection.publish("/servo_node/delta_joint_cmds", "control_msgs/JointJog", message));
   }
 
   /** Cancel one goal, executing or queued, of any client. */
@@ -125,7 +115,7 @@ export class StopCommand {
   async stop(): Promise<void> {
     this.presses += 1;
     const press = this.presses;
-    this.store.set({ stop: { phase: "asked", text: "stopping…" } });
+    this.store.set({ stop: { phase: "asked", text: t("stop.asked") } });
     const stop = await this.request();
     // A later press shows its own answer.
     if (press !== this.presses) return;
@@ -138,11 +128,10 @@ export class StopCommand {
       this.connection.publish("/stop", "std_msgs/Empty", {});
       this.cancel();
       const { success, message } = await this.connection.call<TriggerResponse>("/arm/stop", {}, STOP_TIMEOUT_S);
-      if (success) return { phase: "acknowledged", text: `stopped, acknowledged: ${message || "the arm stands"}` };
-      return { phase: "failed", text: `not stopped: ${message}` };
+      if (!success) return { phase: "failed", text: t("stop.failed", { reason: message }) };
+      return { phase: "acknowledged", text: t("stop.acknowledged", { message: message || t("stop.stands") }) };
     } catch (error) {
-      const why = (error as Error).message;
-      return { phase: "failed", text: `not acknowledged: ${why}. The arm's power switch always stops it.` };
+      return { phase: "failed", text: t("stop.unacknowledged", { reason: (error as Error).message }) };
     }
   }
 

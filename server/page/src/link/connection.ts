@@ -1,4 +1,5 @@
 import { Ros, Service, Topic } from "roslib";
+import { t } from "../texts/texts";
 
 /** Failure to reach the server or to get its answer; the message is shown to the user. */
 export class ConnectionError extends Error {
@@ -229,8 +230,8 @@ export class Connection {
 
   private requireRos(): Ros {
     if (this.ros && this.connected) return this.ros;
-    if (this.refused) throw new ConnectionError(`the server wants a token: ${this.refused}`);
-    throw new ConnectionError("the server cannot be reached; the page keeps trying");
+    if (this.refused) throw new ConnectionError(t("request.token", { reason: this.refused }));
+    throw new ConnectionError(t("request.offline"));
   }
 
   /** Return a promise that also rejects when the connection is lost, and after a timeout. */
@@ -241,8 +242,8 @@ export class Connection {
   ): Promise<Value> {
     return new Promise((resolve, reject) => {
       const fail = (reason: string): void => end(() => reject(new ConnectionError(`${request}: ${reason}`)));
-      const lost = (): void => fail("the connection was lost before the answer");
-      const late = (): void => fail(`no answer within ${timeout_s} s`);
+      const lost = (): void => fail(t("request.lost"));
+      const late = (): void => fail(t("request.late", { seconds: timeout_s }));
       const timer = Number.isFinite(timeout_s) ? setTimeout(late, timeout_s * 1000) : undefined;
       const end = (then: () => void): void => {
         clearTimeout(timer);
@@ -290,7 +291,7 @@ export class Connection {
     if (ros !== this.ros || code !== POLICY_VIOLATION || this.accepted) return this.reconnectLater(ros);
     // The server throttles clients that repeat a wrong token, so the page waits for another one.
     this.disconnect();
-    this.refused = reason || "it gave no reason";
+    this.refused = reason || t("request.token.no_reason");
     this.onStatus({ connected: false, latency_ms: null, refused: this.refused });
   }
 

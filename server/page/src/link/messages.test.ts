@@ -1,7 +1,6 @@
 import { expect, test } from "vitest";
 import { emptyState } from "../state/state";
 import {
-  addBox,
   goalConstraints,
   jointConstraints,
   jointJog,
@@ -75,12 +74,7 @@ test("the speed goes into the request, and plan_only beside it", () => {
   });
 });
 
-test("a box and a jog have the fields of their types", () => {
-  expect(addBox("box 1", [0.1, 0.2, 0.3], [0.04, 0.05, 0.06])).toMatchObject({
-    id: "box 1",
-    operation: 0,
-    primitives: [{ type: 1, dimensions: [0.04, 0.05, 0.06] }],
-  });
+test("a jog has the fields of its type", () => {
   expect(jointJog({ elbow_flex: -1 })).toMatchObject({ joint_names: ["elbow_flex"], velocities: [-1] });
 });
 
@@ -123,7 +117,7 @@ test("only the servos are listed, by joint", () => {
     status({}),
     status({ temperature_c: "33" }, { name: "arm: elbow_flex", hardware_id: "servo 3" }),
   ]);
-  expect(found).toEqual([{ name: "elbow_flex", level: 0, message: "well", values: { temperature_c: "33" } }]);
+  expect(found).toEqual([{ name: "elbow_flex", hardware: "servo 3", level: 0, message: "well", values: { temperature_c: "33" } }]);
 });
 
 test("a plan has times in seconds, and one without points is none", () => {
@@ -146,5 +140,5 @@ test("an identity that cannot be read is none", () => {
   for (const text of ["{", "null", '{"address": 1, "role": "view"}', '{"address": "a", "role": "king"}']) {
     expect(readIdentity(text)).toBeNull();
   }
-  expect(readIdentity('{"address": "a", "role": "view", "name": "x"}')).toEqual({ address: "a", role: "view" });
+  expect(readIdentity('{"address": "a", "role": "view", "name": "x"}')).toEqual({ address: "a", role: "view", version: "" });
 });

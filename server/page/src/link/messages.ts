@@ -1,6 +1,9 @@
+import type { TipVelocity } from "../logic/jog";
 import {
   noGoal,
+  type ArmHealth,
   type ArmState,
+  type Commissioning,
   type Control,
   type GoalState,
   type Identity,
@@ -14,6 +17,7 @@ import {
   type ServoState,
   type State,
   type SuggestedGoal,
+  type SweptJoint,
 } from "../state/state";
 
 // Messages of the server, spelled as in ROS 2: JSON has null for a number that is not finite.
@@ -127,10 +131,17 @@ export interface CollisionObject {
   operation: number;
 }
 
+/** moveit_msgs/AttachedCollisionObject, the fields that are shown. */
+export interface AttachedCollisionObject {
+  link_name: string;
+  touch_links?: string[];
+  object: CollisionObject;
+}
+
 /** moveit_msgs/PlanningScene, the fields that are shown. */
 export interface PlanningScene {
   is_diff: boolean;
-  robot_state: { is_diff: boolean; attached_collision_objects: { link_name: string; object: CollisionObject }[] };
+  robot_state: { is_diff: boolean; attached_collision_objects: AttachedCollisionObject[] };
   world: { collision_objects: CollisionObject[] };
   object_colors: { id: string; color: { r: number; g: number; b: number; a: number } }[];
 }
@@ -139,6 +150,29 @@ export interface PlanningScene {
 export interface TriggerResponse {
   success: boolean;
   message: string;
+}
+
+/** armbridge_msgs/CommissioningState. */
+export interface CommissioningMessage {
+  procedure: string;
+  step: string;
+  instruction: string;
+  answers: string[];
+  progress: number | null;
+  joints: (Omit<SweptJoint, "droop_rad"> & { droop_rad: number | null })[];
+  findings: string[];
+  result: string;
+}
+
+/** armbridge_msgs/srv/GetServoHistory, the response. */
+export interface ServoHistoryResponse {
+  /** Times before now, and so negative. */
+  time_s: number[];
+  temperature_c: (number | null)[];
+  load: (number | null)[];
+  voltage_v: (number | null)[];
+  current_a: (number | null)[];
+  events: string[];
 }
 
 /** control_msgs/JointTrajectoryControllerState. */
@@ -194,12 +228,13 @@ export function errorCodeName(code: number): string {
 }
 
 /** std_msgs/Header: the root link, which an empty frame means, and a stamp of zero, which means now. */
-const HEADER = { stamp: { sec: 0, nanosec: 0 }, frame_id: "" };
+export const HEADER = { stamp: { sec: 0, nanosec: 0 }, frame_id: "" };
 
 /** Orientation of what has none of its own. */
 const UPRIGHT: Orientation = [0, 0, 0, 1];
 
-function pose([x, y, z]: Point, orientation: Orientation = UPRIGHT): object {
+/** Build geometry_msgs/Pose. */
+export function pose([x, y, z]: Point, orientation: Orientation = UPRIGHT): object {
   return { position: { x, y, z }, orientation: quaternion(orientation) };
 }
 
@@ -269,9 +304,10 @@ export function goalConstraints({ selection, target }: Pick<State, "selection" |
   return { ...point, orientation_constraints: [orientationConstraint(target.orientation)] };
 }
 
-/** Build the request of armbridge_msgs/srv/CheckGoals for one pose; a group of few joints leaves the orientation out. */
-export function checkGoalsRequest(position_m: Point, orientation: Orientation | null): object {
-  return { poses: [{ header: HEADER, pose: pose(position_m, orientation ?? UPRIGHT) }], joints: [] };
+/** Build the request of armbridge_msgs/srv/CheckGoals for poses; a group of few joints leaves the orientation out. */
+export function checkGoalsRequest(positions_m: readonly Point[], orientation: Orientation | null): object {
+  const poses = positions_m.map((position_m) => ({ header: HEADER, pose: pose(position_m, orientation ?? UPRIGHT) }));
+  return { poses, joints: [] };
 }
 
 /** Build the goal of control_msgs/action/GripperCommand [rad or m]; an effort of 0 means the maximum. */
@@ -279,21 +315,29 @@ export function gripperGoal(position: number): object {
   return { command: { position, max_effort: 0 } };
 }
 
-/** Build moveit_msgs/CollisionObject ADD of a box in the root link. */
-export function addBox(id: string, position_m: Point, size_m: Point): object {
-  const box = { type: 1, dimensions: [...size_m] };
-  const primitive_poses = [pose([0, 0, 0])];
-  return { header: HEADER, id, pose: pose(position_m), primitives: [box], primitive_poses, operation: 0 };
+/** moveit_msgs/ServoStatus. */
+export interface ServoStatusMessage {
+  code: number;
+  message: string;
 }
 
-/** Build moveit_msgs/CollisionObject MOVE to a pose in the root link. */
-export function moveObject(id: string, position_m: Point, orientation: Orientation): object {
-  return { header: HEADER, id, pose: pose(position_m, orientation), operation: 3 };
-}
-
-/** Build moveit_msgs/CollisionObject REMOVE. */
-export function removeObject(id: string): object {
-  return { header: HEADER, id, operation: 1 };
+/**
+ * Build geometry_msgs/TwistStamped.
+ *
+ * @param frame_id - frame of the axes; empty for the root link.
+ * @param shares - velocities by axis, -1 to 1.
+ * @param scales - linear and angular velocity of a share of 1.
+ */
+export function twistStamped(frame_id: string, shares: TipVelocity, [linear, angular]: [number, number]): object {
+  const vector = (scale: number, ...values: (number | undefined)[]): object => {
+    const [x, y, z] = values.map((value) => (value ?? 0) * scale);
+    return { x, y, z };
+  };
+  const twist = {
+    linear: vector(linear, shares.x, shares.y, shares.z),
+    angular: vector(angular, shares.roll, shares.pitch, shares.yaw),
+  };
+  return { header: { ...HEADER, frame_id }, twist };
 }
 
 /** Build control_msgs/JointJog of fractions of the joint speed, -1 to 1. */
@@ -313,7 +357,7 @@ export function toSeconds({ sec, nanosec }: Time): number {
 }
 
 /** Return numbers with NaN for each null. */
-function readNumbers(values: readonly (number | null)[] | undefined): number[] {
+export function readNumbers(values: readonly (number | null)[] | undefined): number[] {
   return (values ?? []).map((value) => (typeof value === "number" ? value : Number.NaN));
 }
 
@@ -372,9 +416,9 @@ export function readControl(status: DiagnosticStatus): Control {
 /** Read the answer of /arm/who_am_i; null when it is not valid. */
 export function readIdentity(text: string): Identity | null {
   try {
-    const { address, role } = JSON.parse(text) as Partial<Identity>;
+    const { address, role, version } = JSON.parse(text) as Partial<Identity>;
     const has_role = role === "view" || role === "operate" || role === "admin";
-    return typeof address === "string" && has_role ? { address, role } : null;
+    return typeof address === "string" && has_role ? { address, role, version: version ?? "" } : null;
   } catch {
     return null;
   }
@@ -436,10 +480,23 @@ export function readServos(statuses: readonly DiagnosticStatus[]): ServoState[] 
   const servos = statuses.filter((status) => status.hardware_id.startsWith("servo "));
   return servos.map((status) => ({
     name: status.name.replace(/^.*: /, ""),
+    hardware: status.hardware_id,
     level: status.level,
     message: status.message,
     values: keyValues(status),
   }));
+}
+
+/** Read the arm among the statuses of /diagnostics: the one with its port; null while it has none. */
+export function readArmHealth(statuses: readonly DiagnosticStatus[]): ArmHealth | null {
+  const status = statuses.find(({ values }) => values.some(({ key }) => key === "port"));
+  return status ? { level: status.level, message: status.message, values: keyValues(status) } : null;
+}
+
+/** Read a message of /arm/commissioning/state. */
+export function readCommissioning(message: CommissioningMessage): Commissioning {
+  const joints = message.joints.map((joint) => ({ ...joint, droop_rad: joint.droop_rad ?? Number.NaN }));
+  return { ...message, progress: message.progress ?? 0, joints };
 }
 
 /** Read moveit_msgs/RobotTrajectory; null when it has no points. */

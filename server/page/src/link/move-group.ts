@@ -3,6 +3,7 @@ import { planningGroup } from "../logic/robot-info";
 import { duration_s, samplePlan } from "../logic/trajectory";
 import { noGoal, type PendingRequest, type Plan, type State } from "../state/state";
 import type { PageStore } from "../state/store";
+import { t } from "../texts/texts";
 import type { Connection, GoalHandle } from "./connection";
 import {
   goalConstraints,
@@ -14,6 +15,7 @@ import {
   type MotionResult,
   type RobotTrajectory,
 } from "./messages";
+import { isCheckingLegs } from "./sequence";
 
 /** Client of MoveIt's actions; every rejection becomes the message of the shown goal. */
 export class MoveGroupClient {
@@ -34,7 +36,7 @@ export class MoveGroupClient {
   async plan(): Promise<void> {
     const result = await this.sendMoveGroupGoal("plan", true);
     if (result?.error_code.val !== SUCCESS || !result.planned_trajectory) return;
-    if (!this.showPlan(result.planned_trajectory)) this.report(SUCCESS, "the arm is there already");
+    if (!this.showPlan(result.planned_trajectory)) this.report(SUCCESS, t("answer.there_already"));
   }
 
   /** Show a trajectory, which execute() then sends; return false when it has no points. */
@@ -42,7 +44,7 @@ export class MoveGroupClient {
     const trajectory = readPlan(sent);
     if (!trajectory) return false;
     this.sent_trajectories.set(trajectory, sent);
-    const message = `A motion of ${duration_s(trajectory).toFixed(1)} s is planned; Move carries it out.`;
+    const message = t("answer.planned", { seconds: duration_s(trajectory).toFixed(1) });
     const { goal } = this.store.state;
     const in_progress = ["planning", "executing"].includes(goal.state);
     const shown = in_progress ? goal : { ...noGoal(), state: "planned", message };
@@ -54,7 +56,7 @@ export class MoveGroupClient {
   async execute(): Promise<void> {
     const { trajectory } = this.store.state.plan;
     const sent = trajectory && this.sent_trajectories.get(trajectory);
-    if (!sent) return this.report(null, "There is no plan to carry out: press Plan first.");
+    if (!sent) return this.report(null, t("answer.no_plan"));
     const goal = { trajectory: sent, controller_names: [] };
     await this.sendGoal("move", "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", goal);
   }
@@ -72,7 +74,7 @@ export class MoveGroupClient {
   private async sendMoveGroupGoal(pending_request: PendingRequest, plan_only: boolean): Promise<MotionResult | null> {
     const constraints = goalConstraints(this.store.state);
     if (!constraints) {
-      this.report(null, "Choose first where to go: a named pose, joints, or the target.");
+      this.report(null, t("answer.no_goal"));
       return null;
     }
     const { settings, group } = this.store.state;
@@ -113,9 +115,9 @@ export class MoveGroupClient {
 
   private reportResult(pending_request: PendingRequest, result: MotionResult | null, reason: string): void {
     const code = result?.error_code;
-    if (!code) this.report(null, reason || "the server gave no result");
-    else if (code.val !== SUCCESS) this.report(code.val, code.message || "the server gave no reason");
-    else if (pending_request === "move") this.report(code.val, code.message || "the arm is there");
+    if (!code) this.report(null, reason || t("answer.no_result"));
+    else if (code.val !== SUCCESS) this.report(code.val, code.message || t("answer.no_reason"));
+    else if (pending_request === "move") this.report(code.val, code.message || t("answer.there"));
   }
 
   /** Show a result, with the suggestion that the status of the same goal contained. */
@@ -141,6 +143,8 @@ export function subscribeDisplayedPlans(connection: Connection, store: PageStore
     pending = null;
   };
   const take = ({ trajectory }: DisplayTrajectory): void => {
+    // The leg of a sequence that is being checked was not asked for to be carried out.
+    if (isCheckingLegs(store.state)) return;
     // Several trajectories are a sequence, which ExecuteTrajectory cannot take.
     pending = trajectory.length === 1 ? (trajectory[0] ?? null) : null;
     show();

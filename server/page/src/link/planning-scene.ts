@@ -1,4 +1,5 @@
-import type { Point, SceneObject, Shape } from "../state/state";
+import type { Color, Point, SceneObject, Shape } from "../state/state";
+import { t } from "../texts/texts";
 import type { CollisionObject, PlanningScene, Pose } from "./messages";
 
 const SHAPE_KINDS: Record<number, Shape["kind"]> = { 1: "box", 2: "sphere", 3: "cylinder", 4: "cone", 5: "prism" };
@@ -6,8 +7,23 @@ const SHAPE_KINDS: Record<number, Shape["kind"]> = { 1: "box", 2: "sphere", 3: "
 /** moveit_msgs/CollisionObject.REMOVE. */
 const REMOVE = 1;
 
-/** Return the objects after a message of /monitored_planning_scene, which is the whole scene or a difference. */
-export function applyPlanningScene(known: readonly SceneObject[], scene: PlanningScene): SceneObject[] {
+/** Return the colours of objects after a message of /monitored_planning_scene; four zeros stand for none, as in MoveIt. */
+export function applyColors(known: Record<string, Color>, scene: PlanningScene): Record<string, Color> {
+  const told = scene.object_colors.map(({ id, color: { r, g, b, a } }) => [id, [r, g, b, a]] as const);
+  const colors = { ...(scene.is_diff ? known : {}), ...(Object.fromEntries(told) as Record<string, Color>) };
+  return Object.fromEntries(Object.entries(colors).filter(([, color]) => color.some((part) => part > 0)));
+}
+
+/**
+ * Return the objects after a message of /monitored_planning_scene, which is the whole scene or a difference.
+ *
+ * @param colors - colours after the message: a difference repeats none of an object that is added anew.
+ */
+export function applyPlanningScene(
+  known: readonly SceneObject[],
+  scene: PlanningScene,
+  colors: Record<string, Color> = applyColors({}, scene),
+): SceneObject[] {
   const objects = new Map(scene.is_diff ? known.map((object) => [object.id, object]) : []);
   for (const message of scene.world.collision_objects) {
     if (message.operation !== REMOVE) objects.set(message.id, readSceneObject(message, false, message.header.frame_id));
@@ -17,12 +33,15 @@ export function applyPlanningScene(known: readonly SceneObject[], scene: Plannin
   const { robot_state } = scene;
   const replaces_attached = scene.is_diff && !robot_state.is_diff && robot_state.attached_collision_objects.length > 0;
   if (replaces_attached) removeAttachedObjects(objects);
-  for (const { link_name, object } of robot_state.attached_collision_objects) {
+  for (const { link_name, touch_links, object } of robot_state.attached_collision_objects) {
     if (object.operation === REMOVE) {
       if (objects.get(object.id)?.attached) objects.delete(object.id);
-    } else objects.set(object.id, readSceneObject(object, true, object.header.frame_id || link_name));
+    } else {
+      const read = readSceneObject(object, true, object.header.frame_id || link_name);
+      objects.set(object.id, { ...read, touch_links: touch_links ?? [] });
+    }
   }
-  return applyColors([...objects.values()], scene);
+  return [...objects.values()].map((object) => withColor(object, colors[object.id] ?? null));
 }
 
 function removeWorldObjects(objects: Map<string, SceneObject>): void {
@@ -33,12 +52,9 @@ function removeAttachedObjects(objects: Map<string, SceneObject>): void {
   for (const object of [...objects.values()]) if (object.attached) objects.delete(object.id);
 }
 
-function applyColors(objects: SceneObject[], scene: PlanningScene): SceneObject[] {
-  const colors = new Map(scene.object_colors.map(({ id, color }) => [id, color]));
-  return objects.map((object) => {
-    const color = colors.get(object.id);
-    return color ? { ...object, color: [color.r, color.g, color.b, color.a] } : object;
-  });
+/** Return an object with a colour; one that has it stays the same object, which is not drawn anew. */
+function withColor(object: SceneObject, color: Color | null): SceneObject {
+  return String(object.color) === String(color) ? object : { ...object, color };
 }
 
 function readSceneObject(message: CollisionObject, attached: boolean, frame: string): SceneObject {
@@ -88,13 +104,13 @@ export function drawableObjects(objects: readonly SceneObject[]): { objects: Sce
   const problems: string[] = [];
   const drawn = objects.flatMap((object) => {
     if (![...object.position_m, ...object.orientation].every(Number.isFinite)) {
-      problems.push(`“${object.id}” has no place that could be drawn.`);
+      problems.push(t("picture.object.no_place", { name: object.id }));
       return [];
     }
     const reasons = object.shapes.map(shapeProblem);
     const problem = reasons.find((text) => text !== "");
     if (problem === undefined) return [object];
-    problems.push(`“${object.id}” is not drawn as it is: ${problem}.`);
+    problems.push(t("picture.object.partly", { name: object.id, reason: problem }));
     return [{ ...object, shapes: object.shapes.filter((_, index) => reasons[index] === "") }];
   });
   return { objects: drawn, problems };
@@ -102,13 +118,14 @@ export function drawableObjects(objects: readonly SceneObject[]): { objects: Sce
 
 /** Return the reason that a shape cannot be drawn, as a phrase; empty when it can. */
 export function shapeProblem(shape: Shape): string {
+  const kind = t(`picture.shape.${shape.kind}`);
   const expected = DIMENSION_COUNTS[shape.kind];
   const sizes = shape.dimensions.slice(0, expected);
-  if (sizes.length < expected) return `a ${shape.kind} has ${expected} sizes, not ${sizes.length}`;
+  if (sizes.length < expected) return t("picture.shape.sizes", { kind, expected, count: sizes.length });
   const numbers = [...sizes, ...shape.position_m, ...shape.orientation, ...shape.vertices.flat()];
-  if (!numbers.every(Number.isFinite)) return `a ${shape.kind} has a number that is none`;
-  if (shape.kind === "plane") return Math.hypot(...sizes.slice(0, 3)) > 0 ? "" : "a plane has no direction";
-  if (sizes.some((size) => size <= 0)) return `a ${shape.kind} has a size of ${Math.min(...sizes)} m`;
+  if (!numbers.every(Number.isFinite)) return t("picture.shape.no_number", { kind });
+  if (shape.kind === "plane") return Math.hypot(...sizes.slice(0, 3)) > 0 ? "" : t("picture.shape.no_direction");
+  if (sizes.some((size) => size <= 0)) return t("picture.shape.size", { kind, size_m: Math.min(...sizes) });
   return surfaceProblem(shape);
 }
 
@@ -125,9 +142,9 @@ const DIMENSION_COUNTS: Record<Shape["kind"], number> = {
 
 function surfaceProblem(shape: Shape): string {
   const corners = shape.vertices.length;
-  if (shape.kind === "prism" && corners < 3) return `a prism has ${corners} corners`;
+  if (shape.kind === "prism" && corners < 3) return t("picture.shape.corners", { corners });
   if (shape.kind !== "mesh") return "";
-  if (shape.triangles.length === 0) return "a mesh has no triangles";
+  if (shape.triangles.length === 0) return t("picture.shape.no_triangles");
   const outside = shape.triangles.flat().find((index) => !(index >= 0 && index < corners));
-  return outside === undefined ? "" : `a mesh names corner ${outside} of ${corners}`;
+  return outside === undefined ? "" : t("picture.shape.corner", { corner: outside, corners });
 }

@@ -46,7 +46,7 @@ export function checkReachability(connection: Connection, store: PageStore): voi
   const checks = new LatestRequestQueue<CheckedPose>(async ({ position_m, orientation }) => {
     if (!connection.isConnected) return;
     try {
-      const request = checkGoalsRequest(position_m, orientation);
+      const request = checkGoalsRequest([position_m], orientation);
       const { results } = await connection.call<{ results: GoalCheck[] }>("/check_goals", request, CHECK_TIMEOUT_S);
       if (results[0]) store.set(applyGoalCheck(store.state, position_m, results[0]));
     } catch {

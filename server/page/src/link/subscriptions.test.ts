@@ -63,7 +63,7 @@ test("a goal selected while the arm moves stays selected when it arrives", () =>
   expect(applyGoalStatus(state, news("1", "done", { code: 1 })).selection).toBeUndefined();
 });
 
-const ME = JSON.stringify({ name: "alice (10.0.0.1:5)", address: "10.0.0.1:5", role: "operate" });
+const ME = JSON.stringify({ name: "alice (10.0.0.1:5)", address: "10.0.0.1:5", role: "operate", version: "" });
 
 function heard(call: () => Promise<unknown>): { store: PageStore; tell: (status: DiagnosticStatus) => void } {
   const store = new Store(emptyState("ws://here"));
@@ -77,7 +77,7 @@ test("the page learns who it is, and forgets it with the connection", async () =
   const { store } = heard(() => Promise.resolve({ success: true, message: ME }));
   store.patch("link", { connected: true });
   await Promise.resolve();
-  expect(store.state.identity).toEqual({ address: "10.0.0.1:5", role: "operate" });
+  expect(store.state.identity).toEqual({ address: "10.0.0.1:5", role: "operate", version: "" });
   store.patch("link", { connected: false });
   expect(store.state.identity).toBeNull();
 });

@@ -1,8 +1,10 @@
+import { withStatus } from "../logic/goal-history";
 import { noGoal, type GoalState, type State } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import {
   PREEMPTED,
+  readArmHealth,
   readArmState,
   readControl,
   readGoal,
@@ -24,7 +26,8 @@ import {
   type StringMessage,
   type TriggerResponse,
 } from "./messages";
-import { applyPlanningScene, drawableObjects } from "./planning-scene";
+import { PAGE_VERSION, versionMismatch } from "../logic/version";
+import { applyColors, applyPlanningScene, drawableObjects } from "./planning-scene";
 
 /** Least time between two messages that are drawn [ms]: 30 per second look smooth. */
 const REDRAW_PERIOD_MS = 33;
@@ -40,17 +43,20 @@ export function subscribeTopics(connection: Connection, store: PageStore): void 
   const joints = (message: JointState): void => store.set({ joints: readJoints(message) });
   connection.subscribe<JointState>("/joint_states", "sensor_msgs/JointState", joints, REDRAW_PERIOD_MS);
   connection.subscribe<DiagnosticStatus>("/moveit_goal_status", "diagnostic_msgs/DiagnosticStatus", (status) => {
-    store.set(applyGoalStatus(store.state, readGoal(status)));
+    const goal = readGoal(status);
+    const goal_history = withStatus(store.state.goal_history, goal, Date.now() / 1000);
+    store.set({ ...applyGoalStatus(store.state, goal), goal_history });
   });
   connection.subscribe<LogMessage>("/rosout", "rcl_interfaces/Log", (message) => {
     store.set({ log: [...store.state.log.slice(1 - MAX_LOG_ENTRIES), readLogEntry(message)] });
   });
   connection.subscribe<DiagnosticArray>("/diagnostics", "diagnostic_msgs/DiagnosticArray", ({ status }) => {
-    store.set({ servos: readServos(status) });
+    store.set({ servos: readServos(status), arm_health: readArmHealth(status) });
   });
   connection.subscribe<PlanningScene>("/monitored_planning_scene", "moveit_msgs/PlanningScene", (scene) => {
-    const { objects, problems } = drawableObjects(applyPlanningScene(store.state.objects, scene));
-    store.set({ objects });
+    const object_colors = applyColors(store.state.object_colors, scene);
+    const { objects, problems } = drawableObjects(applyPlanningScene(store.state.objects, scene, object_colors));
+    store.set({ objects, object_colors });
     setNotice(store, "scene", problems.join(" "));
   });
 }
@@ -152,7 +158,9 @@ export function subscribeControl(connection: Connection, store: PageStore): void
 async function fetchIdentity(connection: Connection, store: PageStore): Promise<void> {
   try {
     const { message } = await connection.call<TriggerResponse>("/arm/who_am_i", {});
-    store.set({ identity: readIdentity(message) });
+    const identity = readIdentity(message);
+    store.set({ identity });
+    setNotice(store, "version", versionMismatch(identity?.version ?? "", PAGE_VERSION));
   } catch {
     // Without an identity every control stays enabled; the server itself rejects forbidden requests.
   }

@@ -1,4 +1,5 @@
 import type { Joints, JointValues, State } from "../state/state";
+import { t } from "../texts/texts";
 import { planningGroup, robotInfo, type GripperInfo, type JointKind } from "./robot-info";
 
 /** Parts of the state that tell which joints there are. */
@@ -127,14 +128,13 @@ export function jointReport(joints: Joints, known: ReadonlySet<string>): JointRe
 /** Return the notice about unknown names; empty without any. */
 export function unknownNamesText(report: JointReport, known: ReadonlySet<string>): string {
   if (report.unknown.length === 0) return "";
-  const names = report.unknown.join(", ");
-  return `/joint_states names ${names}, which the robot description does not have. It has ${[...known].join(", ")}.`;
+  return t("picture.joints.unknown", { names: report.unknown.join(", "), known: [...known].join(", ") });
 }
 
 /** Return the notice about positions that are not finite; empty without any. */
 export function withoutNumberText(report: JointReport): string {
   if (report.without_number.length === 0) return "";
-  return `/joint_states has no number for ${report.without_number.join(", ")}: drawn where it was last.`;
+  return t("picture.joints.no_number", { names: report.without_number.join(", ") });
 }
 
 // At half a metre from the joint this is 0.05 mm: less than a pixel.

@@ -26,10 +26,12 @@ test("a joint that slides is shown in millimetres beside degrees, and in metres 
 });
 
 describe("distanceText", () => {
-  it("takes millimetres below a centimetre", () => {
-    expect(distanceText(0.0034)).toBe("3 mm");
-    expect(distanceText(0.0001)).toBe("1 mm");
-    expect(distanceText(0.1234)).toBe("12.3 cm");
+  it("is in the chosen unit, to the millimetre", () => {
+    expect([0.0034, 0.1234].map((distance_m) => distanceText(distance_m, "deg"))).toEqual(["3 mm", "123 mm"]);
+    expect([0.0034, 0.1234].map((distance_m) => distanceText(distance_m, "rad"))).toEqual(["0.003 m", "0.123 m"]);
+  });
+  it("is never 0", () => {
+    expect([distanceText(0.0001, "deg"), distanceText(0.0001, "rad")]).toEqual(["1 mm", "0.001 m"]);
   });
 });
 
@@ -41,12 +43,12 @@ test("a number within the limits is taken, with a comma too", () => {
   expect(parseNumber("1e1", range)).toEqual({ value: 10, message: "" });
 });
 
-test("beyond a limit it goes to the limit, and the limit is named", () => {
+test("beyond a limit it goes to the limit, and the range is named", () => {
   expect(parseNumber("120", range)).toEqual({
     value: 90,
-    message: "elbow_flex: 120° is beyond the upper limit, 90°",
+    message: "elbow_flex: 120° is outside of -90° to 90°",
   });
-  expect(parseNumber("-100.04", range).message).toBe("elbow_flex: -100° is beyond the lower limit, -90°");
+  expect(parseNumber("-100.04", range).message).toBe("elbow_flex: -100° is outside of -90° to 90°");
 });
 
 test.each(["", "abc", "NaN", "Infinity", "1e999", "0x10", "--3"])("%j is no number: what was there comes back", (text) => {

@@ -1,3 +1,4 @@
+import { t } from "../texts/texts";
 import type { JointKind } from "./robot-info";
 
 /** Units that the user has chosen: degrees and millimetres, or radians and metres. */
@@ -29,6 +30,16 @@ export function unitOf(kind: JointKind, system: UnitSystem): Unit {
   return (kind === "prismatic" ? LENGTHS : ANGLES)[system];
 }
 
+/** Return the unit of coordinates. */
+export function lengthUnit(system: UnitSystem): Unit {
+  return LENGTHS[system];
+}
+
+/** Return the unit of angles. */
+export function angleUnit(system: UnitSystem): Unit {
+  return ANGLES[system];
+}
+
 /** Convert a position from radians or metres. */
 export function toUnit(value: number, unit: Unit): number {
   return value * unit.scale;
@@ -48,10 +59,10 @@ function withoutNegativeZero(text: string): string {
   return /^-0\.?0*$/.test(text) ? text.slice(1) : text;
 }
 
-/** Format a distance, as "3 mm" or "12.3 cm". */
-export function distanceText(distance_m: number): string {
-  if (distance_m < 0.01) return `${Math.max(1, Math.round(distance_m * 1000))} mm`;
-  return `${(distance_m * 100).toFixed(1)} cm`;
+/** Format a distance to the millimetre, as "123 mm" or "0.123 m"; one that is there is never 0. */
+export function distanceText(distance_m: number, system: UnitSystem): string {
+  const millimetres = Math.max(1, Math.round(distance_m * 1000));
+  return toUnit(millimetres / 1000, LENGTHS[system]).toFixed(system === "deg" ? 0 : 3) + LENGTHS[system].suffix;
 }
 
 /** Result of reading a typed number. */
@@ -77,17 +88,17 @@ export function parseNumber(text: string, range: NumberRange): ParsedNumber {
   const typed = text.trim().replace(",", ".").replace("−", "-");
   const value = /^[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,3})?$/i.test(typed) ? Number(typed) : Number.NaN;
   if (!Number.isFinite(value)) {
-    return { value: null, message: `${range.name}: “${truncated(text)}” is no number` };
+    return { value: null, message: t("number.none", { name: range.name, text: truncated(text) }) };
   }
-  if (value < range.lower) return atLimit(value, range.lower, "lower", range);
-  if (value > range.upper) return atLimit(value, range.upper, "upper", range);
+  if (value < range.lower) return atLimit(value, range.lower, range);
+  if (value > range.upper) return atLimit(value, range.upper, range);
   return { value, message: "" };
 }
 
-function atLimit(value: number, limit: number, limit_name: string, range: NumberRange): ParsedNumber {
+function atLimit(value: number, limit: number, range: NumberRange): ParsedNumber {
   const format = (number: number): string => `${Number(number.toFixed(range.digits))}${range.unit}`;
-  const message = `${range.name}: ${format(value)} is beyond the ${limit_name} limit, ${format(limit)}`;
-  return { value: limit, message };
+  const [typed, lower, upper] = [format(value), format(range.lower), format(range.upper)];
+  return { value: limit, message: t("number.outside", { name: range.name, value: typed, lower, upper }) };
 }
 
 function truncated(text: string): string {

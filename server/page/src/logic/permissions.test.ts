@@ -2,7 +2,7 @@ import { expect, test } from "vitest";
 import type { Control, Identity } from "../state/state";
 import { controlHolder, controlText, denialReason } from "./permissions";
 
-const me = (role: Identity["role"]): Identity => ({ address: "10.0.0.1:5", role });
+const me = (role: Identity["role"]): Identity => ({ address: "10.0.0.1:5", role, version: "" });
 const FREE: Control = { holder: "", address: "", policy: "lease", free_in_s: null };
 const MINE: Control = { holder: "alice (10.0.0.1:5)", address: "10.0.0.1:5", policy: "lease", free_in_s: 10 };
 const OTHERS: Control = { holder: "bob (10.0.0.1:6)", address: "10.0.0.1:6", policy: "lease", free_in_s: 7 };

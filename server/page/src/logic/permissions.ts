@@ -1,4 +1,5 @@
 import type { State } from "../state/state";
+import { t } from "../texts/texts";
 
 /** Operations with a permission of their own: moving the arm, changing its scene, changing stored settings. */
 export type Operation = "drive" | "work" | "configure";
@@ -14,32 +15,32 @@ export function denialReason(operation: Operation, { identity, control }: Permis
   if (!identity) return "";
   const needed = NEEDED_ROLE[operation];
   if (ROLES.indexOf(identity.role) < ROLES.indexOf(needed)) {
-    return `This page has the role ${identity.role}: for this it needs a token with the role ${needed}.`;
+    return t("denied.role", { role: identity.role, needed });
   }
   const another = operation === "drive" && controlHolder({ identity, control }) === "another";
-  return another ? `${control.holder} controls the arm.` : "";
+  return another ? t("control.another", { name: control.holder }) : "";
 }
 
 /** Return the holder of control as seen from this page. */
-export function controlHolder({ identity, control }: PermissionState): "nobody" | "this page" | "another" {
+export function controlHolder({ identity, control }: PermissionState): "nobody" | "mine" | "another" {
   if (control.policy === "shared" || control.holder === "") return "nobody";
-  return identity?.address === control.address ? "this page" : "another";
+  return identity?.address === control.address ? "mine" : "another";
 }
 
 /** Return the sentence about control of the arm; empty where all clients share it. */
 export function controlText(state: PermissionState): string {
   const { identity, control } = state;
   const sentences = {
-    nobody: "Nobody controls the arm.",
-    "this page": "This page controls the arm.",
+    nobody: t("control.nobody"),
+    mine: t("control.mine"),
     another: heldByAnother(control),
   };
   const sentence = control.policy === "shared" ? "" : sentences[controlHolder(state)];
   if (identity?.role !== "view") return sentence;
-  return `Read only: the role view lets this page look, and stop the arm. ${sentence}`.trim();
+  return `${t("control.read_only")} ${sentence}`.trim();
 }
 
 function heldByAnother({ holder: name, free_in_s }: State["control"]): string {
-  if (free_in_s === null) return `${name} controls the arm.`;
-  return `${name} controls the arm. It is free in ${free_in_s} s if nothing more is asked of it.`;
+  if (free_in_s === null) return t("control.another", { name });
+  return t("control.another_until", { name, seconds: free_in_s });
 }

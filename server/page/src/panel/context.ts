@@ -1,9 +1,17 @@
 import type { Authentication } from "../link/authentication";
 import type { ArmCommands, StopCommand } from "../link/commands";
+import type { CommissioningCommands } from "../link/commissioning";
+import type { GoalRecord } from "../link/goal-history";
 import type { MoveGroupClient } from "../link/move-group";
+import type { PhoneAccess } from "../link/phone";
+import type { SceneEditor } from "../link/scene-editor";
+import type { SequencePlayer } from "../link/sequence";
+import type { JogSender } from "../link/servo-node";
+import type { ServoHistory } from "../logic/servo-history";
 import { denialReason, type Operation } from "../logic/permissions";
 import type { State } from "../state/state";
 import type { PageStore } from "../state/store";
+import { t } from "../texts/texts";
 import { el } from "./dom";
 
 /** Services that every section of the panel uses. */
@@ -12,7 +20,17 @@ export interface PanelContext {
   moveGroup: MoveGroupClient;
   commands: ArmCommands;
   stopCommand: StopCommand;
+  jogSender: JogSender;
+  commissioning: CommissioningCommands;
   authentication: Authentication;
+  /** Asks the server for a way in for another device. */
+  phoneAccess: () => Promise<PhoneAccess>;
+  sceneEditor: SceneEditor;
+  sequencePlayer: SequencePlayer;
+  /** Asks the server for the last minutes of a joint's servo; null where it has none. */
+  servoHistory: (joint: string) => Promise<ServoHistory | null>;
+  /** Asks the server for the record of a goal; a text is its reason for having none. */
+  goalRecord: (id: string) => Promise<GoalRecord | string>;
 }
 
 /** Wrap controls in a fieldset that is disabled while the server would deny their operation. */
@@ -36,10 +54,12 @@ export function watchPermissions({ store }: PanelContext): void {
   for (const part of ["identity", "control"] as const) {
     store.subscribe((state) => state[part], (_, state) => applyAll(state));
   }
+  store.subscribe((state) => state.link.connected, (_, state) => applyAll(state));
 }
 
 function applyPermission(fieldset: HTMLFieldSetElement, state: State): void {
-  const reason = denialReason(fieldset.dataset["deed"] as Operation, state);
+  const offline = state.link.connected ? "" : t("bar.offline.disabled");
+  const reason = offline || denialReason(fieldset.dataset["deed"] as Operation, state);
   fieldset.disabled = reason !== "";
   fieldset.title = reason;
 }

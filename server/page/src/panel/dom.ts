@@ -38,9 +38,21 @@ export function button(text: string, testid: string, press: () => void, title = 
   return el("button", title ? { ...options, title } : options);
 }
 
+/** Return a text with a capital first letter. */
+export function capitalized(text: string): string {
+  return text.charAt(0).toUpperCase() + text.slice(1);
+}
+
 /** Set a text; an unchanged one is left alone, which spares the browser a layout. */
 export function setText(element: HTMLElement, text: string): void {
   if (element.textContent !== text) element.textContent = text;
+}
+
+/** Show texts as the items of a list, which is hidden without any; unchanged ones are left alone. */
+export function showList(list: HTMLElement, texts: readonly string[]): void {
+  list.hidden = texts.length === 0;
+  if (texts.join("\n") === [...list.children].map(({ textContent }) => textContent).join("\n")) return;
+  list.replaceChildren(...texts.map((text) => el("li", { text })));
 }
 
 /** Create a collapsible section of the panel; the browser stores its open state. */

@@ -8,13 +8,14 @@ import {
   shownPosition,
   takesOrientation,
 } from "../logic/joints";
-import { distanceText, fromUnit, positionText, toUnit, unitOf, type Unit } from "../logic/numbers";
+import { angleUnit, distanceText, fromUnit, lengthUnit, positionText, toUnit, unitOf, type NumberRange, type Unit } from "../logic/numbers";
 import { robotInfo, planningGroup } from "../logic/robot-info";
 import { quaternionOf, rollPitchYawOf, type RollPitchYaw } from "../logic/rotations";
-import type { Orientation, Point, State, TargetState } from "../state/state";
+import type { Orientation, Point, State } from "../state/state";
 import { selectGoal, selectTarget } from "../state/store";
+import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, loadPreference, numberField, section, setText, storePreference, throttle } from "./dom";
+import { button, el, numberField, section, setText, throttle, type NumberField } from "./dom";
 
 /** Limit of typed coordinates [m], beyond the reach of any arm on a table or a mobile base. */
 const MAX_COORDINATE_M = 5;
@@ -24,10 +25,8 @@ const UPDATE_PERIOD_MS = 100;
 
 const AXES = ["x", "y", "z"] as const;
 
-/** Rotations about the fixed axes x, y and z, with their limits [degrees]. */
-const ROTATIONS = [["roll", 180], ["pitch", 90], ["yaw", 180]] as const;
-
-const DEGREES = unitOf("revolute", "deg");
+/** Rotations about the fixed axes x, y and z, with their limits [rad]. */
+const ROTATIONS = [["roll", Math.PI], ["pitch", Math.PI / 2], ["yaw", Math.PI]] as const;
 
 /** Parts of the state that tell which joints there are. */
 const DESCRIPTION = ["limits", "named", "urdf", "srdf", "group"] as const;
@@ -35,9 +34,9 @@ const DESCRIPTION = ["limits", "named", "urdf", "srdf", "group"] as const;
 /** Create the choice of the joint group that goals are for, which is hidden where there is one alone. */
 export function groupChoice(context: PanelContext): HTMLElement {
   const { store, commands } = context;
-  const choice = el("select", { testid: "group", label: "joint group" });
+  const choice = el("select", { testid: "group", label: t("group.label") });
   choice.addEventListener("change", () => commands.selectGroup(choice.value));
-  const line = el("label", { class: "line" }, "Joint group ", choice);
+  const line = el("label", { class: "line" }, `${t("group.label")} `, choice);
   const box = permissionFieldset(context, "drive", line);
   const show = (state: State): void => {
     const names = robotInfo(state).groups.map(({ name }) => name);
@@ -57,43 +56,63 @@ export function targetSection(context: PanelContext): HTMLElement {
   const select = (position_m: Point, orientation: Orientation | null): void => {
     selectTarget(store, position_m, takesOrientation(store.state) ? orientation : null);
   };
+  const length = (): Unit => lengthUnit(store.state.settings.units);
+  const angle = (): Unit => angleUnit(store.state.settings.units);
   const places = AXES.map((axis, index) => {
-    const range = { name: axis, lower: -MAX_COORDINATE_M, upper: MAX_COORDINATE_M, unit: " m", digits: 4 };
-    return numberField(`target-${axis}`, `target ${axis} in metres`, () => range, (value) => {
+    const range = (): NumberRange => unitRange(axis, MAX_COORDINATE_M, length());
+    return numberField(`target-${axis}`, t("target.axis", { axis }), range, (value) => {
       const position_m = [...targetPosition(store.state)] as Point;
-      position_m[index] = value;
+      position_m[index] = fromUnit(value, length());
       select(position_m, targetOrientation(store.state));
     });
   });
-  const rotations = ROTATIONS.map(([name, limit], index) => {
-    const range = { name, lower: -limit, upper: limit, unit: DEGREES.suffix, digits: DEGREES.digits };
-    return numberField(`target-${name}`, `target ${name} in degrees`, () => range, (value) => {
+  const rotations = ROTATIONS.map(([name, limit_rad], index) => {
+    const range = (): NumberRange => unitRange(name, limit_rad, angle());
+    return numberField(`target-${name}`, t("target.axis", { axis: name }), range, (value) => {
       const angles = [...rollPitchYawOf(targetOrientation(store.state))] as RollPitchYaw;
-      angles[index] = fromUnit(value, DEGREES);
+      angles[index] = fromUnit(value, angle());
       select(targetPosition(store.state), quaternionOf(angles));
     });
   });
-  const labelled = (names: readonly string[], fields: typeof places): HTMLElement => {
-    return el("div", { class: "axes" }, ...fields.map(({ input }, index) => el("label", {}, `${names[index]} `, input)));
-  };
-  const rotation_line = labelled(ROTATIONS.map(([name]) => name), rotations);
+  const places_line = unitFields(AXES, places);
+  const rotation_line = unitFields(ROTATIONS.map(([name]) => name), rotations);
   const reachability = el("p", { class: "hint", testid: "target-state", role: "status" });
   const show = throttle<State>(UPDATE_PERIOD_MS, (state) => {
-    const texts = targetPosition(state).map((value) => (Number.isFinite(value) ? value.toFixed(4) : ""));
+    const texts = targetPosition(state).map((value) => (Number.isFinite(value) ? positionText(value, length()) : ""));
     places.forEach((field, index) => field.show(texts[index] ?? ""));
-    rotation_line.hidden = !takesOrientation(state);
+    places_line.showUnit(length(), t("target.axis.unit"));
+    rotation_line.showUnit(angle(), t("target.axis.unit"));
+    rotation_line.element.hidden = !takesOrientation(state);
     const angles = rollPitchYawOf(targetOrientation(state));
-    rotations.forEach((field, index) => field.show(positionText(angles[index] ?? 0, DEGREES)));
+    rotations.forEach((field, index) => field.show(positionText(angles[index] ?? 0, angle())));
     const selected = state.selection.kind === "target";
-    setText(reachability, selected ? reachabilityText(state.target) : "Drag the arrows at the tool, or type a point.");
+    setText(reachability, selected ? reachabilityText(state) : t("target.hint"));
     reachability.dataset["off"] = String(selected && state.target.reachable === false);
   });
-  for (const part of ["target", "selection", "tool_m", "tool_orientation", ...DESCRIPTION] as const) {
+  for (const part of ["target", "selection", "tool_m", "tool_orientation", "settings", ...DESCRIPTION] as const) {
     store.subscribe((state) => state[part], (_, state) => show(state));
   }
   const problems = [...places, ...rotations].map(({ problem }) => problem);
-  const place_line = labelled(AXES, places);
-  return section("target", "Target of the tool (m)", true, place_line, rotation_line, ...problems, reachability);
+  return section("target", t("target.title"), true, places_line.element, rotation_line.element, ...problems, reachability);
+}
+
+/** Return the range of a field within a limit to either side [m or rad]. */
+function unitRange(name: string, limit: number, unit: Unit): NumberRange {
+  return { name, lower: -toUnit(limit, unit), upper: toUnit(limit, unit), unit: unit.suffix, digits: unit.digits };
+}
+
+/** Lay out fields with their axes before and their unit behind them, which changes with the settings. */
+function unitFields(names: readonly string[], fields: readonly NumberField[]): { element: HTMLElement; showUnit: (unit: Unit, label: string) => void } {
+  const units = fields.map(() => el("span", { class: "unit", attributes: { "aria-hidden": "true" } }));
+  const labelled = fields.map(({ input }, index) => el("label", {}, el("b", { text: names[index] ?? "" }), input, units[index] ?? ""));
+  const showUnit = (unit: Unit, label: string): void => {
+    fields.forEach(({ input }, index) => {
+      const spoken = label.replace("{axis}", names[index] ?? "").replace("{unit}", unit.suffix.trim());
+      if (input.getAttribute("aria-label") !== spoken) input.setAttribute("aria-label", spoken);
+      setText(units[index] ?? input, unit.suffix.trim());
+    });
+  };
+  return { element: el("div", { class: "axes" }, ...labelled), showUnit };
 }
 
 function targetPosition({ selection, target: { position_m }, tool_m }: State): Point {
@@ -104,11 +123,11 @@ function targetOrientation({ selection, target: { orientation }, tool_orientatio
   return (selection.kind === "target" ? orientation : null) ?? tool_orientation ?? [0, 0, 0, 1];
 }
 
-function reachabilityText({ reachable, distance_m }: TargetState): string {
+function reachabilityText({ target: { reachable, distance_m }, settings }: State): string {
   if (reachable === null) return "…";
-  if (reachable) return "The arm can be there.";
-  if (distance_m > 0) return `Out of reach: the nearest the tool comes is ${distanceText(distance_m)} away.`;
-  return "The arm would touch something there.";
+  if (reachable) return t("target.reachable");
+  if (distance_m > 0) return t("target.out_of_reach", { distance: distanceText(distance_m, settings.units) });
+  return t("target.touches");
 }
 
 interface JointRow {
@@ -133,20 +152,8 @@ export function jointsSection(context: PanelContext): HTMLElement {
   for (const part of ["joints", "selection", "target", "settings", ...DESCRIPTION] as const) {
     store.subscribe((state) => state[part], (_, state) => show(state));
   }
-  const back = button("Back to where the arm is", "forget-wish", () => selectGoal(store, "none", null));
-  return section("joints", "Joints", true, unitSwitch(context), list, back);
-}
-
-function unitSwitch({ store }: PanelContext): HTMLElement {
-  const units = el("select", { testid: "units", id: "units" }, option("deg", "degrees and millimetres"), option("rad", "radians and metres"));
-  units.addEventListener("change", () => {
-    const chosen = units.value === "rad" ? "rad" : "deg";
-    storePreference("units", chosen);
-    store.patch("settings", { units: chosen });
-  });
-  store.patch("settings", { units: loadPreference("units", "deg") === "rad" ? "rad" : "deg" });
-  units.value = store.state.settings.units;
-  return el("label", { class: "line" }, "Positions in ", units);
+  const back = button(t("joints.back"), "forget-wish", () => selectGoal(store, "none", null));
+  return section("joints", t("joints.title"), true, list, back);
 }
 
 function option(value: string, text: string): HTMLOptionElement {
@@ -161,14 +168,14 @@ function jointRow({ store }: PanelContext, name: string): JointRow {
     const displayed = Object.entries(displayedPositions(store.state)).filter(([joint]) => names.includes(joint));
     selectGoal(store, "joints", { ...Object.fromEntries(displayed), [name]: value });
   };
-  const slider = el("input", { type: "range", testid: `joint-${name}-slider`, label: `${name}, slider` });
+  const slider = el("input", { type: "range", testid: `joint-${name}-slider`, label: t("joints.slider", { name }) });
   slider.addEventListener("input", () => take(fromUnit(Number(slider.value), unit())));
-  const typed = numberField(`joint-${name}-number`, `${name}, number`, () => {
+  const typed = numberField(`joint-${name}-number`, t("joints.number", { name }), () => {
     const { suffix, digits } = unit();
     const [lower, upper] = range().map((limit) => toUnit(limit, unit())) as [number, number];
     return { name, lower, upper, unit: suffix, digits };
   }, (value) => take(fromUnit(value, unit())));
-  const measured = el("span", { class: "measured", testid: `joint-${name}-measured`, title: "where the joint is" });
+  const measured = el("span", { class: "measured", testid: `joint-${name}-measured`, title: t("joints.measured") });
   const limits = el("span", { class: "limits", testid: `joint-${name}-limits` });
   const head = el("div", { class: "row-head" }, el("b", { text: name }), measured, typed.input);
   const box = el("div", { class: "row" }, head, slider, limits, typed.problem);
@@ -180,7 +187,7 @@ function jointRow({ store }: PanelContext, name: string): JointRow {
     showSlider(slider, position(displayedPositions(state)), lower, upper, shown);
     typed.show(positionText(position(displayedPositions(state)), shown));
     setText(measured, `${positionText(position(currentPositions(state)), shown)}${shown.suffix}`);
-    setText(limits, kind === "continuous" ? "any angle" : `${positionText(lower, shown)} … ${positionText(upper, shown)}`);
+    setText(limits, kind === "continuous" ? t("joints.any") : `${positionText(lower, shown)} … ${positionText(upper, shown)}${shown.suffix}`);
   };
   return { name, box, show };
 }
@@ -200,14 +207,14 @@ const GRIPPER_STEPS = 1000;
 /** Create the section of the gripper: a slider that moves it on release, and buttons for its ends. */
 export function gripperSection(context: PanelContext): HTMLElement {
   const { store, commands } = context;
-  const slider = el("input", { type: "range", testid: "gripper", label: "gripper, closed to open" });
+  const slider = el("input", { type: "range", testid: "gripper", label: t("gripper.label") });
   const measured = el("output", { testid: "gripper-measured" });
   const move = (position: number | undefined): void => void (position !== undefined && commands.moveGripper(position));
   slider.addEventListener("change", () => move(Number(slider.value)));
-  const open = button("Open", "gripper-open", () => move(armGripper(store.state)?.open));
-  const close = button("Close", "gripper-close", () => move(armGripper(store.state)?.closed));
+  const open = button(t("gripper.open"), "gripper-open", () => move(armGripper(store.state)?.open));
+  const close = button(t("gripper.close"), "gripper-close", () => move(armGripper(store.state)?.closed));
   const line = el("div", { class: "line" }, close, slider, open, measured);
-  const box = section("gripper", "Gripper", true, permissionFieldset(context, "drive", line));
+  const box = section("gripper", t("gripper.title"), true, permissionFieldset(context, "drive", line));
   const show = throttle<State>(UPDATE_PERIOD_MS, (state) => {
     const gripper = armGripper(state);
     box.hidden = gripper === null;

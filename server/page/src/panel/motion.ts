@@ -1,34 +1,49 @@
 import type { ArmCommands } from "../link/commands";
 import { groupPoses } from "../logic/joints";
 import { duration_s } from "../logic/trajectory";
-import type { ActiveGoal, State } from "../state/state";
+import type { State } from "../state/state";
 import { selectGoal, type PageStore } from "../state/store";
+import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
 import { button, el, section, setText } from "./dom";
+
+/** Return the next step to a motion, which is also why a button is disabled. */
+export function nextStep({ link, goal, plan: { trajectory }, selection }: Pick<State, "link" | "goal" | "plan" | "selection">): string {
+  if (!link.connected) return t("bar.offline.disabled");
+  if (goal.state === "executing") return t("move.step.moving");
+  if (trajectory !== null) return t("move.step.move");
+  return t(selection.kind === "none" ? "move.step.choose" : "move.step.plan");
+}
 
 /** Create the section that plans and executes motions, with named poses and speeds. */
 export function motionSection(context: PanelContext): HTMLElement {
   const { store, moveGroup } = context;
-  const plan = button("Plan", "plan", () => void moveGroup.plan(), "Plan and show the motion; nothing moves");
-  const move = button("Move", "move", () => void moveGroup.execute(), "Carry out the motion that is shown");
-  const at_once = "Plan the motion and carry it out at once";
-  const both = button("Plan and move", "plan-and-move", () => void moveGroup.planAndExecute(), at_once);
+  const plan = button(t("move.plan"), "plan", () => void moveGroup.plan());
+  const move = button(t("move.move"), "move", () => void moveGroup.execute());
+  const both = button(t("move.both"), "plan-and-move", () => void moveGroup.planAndExecute());
   both.classList.add("primary");
-  const show = ({ link, goal, plan: { trajectory }, selection }: State): void => {
+  const hint = el("p", { class: "hint", id: "next-step", testid: "next-step", role: "status" });
+  for (const each of [plan, move, both]) each.setAttribute("aria-describedby", hint.id);
+  const show = (state: State): void => {
+    const { link, goal, plan: { trajectory }, selection } = state;
     plan.disabled = both.disabled = !link.connected || selection.kind === "none";
     move.disabled = !link.connected || trajectory === null || goal.state === "executing";
+    setText(hint, nextStep(state));
+    plan.title = plan.disabled ? nextStep(state) : t("move.plan.title");
+    both.title = both.disabled ? nextStep(state) : t("move.both.title");
+    move.title = move.disabled ? t(trajectory === null ? "move.step.plan_first" : "move.step.moving") : t("move.move.title");
   };
   for (const part of ["link", "goal", "plan", "selection"] as const) {
     store.subscribe((state) => state[part], (_, state) => show(state));
   }
   const plan_only = permissionFieldset(context, "work", plan);
   const buttons = el("div", { class: "buttons" }, plan_only, permissionFieldset(context, "drive", move, both));
-  return section("goals", "Motion", true, namedPoses(context), buttons, speedControls(context), torqueButtons(context));
+  return section("goals", t("move.title"), true, namedPoses(context), hint, buttons, speedControls(context), relaxButton(context));
 }
 
 function namedPoses(context: PanelContext): HTMLElement {
   const { store, commands } = context;
-  const list = el("div", { class: "chips", testid: "named", role: "group", label: "named poses" });
+  const list = el("div", { class: "chips", testid: "named", role: "group", label: t("move.poses") });
   const choose = (name: string): void => {
     selectGoal(store, "named", groupPoses(store.state)[name]?.joints ?? null, name);
   };
@@ -39,11 +54,12 @@ function namedPoses(context: PanelContext): HTMLElement {
     const key = JSON.stringify(poses.map(([name, { saved }]) => [name, saved]));
     if (key === shown) return;
     shown = key;
+    if (poses.length === 0) return list.replaceChildren(el("p", { class: "hint", text: t("move.no_poses") }));
     list.replaceChildren(
       ...poses.map(([name, { saved }]) => {
-        const chip = button(name, `named-${name}`, () => choose(name), `Choose the pose “${name}”; nothing moves`);
+        const chip = button(name, `named-${name}`, () => choose(name), t("move.pose.title", { name }));
         if (!saved) return chip;
-        const forget = button("×", `delete-${name}`, () => void commands.deletePose(name), `Forget “${name}”`);
+        const forget = button("×", `delete-${name}`, () => void commands.deletePose(name), t("move.forget", { name }));
         return el("span", { class: "chip-pair" }, chip, permissionFieldset(context, "configure", forget));
       }),
     );
@@ -63,14 +79,14 @@ function namedPoses(context: PanelContext): HTMLElement {
 }
 
 function savePoseForm(commands: ArmCommands): HTMLElement {
-  const attributes = { placeholder: "name", maxlength: "64", autocomplete: "off" };
-  const name = el("input", { type: "text", testid: "save-name", label: "name for the present pose", attributes });
+  const attributes = { placeholder: t("move.save.name"), maxlength: "64", autocomplete: "off" };
+  const name = el("input", { type: "text", testid: "save-name", label: t("move.save.label"), attributes });
   const save = async (): Promise<void> => {
     const typed = name.value.trim();
     if (typed === "") return name.focus();
     if (await commands.savePose(typed)) name.value = "";
   };
-  const press = button("Save present pose", "save", () => void save());
+  const press = button(t("move.save"), "save", () => void save());
   name.addEventListener("keydown", (event) => event.key === "Enter" && void save());
   return el("div", { class: "line" }, name, press);
 }
@@ -81,7 +97,7 @@ const MIN_SPEED = 0.01;
 /** Create the sliders for the speed of new motions and of the present one, and the buttons along its path. */
 function speedControls(context: PanelContext): HTMLElement {
   const pace = permissionFieldset(context, "drive", executionPace(context));
-  return el("div", { class: "rows" }, planningSpeed(context), pace, pathControls(context));
+  return el("div", { class: "rows" }, planningSpeed(context), pace);
 }
 
 function fractionSlider(testid: string, label: string, least: number): HTMLInputElement {
@@ -90,7 +106,7 @@ function fractionSlider(testid: string, label: string, least: number): HTMLInput
 }
 
 function planningSpeed({ store }: PanelContext): HTMLElement {
-  const input = fractionSlider("speed", "speed of new motions", MIN_SPEED);
+  const input = fractionSlider("speed", t("move.speed"), MIN_SPEED);
   const text = el("output", { testid: "speed-text" });
   input.addEventListener("input", () => store.patch("settings", { speed: Number(input.value) }));
   store.subscribe(
@@ -100,11 +116,11 @@ function planningSpeed({ store }: PanelContext): HTMLElement {
       setText(text, `${Math.round(speed * 100)} %`);
     },
   );
-  return el("label", { class: "line" }, el("span", { text: "Speed of new motions" }), input, text);
+  return el("label", { class: "line" }, el("span", { text: t("move.speed") }), input, text);
 }
 
 function executionPace({ store, commands }: PanelContext): HTMLElement {
-  const input = fractionSlider("pace", "pace of the present motion", 0);
+  const input = fractionSlider("pace", t("move.pace"), 0);
   const text = el("output", { testid: "pace-text" });
   input.addEventListener("input", () => commands.setSpeedFactor(Number(input.value)));
   store.subscribe(
@@ -114,73 +130,29 @@ function executionPace({ store, commands }: PanelContext): HTMLElement {
       setText(text, `${Math.round(factor * 100)} %`);
     },
   );
-  return el("label", { class: "line" }, el("span", { text: "Pace, also while it moves" }), input, text);
+  return el("label", { class: "line" }, el("span", { text: t("move.pace") }), input, text);
 }
 
-function pathControls(context: PanelContext): HTMLElement {
+/** Create the button that lowers the torque; the bar offers to hold again. */
+function relaxButton(context: PanelContext): HTMLElement {
   const { store, commands } = context;
-  const trigger = (service: string) => (): void => void commands.trigger(service);
-  const pause = button("Pause", "pause", trigger("/arm/pause"), "Come to rest on the path and wait there");
-  const resume = button("Resume", "resume", trigger("/arm/resume"), "Go on forward");
-  const back = button("Step back", "step-back", trigger("/arm/step_back"), "Go back along the path");
-  const pausing = permissionFieldset(context, "work", pause);
-  const box = el("div", { class: "buttons" }, pausing, permissionFieldset(context, "drive", resume, back));
-  const show = (): void => {
-    const { arm, goal } = store.state;
-    box.hidden = arm.mode !== "moving" && goal.state !== "executing";
-    pause.disabled = arm.course === "paused";
-    resume.disabled = arm.course === "forward";
-  };
-  store.subscribe((state) => state.arm, show);
-  store.subscribe((state) => state.goal, show);
-  return box;
-}
-
-/** Create the buttons for the torque and for faults. */
-function torqueButtons(context: PanelContext): HTMLElement {
-  const { store, commands } = context;
-  const trigger = (service: string) => (): void => void commands.trigger(service);
-  const relax = button("Relax", "relax", trigger("/arm/relax"), "Lower the torque slowly: the arm sinks");
-  const hold = button("Hold", "hold", trigger("/arm/enable"), "Hold where the arm is");
-  const reset = button("Reset fault", "reset-fault", trigger("/arm/reset_fault"), "Clear a fault whose cause is gone");
+  const relax = button(t("move.relax"), "relax", () => void commands.trigger("/arm/relax"), t("move.relax.title"));
   store.subscribe(
     (state) => state.arm,
     ({ mode }) => {
-      relax.disabled = mode === "relaxed" || mode === "disconnected";
-      hold.disabled = mode !== "relaxed";
-      reset.disabled = mode !== "fault";
+      relax.disabled = ["", "relaxed", "disconnected"].includes(mode);
     },
   );
-  return el("div", { class: "buttons" }, permissionFieldset(context, "drive", relax, hold, reset));
-}
-
-/** Create the list of active goals, of all clients. */
-export function activeGoalsSection({ store, stopCommand, commands }: PanelContext): HTMLElement {
-  const list = el("ol", { class: "things", testid: "waiting" });
-  const all = button("Cancel all", "cancel-all", () => void stopCommand.stop(), "Stop, and end all goals");
-  const box = section("waiting", "Goals in hand and waiting", false, list, all);
-  store.subscribe(
-    (state) => state.active_goals,
-    (goals) => {
-      list.replaceChildren(...goals.map((goal) => goalItem(goal, () => commands.cancelGoal(goal.id))));
-      all.disabled = goals.length === 0;
-    },
-  );
-  return box;
-}
-
-function goalItem({ id, name, state }: ActiveGoal, cancel: () => void): HTMLElement {
-  const text = el("span", { text: `${name} #${id}: ${state}` });
-  return el("li", { testid: `waiting-${id}` }, text, button("Cancel", `cancel-${id}`, cancel));
+  return el("div", { class: "buttons" }, permissionFieldset(context, "drive", relax));
 }
 
 /** Create the slider that shows the ghost at any time of the plan, and its replay button. */
 export function planScrubber({ store }: PanelContext): HTMLElement {
   const attributes = { min: "0", max: "0", step: "0.01" };
-  const slider = el("input", { type: "range", testid: "scrubber", label: "time on the planned motion", attributes });
+  const slider = el("input", { type: "range", testid: "scrubber", label: t("scrubber.time"), attributes });
   const text = el("output", { testid: "scrubber-text" });
-  const replay = new PlanReplay(store, (playing) => setText(play, playing ? "❚❚ Halt" : "▶ Replay"));
-  const play = button("▶ Replay", "replay", () => replay.toggle());
+  const replay = new PlanReplay(store, (playing) => setText(play, playing ? t("scrubber.halt") : t("scrubber.replay")));
+  const play = button(t("scrubber.replay"), "replay", () => replay.toggle());
   slider.addEventListener("input", () => {
     replay.end();
     store.patch("plan", { scrub_s: Number(slider.value) });
@@ -194,14 +166,14 @@ export function planScrubber({ store }: PanelContext): HTMLElement {
       const end_s = duration_s(trajectory);
       slider.max = String(end_s);
       slider.value = String(scrub_s ?? end_s);
-      setText(text, `${(scrub_s ?? end_s).toFixed(2)} of ${end_s.toFixed(2)} s`);
+      setText(text, t("scrubber.of", { now: (scrub_s ?? end_s).toFixed(1), end: end_s.toFixed(1) }));
     },
   );
   return box;
 }
 
 /** Replay of the plan by the ghost, in real time. */
-class PlanReplay {
+export class PlanReplay {
   private began_ms: number | null = null;
 
   constructor(

@@ -1,7 +1,8 @@
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
 import type { ConnectionState, GoalState, State } from "../state/state";
+import { t, type TextKey } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, setText } from "./dom";
+import { button, capitalized, el, setText } from "./dom";
 
 /** Label and kind of the state pill. */
 export interface Pill {
@@ -14,81 +15,109 @@ export interface Pill {
 type StatusInput = Pick<State, "link" | "arm" | "goal" | "pending_request">;
 
 /** Return the arm's state in a word. */
-export function statePill({ link, arm, goal, pending_request }: StatusInput): Pill {
-  if (!link.connected) return { label: "OFFLINE", kind: "off" };
-  if (arm.mode === "fault") return { label: "FAULT", kind: "fault" };
-  if (arm.mode === "disconnected") return { label: "NO ARM", kind: "fault" };
-  if (arm.mode === "connected") return { label: "CHECKING", kind: "off" };
-  if (goal.state === "executing" || arm.mode === "moving") return { label: movingLabel(arm.course), kind: "busy" };
-  if (goal.state === "planning" || pending_request === "plan") return { label: "PLANNING", kind: "busy" };
-  if (arm.mode === "relaxed") return { label: "RELAXED", kind: "off" };
-  if (goal.state === "done" && goal.code === PREEMPTED) return { label: "STOPPED", kind: "stopped" };
-  return { label: "IDLE", kind: "idle" };
+export function statePill(state: StatusInput): Pill {
+  const [name, kind] = stateName(state);
+  return { label: t(`state.${name}` as TextKey), kind };
 }
 
-function movingLabel(course: string): string {
-  return { paused: "PAUSED", back: "GOING BACK" }[course] ?? "EXECUTING";
+function stateName({ link, arm, goal, pending_request }: StatusInput): [string, Pill["kind"]] {
+  if (!link.connected) return [arm.mode === "" && !link.refused ? "connecting" : "offline", "off"];
+  if (isBeingChecked(arm)) return ["checking", "off"];
+  if (arm.mode === "fault") return ["fault", "fault"];
+  if (arm.mode === "disconnected") return ["no_arm", "fault"];
+  if (goal.state === "executing" || arm.mode === "moving") return [courseName(arm.course), "busy"];
+  if (goal.state === "planning" || pending_request === "plan") return ["planning", "busy"];
+  if (arm.mode === "relaxed") return ["relaxed", "off"];
+  if (goal.state === "done" && goal.code === PREEMPTED) return ["stopped", "stopped"];
+  return ["idle", "idle"];
 }
 
-/** Return the sentence below the pill: a fault with its remedy, else the state or result of the goal. */
+/** Return true before the server has told the arm's mode, and while it starts and checks the arm, which is no fault. */
+function isBeingChecked({ mode, reason }: State["arm"]): boolean {
+  return mode === "" || mode === "connected" || (mode === "disconnected" && reason.includes("is starting"));
+}
+
+function courseName(course: string): string {
+  return { paused: "paused", back: "back" }[course] ?? "executing";
+}
+
+/** Return the sentence beside the pill: what is the matter and what to do, else the state or result of the goal. */
 export function statusText({ link, arm, goal }: StatusInput): string {
-  if (link.refused) return "The server wants a token.";
-  if (!link.connected) return "The server cannot be reached; the page keeps trying. What is shown is old.";
-  if (arm.mode === "fault") {
-    return `${arm.fault}: ${withFullStop(arm.fault_message)} ${withFullStop(arm.fault_remedy)}`.trim();
-  }
-  if (arm.mode === "disconnected" || arm.mode === "connected") return arm.message;
-  if (goal.state === "done" && goal.code !== null && goal.code !== SUCCESS) {
-    return `${errorCodeName(goal.code)} (${goal.code}): ${goal.message}`;
-  }
-  if (arm.mode === "relaxed") return arm.message;
-  return goal.message || arm.message;
+  if (link.refused) return t("status.token");
+  if (!link.connected) return t(arm.mode === "" ? "status.connecting" : "status.offline");
+  if (isBeingChecked(arm)) return `${t("status.checking")} ${sentence(arm.reason)}`.trim();
+  if (arm.mode === "fault") return `${sentence(arm.fault_message)} ${sentence(arm.fault_remedy)}`.trim();
+  if (arm.mode === "disconnected") return `${t("status.no_arm")} ${sentence(arm.reason)}`.trim();
+  if (goal.state === "done" && goal.code !== null && goal.code !== SUCCESS) return sentence(goal.message);
+  if (arm.mode === "relaxed") return t("status.relaxed");
+  if (goal.message) return sentence(goal.message);
+  return arm.mode === "holding" ? t("status.holding") : sentence(arm.message);
 }
 
-function withFullStop(text: string): string {
-  return text === "" || /[.!?]$/.test(text) ? text : `${text}.`;
+/** Return the code behind the sentence, for those who look it up; empty without one. */
+export function statusCode({ link, arm, goal }: StatusInput): string {
+  if (!link.connected) return "";
+  if (arm.mode === "fault") return arm.fault;
+  const failed = goal.state === "done" && goal.code !== null && goal.code !== SUCCESS;
+  return failed ? `${errorCodeName(goal.code ?? 0)} (${goal.code})` : "";
 }
 
-/** Create the pills of arm and connection, and the sentence below them. */
-export function statusHeader(context: PanelContext): HTMLElement {
+/** Return a text of the server as a sentence. */
+function sentence(text: string): string {
+  return text === "" || /[.!?…]$/.test(text) ? capitalized(text) : `${capitalized(text)}.`;
+}
+
+/** Create the arm's state in a word and in a sentence, and the button that helps: the only one for its cause. */
+export function statusBar(context: PanelContext): HTMLElement[] {
   const { store, commands } = context;
-  const state_attributes = { class: "pill", id: "state-pill", testid: "state-pill", label: "state of the arm" };
-  const state_pill = el("span", { ...state_attributes, role: "status" });
-  const link_pill = el("span", { class: "pill", id: "link-pill", testid: "link-pill", label: "connection" });
-  const message = el("p", { id: "message", testid: "message", role: "status" });
-  const progress = el("progress", { testid: "progress", label: "how far the motion is" });
+  const attributes = { class: "pill", id: "state-pill", testid: "state-pill", label: t("bar.state") };
+  const state_pill = el("span", { ...attributes, role: "status" });
+  const text = el("span");
+  const code = el("small", { class: "code", testid: "message-code" });
+  // Focusable, as a long sentence scrolls.
+  const readable = { id: "message", testid: "message", role: "status", attributes: { tabindex: "0" } };
+  const message = el("p", readable, text, " ", code);
   const suggestion = button("", "suggestion", () => {
     const offered = store.state.goal.suggestion;
     if (offered) commands.publishSuggestion(offered);
   });
-  const reset = button("Reset fault", "reset-fault-here", () => void commands.trigger("/arm/reset_fault"));
+  const trigger = (service: string) => (): void => void commands.trigger(service);
+  const reset = button(t("bar.reset_fault"), "reset-fault", trigger("/arm/reset_fault"), t("bar.reset_fault.title"));
+  const hold = button(t("bar.hold"), "hold", trigger("/arm/enable"), t("bar.hold.title"));
+  for (const helping of [reset, hold]) helping.classList.add("primary");
   const show = (state: State): void => {
     const { arm, link, goal } = state;
     reset.hidden = arm.mode !== "fault" || !link.connected;
+    hold.hidden = arm.mode !== "relaxed" || !link.connected;
     const { label, kind } = statePill(state);
     setText(state_pill, label);
     state_pill.dataset["kind"] = kind;
     state_pill.dataset["code"] = goal.code === null ? "" : errorCodeName(goal.code);
-    setText(message, statusText(state));
+    setText(text, statusText(state));
+    setText(code, statusCode(state));
+    message.title = `${statusText(state)} ${statusCode(state)}`.trim();
     message.dataset["refused"] = String(goal.state === "done" && goal.code !== SUCCESS);
-    progress.hidden = goal.state !== "executing";
-    progress.value = goal.fraction;
     suggestion.hidden = goal.suggestion === null;
-    setText(suggestion, `Go there instead: ${suggestionText(goal)}`);
+    setText(suggestion, t("bar.suggestion", { place: suggestionText(goal) }));
   };
   for (const part of ["link", "arm", "goal", "pending_request"] as const) {
     store.subscribe((state) => state[part], (_, state) => show(state));
   }
-  store.subscribe((state) => state.link, (link) => showConnection(link_pill, link));
-  const pills = el("div", { class: "pills" }, state_pill, link_pill);
-  const buttons = permissionFieldset(context, "drive", suggestion, reset);
-  return el("header", { class: "status" }, pills, message, progress, buttons);
+  return [state_pill, message, permissionFieldset(context, "drive", suggestion, reset, hold)];
+}
+
+/** Create the pill of the connection with its round-trip time. */
+export function connectionPill({ store }: PanelContext): HTMLElement {
+  const pill = el("span", { class: "pill", id: "link-pill", testid: "link-pill", label: t("bar.connection") });
+  store.subscribe((state) => state.link, (link) => showConnection(pill, link));
+  return pill;
 }
 
 function showConnection(element: HTMLElement, { connected, latency_ms, refused }: ConnectionState): void {
-  const latency = latency_ms === null ? "connected" : `${Math.max(1, Math.round(latency_ms))} ms`;
-  setText(element, connected ? latency : refused ? "not let in" : "reconnecting…");
-  element.dataset["kind"] = connected ? "idle" : "fault";
+  const latency = latency_ms === null ? t("link.connected") : `${Math.max(1, Math.round(latency_ms))} ms`;
+  setText(element, connected ? latency : refused ? t("link.refused") : t("link.reconnecting"));
+  element.dataset["kind"] = connected ? "idle" : "off";
+  element.title = connected ? t("link.title") : t("bar.offline.disabled");
 }
 
 /** Message of a suggested goal: std_msgs/String, geometry_msgs/PoseStamped or sensor_msgs/JointState. */
@@ -108,13 +137,13 @@ function suggestionText({ suggestion }: GoalState): string {
 
 /** Create the list of notices, which stay until their cause is gone or the user dismisses them. */
 export function noticeList({ store }: PanelContext): HTMLElement {
-  const list = el("ul", { class: "notices", testid: "notices", role: "alert" });
+  const list = el("ul", { class: "notices", testid: "notices", attributes: { "aria-live": "assertive" } });
   const drop = (key: string): void => store.set({ notices: store.state.notices.filter((notice) => notice.key !== key) });
   store.subscribe(
     (state) => state.notices,
     (all) => {
       const items = all.map(({ key, text }) => {
-        return el("li", {}, el("span", { text }), button("×", `drop-${key}`, () => drop(key), "Put this away"));
+        return el("li", {}, el("span", { text }), button("×", `drop-${key}`, () => drop(key), t("bar.dismiss")));
       });
       list.replaceChildren(...items);
     },

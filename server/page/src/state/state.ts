@@ -1,3 +1,7 @@
+import type { GoalEntry } from "../logic/goal-history";
+import { INITIAL_LAYOUT, type Layout } from "../logic/layout";
+import type { LegCheck, Step, Waypoint } from "../logic/sequence";
+
 // Everything that the page shows: link/ and the user's input write it, panel/ and view/ read it.
 
 /** Position in the root link's frame. */
@@ -24,6 +28,8 @@ export interface Identity {
   /** IP address and port of the connection, which are unique to it. */
   address: string;
   role: "view" | "operate" | "admin";
+  /** Version of the server; empty where it tells none. */
+  version: string;
 }
 
 /** Control of the arm, from /arm/control. */
@@ -57,6 +63,7 @@ export interface Joints {
 
 /** Newest message of /arm/state. */
 export interface ArmState {
+  /** Mode of the state machine; empty before the server has told it. */
   mode: string;
   /** Sentence of the server. */
   message: string;
@@ -167,9 +174,50 @@ export interface LogEntry {
 /** Condition of a servo, from /diagnostics. */
 export interface ServoState {
   name: string;
+  /** Hardware id, as "servo 3". */
+  hardware: string;
   level: number;
   message: string;
   values: Record<string, string>;
+}
+
+/** Condition of the arm's bus and control loop, from /diagnostics. */
+export interface ArmHealth {
+  level: number;
+  message: string;
+  values: Record<string, string>;
+}
+
+/** Range that a joint has been moved through, in the ticks of its servo. */
+export interface SweptJoint {
+  joint: string;
+  lowest: number;
+  present: number;
+  highest: number;
+  /** Width that the range of the joint has on an arm as built; 0 where none is known. */
+  expected_width: number;
+  done: boolean;
+  /** Remark of the server; empty without one. */
+  note: string;
+  /** Angle by which the joint hangs below its command; NaN while it is not measured. */
+  droop_rad: number;
+}
+
+/** Procedure of commissioning as the server tells it on /arm/commissioning/state. */
+export interface Commissioning {
+  /** "calibrate" or "verify"; empty while none is in progress. */
+  procedure: string;
+  step: string;
+  /** Sentence for the person at the arm. */
+  instruction: string;
+  /** Texts of which one answers the step. */
+  answers: string[];
+  /** Done part of the procedure, 0 to 1. */
+  progress: number;
+  joints: SweptJoint[];
+  findings: string[];
+  /** End of the last procedure, as a sentence; empty before. */
+  result: string;
 }
 
 /** Goal that is queued, planned or executed. */
@@ -209,7 +257,103 @@ export interface SceneObject {
   orientation: Orientation;
   shapes: Shape[];
   /** Red, green, blue, alpha, 0 to 1; null takes the theme's colour. */
-  color: [number, number, number, number] | null;
+  color: Color | null;
+  /** Links that an attached object may touch. */
+  touch_links?: string[];
+}
+
+/** Red, green, blue, alpha, 0 to 1. */
+export type Color = [number, number, number, number];
+
+/** Object that the user is about to add: a shape, and the start of its name. */
+export interface NewObject {
+  name: string;
+  shape: Shape;
+}
+
+/** Point of a surface, with the direction away from the surface. */
+export interface SurfacePoint {
+  point_m: Point;
+  normal: Point;
+}
+
+/** Change of the scene that can be undone. */
+export interface SceneChange {
+  /** Objects as they were before; null for one that there was not. */
+  objects: Record<string, SceneObject | null>;
+  /** True when the whole scene was replaced, so that there were no other objects. */
+  whole: boolean;
+}
+
+/** Editing of the planning scene. */
+export interface SceneEditing {
+  /** Object that the next click in the picture places; null while none is chosen. */
+  placing: NewObject | null;
+  /** Surface that the user has clicked to place it; null once it is added. */
+  clicked: SurfacePoint | null;
+  /** Arrows at the selected object: along the axes, or about them. */
+  arrows: "translate" | "rotate";
+  /** Changes of this page that can be undone, the newest last. */
+  history: SceneChange[];
+  /** Names of the scenes on the server; null while it has not told them. */
+  saved: string[] | null;
+  /** Result of the last change, as a sentence; empty after a success that can be seen. */
+  result: string;
+}
+
+/** Plane through the workspace in which the reach is shown. */
+export interface Slice {
+  /** "level" lies at a height, "upright" stands on the root link's z axis. */
+  kind: "level" | "upright";
+  /** Height of a level slice above the root link [m]. */
+  height_m: number;
+  /** Angle of an upright slice from the x axis [rad]. */
+  angle_rad: number;
+}
+
+/** Square of a slice with the server's answer: free, in contact with something, or out of reach. */
+export interface Cell {
+  point_m: Point;
+  edge_m: number;
+  reach: "free" | "contact" | "out";
+}
+
+/** Reachable region of the tip in the present scene. */
+export interface Region {
+  shown: boolean;
+  slice: Slice;
+  cells: Cell[];
+  /** Number of points that are checked in all. */
+  total: number;
+  /** Reason why nothing is computed, as a sentence; empty without one. */
+  problem: string;
+}
+
+/** Sequence of motions that is edited, and played. */
+export interface SequenceState {
+  waypoints: readonly Waypoint[];
+  /** The server's answer for the leg to each waypoint. */
+  checks: LegCheck[];
+  /** Waypoint that the arm is on its way to, or at; null while the sequence is not played. */
+  playing: { index: number; doing: "check" | Step["doing"] } | null;
+  /** Result of the last play, as a sentence; empty before. */
+  result: string;
+  /** Sequences that the browser keeps, by name. */
+  saved: Record<string, readonly Waypoint[]>;
+}
+
+/** Status and parameters of the servo node, which follows the velocities of driving by hand. */
+export interface ServoNodeState {
+  /** Code of moveit_msgs/ServoStatus: what limits the arm; -1 for a refused command. */
+  code: number;
+  message: string;
+  command_in_type: "unitless" | "speed_units";
+  /** Speed of the tip for a command of 1 [m/s]. */
+  linear_scale: number;
+  /** The same of its rotation [rad/s]. */
+  rotational_scale: number;
+  /** The same of a joint [rad/s]. */
+  joint_scale: number;
 }
 
 /** State of the page. */
@@ -239,11 +383,24 @@ export interface State {
   objects: SceneObject[];
   log: LogEntry[];
   servos: ServoState[];
+  /** Null until the server has reported. */
+  arm_health: ArmHealth | null;
+  /** Joint whose servo's details are shown; empty for none. */
+  selected_servo: string;
+  /** Null until the server has told it; a server that offers no procedures never does. */
+  commissioning: Commissioning | null;
+  /** Joint that is being moved by hand, with the sign of its angle against its servo's ticks; null while none is. */
+  joint_in_hand: { joint: string; direction: 1 | -1 } | null;
   active_goals: ActiveGoal[];
+  /** Last goals of all clients, oldest first. */
+  goal_history: GoalEntry[];
   notices: Notice[];
+  servo_node: ServoNodeState;
   stop: StopState;
   pending_request: PendingRequest;
   settings: Settings;
+  /** Arrangement of the panels. */
+  layout: Layout;
   /** Commanded joint positions of the moment; empty while the server publishes none. */
   commanded_rad: JointValues;
   /** Position of the drawn tool, which the view computes; null without an arm. */
@@ -253,6 +410,11 @@ export interface State {
   collision_shapes: boolean;
   /** Id of the selected object of the planning scene, which the user can drag. */
   selected_object: string | null;
+  /** Colours of objects by their id, as the server keeps them. */
+  object_colors: Record<string, Color>;
+  editing: SceneEditing;
+  region: Region;
+  sequence: SequenceState;
 }
 
 /** Return the state before the first message. */
@@ -278,17 +440,40 @@ export function emptyState(url: string): State {
     objects: [],
     log: [],
     servos: [],
+    arm_health: null,
+    selected_servo: "",
+    commissioning: null,
+    joint_in_hand: null,
     active_goals: [],
+    goal_history: [],
     notices: [],
+    servo_node: {
+      code: 0,
+      message: "",
+      command_in_type: "unitless",
+      linear_scale: 0.2,
+      rotational_scale: 0.8,
+      joint_scale: 0.5,
+    },
     stop: { phase: "ready", text: "" },
     pending_request: "nothing",
     settings: { units: "deg", speed: 0.3 },
+    layout: INITIAL_LAYOUT,
     commanded_rad: {},
     tool_m: null,
     tool_orientation: null,
     collision_shapes: false,
     selected_object: null,
+    object_colors: {},
+    editing: { placing: null, clicked: null, arrows: "translate", history: [], saved: null, result: "" },
+    region: { shown: false, slice: { kind: "upright", height_m: 0.1, angle_rad: 0 }, cells: [], total: 0, problem: "" },
+    sequence: noSequence(),
   };
+}
+
+/** Return the sequence before the first waypoint. */
+export function noSequence(): SequenceState {
+  return { waypoints: [], checks: [], playing: null, result: "", saved: {} };
 }
 
 /** Return the goal state before the first goal. */
@@ -307,7 +492,7 @@ export function noGoal(): GoalState {
 
 function noArm(): ArmState {
   return {
-    mode: "disconnected",
+    mode: "",
     message: "",
     fault: "",
     fault_message: "",

@@ -1,23 +1,36 @@
 import {
-  AmbientLight,
-  AxesHelper,
-  Color,
+  BufferAttribute,
   DirectionalLight,
   DoubleSide,
-  GridHelper,
-  Group,
+  HemisphereLight,
+  Mesh,
   MeshBasicMaterial,
   MeshLambertMaterial,
+  MeshPhongMaterial,
+  PlaneGeometry,
+  Vector3,
   type Material,
+  type Object3D,
   type Scene,
+  type WebGLRenderer,
 } from "three";
+import type { UnitSystem } from "../logic/numbers";
+import { backgroundMaterial, srgb } from "./flat-material";
+import { Ground } from "./ground";
 import type { MaterialSelector } from "./robot-model";
+import { SoftShadow } from "./soft-shadow";
 
 /** Colours of the view. */
 export interface Theme {
+  /** Background at the picture's upper and lower edge. */
+  sky: number;
   background: number;
+  ground: number;
   grid: number;
   grid_axis: number;
+  grid_label: number;
+  /** Darkness of the arm's shadow, from 0 to 1. */
+  shadow: number;
   arm: number;
   arm_dark: number;
   ghost: number;
@@ -26,12 +39,17 @@ export interface Theme {
   object: number;
   collision: number;
   missing: number;
+  swept: number;
 }
 
 const LIGHT: Theme = {
-  background: 0xeef1f4,
-  grid: 0xc9d0d7,
-  grid_axis: 0x94a0ac,
+  sky: 0xd3dce5,
+  background: 0xf3f5f7,
+  ground: 0xffffff,
+  grid: 0xd9dfe5,
+  grid_axis: 0xb4bec8,
+  grid_label: 0x5c6874,
+  shadow: 0.34,
   arm: 0xf0b323,
   arm_dark: 0x3a434d,
   ghost: 0x2f7fe0,
@@ -40,13 +58,18 @@ const LIGHT: Theme = {
   object: 0x6f9a5c,
   collision: 0xb03fc0,
   missing: 0xd96a2c,
+  swept: 0x35a0a0,
 };
 
 const DARK: Theme = {
   ...LIGHT,
-  background: 0x161b21,
-  grid: 0x2b333c,
-  grid_axis: 0x4c5864,
+  sky: 0x262f3a,
+  background: 0x12161b,
+  ground: 0x222a33,
+  grid: 0x303a45,
+  grid_axis: 0x46525f,
+  grid_label: 0x9aa7b4,
+  shadow: 0.6,
   arm_dark: 0x59646f,
   ghost: 0x56a0ff,
   ghost_off: 0xff5a52,
@@ -74,8 +97,9 @@ const GHOST_OPACITY = 0.45;
 
 /** Materials of the view, which follow the theme and are shared by all shapes. */
 export class Materials {
-  readonly arm = new MeshLambertMaterial();
-  readonly arm_dark = new MeshLambertMaterial();
+  // The shine of matt plastic; it is computed for the arm's pixels alone.
+  readonly arm = new MeshPhongMaterial({ shininess: 24, specular: 0x222222 });
+  readonly arm_dark = new MeshPhongMaterial({ shininess: 24, specular: 0x222222 });
   readonly ghost = new MeshLambertMaterial({
     transparent: true,
     opacity: GHOST_OPACITY,
@@ -87,6 +111,9 @@ export class Materials {
   });
   readonly collision = new MeshBasicMaterial({ wireframe: true, transparent: true, opacity: 0.7, depthTest: false });
   readonly path = new MeshBasicMaterial();
+  // Seen through the arm, which stands in the middle of it.
+  readonly swept = new MeshBasicMaterial({ transparent: true, opacity: 0.4, side: DoubleSide, depthTest: false });
+  readonly swept_now = new MeshBasicMaterial({ side: DoubleSide, depthTest: false, transparent: true });
   readonly object = new MeshLambertMaterial({ transparent: true, opacity: 0.8, side: DoubleSide });
   private theme: Theme;
   private off_target = false;
@@ -104,6 +131,8 @@ export class Materials {
     this.arm_dark.color.set(theme.arm_dark);
     this.collision.color.set(theme.collision);
     this.path.color.set(theme.path);
+    this.swept.color.set(theme.swept);
+    this.swept_now.color.set(theme.swept);
     this.object.color.set(theme.object);
     this.setOffTarget(this.off_target);
   }
@@ -122,37 +151,53 @@ export class Materials {
   };
 }
 
-const GRID_SIZE_M = 1;
-// One line every 5 cm, so that lengths can be read.
-const GRID_LINES = 20;
-const AXES_LENGTH_M = 0.06;
+// Bands of the background's gradient, each of which is even.
+const SKY_BANDS = 16;
+const LIGHT_DIRECTION = new Vector3(0.35, -0.55, 1.3);
 
-/** Table grid, lights and background. */
+/** Ground, lights, shadow and background. */
 export class Environment {
-  private readonly group = new Group();
-  private grid: GridHelper | null = null;
+  private readonly ground = new Ground();
+  private readonly shadow: SoftShadow;
+  private readonly hemisphere = new HemisphereLight();
+  private readonly sky = new Mesh(new PlaneGeometry(2, 2, 1, SKY_BANDS), backgroundMaterial());
 
   /** @param scene - scene to add them to. */
-  constructor(private readonly scene: Scene) {
-    const sun = new DirectionalLight(0xffffff, 2.2);
-    sun.position.set(0.6, -0.8, 1.4);
-    const fill = new DirectionalLight(0xffffff, 0.7);
-    fill.position.set(-1, 0.8, 0.4);
-    const axes = new AxesHelper(AXES_LENGTH_M);
-    // Above the grid, so that the two do not flicker.
-    axes.position.z = 0.001;
-    this.group.add(sun, fill, new AmbientLight(0xffffff, 1.1), axes);
-    scene.add(this.group);
+  constructor(scene: Scene) {
+    const sun = new DirectionalLight(0xfff6ea, 1.75);
+    sun.position.copy(LIGHT_DIRECTION);
+    // From behind, so that dark parts stand out from a dark background.
+    const rim = new DirectionalLight(0xdbe8ff, 0.8);
+    rim.position.set(-0.9, 0.9, 0.5);
+    this.hemisphere.position.set(0, 0, 1);
+    this.shadow = new SoftShadow(scene, LIGHT_DIRECTION);
+    this.sky.frustumCulled = false;
+    this.sky.renderOrder = -10;
+    scene.add(this.sky, sun, rim, this.hemisphere, this.ground.group);
   }
 
-  /** Apply other colours. */
-  setTheme(theme: Theme): void {
-    this.scene.background = new Color(theme.background);
-    this.grid?.removeFromParent();
-    this.grid?.dispose();
-    this.grid = new GridHelper(GRID_SIZE_M, GRID_LINES, theme.grid_axis, theme.grid);
-    // three's grid lies in x and z, as its y axis is up.
-    this.grid.rotation.x = Math.PI / 2;
-    this.group.add(this.grid);
+  /** Apply other colours, and other units of the ground's lengths. */
+  setTheme(theme: Theme, units: UnitSystem): void {
+    colorSky(this.sky.geometry, theme);
+    this.hemisphere.color.set(0xffffff);
+    this.hemisphere.groundColor.set(theme.grid_axis);
+    this.hemisphere.intensity = 1.15;
+    this.ground.setTheme(theme, units);
+    this.shadow.setStrength(theme.shadow);
   }
+
+  /** Draw the shadow of an object; to be called when it has moved. */
+  castShadow(renderer: WebGLRenderer, object: Object3D): void {
+    this.shadow.cast(renderer, object);
+  }
+}
+
+function colorSky(geometry: PlaneGeometry, theme: Theme): void {
+  const [upper, lower] = [srgb(theme.sky), srgb(theme.background)];
+  const at = geometry.getAttribute("position");
+  const colors = Array.from({ length: at.count }, (_, vertex) => {
+    const share = ((at.getY(vertex) + 1) / 2) ** 1.5;
+    return [...lower.map((value, channel) => value + share * (upper[channel]! - value)), 1];
+  });
+  geometry.setAttribute("color", new BufferAttribute(new Float32Array(colors.flat()), 4));
 }

@@ -1,39 +1,116 @@
-import { Mesh, MeshBasicMaterial, SphereGeometry, type Object3D } from "three";
+import {
+  BufferGeometry,
+  CylinderGeometry,
+  LatheGeometry,
+  Mesh,
+  MeshBasicMaterial,
+  SphereGeometry,
+  Vector2,
+  type Object3D,
+} from "three";
 import { TransformControls } from "three/examples/jsm/controls/TransformControls.js";
 import { takesOrientation } from "../logic/joints";
 import { denialReason } from "../logic/permissions";
+import { gripperClearance_m, HANDLE_END, HANDLE_START, handleLength_m } from "../logic/target-marker";
 import type { Orientation, Point, State } from "../state/state";
 import { selectTarget, type PageStore } from "../state/store";
 import type { Theme } from "./appearance";
 import type { Ghost } from "./plan-preview";
+import type { Robot } from "./robot";
+import type { RobotModel } from "./robot-model";
 import type { SceneObjects } from "./scene-objects";
+import { surfaceAt } from "./surface";
 import type { SceneComponent, Viewer } from "./viewer";
 
 const BALL_RADIUS_M = 0.007;
-// Fraction of three's default size; larger arrows hide the gripper.
-const TARGET_ARROWS_SIZE = 0.7;
+// Length of an arrow of TransformControls of size 1, as a share of the picture's height at its distance (three's
+// factor 1.9 / 4 of the half height, and arrows that end at 0.6).
+const ARROW_SHARE = (1.9 / 8) * 0.6;
+
+// Axes of three's handles.
+const AXES = ["X", "Y", "Z"] as const;
+const ARROWS_END = 0.6;
+const SHAFT_RADIUS = 0.011;
+const HEAD_RADIUS = 0.045;
+const HEAD_LENGTH = 0.13;
+// A finger meets what is this wide.
+const GRIP_RADIUS = 0.11;
+const GRIP_FROM = 0.75;
+
+/** Form the handles of TransformControls anew: three arrows that begin beside the middle, where the gripper is. */
+function offsetHandles(controls: TransformControls): void {
+  // The planes and the middle would cover the gripper; three arrows are enough to get anywhere.
+  controls.showXY = controls.showYZ = controls.showXZ = false;
+  const start = (HANDLE_START / HANDLE_END) * ARROWS_END;
+  controls.getHelper().traverse((node) => {
+    const axis = AXES.indexOf(node.name as (typeof AXES)[number]);
+    const part = node instanceof Mesh ? partOfTranslation(node) : null;
+    if (!(node instanceof Mesh) || part === null) return;
+    if (node.name === "XYZ") node.geometry = new SphereGeometry(0.04, 8, 6);
+    if (axis < 0) return;
+    node.geometry.dispose();
+    const is_first = node.parent?.children.find((other) => other.name === node.name) === node;
+    node.geometry = !is_first ? new BufferGeometry() : part === "grip" ? grip(start) : arrow(start);
+    // The form points along y.
+    if (axis === 0) node.geometry.rotateZ(-Math.PI / 2);
+    if (axis === 2) node.geometry.rotateX(Math.PI / 2);
+  });
+}
+
+/** Return which part of a handle that moves a mesh is; null for those that turn and scale, which have the same names. */
+function partOfTranslation(node: Mesh): "arrow" | "grip" | null {
+  const group = node.parent;
+  const gizmo = group?.parent as { gizmo?: Record<string, unknown>; picker?: Record<string, unknown> } | null | undefined;
+  if (!group || !gizmo) return null;
+  if (group === gizmo.gizmo?.["translate"]) return "arrow";
+  return group === gizmo.picker?.["translate"] ? "grip" : null;
+}
+
+/** Create what the pointer meets of an arrow along y: a little longer, and nearer to the middle than what is seen. */
+function grip(start: number): BufferGeometry {
+  const [from, to] = [start * GRIP_FROM, ARROWS_END + GRIP_RADIUS / 2];
+  return new CylinderGeometry(GRIP_RADIUS, GRIP_RADIUS, to - from, 8).translate(0, (from + to) / 2, 0);
+}
+
+/** Create an arrow along y that begins away from the middle. */
+function arrow(start: number): BufferGeometry {
+  const length = ARROWS_END - start;
+  const shaft = length - HEAD_LENGTH;
+  const profile = [
+    [0, 0],
+    [SHAFT_RADIUS, 0],
+    [SHAFT_RADIUS, shaft],
+    [HEAD_RADIUS, shaft],
+    [0, length],
+  ].map(([x, y]) => new Vector2(x, y));
+  return new LatheGeometry(profile, 12).translate(0, start, 0);
+}
 
 /** Marker of the target, dragged by three arrows; without a target it is at the tool of the ghost or the arm. */
 export class TargetMarker implements SceneComponent {
   private readonly ball: Mesh<SphereGeometry, MeshBasicMaterial>;
   private readonly arrows: TransformControls;
   private moved = false;
+  private measured: RobotModel | null = null;
+  private clearance_m = 0;
 
   /**
    * @param viewer - viewer of the scene; its camera is locked during a drag.
    * @param canvas - canvas with the pointer events.
    * @param store - updated with the dragged position.
    * @param ghost - ghost with the future position of the tool.
+   * @param robot - robot with the gripper that the arrows begin beyond.
    */
   constructor(
     private readonly viewer: Viewer,
     canvas: HTMLCanvasElement,
     private readonly store: PageStore,
     private readonly ghost: Ghost,
+    private readonly robot: Robot,
   ) {
     this.ball = new Mesh(new SphereGeometry(BALL_RADIUS_M, 16, 12), new MeshBasicMaterial());
     this.arrows = new TransformControls(viewer.camera, canvas);
-    this.arrows.setSize(TARGET_ARROWS_SIZE);
+    offsetHandles(this.arrows);
     this.arrows.attach(this.ball);
     this.arrows.addEventListener("change", () => viewer.request());
     this.arrows.addEventListener("objectChange", () => this.dragged());
@@ -48,6 +125,24 @@ export class TargetMarker implements SceneComponent {
     this.arrows.enabled = shown;
     this.arrows.getHelper().visible = shown;
     if (shown && !this.arrows.dragging) this.ball.position.set(...at);
+    if (shown) this.fitHandles();
+  }
+
+  /** Return true while the target is dragged, or an arrow is under the pointer. */
+  isInHand(): boolean {
+    return this.arrows.dragging || this.arrows.axis !== null;
+  }
+
+  private fitHandles(): void {
+    const { arm, tip } = this.robot;
+    if (arm !== this.measured) {
+      this.measured = arm;
+      this.clearance_m = arm === null ? 0 : gripperClearance_m(arm.endSizes_m(tip));
+    }
+    const { camera } = this.viewer;
+    const distance_m = camera.position.distanceTo(this.ball.position);
+    const picture_m = 2 * distance_m * Math.tan((camera.fov * Math.PI) / 360);
+    this.arrows.setSize(handleLength_m(this.clearance_m, picture_m) / (ARROW_SHARE * picture_m));
   }
 
   /** Apply other colours. */
@@ -83,12 +178,14 @@ const OBJECT_ARROWS_SIZE = 0.6;
 /** Callback with the pose that an object was dragged to, in the root link's frame. */
 export type ObjectMoved = (id: string, position_m: Point, orientation: Orientation) => void;
 
-/** Selection of an object of the planning scene by a tap, and its drag by three arrows. */
+/** Tap on an object of the planning scene, which selects it, or on the place of a new one; drag of it by arrows. */
 export class ObjectMarkers implements SceneComponent {
   // Created with the first selection, as that delays the first picture of the arm otherwise.
   private arrows: TransformControls | null = null;
   private attached: Object3D | null = null;
   private pressed: [number, number] = [0, 0];
+  /** True once the present drag has moved or turned the object. */
+  private is_moved = false;
 
   /**
    * @param viewer - viewer of the scene; its camera is locked during a drag.
@@ -109,8 +206,11 @@ export class ObjectMarkers implements SceneComponent {
   }
 
   update(state: State): void {
+    this.canvas.style.cursor = state.editing.placing === null ? "" : "crosshair";
+    this.arrows?.setMode(state.editing.arrows);
     const is_allowed = denialReason("work", state) === "";
-    const groups = is_allowed ? this.objects.worldObjects() : [];
+    // While an object is being placed, the arrows would take the click on what they stand on.
+    const groups = is_allowed && state.editing.placing === null ? this.objects.worldObjects() : [];
     const selected = groups.find((group) => group.name === state.selected_object) ?? null;
     if (selected === this.attached || this.arrows?.dragging) return;
     if (selected === null) this.detach();
@@ -119,7 +219,13 @@ export class ObjectMarkers implements SceneComponent {
 
   private tapped(event: PointerEvent): void {
     const [x, y] = this.pressed;
-    if (Math.hypot(event.clientX - x, event.clientY - y) > TAP_PX || (this.arrows?.axis ?? null) !== null) return;
+    if (Math.hypot(event.clientX - x, event.clientY - y) > TAP_PX) return;
+    if (this.store.state.editing.placing !== null) {
+      const clicked = surfaceAt(event, this.canvas, this.viewer.camera, this.objects.worldObjects());
+      if (clicked !== null) this.store.patch("editing", { clicked });
+      return;
+    }
+    if ((this.arrows?.axis ?? null) !== null) return;
     const hit = this.viewer.pick(event, this.objects.worldObjects());
     if ((hit?.name ?? null) !== this.store.state.selected_object) {
       this.store.set({ selected_object: hit?.name ?? null });
@@ -128,7 +234,9 @@ export class ObjectMarkers implements SceneComponent {
 
   private drag(dragging: boolean): void {
     this.viewer.orbit.enabled = !dragging;
-    if (dragging || this.attached === null) return;
+    if (dragging) this.is_moved = false;
+    // A tap on an arrow is no change that could be undone.
+    if (dragging || !this.is_moved || this.attached === null) return;
     const { name, position, quaternion } = this.attached;
     const { x, y, z, w } = quaternion;
     this.moved(name, position.toArray(), [x, y, z, w]);
@@ -137,6 +245,7 @@ export class ObjectMarkers implements SceneComponent {
   private attach(object: Object3D): void {
     this.attached = object;
     this.arrows ??= this.createArrows();
+    this.arrows.setMode(this.store.state.editing.arrows);
     this.arrows.attach(object);
     this.arrows.enabled = true;
   }
@@ -146,6 +255,7 @@ export class ObjectMarkers implements SceneComponent {
     arrows.setSize(OBJECT_ARROWS_SIZE);
     arrows.addEventListener("change", () => this.viewer.request());
     arrows.addEventListener("dragging-changed", (event) => this.drag(event.value === true));
+    arrows.addEventListener("objectChange", () => (this.is_moved = true));
     this.viewer.scene.add(arrows.getHelper());
     return arrows;
   }

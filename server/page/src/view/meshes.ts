@@ -3,6 +3,7 @@ import { ColladaLoader } from "three/examples/jsm/loaders/ColladaLoader.js";
 import { OBJLoader } from "three/examples/jsm/loaders/OBJLoader.js";
 import { STLLoader } from "three/examples/jsm/loaders/STLLoader.js";
 import { authorizationHeaders } from "../link/authentication";
+import { t, type TextKey } from "../texts/texts";
 
 /** Return the address of a mesh of a description; null for one outside of the robot's directory. */
 export function meshUrl(uri: string, page: string): string | null {
@@ -50,7 +51,7 @@ function concatenate(chunks: Uint8Array[], size_bytes: number): Uint8Array<Array
 
 function tooLarge(size_bytes: number, limit_bytes: number): Error {
   const mb = (bytes: number): string => `${Math.ceil(bytes / 1e6)} MB`;
-  return new Error(`larger than the ${mb(limit_bytes)} that the page loads (${mb(size_bytes)} and more)`);
+  return new Error(t("picture.mesh.large", { limit: mb(limit_bytes), size: mb(size_bytes) }));
 }
 
 // The largest mesh of SO-101 has 3 MB; beyond 30 MB a browser is busy for seconds, and a phone fails.
@@ -58,10 +59,10 @@ const MESH_LIMIT_BYTES = 30_000_000;
 const KINDS = ["stl", "dae", "obj"];
 // The server answers in milliseconds; a mesh that hangs must not delay its placeholder.
 const MESH_TIMEOUT_MS = 20_000;
-const REFUSALS: Record<number, string> = {
-  401: "the server wants a token for it",
-  404: "the server does not have it",
-  413: "larger than the server gives away",
+const REFUSALS: Record<number, TextKey> = {
+  401: "picture.mesh.token",
+  404: "picture.mesh.missing",
+  413: "picture.mesh.too_large",
 };
 const PLACEHOLDER_EDGE_M = 0.03;
 
@@ -95,7 +96,7 @@ export class Meshes {
     try {
       return await fetchMesh(uri);
     } catch (error) {
-      this.failed(uri, `${uri}: ${(error as Error).message}. A box is drawn in its place.`);
+      this.failed(uri, t("picture.mesh.failed", { uri, reason: (error as Error).message }));
       return placeholder(this.missing_color);
     }
   }
@@ -110,31 +111,37 @@ function placeholder(color: number): Mesh {
 
 async function fetchMesh(uri: string): Promise<Object3D> {
   const url = meshUrl(uri, document.baseURI);
-  if (url === null) throw new Error("not below the robot's directory");
+  if (url === null) throw new Error(t("picture.mesh.elsewhere"));
   const answer = await fetch(url, { headers: authorizationHeaders(), signal: AbortSignal.timeout(MESH_TIMEOUT_MS) });
-  if (!answer.ok) throw new Error(REFUSALS[answer.status] ?? `the server answers with ${answer.status}`);
+  if (!answer.ok) throw new Error(t(REFUSALS[answer.status] ?? "picture.mesh.status", { status: answer.status }));
   return readMesh(url, await readBounded(answer, MESH_LIMIT_BYTES));
 }
 
 function readMesh(url: string, bytes: Uint8Array<ArrayBuffer>): Object3D {
   const kind = new URL(url).pathname.split(".").at(-1)?.toLowerCase() ?? "";
-  if (!KINDS.includes(kind)) throw new Error(`a file of kind "${kind}": ${KINDS.join(", ")} can be drawn`);
+  if (!KINDS.includes(kind)) throw new Error(t("picture.mesh.kind", { kind, kinds: KINDS.join(", ") }));
   let mesh: Object3D;
   try {
     mesh = parseMesh(kind, url, bytes);
   } catch (error) {
-    throw new Error(`it is no ${kind} file (${(error as Error).message})`);
+    throw new Error(t("picture.mesh.broken", { kind, reason: (error as Error).message }));
   }
-  if (!hasTriangles(mesh)) throw new Error("there are no triangles in it");
+  if (!hasTriangles(mesh)) throw new Error(t("picture.mesh.no_triangles"));
   return mesh;
 }
 
-function parseMesh(kind: string, url: string, bytes: Uint8Array<ArrayBuffer>): Object3D {
+/**
+ * Parse a mesh of the kind "stl", "obj" or "dae".
+ *
+ * @param url - address that a Collada file's own references are relative to.
+ * @throws Error when it is none.
+ */
+export function parseMesh(kind: string, url: string, bytes: Uint8Array<ArrayBuffer>): Object3D {
   if (kind === "stl") return new Mesh(new STLLoader().parse(bytes.buffer), new MeshLambertMaterial());
   const text = new TextDecoder().decode(bytes);
   if (kind === "obj") return new OBJLoader().parse(text);
   const collada = new ColladaLoader().parse(text, url.slice(0, url.lastIndexOf("/") + 1));
-  if (collada === null) throw new Error("nothing in it");
+  if (collada === null) throw new Error(t("picture.mesh.empty"));
   return collada.scene;
 }
 

@@ -4,6 +4,7 @@ import { distanceText } from "../logic/numbers";
 import { ghostPose, samplePlan, sampleTimes_s, type GhostPose } from "../logic/trajectory";
 import type { Joints, JointValues, Plan, Point, State } from "../state/state";
 import type { PageStore } from "../state/store";
+import { t } from "../texts/texts";
 import type { Materials } from "./appearance";
 import type { Robot } from "./robot";
 import type { RobotModel } from "./robot-model";
@@ -64,7 +65,7 @@ export class Ghost implements SceneComponent {
   tool_m: Point | null = null;
   private model: RobotModel | null = null;
   private arm: RobotModel | null = null;
-  private shown: [unknown, unknown, unknown, unknown] | null = null;
+  private shown: [unknown, unknown, unknown, unknown, unknown] | null = null;
 
   /**
    * @param robot - robot that is shown.
@@ -81,7 +82,7 @@ export class Ghost implements SceneComponent {
     if (this.robot.arm === null) return;
     if (this.robot.arm !== this.arm) this.drop();
     const pose = ghostPose(state);
-    const inputs: [unknown, unknown, unknown, unknown] = [state.plan, state.target, state.selection, state.joints];
+    const inputs: NonNullable<typeof this.shown> = [state.plan, state.target, state.selection, state.joints, state.settings.units];
     // Joints outside of the goal are drawn at their measured position, so the ghost follows /joint_states too.
     if (this.shown?.every((input, index) => input === inputs[index])) return;
     this.shown = inputs;
@@ -98,7 +99,8 @@ export class Ghost implements SceneComponent {
     this.materials.setOffTarget(pose.off_target_m !== null);
     const off = pose.off_target_m;
     const at = state.target.position_m ?? this.tool_m;
-    this.label.show(off === null || at === null ? "" : `${distanceText(off)} off`, new Vector3(...(at ?? [0, 0, 0])));
+    const text = off === null || at === null ? "" : t("picture.off", { distance: distanceText(off, state.settings.units) });
+    this.label.show(text, new Vector3(...(at ?? [0, 0, 0])));
   }
 
   private hide(): void {

@@ -1,3 +1,5 @@
+import { t } from "../texts/texts";
+
 /** Parts of a robot description that are checked before it is drawn. */
 export interface DescriptionParts {
   links: string[];
@@ -11,24 +13,25 @@ export interface DescriptionParts {
 /** Return the reason that a robot description cannot be drawn, as a sentence; empty when it can. */
 export function descriptionProblem(parts: DescriptionParts): string {
   const links = new Set(parts.links);
-  if (links.size === 0) return "it has no <link>";
+  if (links.size === 0) return t("picture.urdf.no_link");
   const joints = new Set(parts.joints.map((joint) => joint.name));
   const children = new Map<string, string>();
   for (const joint of parts.joints) {
     for (const link of [joint.parent, joint.child]) {
-      if (!links.has(link)) return `joint "${joint.name}" names link "${link}", which it does not have`;
+      if (!links.has(link)) return t("picture.urdf.unknown_link", { joint: joint.name, link });
     }
     const other = children.get(joint.child);
-    if (other !== undefined) return `link "${joint.child}" hangs on two joints, "${other}" and "${joint.name}"`;
+    if (other !== undefined) return t("picture.urdf.two_joints", { link: joint.child, one: other, other: joint.name });
     children.set(joint.child, joint.name);
     if (joint.mimic !== null && !joints.has(joint.mimic)) {
-      return `joint "${joint.name}" mimics "${joint.mimic}", which it does not have`;
+      return t("picture.urdf.unknown_mimic", { joint: joint.name, mimic: joint.mimic });
     }
   }
   const roots = parts.links.filter((link) => !children.has(link));
-  if (roots.length !== 1) return `it needs one root link and has ${roots.length}: ${roots.join(", ") || "none"}`;
-  if (parts.without_shape.length > 0) return `link "${parts.without_shape[0]}" has a <geometry> without a shape`;
-  return parts.without_numbers.length > 0 ? `${parts.without_numbers[0]} has no numbers` : "";
+  if (roots.length === 0) return t("picture.urdf.no_root");
+  if (roots.length > 1) return t("picture.urdf.roots", { count: roots.length, names: roots.join(", ") });
+  if (parts.without_shape.length > 0) return t("picture.urdf.no_shape", { link: parts.without_shape[0] ?? "" });
+  return parts.without_numbers.length > 0 ? t("picture.urdf.no_numbers", { attribute: parts.without_numbers[0] ?? "" }) : "";
 }
 
 /** Return true when an attribute holds exactly so many numbers. */
@@ -64,7 +67,7 @@ export function readDescription(urdf: string): Description {
   const broken = xml.querySelector("parsererror");
   if (broken !== null) throw new Error(xmlProblem(broken));
   const root = xml.documentElement;
-  if (root.nodeName !== "robot") throw new Error(`its root is <${root.nodeName}>, not <robot>`);
+  if (root.nodeName !== "robot") throw new Error(t("picture.urdf.root", { name: root.nodeName }));
   const parts = partsOf(root);
   const problem = descriptionProblem(parts);
   if (problem !== "") throw new Error(problem);
@@ -73,7 +76,7 @@ export function readDescription(urdf: string): Description {
 
 function xmlProblem(broken: Element): string {
   const text = broken.textContent ?? "";
-  return `it is no XML (${text.match(/error on line \d+[^\n]*/)?.[0].trim() ?? "it cannot be read"})`;
+  return t("picture.urdf.no_xml", { reason: text.match(/error on line \d+[^\n]*/)?.[0].trim() ?? t("picture.urdf.unreadable") });
 }
 
 function partsOf(root: Element): DescriptionParts {

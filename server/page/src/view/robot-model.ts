@@ -1,8 +1,10 @@
-import { Matrix4, Mesh, Quaternion, Vector3, type Material, type Object3D } from "three";
+import { Box3, Matrix4, Mesh, Quaternion, Vector3, type Material, type Object3D } from "three";
 import URDFLoader, { type URDFRobot, type URDFVisual } from "urdf-loader";
 import type { JointValues, Orientation, Point } from "../state/state";
+import { mergeShapes } from "./merged-shapes";
 import type { Meshes } from "./meshes";
 import type { Description } from "./robot-description";
+import { roundShapes } from "./rounded-shapes";
 
 /** Function that returns the material of a link's shape; null keeps that of the description. */
 export type MaterialSelector = (shape: Element | null, link_index: number) => Material | null;
@@ -47,11 +49,14 @@ export class RobotModel {
       });
     };
     this.robot = loader.parse(description.document);
+    // Collision shapes keep their edges, as these are what is checked.
+    if (geometry_kind === "visual") roundShapes(this.robot);
     const movable = Object.values(this.robot.joints).filter((joint) => joint.jointType !== "fixed");
     // The arm is drawn at its measured position, also beyond a limit.
     for (const joint of movable) joint.ignoreLimits = true;
     this.joint_names = new Set(movable.map((joint) => joint.name));
     applyMaterials(this.robot, selectMaterial);
+    for (const link of Object.values(this.robot.links)) mergeShapes(link.children.filter(isShape));
   }
 
   /** Set some joint values; the others stay. */
@@ -80,6 +85,21 @@ export class RobotModel {
     return [x, y, z, w];
   }
 
+  /** Return the sizes of the bounds of the last drawn link before a tip, in that link's frame [m]. */
+  endSizes_m(tip: string): number[] {
+    let link: Object3D | null = this.robot.links[tip] ?? null;
+    for (; link !== null && link !== this.robot; link = link.parent) {
+      const shapes = link.children.filter((part) => "isURDFVisual" in part);
+      if (!("isURDFLink" in link) || shapes.length === 0) continue;
+      link.updateWorldMatrix(true, true);
+      const to_link = new Matrix4().copy(link.matrixWorld).invert();
+      const bounds = new Box3();
+      for (const shape of shapes) shape.traverse((node) => node instanceof Mesh && extend(bounds, node, to_link));
+      return bounds.isEmpty() ? [] : bounds.getSize(new Vector3()).toArray();
+    }
+    return [];
+  }
+
   /** Remove it from its scene, and free its shapes. */
   dispose(): void {
     this.robot.removeFromParent();
@@ -94,6 +114,12 @@ export class RobotModel {
     node.updateWorldMatrix(true, false);
     return new Matrix4().copy(this.robot.matrixWorld).invert().multiply(node.matrixWorld);
   }
+}
+
+function extend(bounds: Box3, mesh: Mesh, to_link: Matrix4): void {
+  mesh.geometry.computeBoundingBox();
+  const box = mesh.geometry.boundingBox;
+  if (box !== null) bounds.union(box.clone().applyMatrix4(new Matrix4().multiplyMatrices(to_link, mesh.matrixWorld)));
 }
 
 /** Convert an orientation x, y, z, w to three's quaternion of length 1. */
@@ -114,10 +140,14 @@ function isFetched(node: Object3D): boolean {
   return false;
 }
 
+function isShape(part: Object3D): boolean {
+  return "isURDFVisual" in part || "isURDFCollider" in part;
+}
+
 function applyMaterials(robot: URDFRobot, selectMaterial: MaterialSelector): void {
   Object.values(robot.links).forEach((link, index) => {
     for (const part of link.children) {
-      if (!("isURDFVisual" in part) && !("isURDFCollider" in part)) continue;
+      if (!isShape(part)) continue;
       const element = (part as unknown as URDFVisual).urdfNode;
       part.traverse((node) => {
         if (!(node instanceof Mesh) || node.name === "placeholder") return;

@@ -3,6 +3,7 @@ import { planningGroup } from "../logic/robot-info";
 import { jointReport, unknownNamesText, withoutNumberText } from "../logic/joints";
 import type { Joints, State } from "../state/state";
 import { clearNotices, setNotice, type PageStore } from "../state/store";
+import { t } from "../texts/texts";
 import type { Materials, Theme } from "./appearance";
 import { Meshes } from "./meshes";
 import { farthestLink, readDescription, type Description } from "./robot-description";
@@ -64,8 +65,8 @@ export class Robot implements SceneComponent {
       before?.dispose();
       setNotice(this.store, "view:urdf", "");
     } catch (error) {
-      const kept = this.arm === null ? "No arm is drawn" : "The arm before it is drawn still";
-      setNotice(this.store, "view:urdf", `The robot description cannot be drawn: ${(error as Error).message}. ${kept}.`);
+      const key = this.arm === null ? "picture.urdf.broken" : "picture.urdf.broken_next";
+      setNotice(this.store, "view:urdf", t(key, { reason: (error as Error).message }));
       return;
     }
     this.farthest_link = farthestLink(this.description.parts) ?? "";

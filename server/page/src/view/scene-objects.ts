@@ -19,6 +19,7 @@ import {
 } from "three";
 import type { Point, SceneObject, Shape, State } from "../state/state";
 import { setNotice, type PageStore } from "../state/store";
+import { t } from "../texts/texts";
 import type { Materials } from "./appearance";
 import type { Robot } from "./robot";
 import { toQuaternion, type RobotModel } from "./robot-model";
@@ -170,7 +171,7 @@ export class SceneObjects implements SceneComponent {
 
   private frameProblem(object: SceneObject): string {
     const is_known = this.arm === null || ["", "world"].includes(object.frame) || object.frame in this.arm.robot.links;
-    return is_known ? "" : `The robot has no link “${object.frame}”: “${object.id}” is drawn from the root link.`;
+    return is_known ? "" : t("picture.object.no_link", { link: object.frame, name: object.id });
   }
 
   private material(object: SceneObject): Material {

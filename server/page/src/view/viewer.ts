@@ -1,6 +1,8 @@
 import { Box3, Object3D, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { framingDistance_m } from "../logic/framing";
 import type { Point, State } from "../state/state";
+import { t } from "../texts/texts";
 
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
@@ -8,6 +10,8 @@ const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 export interface Graphics {
   canvas: HTMLCanvasElement;
   context: WebGL2RenderingContext;
+  /** True when it is drawn by the processor. */
+  in_software: boolean;
 }
 
 /**
@@ -20,17 +24,17 @@ export interface Graphics {
  */
 export function openGraphics(canvas: HTMLCanvasElement): Graphics {
   const plain = contextOf(canvas, false);
-  if (SOFTWARE.test(rendererName(plain))) return { canvas, context: plain };
+  if (SOFTWARE.test(rendererName(plain))) return { canvas, context: plain, in_software: true };
   const smooth = canvas.cloneNode(false) as HTMLCanvasElement;
   canvas.replaceWith(smooth);
   plain.getExtension("WEBGL_lose_context")?.loseContext();
-  return { canvas: smooth, context: contextOf(smooth, true) };
+  return { canvas: smooth, context: contextOf(smooth, true), in_software: false };
 }
 
 function contextOf(canvas: HTMLCanvasElement, antialias: boolean): WebGL2RenderingContext {
   // Without an alpha channel the browser need not blend the picture with the page.
   const context = canvas.getContext("webgl2", { alpha: false, depth: true, stencil: false, antialias });
-  if (context === null) throw new Error("the browser gives no WebGL 2");
+  if (context === null) throw new Error(t("picture.no_webgl"));
   return context;
 }
 
@@ -50,8 +54,11 @@ const NEAR_M = 0.01;
 const FAR_M = 20;
 // More pixels cost time and make no visible difference on a phone.
 const MAX_PIXEL_RATIO = 2;
-// Room around the arm, which moves in more space than it takes at rest.
-const MARGIN = 1.15;
+// In software a frame costs by its pixels: what moves is drawn with so many, and again with all once it rests.
+const MOVING_PIXELS = 170_000;
+const AT_REST_MS = 1500;
+// Part of the picture that the arm fills: it moves in more space than it takes at rest.
+const FILLED = 0.86;
 // Radius of the table that is shown while there is no arm.
 const TABLE_RADIUS_M = 0.3;
 // From the front and the side, above the table.
@@ -71,6 +78,10 @@ export class Viewer {
   /** Canvas that is drawn on: the given one, or its copy. */
   readonly canvas: HTMLCanvasElement;
   private readonly renderer: WebGLRenderer;
+  private readonly in_software: boolean;
+  private pixel_share = 1;
+  private drawn_ms = -Infinity;
+  private rest_timer: ReturnType<typeof setTimeout> | undefined;
   private frame_id = 0;
   private framed: Object3D | null = null;
 
@@ -82,11 +93,12 @@ export class Viewer {
    */
   constructor(
     given: HTMLCanvasElement,
-    private readonly prepare: () => void,
+    private readonly prepare: (renderer: WebGLRenderer) => void,
     private readonly drawn: () => void,
   ) {
-    const { canvas, context } = openGraphics(given);
+    const { canvas, context, in_software } = openGraphics(given);
     this.canvas = canvas;
+    this.in_software = in_software;
     this.renderer = new WebGLRenderer({ canvas, context });
     // Checking each shader program for errors would wait for its compilation, one after the other.
     this.renderer.debug.checkShaderErrors = false;
@@ -99,7 +111,8 @@ export class Viewer {
     canvas.addEventListener("webglcontextrestored", () => this.request());
     this.fit();
     // The table is seen while there is no arm.
-    this.look(new Vector3(), TABLE_RADIUS_M);
+    const corner = new Vector3(TABLE_RADIUS_M, TABLE_RADIUS_M, 0);
+    this.look(new Box3(corner.clone().negate(), corner));
     const resized = new ResizeObserver(() => {
       this.fit();
       if (this.framed !== null) this.frame(this.framed);
@@ -119,7 +132,7 @@ export class Viewer {
     const box = new Box3().setFromObject(object);
     if (box.isEmpty()) return;
     this.framed = object;
-    this.look(box.getCenter(new Vector3()), box.getSize(new Vector3()).length() / 2);
+    this.look(box);
     this.request();
   }
 
@@ -145,15 +158,37 @@ export class Viewer {
   private draw(): void {
     cancelAnimationFrame(this.frame_id);
     this.frame_id = 0;
-    this.prepare();
+    if (this.in_software) this.choosePixels();
+    this.prepare(this.renderer);
     this.renderer.render(this.scene, this.camera);
     this.drawn();
   }
 
-  private look(center: Vector3, radius_m: number): void {
-    const half_rad = (FIELD_OF_VIEW_DEG * Math.PI) / 360;
-    const narrow = Math.min(1, this.camera.aspect);
-    const distance_m = (radius_m * MARGIN) / (Math.sin(half_rad) * narrow);
+  private choosePixels(): void {
+    const now_ms = performance.now();
+    const is_moving = now_ms - this.drawn_ms < AT_REST_MS;
+    this.drawn_ms = now_ms;
+    clearTimeout(this.rest_timer);
+    if (is_moving) this.rest_timer = setTimeout(() => this.request(), AT_REST_MS);
+    const pixels = this.canvas.clientWidth * this.canvas.clientHeight;
+    const share = is_moving ? Math.min(1, Math.sqrt(MOVING_PIXELS / Math.max(1, pixels))) : 1;
+    if (share === this.pixel_share) return;
+    this.pixel_share = share;
+    this.fit();
+  }
+
+  private look(box: Box3): void {
+    const center = box.getCenter(new Vector3());
+    const { min, max } = box;
+    const corners = [min.x, max.x].flatMap((x) =>
+      [min.y, max.y].flatMap((y) => [min.z, max.z].map((z): Point => [x, y, z])),
+    );
+    const optics = {
+      direction: VIEW_DIRECTION.toArray(),
+      field_of_view_rad: (FIELD_OF_VIEW_DEG * Math.PI) / 180,
+      aspect: this.camera.aspect,
+    };
+    const distance_m = framingDistance_m(corners, center.toArray(), optics, FILLED);
     this.orbit.target.copy(center);
     this.camera.position.copy(center).addScaledVector(VIEW_DIRECTION, distance_m);
     this.orbit.update();
@@ -162,7 +197,7 @@ export class Viewer {
   private fit(): void {
     const width = Math.max(1, this.canvas.clientWidth);
     const height = Math.max(1, this.canvas.clientHeight);
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MAX_PIXEL_RATIO));
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MAX_PIXEL_RATIO) * this.pixel_share);
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();

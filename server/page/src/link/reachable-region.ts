@@ -1,0 +1,117 @@
+import { takesOrientation } from "../logic/joints";
+import { reach_m, reachOf, regionPoints, type RegionPoint } from "../logic/scene-region";
+import type { Cell, State } from "../state/state";
+import type { PageStore } from "../state/store";
+import { t } from "../texts/texts";
+import type { Connection } from "./connection";
+import { checkGoalsRequest, type GoalCheck } from "./messages";
+
+/** Points of one request: few, so that a motion that is asked for meanwhile need not wait. */
+const BATCH = 16;
+
+/** Doubtful points of one request: so few share 45 ms, and not 5 ms each (docs/goals.md). */
+const DOUBTFUL_BATCH = 4;
+
+/** Pause between two requests [ms], and while the arm has a goal. */
+const PAUSE_MS = 30;
+const BUSY_PAUSE_MS = 500;
+
+/** Time for an answer [s], many times that of the hardest points on a quiet machine. */
+const TIMEOUT_S = 10;
+
+/** Distance of the tip from a point within which it counts as reached [m], as for /moveit_goal_pose. */
+const TOLERANCE_M = 0.01;
+
+/** Computation of the reachable region in the background, begun anew with every change of the scene. */
+export class RegionScan {
+  private run = 0;
+  /** Points that were free in any scene, of the present slice and arm alone. */
+  private readonly free = new Set<string>();
+
+  /**
+   * @param connection - connection to the server.
+   * @param store - updated with the cells.
+   */
+  constructor(
+    private readonly connection: Connection,
+    private readonly store: PageStore,
+  ) {
+    const causes: ((state: State) => unknown)[] = [
+      (state) => state.region.shown,
+      (state) => state.region.slice,
+      (state) => state.urdf,
+      (state) => state.group,
+      (state) => state.objects,
+      (state) => state.link.connected,
+    ];
+    // Before the scan begins anew.
+    for (const cause of causes.slice(1, 4)) store.subscribe(cause, () => this.free.clear());
+    for (const cause of causes) store.subscribe(cause, () => this.begin());
+  }
+
+  private begin(): void {
+    this.run += 1;
+    const { region, urdf, link } = this.store.state;
+    const empty = region.cells.length === 0 && region.total === 0;
+    if (!region.shown || !link.connected) {
+      if (!empty) this.store.patch("region", { cells: [], total: 0, problem: "" });
+      return;
+    }
+    const points = regionPoints(region.slice, reach_m(urdf));
+    this.store.patch("region", { cells: [], total: points.length, problem: "" });
+    void this.scan(this.run, points);
+  }
+
+  private async scan(run: number, points: RegionPoint[]): Promise<void> {
+    for (let at = 0; at < points.length; at += BATCH) {
+      // Planning is more urgent than the picture.
+      do await pause(this.busy ? BUSY_PAUSE_MS : PAUSE_MS);
+      while (this.busy && run === this.run);
+      if (run !== this.run) return;
+      const batch = points.slice(at, at + BATCH);
+      try {
+        const cells = await this.check(batch);
+        if (run !== this.run) return;
+        this.store.patch("region", { cells: [...this.store.state.region.cells, ...cells] });
+      } catch (error) {
+        if (run === this.run) this.store.patch("region", { problem: t("world.region.failed", { reason: (error as Error).message }) });
+        return;
+      }
+    }
+  }
+
+  private get busy(): boolean {
+    return this.store.state.active_goals.length > 0;
+  }
+
+  /** Return the answers for some points; those that something may be in the way of are checked with more time each. */
+  private async check(batch: RegionPoint[]): Promise<Cell[]> {
+    const cells = await this.ask(batch);
+    const doubtful = batch.flatMap((_, at) => (cells[at]?.reach === "contact" ? [at] : []));
+    for (let first = 0; first < doubtful.length; first += DOUBTFUL_BATCH) {
+      const these = doubtful.slice(first, first + DOUBTFUL_BATCH);
+      const again = await this.ask(batch.filter((_, at) => these.includes(at)));
+      these.forEach((at, index) => (cells[at] = again[index] ?? cells[at]!));
+    }
+    return cells;
+  }
+
+  private async ask(points: RegionPoint[]): Promise<Cell[]> {
+    const { state } = this.store;
+    const orientation = takesOrientation(state) ? state.tool_orientation : null;
+    const request = checkGoalsRequest(points.map(({ point_m }) => point_m), orientation);
+    const { results } = await this.connection.call<{ results: GoalCheck[] }>("/check_goals", request, TIMEOUT_S);
+    return points.flatMap((point, index) => {
+      const result = results[index];
+      if (result === undefined) return [];
+      const key = point.point_m.join();
+      const reach = reachOf(result, TOLERANCE_M, this.free.has(key));
+      if (reach === "free") this.free.add(key);
+      return [{ ...point, reach }];
+    });
+  }
+}
+
+function pause(time_ms: number): Promise<void> {
+  return new Promise((resolve) => setTimeout(resolve, time_ms));
+}

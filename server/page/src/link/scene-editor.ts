@@ -1,0 +1,196 @@
+import { holderOf } from "../logic/scene-attach";
+import { readSceneText, sceneText, type SceneFile } from "../logic/scene-file";
+import { before, beforeReplacement, undoing, withChange } from "../logic/scene-history";
+import { duplicateOf, placedOn } from "../logic/scene-objects";
+import type { Color, Orientation, Point, SceneChange, SceneObject, State } from "../state/state";
+import type { PageStore } from "../state/store";
+import { t } from "../texts/texts";
+import type { Connection } from "./connection";
+import type { TriggerResponse } from "./messages";
+import {
+  addObject,
+  attachObject,
+  detachObject,
+  differenceMessage,
+  moveObject,
+  removeObject,
+  sceneDiff,
+  type SceneDiff,
+} from "./scene-messages";
+
+const APPLY = "/apply_planning_scene";
+
+/** Time for an answer [s]: the largest mesh has 6 MB as text, and is checked. */
+const APPLY_TIMEOUT_S = 20;
+
+/** Parts of a scene that a file has: attached objects, geometry, colours (moveit_msgs/PlanningSceneComponents). */
+const FILE_COMPONENTS = 4 + 16 + 512;
+
+/** Changes of the planning scene by the user, each of which can be undone; refusals are told in the server's words. */
+export class SceneEditor {
+  /**
+   * @param connection - connection to the server.
+   * @param store - updated with the history and results; what is clicked in the picture is read from it.
+   */
+  constructor(
+    private readonly connection: Connection,
+    private readonly store: PageStore,
+  ) {
+    store.subscribe(
+      ({ editing }) => editing.clicked,
+      (clicked, { editing: { placing }, objects }) => {
+        if (clicked === null || placing === null) return;
+        this.edit({ placing: null, clicked: null });
+        void this.add(placedOn(placing, clicked, objects));
+      },
+    );
+    store.subscribe(
+      (state) => state.link.connected,
+      (connected) => connected && void this.listSaved(),
+    );
+  }
+
+  /** Add an object, or replace the one of its name. */
+  async add(object: SceneObject): Promise<boolean> {
+    const done = await this.change([object.id], { world: [addObject(object)], colors: colorOf(object) });
+    if (done) this.store.set({ selected_object: object.id });
+    return done;
+  }
+
+  /** Move an object of the world to a pose in the root link. */
+  async move(id: string, position_m: Point, orientation: Orientation): Promise<void> {
+    await this.change([id], { world: [moveObject(id, position_m, orientation)] });
+  }
+
+  /** Replace an object by one of another name. */
+  async rename(object: SceneObject, name: string): Promise<void> {
+    const renamed = { ...object, id: name };
+    const world = [removeObject(object.id), addObject(renamed)];
+    const done = await this.change([object.id, name], { world, colors: colorOf(renamed) });
+    if (done) this.store.set({ selected_object: name });
+  }
+
+  /** Add a copy beside an object. */
+  async duplicate(object: SceneObject): Promise<void> {
+    await this.add(duplicateOf(object, this.store.state.objects));
+  }
+
+  /** Give an object another colour. */
+  async paint(id: string, color: Color): Promise<void> {
+    await this.change([id], { colors: { [id]: color } });
+  }
+
+  /** Remove an object, also one that is held. */
+  async remove({ id, attached }: SceneObject): Promise<void> {
+    await this.change([id], { attached: attached ? [detachObject(id)] : [], world: [removeObject(id)] });
+  }
+
+  /** Attach an object of the world to the gripper, where it is. */
+  async attach(id: string): Promise<void> {
+    const holder = holderOf(this.store.state);
+    if (holder !== null) await this.change([id], { attached: [attachObject(id, holder.link, holder.touch_links)] });
+  }
+
+  /** Put a held object back into the world, where it is. */
+  async detach(id: string): Promise<void> {
+    await this.change([id], { attached: [detachObject(id)] });
+  }
+
+  /** Undo the last change of this page. */
+  async undo(): Promise<void> {
+    const { editing, objects } = this.store.state;
+    const last = editing.history.at(-1);
+    if (last === undefined) return;
+    if (await this.apply(sceneDiff(differenceMessage(undoing(last, objects))))) {
+      this.edit({ history: editing.history.filter((change) => change !== last) });
+    }
+  }
+
+  /** Ask for the names of the saved scenes. */
+  async listSaved(): Promise<void> {
+    try {
+      const { names } = await this.connection.call<{ names: string[] }>("/arm/scenes/list", {});
+      this.edit({ saved: names });
+    } catch {
+      // A server of another version has no saved scenes.
+      this.edit({ saved: null });
+    }
+  }
+
+  /** Save, load or delete a scene by name on the server. */
+  async scenes(work: "save" | "load" | "delete", name: string): Promise<boolean> {
+    const objects = this.store.state.objects;
+    const done = await this.attempt(async () => {
+      const service = `/arm/scenes/${work}`;
+      const { success, message } = await this.connection.call<TriggerResponse>(service, { name }, APPLY_TIMEOUT_S);
+      this.edit({ result: message });
+      return success;
+    });
+    if (done && work === "load") this.remember(beforeReplacement(objects));
+    await this.listSaved();
+    return done;
+  }
+
+  /** Return the present scene as the text of a file; null when the server does not tell it. */
+  async fileText(): Promise<string | null> {
+    let text: string | null = null;
+    await this.attempt(async () => {
+      const request = { components: { components: FILE_COMPONENTS } };
+      const { scene } = await this.connection.call<{ scene: SceneFile }>("/get_planning_scene", request, APPLY_TIMEOUT_S);
+      text = sceneText(scene);
+      return true;
+    });
+    return text;
+  }
+
+  /** Replace the present scene by that of a file's text. */
+  async loadFile(text: string, name: string): Promise<void> {
+    const scene = readSceneText(text);
+    if (scene === null) return this.edit({ result: t("world.file.none", { name }) });
+    const objects = this.store.state.objects;
+    if (await this.apply(scene)) this.remember(beforeReplacement(objects));
+  }
+
+  /** Replace parts of the editing's state. */
+  edit(patch: Partial<State["editing"]>): void {
+    this.store.patch("editing", patch);
+  }
+
+  private async change(ids: string[], diff: SceneDiff): Promise<boolean> {
+    const change = before(ids, this.store.state.objects);
+    const done = await this.apply(sceneDiff(diff));
+    if (done) this.remember(change);
+    return done;
+  }
+
+  private remember(change: SceneChange): void {
+    this.edit({ history: withChange(this.store.state.editing.history, change) });
+  }
+
+  private apply(scene: object): Promise<boolean> {
+    return this.attempt(async () => {
+      const { success } = await this.connection.call<{ success: boolean }>(APPLY, { scene }, APPLY_TIMEOUT_S);
+      this.edit({ result: success ? "" : this.refusal() });
+      return success;
+    });
+  }
+
+  /** Return the reason of the last refusal, which the response has no room for and the log has. */
+  private refusal(): string {
+    const entry = this.store.state.log.findLast(({ text }) => text.startsWith(APPLY));
+    return entry?.text.replace(`${APPLY}: `, "") ?? t("world.refused");
+  }
+
+  private async attempt(work: () => Promise<boolean>): Promise<boolean> {
+    try {
+      return await work();
+    } catch (error) {
+      this.edit({ result: (error as Error).message });
+      return false;
+    }
+  }
+}
+
+function colorOf({ id, color }: SceneObject): Record<string, Color> {
+  return color === null ? {} : { [id]: color };
+}

@@ -1,0 +1,226 @@
+import { armGripper, armJoints, currentPositions, gripperAction } from "../logic/joints";
+import { legRequest, sequenceSteps, type LegCheck, type Step, type Waypoint } from "../logic/sequence";
+import { duration_s } from "../logic/trajectory";
+import { noSequence, type JointValues, type State } from "../state/state";
+import type { PageStore } from "../state/store";
+import { t } from "../texts/texts";
+import type { Connection, GoalHandle } from "./connection";
+import { readPlan, SUCCESS, type MoveItErrorCodes, type RobotTrajectory } from "./messages";
+
+/** Time for the plan of a leg [s]: planners give up after allowed_planning_time, 5 s unless it is set. */
+const PLAN_TIMEOUT_S = 20;
+
+/** Time without an edit after which the legs are checked [ms]. */
+const CHECK_DELAY_MS = 300;
+
+/** Steps of joint values that count as the same start of a leg [rad or m]: an arm at rest droops less. */
+const START_STEP = 0.02;
+
+/** action_msgs/GoalStatus.STATUS_SUCCEEDED. */
+const STATUS_SUCCEEDED = 4;
+
+const CHECKING: LegCheck = { verdict: "checking", message: "", duration_s: 0, end_rad: null };
+
+interface PlanResponse {
+  motion_plan_response: { trajectory: RobotTrajectory; error_code: MoveItErrorCodes };
+}
+
+interface MotionResult {
+  error_code?: MoveItErrorCodes;
+}
+
+/** Checks the legs of the sequence while it is edited, and plays it. */
+export class SequencePlayer {
+  /** Answers by what was asked; emptied when objects of the scene change. */
+  private readonly answers = new Map<string, LegCheck>();
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  /** Number of the present check: an older one ends when it sees another. */
+  private check_number = 0;
+  private handle: GoalHandle<MotionResult> | null = null;
+  private endPause: () => void = () => undefined;
+  private stopped = false;
+
+  /**
+   * @param connection - connection to the server.
+   * @param store - holds the sequence; updated with its checks and the progress.
+   */
+  constructor(
+    private readonly connection: Connection,
+    private readonly store: PageStore,
+  ) {
+    const parts: ((state: State) => unknown)[] = [
+      (state) => state.sequence.waypoints,
+      (state) => state.arm.mode,
+      (state) => state.link.connected,
+      (state) => state.sequence.playing === null,
+    ];
+    for (const part of parts) store.subscribe(part, () => this.checkSoon());
+    store.subscribe(
+      (state) => state.objects,
+      () => {
+        this.answers.clear();
+        this.checkSoon();
+      },
+    );
+    // A stop while the sequence waits ends no goal that would tell of it; other pages' STOP publishes this topic, too.
+    connection.subscribe("/stop", "std_msgs/Empty", () => this.stop());
+    store.subscribe(
+      (state) => state.stop.phase,
+      (phase) => phase === "asked" && this.stop(),
+    );
+  }
+
+  /** Play the sequence from its start, after a check of all of it. */
+  async play(): Promise<void> {
+    if (this.store.state.sequence.playing !== null) return;
+    this.stopped = false;
+    const { waypoints } = this.store.state.sequence;
+    this.store.patch("sequence", { playing: { index: 0, doing: "check" }, result: "" });
+    this.store.patch("sequence", { result: await this.playAll(waypoints), playing: null });
+  }
+
+  /** Stop the sequence: the motion brakes along its path, and nothing more begins. */
+  stop(): void {
+    this.stopped = true;
+    this.handle?.cancel();
+    this.endPause();
+  }
+
+  /** Check and play waypoints; return the result as a sentence. */
+  private async playAll(waypoints: readonly Waypoint[]): Promise<string> {
+    const checks = await this.checkLegs(waypoints);
+    const refused = checks.findIndex(({ verdict }) => verdict === "refused");
+    if (refused >= 0) {
+      const { name = "" } = waypoints[refused] ?? {};
+      return t("sequence.refused", { name, message: checks[refused]?.message ?? "" });
+    }
+    const gripper = armGripper(this.store.state);
+    const action = gripper && gripperAction(gripper, this.store.state.actions);
+    for (const step of sequenceSteps(waypoints, action)) {
+      if (this.stopped) return t("sequence.stopped");
+      this.store.patch("sequence", { playing: { index: step.index, doing: step.doing } });
+      const problem = await this.carryOut(step);
+      if (this.stopped) return t("sequence.stopped");
+      const { name = "" } = waypoints[step.index] ?? {};
+      if (problem !== "") return t("sequence.failed", { name, message: problem });
+    }
+    return this.stopped ? t("sequence.stopped") : t("sequence.done", { count: waypoints.length });
+  }
+
+  /** Carry out a step; return the reason for a failure, empty for none. */
+  private async carryOut(step: Step): Promise<string> {
+    if (step.doing === "pause") {
+      await new Promise<void>((resolve) => {
+        const timer = setTimeout(resolve, step.pause_s * 1000);
+        this.endPause = () => {
+          clearTimeout(timer);
+          resolve();
+        };
+      });
+      return "";
+    }
+    try {
+      this.handle = this.connection.goal<MotionResult>(step.action, step.type, step.goal);
+      const { status, values, reason } = await this.handle.result;
+      if (status === STATUS_SUCCEEDED) return "";
+      return values?.error_code?.message || reason || t("sequence.no_reason");
+    } catch (error) {
+      return (error as Error).message;
+    } finally {
+      this.handle = null;
+    }
+  }
+
+  private checkSoon(): void {
+    clearTimeout(this.timer);
+    const { sequence, arm, link } = this.store.state;
+    const can_check = sequence.playing === null && arm.mode !== "moving" && link.connected;
+    if (can_check) this.timer = setTimeout(() => void this.checkLegs(sequence.waypoints), CHECK_DELAY_MS);
+  }
+
+  /** Ask the server for each leg, begun where the one before ends. */
+  private async checkLegs(waypoints: readonly Waypoint[]): Promise<LegCheck[]> {
+    const number = ++this.check_number;
+    const checks: LegCheck[] = waypoints.map(() => CHECKING);
+    let start_rad = presentStart(this.store.state);
+    for (const [index, waypoint] of waypoints.entries()) {
+      const onAsk = (): void => this.store.patch("sequence", { checks: [...checks] });
+      const check = await this.checkLeg(waypoint, start_rad, index === 0, onAsk);
+      if (number !== this.check_number) return checks;
+      checks[index] = check;
+      this.store.patch("sequence", { checks: [...checks] });
+      start_rad = check.end_rad ?? waypoint.joints_rad;
+    }
+    return checks;
+  }
+
+  /** Return the answer that is known for a leg, or ask for it, which `onAsk` is told first. */
+  private async checkLeg(waypoint: Waypoint, start_rad: JointValues, is_first: boolean, onAsk: () => void): Promise<LegCheck> {
+    const { joints_rad, group, straight, speed } = waypoint;
+    const steps = Object.values(start_rad).map((value) => Math.round(value / START_STEP));
+    const key = JSON.stringify([joints_rad, group, straight, speed, steps, is_first]);
+    const known = this.answers.get(key);
+    if (known) return known;
+    onAsk();
+    try {
+      const request = { motion_plan_request: legRequest(waypoint, start_rad) };
+      const response = await this.connection.call<PlanResponse>("/plan_kinematic_path", request, PLAN_TIMEOUT_S);
+      const check = readCheck(response.motion_plan_response, is_first);
+      // Edits of an hour must not be kept for ever.
+      if (this.answers.size >= MAX_ANSWERS) this.answers.clear();
+      this.answers.set(key, check);
+      return check;
+    } catch (error) {
+      return { verdict: "unknown", message: (error as Error).message, duration_s: 0, end_rad: null };
+    }
+  }
+}
+
+/** Largest number of answers that are kept, a few edits of the longest sequence. */
+const MAX_ANSWERS = 500;
+
+/** START_STATE_IN_COLLISION and START_STATE_INVALID of moveit_msgs/MoveItErrorCodes. */
+const BAD_START = [-10, -26];
+
+function readCheck({ error_code, trajectory }: PlanResponse["motion_plan_response"], is_first: boolean): LegCheck {
+  const { val, message } = error_code;
+  // The leg itself is not to blame: it would begin at a waypoint where the arm cannot be.
+  if (!is_first && BAD_START.includes(val)) {
+    return { verdict: "unknown", message: t("sequence.bad_start"), duration_s: 0, end_rad: null };
+  }
+  if (val !== SUCCESS) return { verdict: "refused", message, duration_s: 0, end_rad: null };
+  // An arm that is there already gets a trajectory without points.
+  const plan = readPlan(trajectory);
+  const last = plan?.points.at(-1);
+  const values = plan?.names.map((name, index) => [name, last?.position_rad[index] ?? 0] as const);
+  return {
+    verdict: "possible",
+    message,
+    duration_s: plan ? duration_s(plan) : 0,
+    end_rad: values ? Object.fromEntries(values) : null,
+  };
+}
+
+/** Return the measured positions of the arm's joints, without the gripper's. */
+function presentStart(state: State): JointValues {
+  const names = armJoints(state);
+  return Object.fromEntries(Object.entries(currentPositions(state)).filter(([name]) => names.includes(name)));
+}
+
+/** Return true while the server is asked for a leg, which it also tells all viewers as a plan. */
+export function isCheckingLegs({ sequence }: Pick<State, "sequence">): boolean {
+  return sequence.checks.some(({ verdict }) => verdict === "checking");
+}
+
+/** Replace the waypoints of the sequence; legs between two unchanged waypoints keep their answer. */
+export function setWaypoints(store: PageStore, waypoints: readonly Waypoint[]): void {
+  const { sequence } = store.state;
+  if (sequence.playing !== null) return;
+  const before = sequence.waypoints;
+  const checks = waypoints.map((waypoint, index) => {
+    const at = before.indexOf(waypoint);
+    const unchanged = at >= 0 && before[at - 1] === waypoints[index - 1];
+    return (unchanged && sequence.checks[at]) || CHECKING;
+  });
+  store.set({ sequence: { ...noSequence(), saved: sequence.saved, waypoints, checks } });
+}

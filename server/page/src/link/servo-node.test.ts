@@ -1,0 +1,135 @@
+import { afterEach, beforeEach, expect, test, vi } from "vitest";
+import { JogStep, type JogCommand } from "../logic/jog";
+import { emptyState, type State } from "../state/state";
+import { Store } from "../state/store";
+import { JogSender, PERIOD_MS } from "./servo-node";
+
+interface Sent {
+  topic: string;
+  message: { twist?: { linear: { x: number }; angular: { z: number } }; joint_names?: string[]; velocities?: number[]; header: { frame_id: string } };
+}
+
+const X: JogCommand = { kind: "tip", velocity: { x: 1 } };
+const A: JogCommand = { kind: "joints", velocity: { a: -0.5 } };
+
+function sender(state: Partial<State> = {}): { jog: JogSender; sent: Sent[]; called: unknown[]; timeouts: unknown[]; store: Store<State>; gripper: number[] } {
+  const blank = emptyState("ws://here");
+  const store = new Store<State>({ ...blank, link: { ...blank.link, connected: true }, ...state });
+  const sent: Sent[] = [];
+  const called: unknown[] = [];
+  const timeouts: unknown[] = [];
+  const gripper: number[] = [];
+  const connection = {
+    publish: (topic: string, _type: string, message: unknown) => {
+      if (topic === "/servo_node/command_timeout") timeouts.push(message);
+      else sent.push({ topic, message: message as Sent["message"] });
+    },
+    call: ((_service: string, request: unknown) => Promise.resolve(called.push(request))) as never,
+  };
+  return { jog: new JogSender(connection, store, (position) => void gripper.push(position)), sent, called, timeouts, store, gripper };
+}
+
+beforeEach(() => void vi.useFakeTimers());
+afterEach(() => void vi.useRealTimers());
+
+test("a held input is sent at once and then repeated, and its release halts at once", () => {
+  const { jog, sent } = sender();
+  jog.hold("key", X);
+  expect(sent.map(({ message }) => message.twist?.linear.x)).toEqual([1]);
+  vi.advanceTimersByTime(4 * PERIOD_MS);
+  expect(sent).toHaveLength(5);
+  jog.release("key");
+  expect(sent.at(-1)?.message.twist?.linear.x).toBe(0);
+  vi.advanceTimersByTime(1000);
+  expect(sent).toHaveLength(6);
+});
+
+test("several inputs add up, and only the last release halts", () => {
+  const { jog, sent } = sender();
+  jog.hold("one", { kind: "tip", velocity: { x: 0.4 } });
+  jog.hold("two", { kind: "tip", velocity: { x: 0.4, yaw: 1 } });
+  expect(sent.at(-1)?.message.twist).toMatchObject({ linear: { x: 0.8 }, angular: { z: 1 } });
+  jog.release("two");
+  vi.advanceTimersByTime(PERIOD_MS);
+  expect(sent.at(-1)?.message.twist?.linear.x).toBe(0.4);
+});
+
+test("the newest input decides between tip and joints, and the type of commands is switched", () => {
+  const { jog, sent, called } = sender();
+  jog.hold("tip", X);
+  jog.hold("joint", A);
+  expect(sent.at(-1)?.message).toMatchObject({ joint_names: ["a"], velocities: [-0.5] });
+  jog.release("joint");
+  expect(sent.at(-1)?.message).toMatchObject({ joint_names: ["a"], velocities: [0] });
+  vi.advanceTimersByTime(PERIOD_MS);
+  expect(sent.at(-1)?.message.twist?.linear.x).toBe(1);
+  expect(called).toEqual([{ command_type: 1 }, { command_type: 0 }, { command_type: 1 }]);
+});
+
+test("everything is released at once, and the inputs hear of it", () => {
+  const { jog, sent } = sender();
+  const heard = vi.fn();
+  jog.onReleaseAll(heard);
+  jog.releaseAll();
+  expect([heard.mock.calls.length, sent.length]).toEqual([0, 0]);
+  jog.hold("key", X);
+  jog.releaseAll();
+  expect(sent.at(-1)?.message.twist?.linear.x).toBe(0);
+  expect(heard).toHaveBeenCalledOnce();
+});
+
+test("another's control and a lost connection end it", () => {
+  const held = sender();
+  held.jog.hold("key", X);
+  held.store.set({ identity: { address: "me", role: "view", version: "" } });
+  vi.advanceTimersByTime(PERIOD_MS);
+  expect(held.jog.active).toBe(false);
+  const lost = sender();
+  lost.jog.hold("key", X);
+  lost.store.patch("link", { connected: false });
+  vi.advanceTimersByTime(PERIOD_MS);
+  expect([lost.jog.active, lost.sent.length]).toEqual([false, 1]);
+});
+
+test("a step is made once, and ends by itself with a halt", () => {
+  const { jog, sent } = sender();
+  const step = (): JogStep => new JogStep(X, 0.01, 0.2, 0.25);
+  jog.step("button", step());
+  jog.step("button", step());
+  vi.advanceTimersByTime(1000);
+  const way_m = sent.reduce((sum, { message }) => sum + ((message.twist?.linear.x ?? 0) * 0.2 * PERIOD_MS) / 1000, 0);
+  expect(way_m).toBeCloseTo(0.01, 9);
+  expect(sent.at(-1)?.message.twist?.linear.x).toBe(0);
+  expect(jog.active).toBe(false);
+});
+
+test("speeds are in the server's units", () => {
+  const blank = emptyState("ws://here");
+  const { jog, sent } = sender({ servo_node: { ...blank.servo_node, command_in_type: "speed_units" } });
+  jog.hold("key", X);
+  expect(sent[0]?.message.twist?.linear.x).toBe(0.2);
+});
+
+const URDF = `<robot><joint name="a" type="revolute"><limit lower="-1" upper="1"/></joint>
+<joint name="left" type="prismatic"><limit lower="0" upper="0.06"/></joint></robot>`;
+const SRDF = `<robot><group name="arm"><joint name="a"/></group><group name="fingers"><joint name="left"/></group>
+<end_effector name="hand" parent_link="x" group="fingers" parent_group="arm"/></robot>`;
+
+test("the gripper goes on in small goals while it is held, up to its limit", () => {
+  const blank = emptyState("ws://here");
+  const joints = { ...blank.joints, names: ["a", "left"], position_rad: [0, 0.045] };
+  const { jog, gripper, sent } = sender({ urdf: URDF, srdf: SRDF, joints, actions: ["/fingers_controller/gripper_cmd"] });
+  jog.hold("open", { kind: "gripper", velocity: { opening: 1 } });
+  vi.advanceTimersByTime(2000);
+  expect(gripper.map((position) => Number(position.toFixed(4)))).toEqual([0.053, 0.06]);
+  jog.release("open");
+  vi.advanceTimersByTime(1000);
+  expect([gripper.length, sent.length]).toEqual([2, 0]);
+});
+
+test("commands expire early, and the page takes no control before it moves", () => {
+  const { jog, timeouts } = sender();
+  expect(timeouts).toEqual([]);
+  jog.hold("key", X);
+  expect(timeouts).toEqual([{ data: 0.08 }]);
+});

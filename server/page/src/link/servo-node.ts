@@ -1,0 +1,212 @@
+import { armGripper, armJoints, currentPositions } from "../logic/joints";
+import { summed, type JogCommand, type JogStep } from "../logic/jog";
+import { denialReason } from "../logic/permissions";
+import { planningGroup } from "../logic/robot-info";
+import type { State } from "../state/state";
+import { setNotice, type PageStore } from "../state/store";
+import type { Connection } from "./connection";
+import { jointJog, twistStamped, type ServoStatusMessage, type StringMessage } from "./messages";
+
+/** Period of commands [ms]: three fit into the time after which a command expires. */
+export const PERIOD_MS = 25;
+
+/** Time after which the server lets a command of this page expire [s]; it brakes within 0.1 s with its own period of 0.02 s. */
+export const COMMAND_TIMEOUT_S = 0.08;
+
+/** Time between two goals of the gripper, which has no servo topic [ms]. */
+const GRIPPER_PERIOD_MS = 200;
+
+/** Time in which the gripper goes through its range at full speed [s]. */
+export const GRIPPER_RANGE_S = 1.5;
+
+/** Values of moveit_msgs/ServoCommandType. */
+const COMMAND_TYPES = { joints: 0, tip: 1 } as const;
+
+type ArmKind = keyof typeof COMMAND_TYPES;
+
+/** Subscribe to the servo node's status and its parameters. */
+export function subscribeServoNode(connection: Connection, store: PageStore): void {
+  connection.subscribe<ServoStatusMessage>("/servo_node/status", "moveit_msgs/ServoStatus", ({ code, message }) => {
+    store.patch("servo_node", { code, message });
+  }, 100);
+  connection.subscribe<StringMessage>("/servo_node/parameters", "std_msgs/String", ({ data }) => {
+    store.patch("servo_node", JSON.parse(data) as Partial<State["servo_node"]>);
+  });
+  store.subscribe(
+    (state) => state.link.connected,
+    (connected) => {
+      if (connected) store.patch("servo_node", { code: 0, message: "" });
+    },
+  );
+}
+
+/**
+ * Sender of the commands of all inputs: while any is held, its command is repeated; the last release sends a halt.
+ *
+ * Tip and joints cannot be steered at once: the input that was pressed last decides, and the others of its kind add up.
+ */
+export class JogSender {
+  /** Frame of the tip's velocities. */
+  frame: "base" | "tool" = "base";
+  private readonly held = new Map<string, JogCommand>();
+  private readonly steps = new Map<string, JogStep>();
+  private readonly release_listeners = new Set<() => void>();
+  private timer: ReturnType<typeof setInterval> | undefined;
+  private sent_ms = 0;
+  private arm_kind: ArmKind | null = null;
+  /** Joints of the last command, which the halt names. */
+  private jogged: string[] = [];
+  private gripper: { position: number; sent_ms: number } | null = null;
+
+  /**
+   * @param connection - connection to the server.
+   * @param store - tells joints, gripper, permission; updated with notices.
+   * @param moveGripper - moves the gripper to a position [rad or m].
+   */
+  constructor(
+    private readonly connection: Pick<Connection, "publish" | "call">,
+    private readonly store: PageStore,
+    private readonly moveGripper: (position: number) => void,
+  ) {}
+
+  /** True while any input is held, or a step is made. */
+  get active(): boolean {
+    return this.held.size > 0;
+  }
+
+  /** Call back whenever everything is released by other means than the inputs themselves. */
+  onReleaseAll(listener: () => void): void {
+    this.release_listeners.add(listener);
+  }
+
+  /** Hold an input, or change the command of a held one; a new one is sent at once. */
+  hold(input: string, command: JogCommand): void {
+    const is_new = !this.held.has(input);
+    if (!this.isAllowed()) return this.releaseAll();
+    this.held.set(input, command);
+    if (command.kind !== "gripper" && (is_new || this.arm_kind === null)) this.selectKind(command.kind);
+    if (is_new) this.send();
+    this.timer ??= setInterval(() => this.send(), PERIOD_MS);
+  }
+
+  /** Make one step; a further press while it is made adds nothing. */
+  step(input: string, step: JogStep): void {
+    if (this.steps.has(input)) return;
+    const command = step.next(0, PERIOD_MS / 1000);
+    if (command === null) return;
+    this.hold(input, command);
+    if (this.held.has(input)) this.steps.set(input, step);
+  }
+
+  /** Release an input; with the last one of the arm, halt. */
+  release(input: string): void {
+    this.steps.delete(input);
+    const released = this.held.get(input);
+    if (!this.held.delete(input)) return;
+    if (released?.kind === "gripper") {
+      if (this.commandsOf("gripper").length === 0) this.gripper = null;
+    } else if (this.arm_kind && this.commandsOf(this.arm_kind).length === 0) this.halt();
+    if (this.held.size === 0) this.stopTimer();
+  }
+
+  /** Release every input and halt at once. */
+  releaseAll(): void {
+    const was_active = this.active;
+    this.held.clear();
+    this.steps.clear();
+    this.gripper = null;
+    this.stopTimer();
+    if (this.arm_kind) this.halt();
+    if (was_active) for (const listener of this.release_listeners) listener();
+  }
+
+  private stopTimer(): void {
+    clearInterval(this.timer);
+    this.timer = undefined;
+  }
+
+  private commandsOf(kind: JogCommand["kind"]): JogCommand[] {
+    return [...this.held.values()].filter((command) => command.kind === kind);
+  }
+
+  private isAllowed(): boolean {
+    const { state } = this.store;
+    return state.link.connected && denialReason("drive", state) === "";
+  }
+
+  private send(): void {
+    if (!this.isAllowed()) return this.releaseAll();
+    this.advanceSteps();
+    if (this.arm_kind) this.publish(this.arm_kind, summed(this.commandsOf(this.arm_kind)));
+    this.sendGripper(summed(this.commandsOf("gripper"))["opening"] ?? 0);
+  }
+
+  /** Go on with the steps by the time that their last commands were followed, which ends when they expire. */
+  private advanceSteps(): void {
+    const now_ms = performance.now();
+    const followed_s = Math.min((now_ms - this.sent_ms) / 1000, COMMAND_TIMEOUT_S);
+    this.sent_ms = now_ms;
+    for (const [input, step] of [...this.steps]) {
+      const command = step.next(followed_s, PERIOD_MS / 1000);
+      if (command === null) this.release(input);
+      else this.held.set(input, command);
+    }
+  }
+
+  private halt(): void {
+    const kind = this.arm_kind;
+    this.arm_kind = null;
+    // Without a connection the command expires at the server by itself.
+    if (kind && this.store.state.link.connected) this.publish(kind, {});
+    // Inputs of the other kind that are still held go on.
+    const rest = (["tip", "joints"] as const).find((each) => this.commandsOf(each).length > 0);
+    if (rest) this.selectKind(rest);
+  }
+
+  private selectKind(kind: ArmKind): void {
+    if (this.arm_kind === kind) return;
+    this.arm_kind = kind;
+    // With every press, and not once a connection: it takes the control lease, which opening the page must not.
+    this.connection.publish("/servo_node/command_timeout", "std_msgs/Float64", { data: COMMAND_TIMEOUT_S });
+    // Not waited for: the topic already decides, and the first command should not be later for it.
+    this.connection.call("/servo_node/switch_command_type", { command_type: COMMAND_TYPES[kind] }).catch((error: unknown) => {
+      setNotice(this.store, "link", (error as Error).message);
+    });
+  }
+
+  private publish(kind: ArmKind, shares: Record<string, number>): void {
+    const { command_in_type, linear_scale, rotational_scale, joint_scale } = this.store.state.servo_node;
+    const unitless = command_in_type === "unitless";
+    try {
+      if (kind === "tip") {
+        const frame_id = this.frame === "tool" ? (planningGroup(this.store.state)?.tip ?? "") : "";
+        const message = twistStamped(frame_id, shares, unitless ? [1, 1] : [linear_scale, rotational_scale]);
+        return this.connection.publish("/servo_node/delta_twist_cmds", "geometry_msgs/TwistStamped", message);
+      }
+      const named = Object.keys(shares).length > 0 ? Object.keys(shares) : this.jogged;
+      this.jogged = named.length > 0 ? named : armJoints(this.store.state).slice(0, 1);
+      const factor = unitless ? 1 : joint_scale;
+      const velocities = Object.fromEntries(this.jogged.map((name) => [name, (shares[name] ?? 0) * factor]));
+      this.connection.publish("/servo_node/delta_joint_cmds", "control_msgs/JointJog", jointJog(velocities));
+    } catch (error) {
+      this.held.clear();
+      this.steps.clear();
+      this.stopTimer();
+      setNotice(this.store, "link", (error as Error).message);
+    }
+  }
+
+  /** Send the gripper a little further; without a servo topic it goes by small goals, so that a stall ends it as well. */
+  private sendGripper(opening: number): void {
+    const now_ms = performance.now();
+    if (opening === 0 || (this.gripper && now_ms - this.gripper.sent_ms < GRIPPER_PERIOD_MS)) return;
+    const gripper = armGripper(this.store.state);
+    const present = gripper && (this.gripper?.position ?? currentPositions(this.store.state)[gripper.joints[0] ?? ""]);
+    if (gripper === null || present === undefined || present === null) return;
+    const way = (opening * (gripper.open - gripper.closed) * GRIPPER_PERIOD_MS) / 1000 / GRIPPER_RANGE_S;
+    const [lower, upper] = [Math.min(gripper.open, gripper.closed), Math.max(gripper.open, gripper.closed)];
+    const position = Math.max(lower, Math.min(upper, present + way));
+    if (position !== this.gripper?.position) this.moveGripper(position);
+    this.gripper = { position, sent_ms: now_ms };
+  }
+}

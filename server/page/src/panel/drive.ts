@@ -1,0 +1,174 @@
+import "./drive.css";
+import { armGripper, armJoints, jointKind } from "../logic/joints";
+import { GRIPPER_RANGE_S } from "../link/servo-node";
+import { isRotation, JogStep, scaled, tipAxes, type JogCommand, type TipAxis } from "../logic/jog";
+import type { State } from "../state/state";
+import { t, type TextKey } from "../texts/texts";
+import { permissionFieldset, type PanelContext } from "./context";
+import { el, loadPreference, section, setText, storePreference } from "./dom";
+import { axisText, choice, watchPointer, type JogControls } from "./drive-controls";
+import { gamepadSection } from "./drive-gamepad";
+import { keyboardSection } from "./drive-keyboard";
+import { isTouch, padsSection } from "./drive-pads";
+
+/** Sizes of a step: of the tip and joints that slide, of turning, and of the gripper as a share of its range. */
+const STEPS = [
+  { length_mm: 1, angle_deg: 1, opening: 0.02 },
+  { length_mm: 5, angle_deg: 5, opening: 0.1 },
+  { length_mm: 20, angle_deg: 15, opening: 0.3 },
+] as const;
+
+/** Parts of the state that tell which joints there are. */
+const DESCRIPTION = ["limits", "urdf", "srdf", "group", "actions"] as const;
+
+/** Create the panel of driving by hand: settings, the servo node's status, and a section for each kind of input. */
+export function driveSection(context: PanelContext): HTMLElement {
+  const { controls, settings } = createControls(context);
+  releaseWhenAway(context);
+  const buttons = permissionFieldset(context, "drive", tipSection(context, controls), jointSection(context, controls));
+  const pads = padsSection(context, controls);
+  // On a touch screen the pads come first, where the thumbs are.
+  const others = [keyboardSection(context, controls), gamepadSection(context, controls)];
+  return el("div", { class: "drive", testid: "section-drive" }, statusLine(context), ...(isTouch() ? [pads, settings, buttons] : [settings, buttons, pads]), ...others);
+}
+
+/** A key or finger that is released elsewhere is not reported to this page. */
+function releaseWhenAway({ jogSender }: PanelContext): void {
+  const release = (): void => jogSender.releaseAll();
+  for (const event of ["blur", "pagehide"]) window.addEventListener(event, release);
+  document.addEventListener("visibilitychange", release);
+  // In the capturing phase, so that no other element can consume the key.
+  window.addEventListener("keydown", ({ key }) => key === "Escape" && release(), { capture: true });
+}
+
+function createControls(context: PanelContext): { controls: JogControls; settings: HTMLElement } {
+  const { store, jogSender } = context;
+  const steps = STEPS.map(({ length_mm, angle_deg }) => t("drive.mode.step", { length: length_mm, angle: angle_deg }));
+  const mode = choice("drive-mode", t("drive.mode"), ["hold", "0", "1", "2"], [t("drive.mode.hold"), ...steps]);
+  const frames = [t("drive.frame.base"), t("drive.frame.tool")];
+  const frame = choice("drive-frame", t("drive.frame"), ["base", "tool"], frames, (value) => {
+    jogSender.frame = value === "tool" ? "tool" : "base";
+  });
+  const attributes = { min: "0.1", max: "1", step: "0.1" };
+  const speed = el("input", { type: "range", testid: "jog-speed", id: "jog-speed", attributes });
+  speed.value = loadPreference("drive-speed", "0.5");
+  const shown = el("output", { testid: "drive-speed-value" });
+  const share = (): number => Number(speed.value);
+  const show = ({ servo_node }: State): void => {
+    const linear = Math.round(servo_node.linear_scale * share() * 1000);
+    setText(shown, t("drive.speed.value", { linear, angular: degrees(servo_node.rotational_scale * share()) }));
+  };
+  speed.addEventListener("input", () => {
+    storePreference("drive-speed", speed.value);
+    show(store.state);
+  });
+  store.subscribe((state) => state.servo_node, (_, state) => show(state));
+  const step = (input: string, command: JogCommand): void => {
+    const { size, scale } = stepOf(store.state, command, STEPS[Number(mode.value) || 0] ?? STEPS[0]);
+    jogSender.step(input, new JogStep(command, size, scale, share()));
+  };
+  const press = (input: string, command: JogCommand): void => {
+    if (mode.value === "hold") jogSender.hold(input, scaled(command, share()));
+    else step(input, command);
+  };
+  const release = (input: string): void => {
+    // A step goes on after its press, which may be shorter than the step.
+    if (mode.value === "hold") jogSender.release(input);
+  };
+  mode.addEventListener("change", () => jogSender.releaseAll());
+  const speed_line = el("label", { class: "line" }, t("drive.speed"), " ", speed, shown);
+  const settings = el("div", { class: "drive-settings" }, labelled(t("drive.mode"), mode), labelled(t("drive.frame"), frame), speed_line);
+  return { controls: { share, press, step, release }, settings };
+}
+
+/** Return the size of a step and the speed for a velocity of 1, in the unit that the command moves in. */
+function stepOf(state: State, command: JogCommand, step: (typeof STEPS)[number]): { size: number; scale: number } {
+  const { linear_scale, rotational_scale, joint_scale } = state.servo_node;
+  const angle_rad = (step.angle_deg * Math.PI) / 180;
+  const name = Object.keys(command.velocity)[0] ?? "";
+  if (command.kind === "gripper") return { size: step.opening, scale: 1 / GRIPPER_RANGE_S };
+  if (command.kind === "joints") {
+    const slides = jointKind(state, name) === "prismatic";
+    return { size: slides ? step.length_mm / 1000 : angle_rad, scale: joint_scale };
+  }
+  if (isRotation(name as TipAxis)) return { size: angle_rad, scale: rotational_scale };
+  return { size: step.length_mm / 1000, scale: linear_scale };
+}
+
+function degrees(angle_rad: number): number {
+  return Math.round((angle_rad * 180) / Math.PI);
+}
+
+function labelled(text: string, control: HTMLElement): HTMLElement {
+  return el("label", { class: "line" }, `${text} `, control);
+}
+
+/** Create the line that says what limits the arm. */
+function statusLine({ store }: PanelContext): HTMLElement {
+  const line = el("p", { class: "drive-status", testid: "drive-status", role: "status" });
+  store.subscribe(
+    (state) => state.servo_node,
+    ({ code, message }) => {
+      const key = `drive.status.${code}` as TextKey;
+      const words = code === 0 && message === "" ? t("drive.hint") : t(key);
+      setText(line, message === "" ? words : `${words} ${message}`);
+      line.dataset["code"] = String(code);
+    },
+  );
+  return line;
+}
+
+function tipSection({ store }: PanelContext, controls: JogControls): HTMLElement {
+  const grid = el("div", { class: "jog-grid" });
+  const show = (state: State): void => {
+    const rows = tipAxes(armJoints(state).length).map((axis) => {
+      const velocity = (sign: number): JogCommand => ({ kind: "tip", velocity: { [axis]: sign } });
+      return jogRow(controls, axisText(axis), `jog-${axis}`, ["−", velocity(-1)], ["+", velocity(1)]);
+    });
+    grid.replaceChildren(...rows);
+  };
+  for (const part of DESCRIPTION) store.subscribe((state) => state[part], (_, state) => show(state));
+  return section("drive-tip", t("drive.tip"), true, grid);
+}
+
+function jointSection({ store }: PanelContext, controls: JogControls): HTMLElement {
+  const grid = el("div", { class: "jog-grid wide-names" });
+  const show = (state: State): void => {
+    const rows = armJoints(state).map((name) => {
+      const velocity = (sign: number): JogCommand => ({ kind: "joints", velocity: { [name]: sign } });
+      return jogRow(controls, name, `jog-${name}`, ["−", velocity(-1)], ["+", velocity(1)]);
+    });
+    const opening = (sign: number): JogCommand => ({ kind: "gripper", velocity: { opening: sign } });
+    const ends = [[t("drive.close"), opening(-1)], [t("drive.open"), opening(1)]] as const;
+    const gripper = armGripper(state) ? [jogRow(controls, t("drive.gripper"), "jog-gripper", ...ends)] : [];
+    grid.replaceChildren(...rows, ...gripper);
+  };
+  for (const part of DESCRIPTION) store.subscribe((state) => state[part], (_, state) => show(state));
+  return section("drive-joints", t("drive.joints"), true, grid);
+}
+
+type JogEnd = readonly [string, JogCommand];
+
+function jogRow(controls: JogControls, name: string, testid: string, minus: JogEnd, plus: JogEnd): HTMLElement {
+  const buttons = [minus, plus].map(([text, command], index) => {
+    const label = text.length > 1 ? `${name}: ${text}` : t(index === 0 ? "drive.minus" : "drive.plus", { name });
+    return holdButton(controls, text, label, `${testid}-${index === 0 ? "minus" : "plus"}`, command);
+  });
+  return el("div", { class: "jog-row" }, el("span", { text: name, title: name }), ...buttons);
+}
+
+/** Create a button that moves the arm while a finger, pen, mouse button or key holds it. */
+function holdButton(controls: JogControls, text: string, label: string, testid: string, command: JogCommand): HTMLElement {
+  const hold = el("button", { type: "button", class: "hold", text, label, testid });
+  watchPointer(hold, () => controls.press(testid, command), () => controls.release(testid));
+  hold.addEventListener("keydown", (event) => {
+    if (event.key !== " " && event.key !== "Enter") return;
+    event.preventDefault();
+    if (!event.repeat) controls.press(testid, command);
+  });
+  hold.addEventListener("keyup", ({ key }) => (key === " " || key === "Enter") && controls.release(testid));
+  hold.addEventListener("blur", () => controls.release(testid));
+  // A screen reader's press has no release, and no pointer either.
+  hold.addEventListener("click", ({ detail, isTrusted }) => detail === 0 && isTrusted && controls.step(testid, command));
+  return hold;
+}

@@ -1,0 +1,31 @@
+import { el } from "./dom";
+
+/** Time until the text of a saved file is let go of [ms]: browsers read it after the click. */
+const RELEASE_AFTER_MS = 10_000;
+
+/** Offer a text to the user as a file. */
+export function saveFile(name: string, type: string, text: string): void {
+  const url = URL.createObjectURL(new Blob([text], { type: `${type};charset=utf-8` }));
+  el("a", { attributes: { href: url, download: name } }).click();
+  setTimeout(() => URL.revokeObjectURL(url), RELEASE_AFTER_MS);
+}
+
+/** Copy a text; return false where the browser does not let the page. */
+export async function copyText(text: string): Promise<boolean> {
+  try {
+    await navigator.clipboard.writeText(text);
+    return true;
+  } catch {
+    return copySelection(text);
+  }
+}
+
+/** Copy by a selection: pages without HTTPS have no clipboard of their own. */
+function copySelection(text: string): boolean {
+  const area = document.body.appendChild(el("textarea", { attributes: { readonly: "" } }));
+  area.value = text;
+  area.select();
+  const copied = document.execCommand("copy");
+  area.remove();
+  return copied;
+}

@@ -1,0 +1,74 @@
+import { MAX_SCENE_FILE_BYTES } from "../logic/scene-file";
+import { t } from "../texts/texts";
+import { permissionFieldset, type PanelContext } from "./context";
+import { button, el, section } from "./dom";
+
+/** Create the section of saved scenes: by name on the server, and as files of the user. */
+export function savedScenesSection(context: PanelContext): HTMLElement {
+  const { store } = context;
+  const list = el("ul", { class: "things", testid: "saved-scenes" });
+  const empty = el("p", { class: "hint" });
+  const form = permissionFieldset(context, "configure", saveForm(context));
+  store.subscribe(
+    ({ editing }) => editing.saved,
+    (saved) => {
+      list.replaceChildren(...(saved ?? []).map((name) => savedItem(context, name)));
+      empty.textContent = saved === null ? t("world.saved.none_here") : t("world.saved.empty");
+      empty.hidden = saved !== null && saved.length > 0;
+      form.hidden = saved === null;
+    },
+  );
+  return section("saved-scenes", t("world.saved"), false, form, empty, list, fileForm(context));
+}
+
+function saveForm({ sceneEditor }: PanelContext): HTMLElement {
+  const attributes = { autocomplete: "off", maxlength: "50" };
+  const name = el("input", { type: "text", testid: "scene-name", attributes });
+  const save = button(t("world.saved.save"), "save-scene", () => void submit());
+  const submit = async (): Promise<void> => {
+    if (await sceneEditor.scenes("save", name.value.trim())) name.value = "";
+  };
+  name.addEventListener("keydown", (event) => event.key === "Enter" && void submit());
+  return el("div", { class: "save-scene" }, el("label", {}, t("world.saved.name"), name), save);
+}
+
+function savedItem(context: PanelContext, name: string): HTMLElement {
+  const { sceneEditor } = context;
+  const load = button(t("world.saved.load"), `load-scene-${name}`, () => void sceneEditor.scenes("load", name));
+  const remove = button(t("world.saved.delete"), `delete-scene-${name}`, () => void sceneEditor.scenes("delete", name));
+  load.setAttribute("aria-label", `${t("world.saved.load")}: ${name}`);
+  remove.setAttribute("aria-label", `${t("world.saved.delete")}: ${name}`);
+  const title = el("b", { text: name });
+  return el("li", {}, title, permissionFieldset(context, "work", load), permissionFieldset(context, "configure", remove));
+}
+
+/** Create the buttons that write the scene to a file of the user, and read it from one. */
+function fileForm(context: PanelContext): HTMLElement {
+  const { sceneEditor } = context;
+  const download = button(t("world.file.download"), "download-scene", () => void saveFile());
+  const saveFile = async (): Promise<void> => {
+    const text = await sceneEditor.fileText();
+    if (text === null) return;
+    const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
+    el("a", { attributes: { href: url, download: "scene.json" } }).click();
+    // The browser takes the file after the click.
+    setTimeout(() => URL.revokeObjectURL(url), 60_000);
+  };
+  const input = el("input", { type: "file", testid: "scene-file", attributes: { accept: ".json,application/json" } });
+  input.addEventListener("change", () => {
+    const file = input.files?.[0];
+    if (file) void openFile(context, file).finally(() => (input.value = ""));
+  });
+  const upload = el("label", { class: "scene-upload" }, t("world.file.upload"), input);
+  return el("div", {}, el("div", { class: "buttons" }, download), permissionFieldset(context, "work", upload));
+}
+
+/** Read a file; one that is too large is refused by its size, before a byte of it is read. */
+async function openFile({ sceneEditor }: PanelContext, file: File): Promise<void> {
+  const { name, size } = file;
+  if (size > MAX_SCENE_FILE_BYTES) {
+    const values = { name, size: Math.ceil(size / 1e6), limit: MAX_SCENE_FILE_BYTES / 1e6 };
+    return sceneEditor.edit({ result: t("world.file.large", values) });
+  }
+  await sceneEditor.loadFile(await file.text(), name);
+}

@@ -1,0 +1,148 @@
+import uPlot from "uplot";
+import { axisOf, colorsOf, type Curve } from "./chart";
+import { el, setText } from "./dom";
+
+/** Curve with what its values are called beside the cursor. */
+export interface TimeCurve extends Curve {
+  digits: number;
+}
+
+/** Chart of one unit among several over the same times. */
+export interface TimeChartOptions {
+  title: string;
+  unit: string;
+  curves: TimeCurve[];
+  /** Least range of the values, so that noise does not fill the chart. */
+  least_range: number;
+  /** Zoom by a factor about a time; move by a time [s]. */
+  zoom: (factor: number, about_s: number) => void;
+  pan: (by_s: number) => void;
+}
+
+const HEIGHT_PX = 150;
+
+/** Least width of a chart; a hidden one has none [px]. */
+const MIN_WIDTH_PX = 50;
+
+/** Part of the span by which a turn of the wheel of 100 px zooms. */
+const WHEEL_ZOOM = 0.2;
+
+/** Charts whose cursors move together. */
+const SYNC_KEY = "plots";
+
+/** Chart that is zoomed by wheel and pinch, moved by dragging, and tells the values at the cursor. */
+export class TimeChart {
+  readonly element: HTMLElement;
+  private readonly plot: uPlot;
+  private readonly host: HTMLElement;
+  private readonly values: HTMLElement;
+  private range: [number, number] = [-1, 0];
+
+  constructor(private readonly options: TimeChartOptions) {
+    this.host = el("div", { class: "plot" });
+    this.values = el("p", { class: "plot-values hint" });
+    const title = el("figcaption", { text: `${options.title} [${options.unit}]` });
+    this.element = el("figure", { class: "time-chart" }, title, this.host, this.values);
+    this.plot = this.createPlot();
+    this.listen(this.plot.over);
+  }
+
+  /** Draw the times, relative to the shown zero, then each curve. */
+  draw(rows: (number | null)[][], range: [number, number]): void {
+    this.range = range;
+    const width = Math.max(this.host.clientWidth, MIN_WIDTH_PX);
+    if (width !== this.plot.width) this.plot.setSize({ width, height: HEIGHT_PX });
+    this.plot.setData(rows as uPlot.AlignedData);
+    this.showValues();
+  }
+
+  /** Put the cursor of all charts at a share of the width. */
+  setCursor(share: number): void {
+    const { clientWidth: width, clientHeight: height } = this.plot.over;
+    this.plot.setCursor({ left: share * width, top: height / 2 });
+  }
+
+  /** Remove the chart from the page. */
+  destroy(): void {
+    this.plot.destroy();
+    this.element.remove();
+  }
+
+  private createPlot(): uPlot {
+    const { curves, least_range } = this.options;
+    const color = colorsOf(this.host);
+    const axis = axisOf(color);
+    const series = curves.map(({ label, color: name, dashed }): uPlot.Series => {
+      return { label, stroke: color(name), width: 1.5, spanGaps: false, points: { show: false }, ...(dashed && { dash: [6, 4] }) };
+    });
+    return new uPlot(
+      {
+        width: MIN_WIDTH_PX,
+        height: HEIGHT_PX,
+        legend: { show: false },
+        cursor: { sync: { key: SYNC_KEY }, drag: { x: false, y: false, setScale: false }, points: { show: false }, y: false },
+        scales: {
+          x: { time: false, range: () => this.range },
+          y: { range: (_, lowest, highest) => widened(lowest, highest, least_range) },
+        },
+        axes: [axis, { ...axis, size: 48 }],
+        series: [{ label: "s" }, ...series],
+        hooks: { setCursor: [() => this.showValues()] },
+      },
+      [[], ...curves.map(() => [])] as uPlot.AlignedData,
+      this.host,
+    );
+  }
+
+  private showValues(): void {
+    // The hook runs once before the constructor has the plot.
+    const index = this.plot?.cursor.idx;
+    const time_s = index === null || index === undefined ? undefined : this.plot.data[0]?.[index];
+    if (time_s === undefined) return setText(this.values, "");
+    const texts = this.options.curves.map(({ label, digits }, curve) => {
+      const value = this.plot.data[curve + 1]?.[index as number];
+      return `${label} ${typeof value === "number" ? value.toFixed(digits) : "–"}`;
+    });
+    setText(this.values, `${time_s.toFixed(2)} s: ${texts.join(", ")}`);
+  }
+
+  /** Wheel zooms, one pointer drags, two pinch. */
+  private listen(over: HTMLElement): void {
+    const pointers = new Map<number, number>();
+    const timeAt = (x_px: number): number => {
+      const { left, width } = over.getBoundingClientRect();
+      return this.range[0] + ((x_px - left) / width) * (this.range[1] - this.range[0]);
+    };
+    over.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.options.zoom((1 + WHEEL_ZOOM) ** (event.deltaY / 100), timeAt(event.clientX));
+    });
+    over.addEventListener("pointerdown", (event) => {
+      pointers.set(event.pointerId, event.clientX);
+      over.setPointerCapture(event.pointerId);
+    });
+    over.addEventListener("pointermove", (event) => {
+      const before_px = pointers.get(event.pointerId);
+      if (before_px === undefined || before_px === event.clientX) return;
+      const other_px = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
+      if (other_px === undefined) this.options.pan(timeAt(before_px) - timeAt(event.clientX));
+      else if (event.clientX !== other_px) {
+        const factor = Math.abs((before_px - other_px) / (event.clientX - other_px));
+        this.options.zoom(factor, timeAt(other_px));
+      }
+      pointers.set(event.pointerId, event.clientX);
+    });
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture"] as const) {
+      over.addEventListener(end, (event) => pointers.delete(event.pointerId));
+    }
+  }
+}
+
+/** Return a range of the values with some space around them, and not less than the least. */
+function widened(lowest: number | null, highest: number | null, least: number): [number, number] {
+  const low = lowest ?? 0;
+  const high = highest ?? 0;
+  const middle = (low + high) / 2;
+  const half = Math.max((high - low) * 0.55, least / 2);
+  return [middle - half, middle + half];
+}

@@ -1,0 +1,119 @@
+"""The first minute with the page: a motion at one click, a fault with its remedy, and nothing that cannot be done."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.helpers.page import DESKTOP, PHONE, OpenPage, opened
+from tests.helpers.server import RunningServer
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+SIZES = [DESKTOP, PHONE, (844, 390), (820, 1180)]
+
+# A row of the bar with the button to stop, and two rows of a thumb's size on a phone.
+MAX_BAR_PX = {DESKTOP: 64, PHONE: 124, (844, 390): 64, (820, 1180): 124}
+
+
+@pytest.fixture
+def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+    with opened(browser) as open_page:
+        open_page.open(server.port)
+        yield open_page
+
+
+def is_hidden(page: OpenPage, test_id: str) -> bool:
+    return not page.part(test_id).is_visible()
+
+
+def test_one_button_makes_the_first_motion_and_goes_for_good(page: OpenPage, server: RunningServer) -> None:
+    page.until("!document.querySelector('[data-testid=first-motion]').hidden")
+    before = page.joints()
+    page.part("first-motion-go").click()
+    page.until("!document.querySelector('[data-testid=motion-bar]').hidden")
+    page.until_text("time-left", "s left")
+    page.until_state("s.goal.code === 1")
+    after = page.joints()
+    assert max(abs(after[name] - before[name]) for name in before) > 0.2
+    assert is_hidden(page, "first-motion")
+    page.open(server.port)
+    page.until_state("s.arm.mode === 'holding'")
+    assert is_hidden(page, "first-motion")
+
+
+def test_the_next_step_is_told_where_the_buttons_are(page: OpenPage) -> None:
+    page.until_text("next-step", "Choose where to go")
+    assert page.part("move").is_disabled()
+    page.part("named-home").click()
+    page.until_text("next-step", "Plan shows the motion")
+    assert page.part("plan").is_enabled()
+
+
+def test_a_value_out_of_range_is_said_at_the_field_with_the_range_in_the_chosen_units(page: OpenPage) -> None:
+    box = page.part("target-x")
+    box.fill("99999")
+    box.press("Enter")
+    page.until_text("target-x-problem", "x: 99999 mm is outside of -")
+    page.part("tab-settings").click()
+    page.part("units").select_option("rad")
+    page.part("tab-move").click()
+    assert page.part("target-x").get_attribute("aria-label") == "target x in m"
+
+
+def test_a_relaxed_arm_says_so_and_holds_at_one_click(page: OpenPage) -> None:
+    page.part("relax").click()
+    page.until_text("message", "The arm is relaxed")
+    page.part("hold").click()
+    page.until_state("s.arm.mode === 'holding'")
+
+
+def test_tabs_keep_the_focus_and_a_panel_that_is_closed_comes_back(page: OpenPage) -> None:
+    page.part("tab-move").click()
+    page.page.keyboard.press("ArrowRight")
+    assert page.page.evaluate("document.activeElement.dataset.testid") == "tab-drive"
+    page.page.keyboard.press("Delete")
+    assert page.page.evaluate("document.activeElement.dataset.testid") == "tab-move"
+    page.part("open-panel-first").select_option("drive")
+    assert page.page.evaluate("document.activeElement.dataset.testid") == "tab-drive"
+    assert page.part("panel-drive").is_visible()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_bar_is_compact_and_nothing_covers_stop(
+    browser: Browser, server: RunningServer, size: tuple[int, int]
+) -> None:
+    with opened(browser, size) as page:
+        page.open(server.port)
+        page.until_text("state-pill", "IDLE")
+        height_px = page.page.evaluate("document.querySelector('#bar').offsetHeight")
+        assert height_px <= MAX_BAR_PX[size]
+        assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        box = page.part("stop").bounding_box()
+        assert box is not None
+        assert box["y"] + box["height"] <= size[1]
+
+
+def test_a_server_of_another_version_says_so(browser: Browser, server: RunningServer) -> None:
+    with opened(browser) as page:
+
+        def other_version(socket: object) -> None:
+            upstream = socket.connect_to_server()  # type: ignore[attr-defined]
+
+            def answer(text: str | bytes) -> None:
+                if isinstance(text, str) and "/arm/who_am_i" in text and "service_response" in text:
+                    message = json.loads(text)
+                    told = json.loads(message["values"]["message"])
+                    message["values"]["message"] = json.dumps({**told, "version": "99.0"})
+                    text = json.dumps(message)
+                socket.send(text)  # type: ignore[attr-defined]
+
+            upstream.on_message(answer)
+
+        page.page.route_web_socket("**/*", other_version)
+        page.open(server.port)
+        page.until_text("notices", "The server is version 99.0")

@@ -1,0 +1,110 @@
+"""The picture of the page: shadow, framing, reach, handles beside the gripper, and no frame without need."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+from PIL import Image
+
+from tests.helpers.clients import tip
+from tests.helpers.page import DESKTOP, PHONE, OpenPage, opened
+from tests.helpers.server import RunningServer
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+Point = tuple[float, float, float]
+
+# The server's own tolerance for a point (0.01 m), and the servos' droop.
+ARRIVED_M = 0.02
+
+# On the ground in the shadow of the stretched arm, and where no shadow falls; both within its reach.
+SHADED_M: Point = (0.2, 0.09, 0.0)
+LIT_M: Point = (0.12, -0.22, 0.0)
+
+
+@pytest.fixture(scope="module")
+def settings(settings: dict[str, str]) -> dict[str, str]:
+    """Here page and tests drive in turns, without waiting for each other."""
+    return {**settings, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+    with opened(browser, color_scheme="light") as open_page:
+        open_page.open(server.port)
+        yield open_page
+
+
+def brightness(page: OpenPage, position_m: Point) -> float:
+    """Return the mean brightness around a point of the root link's frame (0 to 255), over the lines of the grid."""
+    x, y = page.screen_of(position_m)
+    picture = page.page.screenshot(clip={"x": x - 5, "y": y - 5, "width": 11, "height": 11})
+    values = Image.open(io.BytesIO(picture)).convert("L").tobytes()
+    return sum(values) / len(values)
+
+
+def test_the_arm_casts_a_shadow_on_the_ground(page: OpenPage) -> None:
+    page.until("window.armbridge.drawn.frames > 2")
+    page.shot("look")
+    shaded, lit = brightness(page, SHADED_M), brightness(page, LIT_M)
+    assert shaded < lit - 15
+
+
+def test_nothing_is_drawn_while_nothing_changes(page: OpenPage) -> None:
+    stamp_s = page.page.evaluate("window.armbridge.drawn.joint_stamp_s")
+    # The last frame of what went before may be under way.
+    page.until(f"window.armbridge.drawn.joint_stamp_s > {stamp_s + 3}")
+    before = page.page.evaluate("window.armbridge.drawn")
+    page.until(f"window.armbridge.drawn.joint_stamp_s > {before['joint_stamp_s'] + 1}")
+    assert page.page.evaluate("window.armbridge.drawn.frames") == before["frames"]
+
+
+def test_the_reach_shows_while_a_handle_is_under_the_pointer(page: OpenPage) -> None:
+    quiet = brightness(page, LIT_M)
+    x, y = page.screen_of(tuple(page.state("tool_m")))
+    page.page.mouse.move(x, y - 80)
+    page.until("window.armbridge.drawn.frames > 0")
+    for _ in range(200):
+        if brightness(page, LIT_M) < quiet - 4:
+            break
+        page.page.wait_for_timeout(20)
+    page.shot("look_reach")
+    assert brightness(page, LIT_M) < quiet - 4
+    page.page.mouse.move(20, 300)
+
+
+def test_a_handle_beside_the_gripper_moves_the_target_and_the_arm(page: OpenPage, server: RunningServer) -> None:
+    start = page.state("tool_m")
+    x, y = page.screen_of(tuple(start))
+    mouse = page.page.mouse
+    mouse.move(x, y - 80)
+    mouse.down()
+    mouse.move(x, y - 50, steps=5)
+    mouse.up()
+    wished = page.state("target.position_m")
+    assert wished[:2] == pytest.approx(start[:2], abs=1e-3)
+    assert wished[2] < start[2] - 0.005
+    page.until_state("s.target.reachable === true && s.target.joints_rad !== null")
+    page.part("plan-and-move").click()
+    page.until_text("state-pill", "EXECUTING")
+    page.until_text("state-pill", "IDLE")
+    assert math.dist(tip(server.url), wished) < ARRIVED_M
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_the_whole_arm_is_well_in_the_picture(browser: Browser, server: RunningServer, size: tuple[int, int]) -> None:
+    with opened(browser, size, color_scheme="dark") as page:
+        page.open(server.port)
+        page.shot(f"look_dark_{size[0]}")
+        box = page.page.locator("#view").bounding_box()
+        assert box is not None
+        foot, tool = page.screen_of((0.0, 0.0, 0.0)), page.screen_of(tuple(page.state("tool_m")))
+        for x, y in (foot, tool):
+            assert box["x"] < x < box["x"] + box["width"]
+            assert box["y"] < y < box["y"] + box["height"]
+        assert math.dist(foot, tool) > 0.3 * min(box["width"], box["height"])

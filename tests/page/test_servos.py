@@ -1,0 +1,102 @@
+"""The list of servos, and the details of one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.helpers.clients import call
+from tests.helpers.page import OpenPage, opened
+from tests.helpers.server import ServerOnBus, server_on_bus
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+# Above arm.warn_temperature_c, below arm.slow_temperature_c.
+WARM_C = 57
+
+# Bit of register STATUS for an overload.
+OVERLOAD = 32
+
+ELBOW, GRIPPER = "3", "6"
+
+
+@pytest.fixture(scope="module")
+def arm() -> Iterator[ServerOnBus]:
+    with server_on_bus() as running:
+        yield running
+
+
+@pytest.fixture
+def page(browser: Browser, arm: ServerOnBus) -> Iterator[OpenPage]:
+    """A page with its list of servos open."""
+    with opened(browser) as open_page:
+        open_page.open(arm.server.port)
+        open_page.open_panel("arm", "servos")
+        open_page.part("servo-open-elbow_flex").wait_for()
+        yield open_page
+
+
+def until_samples(page: OpenPage, more_than: int) -> int:
+    """Wait for lines of more samples than some, and return how many there are."""
+    samples = "Number(document.querySelector('[data-testid=servo-lines]').dataset.samples ?? 0)"
+    page.until(f"{samples} > {more_than}")
+    return int(page.page.evaluate(samples))
+
+
+def test_choosing_a_servo_shows_its_registers_and_its_lines(page: OpenPage) -> None:
+    assert page.part("servo-details").is_hidden()
+    page.part("servo-open-shoulder_pan").click()
+    page.until_text("servo-title", "shoulder_pan (servo 1)")
+    page.until_text("servo-condition", "torque on")
+    page.until_text("servo-registers", "P_GAIN")
+    page.until("document.querySelectorAll('[data-testid=servo-details] canvas').length === 2")
+    until_samples(page, until_samples(page, 0))
+    page.shot("servo")
+    page.part("servo-close").click()
+    page.part("servo-details").wait_for(state="hidden")
+    assert page.errors == []
+
+
+def test_a_warm_servo_says_so_and_what_to_do_with_what_happened_before_the_page_was_opened(
+    browser: Browser, arm: ServerOnBus
+) -> None:
+    arm.emulator.command(temperature={ELBOW: WARM_C})
+    while not any(
+        "warm" in event for event in call(arm.server.url, "/arm/servo_history", {"joint": "elbow_flex"})["events"]
+    ):
+        pass
+    with opened(browser) as page:
+        page.open(arm.server.port)
+        page.open_panel("arm", "servos")
+        page.part("servo-open-elbow_flex").click()
+        page.until_text("servo-events", "warning: warm")
+        page.until_text("servo-advice", "Relax the arm when it is idle")
+        assert page.part("servo-elbow_flex").get_attribute("data-level") == "warn"
+        page.shot("servo_warm")
+        assert page.errors == []
+
+
+def test_errors_are_counted_by_kind_with_what_to_do(page: OpenPage, arm: ServerOnBus) -> None:
+    page.part("servo-open-gripper").click()
+    page.until_text("servo-errors", "none")
+    arm.emulator.command(status={GRIPPER: OVERLOAD})
+    page.until_text("servo-errors", "overload: 1")
+    page.until_text("servo-advice", "overload")
+    page.shot("servo_overload")
+    arm.emulator.command(status={GRIPPER: 0})
+    assert page.errors == []
+
+
+def test_the_list_is_walked_by_the_keyboard_while_the_servos_report(page: OpenPage) -> None:
+    first = page.part("servo-open-shoulder_pan")
+    first.focus()
+    page.page.keyboard.press("Enter")
+    page.until_text("servo-title", "shoulder_pan")
+    until_samples(page, until_samples(page, 0) + 1)
+    page.page.keyboard.press("Tab")
+    page.page.keyboard.press("Enter")
+    page.until_text("servo-title", "shoulder_lift")
+    assert page.part("servo-open-shoulder_lift").get_attribute("aria-expanded") == "true"

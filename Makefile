@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 MANY_PROCESSES := tests/test_campaign.py tests/test_survival.py tests/test_zenoh_end_to_end.py \
 	tests/planners/files/test_batch.py
 
-.PHONY: install install-dev run page page-if-npm test test-processes test-page test-clients fuzz lint check bench bench-planning campaign campaign-planners lock clean
+.PHONY: install install-dev run page page-if-npm test test-processes test-page pictures test-clients fuzz lint check bench bench-planning campaign campaign-planners lock clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -69,6 +69,11 @@ test-processes: install-dev
 test-page: install-dev page
 	cd $(PAGE) && npm test
 	$(BIN)/python -m pytest tests/page $(ARGS)
+
+# The pictures of docs/page.md.
+pictures: install-dev page
+	$(BIN)/python -m pytest tests/page/test_pictures.py -n 0
+	mkdir -p docs/pictures && cp build/page/pictures/*.png docs/pictures/
 
 # The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
 test-clients: install-dev build/compas_fab/.installed build/ros_mcp/.installed

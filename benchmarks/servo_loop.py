@@ -205,7 +205,7 @@ def _slower_s(entries: Iterable[Entry], told_s: float) -> float:
 
 
 async def _emergency_stops() -> list[list[str]]:
-    with _emulator() as rig, RunningServer(f"--port 0 --serial {rig.emulator.port}") as server:
+    with _emulator() as rig, RunningServer(f"--port 0 --serial {rig.emulator.port} --calibration nominal") as server:
         async with arm_client(server.url) as client:
             await client.until_mode("holding")
             rows = [await _emergency_row("emergency stop of a client, machine as it is", client, rig.log)]

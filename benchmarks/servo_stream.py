@@ -95,7 +95,10 @@ def _emulator() -> Iterator[tuple[RunningEmulator, Path]]:
 
 async def _sticks() -> list[list[str]]:
     rows = []
-    with _emulator() as (emulator, log), RunningServer(f"--port 0 --serial {emulator.port}") as server:
+    with (
+        _emulator() as (emulator, log),
+        RunningServer(f"--port 0 --serial {emulator.port} --calibration nominal") as server,
+    ):
         async with arm_client(server.url) as client:
             await client.until_mode("holding")
             await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "ready"})

@@ -14,6 +14,7 @@ from benchmarks.campaign.result import Result
 from benchmarks.campaign.scenario import Happening
 from benchmarks.campaign.seed_run import run_seed
 from benchmarks.figures import print_table
+from robot.emulator.populations import POPULATIONS
 
 SEEDS = 200
 
@@ -27,6 +28,9 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help=f"how many seeds (default {SEEDS})")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of them (default 0)")
     parser.add_argument("--seed", type=int, metavar="SEED", help="this one alone")
+    parser.add_argument(
+        "--population", choices=POPULATIONS, help="state in which the servos are found (default: drawn by the seed)"
+    )
     parser.add_argument("--jobs", type=int, default=JOBS, metavar="N", help=f"runs at a time (default {JOBS})")
     parser.add_argument("--logs", type=Path, metavar="FOLDER", help="keep the logs of all writes there")
     options = parser.parse_args()
@@ -34,38 +38,39 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.logs or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        results = _run_all(seeds, folder, options.jobs)
+        results = _run_all(seeds, folder, options.jobs, options.population)
     _report(results)
     return 1 if any(result.violations for result in results) else 0
 
 
-def _run_all(seeds: Iterable[int], folder: Path, jobs: int) -> list[Result]:
+def _run_all(seeds: Iterable[int], folder: Path, jobs: int, population: str | None) -> list[Result]:
     results = []
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        running = [pool.submit(run_seed, seed, folder) for seed in seeds]
+        running = [pool.submit(run_seed, seed, folder, population) for seed in seeds]
         for done in as_completed(running):
             result = done.result()
             results.append(result)
             verdict = "; ".join(result.violations[:3]) or "good"
-            print(f"seed {result.seed} ({result.happening}): {verdict}", file=sys.stderr)
+            print(f"seed {result.seed} ({result.happening}, {result.population}): {verdict}", file=sys.stderr)
     return sorted(results, key=lambda result: result.seed)
 
 
 def _report(results: list[Result]) -> None:
-    rows = [_row(happening.value, results) for happening in Happening]
-    header = ["what happens", "runs", "motions", "faults told", "writes checked", "runs with violations"]
+    names = [*(happening.value for happening in Happening), *POPULATIONS]
+    rows = [_row(name, results) for name in names]
+    header = ["what happens, and servos", "runs", "motions", "faults told", "writes checked", "runs with violations"]
     print_table("Fault campaign", header, [row for row in rows if row[1] != "0"])
     for result in results:
         for violation in result.violations:
-            print(f"seed {result.seed} ({result.happening}): {violation}")
+            print(f"seed {result.seed} ({result.happening}, {result.population}): {violation}")
         if result.violations:
-            print(f'    again: make campaign ARGS="--seed {result.seed}"')
+            print(f'    again: make campaign ARGS="--seed {result.seed} --population {result.population}"')
 
 
-def _row(happening: str, results: list[Result]) -> list[str]:
-    runs = [result for result in results if result.happening == happening]
+def _row(name: str, results: list[Result]) -> list[str]:
+    runs = [result for result in results if name in (result.happening, result.population)]
     return [
-        happening,
+        name,
         str(len(runs)),
         str(sum(sum(result.outcomes.values()) for result in runs)),
         ", ".join(sorted(set().union(*(result.faults for result in runs)))) or "-",

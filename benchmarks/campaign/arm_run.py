@@ -87,6 +87,19 @@ class ArmRun:
             await self._recover()
         return await self._end()
 
+    async def insist(self) -> None:
+        """Ask for torque again and again while the faults happen, and after them."""
+        await self.arm.start(START_TIMEOUT_S)
+        self.bus.strike(self.scenario)
+        befalling = asyncio.create_task(self._befall(self.scenario.events))
+        until_s = time.monotonic() + MOVING_S
+        while time.monotonic() < until_s:
+            await self._go_on()
+        await befalling
+        self.bus.calm(self.scenario)
+        for order in (Order.RESET_FAULT, Order.ENABLE):
+            await self._order(order)
+
     async def _befall(self, events: tuple[Event, ...]) -> None:
         started_s = time.monotonic()
         for event in events:
@@ -145,7 +158,7 @@ class ArmRun:
 
     async def _recover(self) -> None:
         """Check that the arm recovers and moves again once the faults have ended."""
-        self.bus.calm()
+        self.bus.calm(self.scenario)
         until_s = time.monotonic() + RECOVERY_S
         while time.monotonic() < until_s:
             if self.arm.state.mode is Mode.HOLDING and await self._move() is Outcome.REACHED:
@@ -196,16 +209,9 @@ def _end_state(entries: list[Entry], mode: Mode, scenario: Scenario) -> list[str
 
 async def run_arm(scenario: Scenario, folder: Path) -> Result:
     """Run a scenario of the arm process."""
-    result = Result(scenario.seed, scenario.happening.value)
+    result = Result(scenario.seed, scenario.happening.value, scenario.population)
     with campaign_bus(scenario, folder) as bus:
-        config = ArmConfig(
-            ROBOT,
-            FeetechConfig(CALIBRATION, bus.port),
-            on_exit=scenario.on_exit,
-            on_server_lost=scenario.on_server_lost,
-            on_emergency_stop=scenario.on_emergency_stop,
-        )
-        arm = ListeningArm(config)
+        arm = ListeningArm(_config(scenario, bus))
         run = ArmRun(scenario, bus, arm, result, random.Random(scenario.seed))
         try:
             entries = await run.play()
@@ -214,6 +220,36 @@ async def run_arm(scenario: Scenario, folder: Path) -> Result:
                 await arm.close()
     _check(run, entries)
     return result
+
+
+async def run_refused(scenario: Scenario, folder: Path) -> Result:
+    """Run a scenario on servos that must not be given torque, whatever happens and is asked for."""
+    result = Result(scenario.seed, scenario.happening.value, scenario.population)
+    with campaign_bus(scenario, folder) as bus:
+        arm = ListeningArm(_config(scenario, bus))
+        run = ArmRun(scenario, bus, arm, result, random.Random(scenario.seed))
+        try:
+            await run.insist()
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                await arm.close()
+        entries = bus.entries()
+    result.writes, result.states = len(entries), len(arm.states)
+    result.faults = {state.fault.code.value for state in arm.states if state.fault is not None}
+    result.violations += [*checks.never_driven(entries), *_answered_once(arm)]
+    if not any(state.mode is not Mode.DISCONNECTED or state.reason for state in arm.states):
+        result.violations.append("no state said why the arm has no torque")
+    return result
+
+
+def _config(scenario: Scenario, bus: CampaignBus) -> ArmConfig:
+    return ArmConfig(
+        ROBOT,
+        FeetechConfig(CALIBRATION, bus.port),
+        on_exit=scenario.on_exit,
+        on_server_lost=scenario.on_server_lost,
+        on_emergency_stop=scenario.on_emergency_stop,
+    )
 
 
 def _check(run: ArmRun, entries: list[Entry]) -> None:

@@ -99,6 +99,16 @@ def torque_on(entries: list[Entry]) -> list[str]:
     ]
 
 
+def never_driven(entries: list[Entry]) -> list[str]:
+    """Torque is never on."""
+    return [
+        f"torque of servo {servo} was on at {entry.at_s:.3f}"
+        for entry in entries
+        for servo, torque in entry.torque.items()
+        if torque == 1
+    ]
+
+
 @dataclass(frozen=True)
 class Span:
     """Span of time in which a condition held (monotonic [s])."""

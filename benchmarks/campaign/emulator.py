@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.campaign.scenario import CALM, START_RAD, Scenario
+from benchmarks.campaign.scenario import NAMES, START_RAD, Scenario, calm
 from benchmarks.campaign.write_log import Entry, read_entries
+from robot.hardware.interface import StatusFlag
 from tests.robot.conftest import RunningEmulator
 
 
@@ -36,10 +37,13 @@ class CampaignBus:
         if scenario.wire:
             self.tell(scenario.wire)
 
-    def calm(self) -> None:
-        """End every fault."""
-        for command in CALM:
+    def calm(self, scenario: Scenario) -> None:
+        """End every fault; an overload that stays latched otherwise needs the supply off and on."""
+        for command in calm(scenario.servos):
             self.tell(command)
+        overloaded = any(status & StatusFlag.OVERLOAD for status in self.entries()[-1].status.values())
+        if scenario.servos.overload_latches and overloaded:
+            self.tell({"power_cycle": NAMES})
 
     def entries(self) -> list[Entry]:
         """Return the log up to now; its last entry has the present state of the servos."""
@@ -53,8 +57,9 @@ def campaign_bus(scenario: Scenario, folder: Path) -> Iterator[CampaignBus]:
     # The link bears the process's id: one seed run twice at a time in one folder must not meet on one bus.
     log, link = folder / f"seed-{scenario.seed}.jsonl", folder / f"bus-{scenario.seed}-{os.getpid()}"
     start = ",".join(str(position) for position in START_RAD)
+    files = "--write-log", str(log), "--link", str(link)
     emulator = RunningEmulator(
-        "--write-log", str(log), "--link", str(link), f"--start={start}", "--seed", str(scenario.seed)
+        *files, f"--start={start}", "--seed", str(scenario.seed), "--population", scenario.population
     )
     try:
         yield CampaignBus(emulator, log, str(link))

@@ -10,6 +10,7 @@ class Result:
     """One run.
 
     Attributes:
+        population: state in which the servos were found.
         violations: one sentence each; empty in a good run.
         outcomes: number of motions by how they ended.
         faults: codes of the faults that the arm reported.
@@ -19,6 +20,7 @@ class Result:
 
     seed: int
     happening: str
+    population: str
     violations: list[str] = field(default_factory=list)
     outcomes: dict[str, int] = field(default_factory=dict)
     faults: set[str] = field(default_factory=set)

@@ -10,10 +10,12 @@ from types import MappingProxyType
 
 from robot.calibration import Calibration
 from robot.description.robot_folder import built_in
+from robot.emulator.populations import POPULATIONS, SUPPLY_V, Population
 from robot.messages import EmergencyPolicy, EndState, Order
 
-CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)
+CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True, offsets_known=True)
 JOINTS = CALIBRATION.joints
+NAMES = [joint.joint for joint in JOINTS]
 
 # Far from each other, so that one servo's position cannot be taken for another's, and clear of the ends.
 START_RAD = (0.3, -0.7, 0.6, 0.1, -0.4, 0.8)
@@ -58,6 +60,9 @@ class Happening(Enum):
 # These need a server process of their own.
 OF_SERVER = frozenset({Happening.SERVER_KILLED, Happening.SERVER_FROZEN})
 
+# Servos that must never be given torque: their zero has shifted, or they cannot be told apart.
+REFUSED = frozenset({"ros2_driver", "kit"})
+
 
 @dataclass(frozen=True)
 class Event:
@@ -82,6 +87,7 @@ class Scenario:
 
     Attributes:
         wire: probabilities of faults on the wire.
+        population: state in which the servos are found.
         calmed: True if all faults end, and the arm must recover, before the arm process is ended.
     """
 
@@ -93,10 +99,21 @@ class Scenario:
     on_server_lost: EndState
     on_emergency_stop: EmergencyPolicy
     calmed: bool
+    population: str
+
+    @property
+    def servos(self) -> Population:
+        """State in which the servos are found."""
+        return POPULATIONS[self.population]
 
 
-def scenario_of(seed: int) -> Scenario:
-    """Return the scenario of a seed; successive seeds take the incidents in turn."""
+def scenario_of(seed: int, population: str | None = None) -> Scenario:
+    """Return the scenario of a seed; successive seeds take the incidents in turn.
+
+    Args:
+        seed: number of the run.
+        population: state in which the servos are found; None for one that is drawn.
+    """
     chance = random.Random(seed)
     happening = list(Happening)[seed % len(Happening)]
     return Scenario(
@@ -104,10 +121,12 @@ def scenario_of(seed: int) -> Scenario:
         happening=happening,
         wire=_wire(chance, at_least_one=happening is Happening.NOTHING),
         events=_events(happening, chance),
-        on_exit=chance.choice(list(EndState)),
-        on_server_lost=chance.choice(list(EndState)),
+        on_exit=chance.choice((EndState.HOLD, EndState.RELAX)),
+        on_server_lost=chance.choice((EndState.HOLD, EndState.RELAX)),
         on_emergency_stop=chance.choice(list(EmergencyPolicy)),
         calmed=chance.random() < 0.6,
+        # The last draw: the rest of a seed's scenario is the same on every population.
+        population=population or chance.choice(list(POPULATIONS)),
     )
 
 
@@ -149,8 +168,8 @@ Commands = tuple[dict[str, object], dict[str, object]]
 
 def _for_servo(name: str, begin: object, end: object) -> Callable[[int, random.Random], Commands]:
     def commands(servo: int, _chance: random.Random) -> Commands:
-        servo_id = str(JOINTS[servo].servo_id)
-        return {name: {servo_id: begin}}, {name: {servo_id: end}}
+        joint = JOINTS[servo].joint
+        return {name: {joint: begin}}, {name: {joint: end}}
 
     return commands
 
@@ -160,16 +179,16 @@ def _placed(name: str, reach_rad: float) -> Callable[[int, random.Random], Comma
 
     def commands(servo: int, chance: random.Random) -> Commands:
         ticks = _ticks_near(servo, chance.uniform(-reach_rad, reach_rad))
-        servo_id = str(JOINTS[servo].servo_id)
-        return {name: {servo_id: ticks}}, {name: {servo_id: None}}
+        joint = JOINTS[servo].joint
+        return {name: {joint: ticks}}, {name: {joint: None}}
 
     return commands
 
 
 def _listed(begin: str, end: str | None = None) -> Callable[[int, random.Random], Commands]:
     def commands(servo: int, _chance: random.Random) -> Commands:
-        ids = [JOINTS[servo].servo_id]
-        return {begin: ids}, {} if end is None else {end: ids}
+        joints = [JOINTS[servo].joint]
+        return {begin: joints}, {} if end is None else {end: joints}
 
     return commands
 
@@ -185,24 +204,30 @@ _COMMANDS: Mapping[Happening, Callable[[int, random.Random], Commands]] = Mappin
         Happening.UNPLUG_RENAMED: _fixed({"plugged": False}, {"plugged": "renamed"}),
         Happening.FROZEN: _fixed({"frozen": True}, {"frozen": False}),
         Happening.POWER_CYCLE_ONE: _listed("power_cycle"),
-        Happening.POWER_CYCLE_ALL: _fixed({"power_cycle": [joint.servo_id for joint in JOINTS]}, {}),
+        Happening.POWER_CYCLE_ALL: _fixed({"power_cycle": NAMES}, {}),
         Happening.OBSTACLE: _placed("obstacle", 0.2),
         Happening.PUSH: lambda servo, chance: _for_servo("push", chance.choice((-700, 300, 700)), 0)(servo, chance),
         Happening.HAND: _placed("hand", 0.5),
         Happening.OVER_TEMPERATURE: lambda servo, chance: _for_servo("temperature", chance.choice((58, 62, 67)), 40)(
             servo, chance
         ),
-        Happening.UNDERVOLTAGE: _fixed({"supply": 4.2}, {"supply": 5.0}),
+        Happening.UNDERVOLTAGE: _fixed({"supply": 4.2}, {"supply": SUPPLY_V}),
         Happening.TORQUE_OFF: _listed("torque_off"),
         Happening.ENCODER_JUMP: _for_servo("jump", 400, 0),
     }
 )
 
-# Ends every fault that a scenario may have started.
-CALM: tuple[Mapping[str, object], ...] = (
-    dict.fromkeys(WIRE_FAULTS, 0.0),
-    {"online": [joint.servo_id for joint in JOINTS], "frozen": False, "plugged": True, "supply": 5.0},
-    {name: {str(joint.servo_id): None for joint in JOINTS} for name in ("obstacle", "hand")},
-    {"push": {str(joint.servo_id): 0 for joint in JOINTS}},
-    {"temperature": {str(joint.servo_id): 40 for joint in JOINTS}},
-)
+
+def calm(population: Population) -> tuple[Mapping[str, object], ...]:
+    """Return the commands that end every fault that a scenario may have started.
+
+    Args:
+        population: state in which the servos were found.
+    """
+    return (
+        dict.fromkeys(WIRE_FAULTS, 0.0),
+        {"online": NAMES, "frozen": False, "plugged": True, "supply": population.supply_v},
+        {name: dict.fromkeys(NAMES) for name in ("obstacle", "hand")},
+        {"push": dict.fromkeys(NAMES, 0)},
+        {"temperature": dict.fromkeys(NAMES, 40)},
+    )

@@ -27,8 +27,9 @@ ANSWER_S = 25.0
 # Into a motion, which takes a second or two.
 IN_THE_MIDST_S = 0.5
 
-# Longer than the watchdog, braking and relaxing take.
-SILENCE_S = 4.0
+# Longer than the watchdog (0.5 s), braking (1 s) and relaxing take; servos with a return delay are relaxed in 2.3 s,
+# and later beside other processes.
+SILENCE_S = 6.0
 
 # Braking, relaxing, and ending.
 END_S = 8.0
@@ -46,7 +47,7 @@ class ServerRun:
     """One run, of one server after the other on one arm."""
 
     def __init__(self, scenario: Scenario, bus: CampaignBus) -> None:
-        self.result = Result(scenario.seed, scenario.happening.value)
+        self.result = Result(scenario.seed, scenario.happening.value, scenario.population)
         self._scenario = scenario
         self._bus = bus
         self._chance = random.Random(scenario.seed)
@@ -71,7 +72,9 @@ class ServerRun:
 
     def _server(self) -> RunningServer:
         lost = self._scenario.on_server_lost.value
-        return RunningServer(f"--port 0 --serial {self._bus.port}", {"ARMBRIDGE_ARM__ON_SERVER_LOST": lost})
+        return RunningServer(
+            f"--port 0 --serial {self._bus.port} --calibration nominal", {"ARMBRIDGE_ARM__ON_SERVER_LOST": lost}
+        )
 
     async def _kill(self, server: RunningServer, client: ArmClient) -> None:
         await self._begin_goal(client)
@@ -93,7 +96,7 @@ class ServerRun:
 
     async def _go_on(self, client: ArmClient) -> None:
         """Check that the next goal succeeds once the faults have ended."""
-        self._bus.calm()
+        self._bus.calm(self._scenario)
         await self._enable(client)
         if await self._goal(client) != SUCCESS:
             self.result.violations.append(f"the arm did not go on: {client.topics[RESULT_TOPIC][-1]}")

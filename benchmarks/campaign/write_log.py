@@ -21,6 +21,7 @@ class Entry:
         present: true position by servo id [ticks].
         torque: register TORQUE_ENABLE by servo id.
         goal: register GOAL_POSITION by servo id [ticks].
+        status: error bits by servo id.
     """
 
     at_s: float
@@ -29,6 +30,7 @@ class Entry:
     present: dict[int, int]
     torque: dict[int, int]
     goal: dict[int, int]
+    status: dict[int, int]
 
 
 def read_entries(path: Path) -> list[Entry]:
@@ -50,6 +52,7 @@ def _entry(line: dict[str, Any]) -> Entry:
         present=_by_servo(line["present"]),
         torque=_by_servo(line["torque"]),
         goal=_by_servo(line["goal"]),
+        status=_by_servo(line["status"]),
     )
 
 

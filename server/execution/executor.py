@@ -161,12 +161,15 @@ class GoalExecutor:
 
     async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
         """Plan and play a motion; every wait is bounded, and every way out is an answer."""
-        self._cancel_reason = ""
-        match request:
-            case ExternalTrajectory():
-                return await _answered(self._play_external(request, report))
-            case PlannedMotion():
-                return await self._plan_and_play(request, report)
+        try:
+            match request:
+                case ExternalTrajectory():
+                    return await _answered(self._play_external(request, report))
+                case PlannedMotion():
+                    return await self._plan_and_play(request, report)
+        finally:
+            # At the end, not at the beginning: a goal may be cancelled after its turn has come, before this runs.
+            self._cancel_reason = ""
 
     def cancel(self, reason: str) -> None:
         """Cancel the active goal."""

@@ -234,7 +234,10 @@ async def test_a_stop_ends_the_verification(arm: ServerOnBus) -> None:
         await until_step(client, "torque")
         assert (await answer(client, "move"))["success"]
         await until_step(client, "compare zero")
+        # The motion is to last until the stop comes, from a client that may wait for its turn on a busy machine.
+        await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.02})
         assert (await answer(client, "yes"))["success"]
         await until_step(client, "moving to first pose")
         assert (await client.call("/arm/stop"))["success"]
         assert "was not reached" in await ended(client)
+        await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 1.0})

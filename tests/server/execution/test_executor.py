@@ -442,6 +442,17 @@ async def test_a_goal_is_cancelled_during_planning(stage: Stage) -> None:
     assert stage.arm.played == []
 
 
+async def test_a_goal_cancelled_before_its_work_begins_moves_nothing_and_the_next_one_moves(stage: Stage) -> None:
+    stage.executor.cancel("ended by a test")
+    await stage.begin(to(shoulder_pan=0.4))
+    answer = await stage.answer()
+    assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "ended by a test before the motion began")
+    assert stage.arm.played == []
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+
+
 async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_path: Path) -> None:
     stage.executor = stage.executing(FailedGoals(tmp_path, so101(), lambda: 0.0, 1))
     stage.failures = [NO_WAY]

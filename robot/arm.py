@@ -16,7 +16,7 @@ import logging
 import time
 from collections.abc import Callable, Collection
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from robot.calibration import Calibration
 from robot.logs import LogLimiter
@@ -95,6 +95,30 @@ CLOSE_LIMIT_S = 60.0
 def start_arm_process() -> StartedChild:
     """Start an arm process; it loads its modules, then waits for its configuration."""
     return StartedChild("robot.control.loop")
+
+
+class ClockedArm(Protocol):
+    """Arm with a clock."""
+
+    @property
+    def clock_s(self) -> float:
+        """Clock of the control loop [s]."""
+
+    @property
+    def state_age_s(self) -> float:
+        """Age of the latest state [s]."""
+
+
+async def wait_on_clock(arm: ClockedArm, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
+    """Wait until all of some futures are done, for a time on an arm's clock, as :meth:`Arm.wait`."""
+    until_s = arm.clock_s + timeout_s
+    while (pending := [end for end in ends if not end.done()]) and arm.clock_s < until_s:
+        if arm.state_age_s > SILENT_S:
+            break
+        # The arm's clock is never faster than this one. The first wait lasts all of the time: states that come
+        # late, to a server that stood still itself, cut nothing short.
+        await asyncio.wait(pending, timeout=max(until_s - arm.clock_s, HEARTBEAT_S))
+    return all(end.done() for end in ends)
 
 
 class Arm:
@@ -195,6 +219,15 @@ class Arm:
         return self._process.pid
 
     @property
+    def pids(self) -> tuple[int, ...]:
+        """Process id, as of several arms; empty before the first launch."""
+        return () if self.pid is None else (self.pid,)
+
+    def part(self, _joint_names: Collection[str]) -> Arm:
+        """Return the arm that has some joints, which is this one: see :class:`robot.arm_group.ArmGroup`."""
+        return self
+
+    @property
     def state_age_s(self) -> float:
         """Age of the latest state [s]."""
         return time.monotonic() - self._state_at_s
@@ -214,14 +247,7 @@ class Arm:
         Returns:
             True when all are done.
         """
-        until_s = self.clock_s + timeout_s
-        while (pending := [end for end in ends if not end.done()]) and self.clock_s < until_s:
-            if self.state_age_s > SILENT_S:
-                break
-            # The arm's clock is never faster than this one. The first wait lasts all of the time: states that come
-            # late, to a server that stood still itself, cut nothing short.
-            await asyncio.wait(pending, timeout=max(until_s - self.clock_s, HEARTBEAT_S))
-        return all(end.done() for end in ends)
+        return await wait_on_clock(self, ends, timeout_s)
 
     def execute(
         self,

@@ -37,6 +37,12 @@ class Trajectory:
         """Time from the first sample to the last [s]."""
         return float(self.time_s[-1])
 
+    def of_joints(self, joint_names: tuple[str, ...]) -> Trajectory:
+        """Return the same motion of some of its joints, in their order."""
+        columns = [self.joint_names.index(name) for name in joint_names]
+        arrays = self.positions_rad, self.velocities_rad_s, self.accelerations_rad_s2
+        return Trajectory(joint_names, self.time_s, *(array[:, columns] for array in arrays))
+
     def sample(self, time_s: float) -> tuple[Vector, Vector, Vector]:
         """Interpolate between the samples by cubic Hermite polynomials.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import os
 import sys
@@ -15,6 +16,9 @@ import uvloop
 from planners.pool import PlannerPool
 from planners.shared_pool import SharedPlanners
 from robot.arm import CLOSE_LIMIT_S, Arm
+from robot.arm_group import ArmGroup
+from robot.arm_interface import ArmInterface
+from robot.description.servo_table import HardwareTable
 from robot.errors import OrderRefused
 from robot.messages import ArmHealth, ArmState, Mode, Order
 from robot.processes import StartedChild
@@ -23,6 +27,7 @@ from server.access.control_lease import ControlServices
 from server.access.one_time_tokens import OneTimeTokenService
 from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
 from server.arm.commissioning import Commissioning, Procedure
+from server.arm.named_arms import NamedArms, joined_robot, read_arms
 from server.arm.services import ArmPace, ArmServices
 from server.arm.setup import Description, arm_config, check_parameters
 from server.arm.topics import ArmStateTopics, JointStates, states_are_observed
@@ -31,6 +36,7 @@ from server.config import RecordingSettings, Settings
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.execution.parking import LastClient, Parking
+from server.execution.queue import RunningGoal
 from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, Route, page_is_built
 from server.gateway.listener import Listener
 from server.graph.topics import Graph
@@ -44,6 +50,7 @@ from server.monitoring.monitor import Monitor
 from server.monitoring.ros_topics import Diagnostics, Rosout, offer_level_services
 from server.monitoring.servo_history import ServoHistory
 from server.monitoring.systemd import SystemdNotifier, on_debug_signal, on_hangup
+from server.moveit.arm_goals import ArmGoals
 from server.moveit.interface import MoveItInterface
 from server.moveit.named_states import data_directory
 from server.rosapi import RosApi
@@ -139,18 +146,28 @@ class App:
         recalibrated: Recalibrated | None = None,
         notifier: SystemdNotifier | None = None,
     ) -> None:
-        description = Description.read(settings.arm) if inherited is None else inherited.description
-        robot = description.robot
+        files = read_arms(settings) if inherited is None else {}
+        if inherited is not None:
+            self._description = inherited.description
+        elif files:
+            robot = joined_robot(files)
+            self._description = Description(robot.name, robot, HardwareTable(), None)
+        else:
+            self._description = Description.read(settings.arm)
+        robot = self._description.robot
         check_parameters(settings.moveit, robot)
         self._settings = settings
-        self._description = description
         graph = self._graph = Graph(
             load_registry(settings.server.interfaces),
             relay_unknown_types=settings.server.relay_unknown_types,
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
         # The goal queue is among the parts below; a lease is asked for when clients drive.
-        access = Access(settings.access, busy=lambda: self._moveit.running)
+        access = Access(
+            settings.access,
+            busy=lambda: self._moveit.running,
+            arms={name: functools.partial(self._running_of, name) for name in files},
+        )
 
         # What refuses wrong settings, and what other parts use; none of it does anything before its start.
         routes: dict[str, Route] = {}
@@ -162,17 +179,19 @@ class App:
             takes_goals_along=settings.goals.on_disconnect == "stop",
         )
         self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
-        config = arm_config(settings, description)
-        if recalibrated is not None:
-            resumed = config.hardware.resumed(recalibrated.position_rad, driven=False)
-            config = replace(config, hardware=resumed)
-        self._arm = Arm(
-            config,
-            self._on_state,
-            self._on_health,
-            arm_process,
-            observed=lambda: states_are_observed(graph),
-        )
+        observed = functools.partial(states_are_observed, graph)
+        # One arm by itself, or several by name.
+        self._arms: NamedArms | None = None
+        self._arm: Arm | ArmGroup
+        if files:
+            self._arms = NamedArms(graph, files, self._on_states, self._on_health, observed)
+            self._arm = self._arms.group
+        else:
+            config = arm_config(settings, self._description)
+            if recalibrated is not None:
+                resumed = config.hardware.resumed(recalibrated.position_rad, driven=False)
+                config = replace(config, hardware=resumed)
+            self._arm = Arm(config, self._on_state, self._on_health, arm_process, observed=observed)
         self._pool = (
             PlannerPool(robot, settings.planning.workers, settings.planning.memory_limit_bytes)
             if inherited is None
@@ -192,23 +211,31 @@ class App:
         self._history = ServoHistory(graph)
         rosapi = RosApi(graph, params=access.params)
         self._moveit = MoveItInterface(graph, robot, settings, rosapi.parameters.keep, self._arm, self._pool)
-        self._parking = Parking(
-            self._arm,
-            robot,
-            settings.arm,
-            settings.moveit,
-            self._pool,
-            self._moveit.scene,
-            self._moveit.queue,
-        )
-        ArmServices(graph, self._arm, self._moveit.stop, self._parking.park)
-        self._last_client = LastClient(
-            settings.arm,
-            drivers=lambda: len(access.drivers),
-            busy=lambda: not self._nothing_moves(),
-            park=lambda: self._parking.park(LAST_CLIENT),
-            relax=lambda: self._arm.order(Order.RELAX),
-        )
+        self._parking = self._last_client = None
+        if isinstance(self._arm, Arm):
+            parking = self._parking = Parking(
+                self._arm,
+                robot,
+                settings.arm,
+                settings.moveit,
+                self._pool,
+                self._moveit.scene,
+                self._moveit.queue,
+            )
+            self._last_client = LastClient(
+                settings.arm,
+                drivers=lambda: len(access.drivers),
+                busy=lambda: not self._nothing_moves(),
+                park=lambda: parking.park(LAST_CLIENT),
+                relax=lambda: self._arm.order(Order.RELAX),
+            )
+        ArmServices(graph, self._arm, self._moveit.stop, None if self._parking is None else self._parking.park)
+        self._goals_of: dict[str, ArmGoals] = {}
+        for name, arm in {} if self._arms is None else self._arms.arms.items():
+            limit = arm.files.settings.guards.gripper_torque_limit
+            goals = self._moveit.add_arm(arm.graph, name, arm.files.description.robot, arm.arm, limit)
+            arm.open(goals.stop, access.leases_of_arms[name])
+            self._goals_of[name] = goals
         ArmPace(graph, self._arm)
         self._inherits = inherited is not None
         self._next: NewStart | None = None
@@ -267,6 +294,8 @@ class App:
         Raises:
             RobotError: it cannot begin.
         """
+        if not isinstance(self._arm, Arm):
+            raise OrderRefused("one of several arms is calibrated and verified by a server of its own")
         if busy := self._moveit.queue.busy:
             raise OrderRefused(f"the arm is in use: {busy}")
         if procedure == "calibrate":
@@ -304,8 +333,6 @@ class App:
         diagnostics = BackgroundTask("diagnostics", self._diagnostics.run)
         memory = BackgroundTask("memory", self._memory.run)
         message_types = BackgroundTask("message types", self._graph.message_types.compile_waiting)
-        parking = BackgroundTask("parking", self._parking.run)
-        last_client = BackgroundTask("the last client", self._last_client.run)
         parts = [
             Part("the monitor", monitor.start, monitor.stop),
             # Restored before anybody can see it, and written when nobody can change it any more.
@@ -316,9 +343,7 @@ class App:
             Part("diagnostics", diagnostics.start, diagnostics.stop),
             # It has its own limits, by its own clock: a simulated arm is slow where the machine is busy.
             Part("the arm", self._arm.launch, self._arm.close, ARM_STOP_S, beyond_total=True),
-            Part(
-                "the way to the rest pose", stop=self._parking.prepare_exit, deadline_s=PREPARING_S, beyond_total=True
-            ),
+            *self._way_to_rest_pose(),
             Part("goals", self._start_goals, self._moveit.close, 1.1),
             Part("commissioning", stop=self._commissioning.close),
             # Clients are answered from here on; goals that they send wait for the arm.
@@ -326,8 +351,7 @@ class App:
             Part("the arm's first state", self._wait_for_arm),
             # Loaded meanwhile; whoever is told that the server is ready need not wait for them.
             Part("the planners' first plans", self._wait_for_planners),
-            Part("parking", parking.start, parking.stop),
-            Part("the last client", last_client.start, last_client.stop),
+            *self._parts_of_parking(),
             Part("memory", memory.start, memory.stop),
             # Ready without them: whoever comes first waits for a type of his own, at most 20 ms.
             Part("message types", message_types.start, message_types.stop),
@@ -336,6 +360,22 @@ class App:
             bridge = BackgroundTask("zenoh", self._bridge.run)
             parts.insert(1, Part("other machines", bridge.start, bridge.stop, 0.4))
         return parts
+
+    def _way_to_rest_pose(self) -> list[Part]:
+        if self._parking is None:
+            return []
+        prepare = self._parking.prepare_exit
+        return [Part("the way to the rest pose", stop=prepare, deadline_s=PREPARING_S, beyond_total=True)]
+
+    def _parts_of_parking(self) -> list[Part]:
+        if self._parking is None or self._last_client is None:
+            return []
+        parking = BackgroundTask("parking", self._parking.run)
+        last_client = BackgroundTask("the last client", self._last_client.run)
+        return [
+            Part("parking", parking.start, parking.stop),
+            Part("the last client", last_client.start, last_client.stop),
+        ]
 
     async def _start_goals(self) -> None:
         self._moveit.start()
@@ -355,6 +395,8 @@ class App:
 
     async def _close_clients(self) -> None:
         self._control.close()
+        if self._arms is not None:
+            self._arms.close()
         await self._listener.close()
 
     async def _close_recording(self) -> None:
@@ -368,8 +410,26 @@ class App:
     def _nothing_moves(self) -> bool:
         return not self._moveit.queue.busy and self._arm.state.mode is not Mode.MOVING
 
+    def _running_of(self, arm: str) -> RunningGoal | None:
+        return self._goals_of[arm].running
+
+    def _on_states(self, state: ArmState, read: ArmState) -> None:
+        """Take the state of several arms.
+
+        Args:
+            state: of all joints, where they are known.
+            read: of those that are read at present.
+        """
+        self._joint_states.publish(read)
+        for name, arm in {} if self._arms is None else self._arms.arms.items():
+            self._goals_of[name].take_state(arm.arm.state)
+        self._take_state(state)
+
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)
+        self._take_state(state)
+
+    def _take_state(self, state: ArmState) -> None:
         self._arm_state.take_state(state)
         self._diagnostics.take_state(state)
         self._history.take_state(state)
@@ -392,22 +452,33 @@ class App:
             log.info("%s", HOW_TO_BUILD_PAGE)
 
     def _what_runs_where(self) -> str:
-        arm, serial = self._arm, self._settings.arm.serial
-        bus = f"on {serial}" if serial is not None else "simulated"
-        if self._description.calibration is None:
-            bus += " (ideal)"
-        if arm.state.mode is Mode.DISCONNECTED:
-            bus += f", NOT CONNECTED ({arm.state.reason})"
-        elif arm.state.mode is not Mode.HOLDING:
-            bus += f", {arm.state.mode.name} ({arm.state.fault or arm.state.reason or 'not enabled'})"
+        if self._arms is not None:
+            told = "; ".join(
+                _what_arm_runs(arm.arm, arm.files.settings.serial, name, arm.files.description)
+                for name, arm in self._arms.arms.items()
+            )
+        else:
+            told = _what_arm_runs(self._arm, self._settings.arm.serial, self._description.robot.name, self._description)
         shown = f"{self._listener.page_url} (page), " if page_is_built(PAGE_DIRECTORY) else ""
         raw_tcp = self._listener.tcp_url
         shown_tcp = f"{raw_tcp} (rosbridge over TCP), " if raw_tcp is not None else ""
         return (
-            f"armbridge is ready: {self._listener.url} (rosbridge), {shown_tcp}{shown}"
-            f"{self._description.robot.name} arm {bus} (process {arm.pid}, 100 Hz), "
+            f"armbridge is ready: {self._listener.url} (rosbridge), {shown_tcp}{shown}{told}, "
             f"planners in processes {', '.join(str(pid) for pid in self._pool.pids) or 'of their own, shared'}"
         )
+
+
+def _what_arm_runs(arm: ArmInterface, serial: str | None, name: str, description: Description) -> str:
+    """Return what to tell at the start about an arm."""
+    bus = f"on {serial}" if serial is not None else "simulated"
+    if description.calibration is None:
+        bus += " (ideal)"
+    if arm.state.mode is Mode.DISCONNECTED:
+        bus += f", NOT CONNECTED ({arm.state.reason})"
+    elif arm.state.mode is not Mode.HOLDING:
+        bus += f", {arm.state.mode.name} ({arm.state.fault or arm.state.reason or 'not enabled'})"
+    pids = ", ".join(map(str, arm.pids))
+    return f"{name} arm {bus} (process {pids}, 100 Hz)"
 
 
 def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) -> Recorder | None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import re
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from protocol.limits import MAX_SERVER_QUEUED_BYTES
@@ -220,6 +224,77 @@ class ArmSettings(SettingsSection):
         return self
 
 
+class EmulatorSettings(SettingsSection):
+    """The emulated servos of a simulated arm."""
+
+    drop: float = Field(default=0.0, ge=0.0, le=1.0)
+    """probability that a reply is lost."""
+    corrupt: float = Field(default=0.0, ge=0.0, le=1.0)
+    """probability that a reply has a wrong byte."""
+    seed: int = 0
+    """of the random faults."""
+    population: Literal["factory", "lerobot", "ros2_driver", "clone", "kit"] = "factory"
+    """state in which the servos are found, as ``armbridge emulate --population`` names it."""
+    write_log: Path | None = None
+    """file that gets a line of JSON for every write to a servo."""
+    control: Path | None = None
+    """path of a Unix socket that takes live commands to the servos, as ``armbridge emulate`` does."""
+
+
+# Far more than one machine has ports for.
+MAX_ARMS = 32
+
+# Names of arms are the beginnings of joints, groups, topics and services.
+ARM_NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
+
+# First parts of names that the server itself or its clients have.
+RESERVED_NAMES = frozenset(
+    (
+        "arm",
+        "armbridge",
+        "arms",
+        "client",
+        "dataset",
+        "file_server",
+        "moveit",
+        "rosapi",
+        "servo_node",
+        "teach",
+        "teleop",
+        "world",
+    )
+)
+
+
+class ArmRole(StrEnum):
+    """Use of one of several arms."""
+
+    FOLLOWER = "follower"
+    LEADER = "leader"
+
+
+class NamedArmSettings(ArmSettings):
+    """One of several arms: what the section ``arm`` has, its role, and its place."""
+
+    role: ArmRole = ArmRole.FOLLOWER
+    """a leader is relaxed, and moved by hand; it is enabled by its own service alone."""
+    base_xyz_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
+    """place of its foot in the common frame [m]."""
+    base_rpy_rad: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
+    """fixed-axis roll, pitch and yaw of its foot there [rad]."""
+    emulator: EmulatorSettings = EmulatorSettings()
+    """its emulated servos."""
+
+    @model_validator(mode="after")
+    def _parks_alone(self) -> NamedArmSettings:
+        for name in ("on_exit", "on_server_lost"):
+            if getattr(self, name) is EndState.PARK:
+                raise ValueError(f"{name}: one of several arms cannot be parked at its end, hold or relax it")
+        if self.on_last_client != "nothing":
+            raise ValueError(f"on_last_client: must be nothing for one of several arms, not {self.on_last_client}")
+        return self
+
+
 class GoalSettings(SettingsSection):
     """The queue before the arm."""
 
@@ -290,23 +365,6 @@ class DiagnosticsSettings(SettingsSection):
         return self.fault_directory or data / "faults"
 
 
-class EmulatorSettings(SettingsSection):
-    """The emulated servos of a simulated arm."""
-
-    drop: float = Field(default=0.0, ge=0.0, le=1.0)
-    """probability that a reply is lost."""
-    corrupt: float = Field(default=0.0, ge=0.0, le=1.0)
-    """probability that a reply has a wrong byte."""
-    seed: int = 0
-    """of the random faults."""
-    population: Literal["factory", "lerobot", "ros2_driver", "clone", "kit"] = "factory"
-    """state in which the servos are found, as ``armbridge emulate --population`` names it."""
-    write_log: Path | None = None
-    """file that gets a line of JSON for every write to a servo."""
-    control: Path | None = None
-    """path of a Unix socket that takes live commands to the servos, as ``armbridge emulate`` does."""
-
-
 class Settings(BaseSettings):
     """All settings. The command line overrides the environment, and that the file."""
 
@@ -318,6 +376,10 @@ class Settings(BaseSettings):
     server: ServerSettings = ServerSettings()
     access: AccessSettings = AccessSettings()
     arm: ArmSettings = ArmSettings()
+    arms: dict[str, NamedArmSettings] = Field(default_factory=dict)
+    """several arms in place of ``arm``, each by its name: ``[arms.left]`` has what ``[arm]`` has, ``role``,
+    ``base_xyz_m``, ``base_rpy_rad`` and a section ``emulator``.
+    """
     moveit: MoveItParameters = MoveItParameters()
     goals: GoalSettings = GoalSettings()
     scene: SceneSettings = SceneSettings()
@@ -327,12 +389,46 @@ class Settings(BaseSettings):
     zenoh: ZenohSettings = ZenohSettings()
     emulator: EmulatorSettings = EmulatorSettings()
 
+    @field_validator("arms", mode="before")
+    @classmethod
+    def _arms_have_names(cls, arms: object) -> object:
+        for name in arms if isinstance(arms, dict) else ():
+            if not ARM_NAME.fullmatch(name):
+                raise ValueError(f"the name of an arm must be a to z, 0 to 9 and _, from a letter on, not {name!r}")
+            if name in RESERVED_NAMES:
+                raise ValueError(f"an arm cannot have the name {name!r}, which begins names of the server's own")
+        if isinstance(arms, dict) and len(arms) > MAX_ARMS:
+            raise ValueError(f"there are {len(arms)} arms, the limit is {MAX_ARMS}")
+        return arms
+
+    @model_validator(mode="after")
+    def _arms_have_their_own(self) -> Settings:
+        """Refuse arms whose names, ports or sockets are not their own."""
+        if self.arms and self.arm != ArmSettings():
+            raise ValueError("arm: with several arms each has its settings in its own section, as [arms.left]")
+        for name, other in itertools.permutations(self.arms, 2):
+            if other.startswith(f"{name}_"):
+                raise ValueError(f"arms.{other}: begins as names of arms.{name} do: rename one")
+        having: dict[str, str] = {}
+        for name, arm in self.arms.items():
+            if arm.serial is None:
+                continue
+            # One port may have several names, as those below /dev/serial/by-id.
+            port = arm.serial if "://" in arm.serial else os.path.realpath(arm.serial)
+            if port in having:
+                raise ValueError(f"arms.{name}.serial: {arm.serial} is the port of arms.{having[port]} already")
+            having[port] = name
+        if len(self.arms) > 1 and any(arm.serial == "auto" for arm in self.arms.values()):
+            raise ValueError("arms: a port cannot be found by itself (auto) where there are several arms: name each")
+        return self
+
     @model_validator(mode="after")
     def _the_arm_settles_within_the_margin(self) -> Settings:
-        margin_s, settle_s = self.moveit.allowed_goal_duration_margin, self.arm.guards.settle_timeout_s
-        if settle_s >= margin_s:
-            raise ValueError(
-                f"arm.guards.settle_timeout_s must be below moveit.allowed_goal_duration_margin, "
-                f"{settle_s:g} s is not below {margin_s:g} s"
-            )
+        margin_s = self.moveit.allowed_goal_duration_margin
+        for section, arm in {"arm": self.arm, **{f"arms.{name}": arm for name, arm in self.arms.items()}}.items():
+            if (settle_s := arm.guards.settle_timeout_s) >= margin_s:
+                raise ValueError(
+                    f"{section}.guards.settle_timeout_s must be below moveit.allowed_goal_duration_margin, "
+                    f"{settle_s:g} s is not below {margin_s:g} s"
+                )
         return self

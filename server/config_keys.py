@@ -204,7 +204,7 @@ def template(settings: Iterable[Setting]) -> str:
     """
     lines = [_HEAD]
     for section, inside in groupby(settings, key=lambda setting: setting.section):
-        lines += ["", f"[{section}]"]
+        lines += ["", f"[{section}]"] if section else [""]
         for setting in inside:
             lines += _lines(setting)
     return "\n".join(lines) + "\n"

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic_settings import EnvSettingsSource, SettingsError
 
-from server.config import PREFIX, Settings
+from server.config import PREFIX, NamedArmSettings, Settings
 from server.config_keys import every_field, flattened, is_table, unknown
 from server.errors import ConfigurationError, sentence_of
 
@@ -88,6 +88,11 @@ def known_keys() -> list[str]:
     return keys + sorted(sections)
 
 
+def _keys_of_arm(name: str) -> list[str]:
+    """Every key of one of several arms."""
+    return [f"arms.{name}.{key}" for key, _, _ in every_field(NamedArmSettings)]
+
+
 def _stray_variables() -> list[str]:
     """Sentences about environment variables with our prefix that set nothing."""
     known = known_keys()
@@ -135,7 +140,7 @@ def _place(key: str, places: dict[str, str]) -> str:
 def _sentence(problem: Any, places: dict[str, str]) -> str:
     key = _key(problem)
     if problem["type"] == "extra_forbidden":
-        return unknown(key, known_keys())
+        return unknown(key, _keys_of_arm(problem["loc"][1]) if key.startswith("arms.") else known_keys())
     value = problem.get("input")
     place = _place(key, places)
     source = f", from the {place}" if place else ""

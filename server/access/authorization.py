@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Literal
 
 from protocol.operations import (
@@ -228,53 +229,108 @@ ACTIONS: Mapping[str, Rule] = {
 }
 
 
-def rule_of_service(name: str) -> Rule:
-    """Return the rule of a service, given by its fully qualified name."""
+# What each of several arms has below its own name as well, with the same rules: /left/arm/enable is /arm/enable of one.
+OF_EACH_ARM = frozenset(
+    (
+        "/arm/emergency_stop",
+        "/arm/enable",
+        "/arm/pause",
+        "/arm/relax",
+        "/arm/release_control",
+        "/arm/reset_fault",
+        "/arm/resume",
+        "/arm/speed_factor",
+        "/arm/step_back",
+        "/arm/stop",
+        "/arm/take_control",
+        "/emergency_stop",
+        "/joint_trajectory_action",
+        "/moveit_goal",
+        "/moveit_goal_cancel",
+        "/moveit_goal_group",
+        "/moveit_goal_joints",
+        "/moveit_goal_named",
+        "/moveit_goal_pose",
+        "/servo_node/command_timeout",
+        "/servo_node/delta_joint_cmds",
+        "/servo_node/delta_twist_cmds",
+        "/servo_node/pause_servo",
+        "/servo_node/pose_target_cmds",
+        "/servo_node/reset_servo_status",
+        "/servo_node/start_servo",
+        "/servo_node/stop_servo",
+        "/servo_node/switch_command_type",
+        "/servo_node/unpause_servo",
+        "/stop",
+        "/trajectory_execution_event",
+    )
+)
+
+
+NO_NAMES: Collection[str] = frozenset()
+
+
+def arm_and_name(name: str, arms: Collection[str]) -> tuple[str, str]:
+    """Return the arm below whose name a name stands, and the rest; without one, an empty text and the name itself.
+
+    Args:
+        name: fully qualified.
+        arms: names of several arms; empty for one.
+    """
+    arm, slash, rest = name[1:].partition("/")
+    below = slash + rest
+    if arm in arms and (below in OF_EACH_ARM or below.endswith((*CONTROLLER_ACTIONS, FOLLOW_TOPIC))):
+        return arm, below
+    return "", name
+
+
+def rule_of_service(name: str, arms: Collection[str] = NO_NAMES) -> Rule:
+    """Return the rule of a service, given by its fully qualified name, on a server with these several arms."""
     if name.endswith(CANCEL_SERVICE):
         return CANCELLING
-    return SERVICES.get(name, WORKING)
+    return SERVICES.get(arm_and_name(name, arms)[1], WORKING)
 
 
-def rule_of_action(name: str) -> Rule:
-    """Return the rule of an action, given by its fully qualified name."""
-    return GOAL if name.endswith(CONTROLLER_ACTIONS) else ACTIONS.get(name, WORKING)
+def rule_of_action(name: str, arms: Collection[str] = NO_NAMES) -> Rule:
+    """Return the rule of an action, as :func:`rule_of_service`."""
+    return GOAL if name.endswith(CONTROLLER_ACTIONS) else ACTIONS.get(arm_and_name(name, arms)[1], WORKING)
 
 
-def rule_of_topic(name: str) -> Rule:
-    """Return the rule of publishing on a topic, given by its fully qualified name."""
-    rule = TOPICS.get(name)
+def rule_of_topic(name: str, arms: Collection[str] = NO_NAMES) -> Rule:
+    """Return the rule of publishing on a topic, as :func:`rule_of_service`."""
+    rule = TOPICS.get(arm_and_name(name, arms)[1])
     if rule is not None:
         return rule
     if name.endswith(FOLLOW_TOPIC):
         return GOAL
     if name.endswith(ACTIONLIB_GOAL):
-        return rule_of_action(name.removesuffix(ACTIONLIB_GOAL))
-    if name.endswith(ACTIONLIB_CANCEL) and rule_of_action(name.removesuffix(ACTIONLIB_CANCEL)).drives:
+        return rule_of_action(name.removesuffix(ACTIONLIB_GOAL), arms)
+    if name.endswith(ACTIONLIB_CANCEL) and rule_of_action(name.removesuffix(ACTIONLIB_CANCEL), arms).drives:
         return CANCELLING
     return WORKING
 
 
-def is_stop(operation: Operation) -> bool:
+def is_stop(operation: Operation, arms: Collection[str] = NO_NAMES) -> bool:
     """Return True for an operation that stops the arm, ahead of everything that waits."""
     match operation:
         case Publish():
-            rule = TOPICS.get(qualify(operation.topic), WORKING)
+            rule = TOPICS.get(arm_and_name(qualify(operation.topic), arms)[1], WORKING)
             return rule.at_once and rule.at_once_data in (None, operation.msg.get("data"))
         case CallService():
-            return rule_of_service(_name_of(operation.service)).at_once
+            return rule_of_service(_name_of(operation.service), arms).at_once
         case _:
             return False
 
 
-def is_driving(operation: Operation) -> bool:
+def is_driving(operation: Operation, arms: Collection[str] = NO_NAMES) -> bool:
     """Return True for an operation that may move the arm."""
     match operation:
         case Publish():
-            return rule_of_topic(qualify(operation.topic)).drives
+            return rule_of_topic(qualify(operation.topic), arms).drives
         case CallService():
-            return rule_of_service(_name_of(operation.service)).drives
+            return rule_of_service(_name_of(operation.service), arms).drives
         case SendActionGoal():
-            return rule_of_action(qualify(operation.action)).drives
+            return rule_of_action(qualify(operation.action), arms).drives
         case _:
             return False
 
@@ -312,6 +368,11 @@ class Authorizer:
         self._settled: set[str] = set()
         access.note_driver(node)
 
+    @property
+    def arms(self) -> Collection[str]:
+        """Names of several arms; empty for one."""
+        return self._access.leases_of_arms.keys()
+
     def may_publish(self, topic: str) -> bool:
         """Return True for a topic, as the client spells it, on which it is known to be allowed any message."""
         return topic in self._settled
@@ -326,7 +387,7 @@ class Authorizer:
                 return self.calling(operation.service, operation.args)
             case SendActionGoal():
                 name = qualify(operation.action)
-                rule = rule_of_action(name)
+                rule = rule_of_action(name, self.arms)
                 return self._name_refusal(rule, "action", name) or self._drive(rule, name, operation.args)
             case Subscribe():
                 return self._name_refusal(LOOKING, "topic", qualify(operation.topic))
@@ -346,12 +407,12 @@ class Authorizer:
         self._settled.clear()
         self._access.note_driver(self._node)
         if identity.role < Role.OPERATE:
-            self._access.lease.leave(self._node)
+            self._access.give_back(self._node)
 
     def leave(self) -> None:
         """Free the control of a client that has left."""
         self._access.drivers.discard(self._node)
-        self._access.lease.leave(self._node)
+        self._access.give_back(self._node)
 
     def publishing(self, topic: str, message: Mapping[str, Any]) -> str | None:
         """Check a message on a topic, as :meth:`refusal`."""
@@ -369,7 +430,7 @@ class Authorizer:
     def calling(self, service: str, arguments: object) -> str | None:
         """Check a call of a service with its request, as :meth:`refusal`."""
         name = _name_of(service)
-        rule = rule_of_service(name)
+        rule = rule_of_service(name, self.arms)
         if name.endswith(CANCEL_SERVICE) and self._graph.actions.provider(name.removesuffix(CANCEL_SERVICE)) is None:
             # It belongs to no action, so it stops nothing.
             rule = WORKING
@@ -380,7 +441,7 @@ class Authorizer:
 
         A topic that stops exists, with its type: else a client that may only look could make topics, of any type.
         """
-        rule = rule_of_topic(name)
+        rule = rule_of_topic(name, self.arms)
         if not rule.stops:
             return rule
         if name.endswith(ACTIONLIB_CANCEL):
@@ -409,8 +470,11 @@ class Authorizer:
             )
         if not rule.drives or plans_only(rule, goal):
             return None
-        refusal = self._access.lease.drive(self._node, self._access.clock())
+        refusal = self._access.lease_of(name).drive(self._node, self._access.clock())
         return None if refusal is None else f"{name}: {refusal}"
+
+
+NO_ARMS: Mapping[str, Callable[[], RunningGoal | None]] = MappingProxyType({})
 
 
 class Access:
@@ -421,13 +485,15 @@ class Access:
         clock: monotonic time [s].
         wall_clock: seconds since the epoch.
         busy: returns the goal that is worked on.
+        arms: by the name of each of several arms, what returns the goal that is worked on there.
 
     Attributes:
         settings: as given.
         clock: as given.
         tokens: tokens and their owners.
         one_time_tokens: tokens that let one connection in each.
-        lease: control of the arm.
+        lease: control of the arm, or of all arms.
+        leases_of_arms: control of each of several arms, by its name.
         drivers: clients that are connected and whose role lets them drive.
         topics: filter of topics.
         services: filter of services and actions.
@@ -443,10 +509,19 @@ class Access:
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
         busy: Callable[[], RunningGoal | None] = lambda: None,
+        arms: Mapping[str, Callable[[], RunningGoal | None]] = NO_ARMS,
     ) -> None:
         self.tokens = Tokens.from_settings(settings)
         self.one_time_tokens = OneTimeTokens(clock)
-        self.lease = ControlLease(settings.control, settings.control_idle_s, wall_clock, busy)
+        policy, idle_s = settings.control, settings.control_idle_s
+        self.lease = ControlLease(policy, idle_s, wall_clock, busy, "all arms" if arms else "the arm")
+        self.leases_of_arms = {
+            name: ControlLease(policy, idle_s, wall_clock, busy_there, f"the arm {name}")
+            for name, busy_there in arms.items()
+        }
+        self.lease.excluded_by = tuple(self.leases_of_arms.values())
+        for lease in self.leases_of_arms.values():
+            lease.excluded_by = (self.lease,)
         self.drivers: set[Node] = set()
         self.topics = NameFilter("access.topics_glob", settings.topics_glob)
         self.services = NameFilter("access.services_glob", settings.services_glob, ALWAYS_SERVICES)
@@ -459,6 +534,15 @@ class Access:
     def authorizer(self, node: Node, graph: Graph) -> Authorizer:
         """Return the check of a client's operations on a graph."""
         return Authorizer(node, self, graph)
+
+    def lease_of(self, name: str) -> ControlLease:
+        """Return the control that is needed for a name: that of one arm below whose name it stands, or of all."""
+        return self.leases_of_arms.get(arm_and_name(name, self.leases_of_arms)[0], self.lease)
+
+    def give_back(self, node: Node) -> None:
+        """Free every control that a client has."""
+        for lease in (self.lease, *self.leases_of_arms.values()):
+            lease.leave(node)
 
     def note_driver(self, node: Node) -> None:
         """Count a client among those that may drive, or no longer, by its present role."""

@@ -43,9 +43,12 @@ class ControlLease:
         idle_s: time without a request of the holder after which the arm is free for others [s].
         wall_clock: seconds since the epoch.
         busy: returns the goal that is worked on; meanwhile the holder does not idle.
+        what: what it is the control of.
 
     Attributes:
         policy: as given.
+        excluded_by: leases that nobody else may hold when a client takes this one: of several arms that of all arms
+            excludes those of each, and each of them excludes it.
         holder: the client that drives; None when the arm is free.
         since_s: start of the holder's control [s since the epoch].
     """
@@ -56,9 +59,12 @@ class ControlLease:
         idle_s: float,
         wall_clock: Callable[[], float],
         busy: Callable[[], RunningGoal | None] = lambda: None,
+        what: str = "the arm",
     ) -> None:
         self.policy = policy
+        self.excluded_by: tuple[ControlLease, ...] = ()
         self._busy = busy
+        self._what = what
         self.holder: Node | None = None
         self.since_s = 0.0
         self._watchers: list[Callable[[], None]] = []
@@ -86,7 +92,11 @@ class ControlLease:
         if self.holder is not node:
             self.tick(now_s)
             if self.holder is not None:
-                return self._refusal(self.holder, now_s)
+                return self.refusal(self.holder, now_s)
+            for other in self.excluded_by:
+                other.tick(now_s)
+                if other.holder is not None and other.holder is not node:
+                    return other.refusal(other.holder, now_s)
             if (reserved := self._reservation(node, now_s)) is not None:
                 return reserved
         self._heard_s = now_s
@@ -112,7 +122,7 @@ class ControlLease:
             self._set(None)
             return None
         return (
-            f"{self.holder} controls the arm, not {node}; to take control from another, show a token of "
+            f"{self.holder} controls {self._what}, not {node}; to take control from another, show a token of "
             "access.admin_tokens"
         )
 
@@ -163,7 +173,8 @@ class ControlLease:
         for on_change in self._watchers:
             on_change()
 
-    def _refusal(self, holder: Node, now_s: float) -> str:
+    def refusal(self, holder: Node, now_s: float) -> str:
+        """Return the sentence that refuses control, because a client has it."""
         goal, idle = self._busy(), f"(access.control_idle_s = {self._idle_limit_s:g})"
         if goal is None:
             running, left = "", f"asks for nothing for another {math.ceil(self.free_in_s(now_s))} s"
@@ -171,8 +182,8 @@ class ControlLease:
             running = f", and {self._what_runs(goal)}"
             left = f"has asked for nothing for {self._idle_limit_s:g} s after the last goal"
         return (
-            f"{holder} has controlled the arm since {_time_of_day(self.since_s)}{running}; it is free when that client "
-            f"leaves, calls {RELEASE_SERVICE}, or {left} {idle}"
+            f"{holder} has controlled {self._what} since {_time_of_day(self.since_s)}{running}; it is free when that "
+            f"client leaves, calls {RELEASE_SERVICE}, or {left} {idle}"
         )
 
     def _what_runs(self, goal: RunningGoal) -> str:

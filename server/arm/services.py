@@ -7,7 +7,7 @@ import logging
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from robot.arm import Arm
+from robot.arm_interface import ArmInterface
 from robot.messages import ChangePace, CommandDone, Course, Mode, Order
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -37,15 +37,15 @@ class ArmServices:
         graph: the graph that they belong to.
         arm: the arm.
         end_goals: ends the active goal and all that wait, and stops every motion, for a reason.
-        park: moves the arm to its rest pose and relaxes it, for a source.
+        park: moves the arm to its rest pose and relaxes it, for a source; None where it cannot be parked alone.
     """
 
     def __init__(
         self,
         graph: Graph,
-        arm: Arm,
+        arm: ArmInterface,
         end_goals: Callable[[str], None],
-        park: Callable[[str], Awaitable[CommandDone]],
+        park: Callable[[str], Awaitable[CommandDone]] | None = None,
     ) -> None:
         self._graph = graph
         self._arm = arm
@@ -53,7 +53,8 @@ class ArmServices:
         self._node = Node("arm services")
         self._offer(ENABLE, lambda: arm.order(Order.ENABLE))
         self._offer(RELAX, self._relax)
-        self._offer(PARK, lambda: park(PARK))
+        if park is not None:
+            self._offer(PARK, lambda: park(PARK))
         self._offer(STOP, self._stop)
         self._offer(EMERGENCY_STOP, lambda: self._emergency_stop(EMERGENCY_STOP))
         self._offer(RESET_FAULT, lambda: arm.order(Order.RESET_FAULT))
@@ -63,19 +64,19 @@ class ArmServices:
 
     def _emergency_stop(self, name: str) -> asyncio.Future[CommandDone]:
         answered = self._arm.order(Order.EMERGENCY_STOP)
-        log.warning("emergency stop by %s", name)
-        self._end_goals(f"emergency stop by {name}")
+        log.warning("emergency stop by %s", self._graph.resolve(name))
+        self._end_goals(f"emergency stop by {self._graph.resolve(name)}")
         return answered
 
     def _on_emergency_stop(self, _message: object) -> None:
         _log_end(self._emergency_stop(EMERGENCY_STOP_TOPIC))
 
     def _relax(self) -> Awaitable[CommandDone]:
-        self._end_goals(f"relaxed by {RELAX}")
+        self._end_goals(f"relaxed by {self._graph.resolve(RELAX)}")
         return self._arm.order(Order.RELAX)
 
     def _stop(self) -> Awaitable[CommandDone]:
-        self._end_goals(f"stopped by {STOP}")
+        self._end_goals(f"stopped by {self._graph.resolve(STOP)}")
         return _standstill(self._arm)
 
     def _offer(self, name: str, act: Callable[[], Awaitable[CommandDone]]) -> None:
@@ -91,7 +92,7 @@ async def _response(answered: Awaitable[CommandDone]) -> Response:
     return {"success": done.done, "message": done.message}
 
 
-async def _standstill(arm: Arm) -> CommandDone:
+async def _standstill(arm: ArmInterface) -> CommandDone:
     """Wait until the arm no longer moves."""
     if await arm.rest(STOP_TIMEOUT_S):
         return CommandDone(0, done=True, message="the arm does not move")
@@ -129,7 +130,7 @@ class ArmPace:
         arm: the arm.
     """
 
-    def __init__(self, graph: Graph, arm: Arm) -> None:
+    def __init__(self, graph: Graph, arm: ArmInterface) -> None:
         self._graph = graph
         self._node = Node("arm pace")
         subscriber = Subscriber(
@@ -140,7 +141,7 @@ class ArmPace:
         for name, course in ((PAUSE, Course.PAUSED), (RESUME, Course.FORWARD), (STEP_BACK, Course.BACK)):
             self._offer(arm, name, course)
 
-    def _offer(self, arm: Arm, name: str, course: Course) -> None:
+    def _offer(self, arm: ArmInterface, name: str, course: Course) -> None:
         def serve(_request: dict[str, Any]) -> dict[str, Any]:
             if arm.state.mode is not Mode.MOVING:
                 return {"success": False, "message": f"no motion is in progress: the arm is {arm.state.mode.value}"}
@@ -150,7 +151,7 @@ class ArmPace:
         self._graph.services.offer(self._node, name, "std_srvs/Trigger", serve)
 
 
-def _set_speed(arm: Arm, factor: float) -> None:
+def _set_speed(arm: ArmInterface, factor: float) -> None:
     if 0.0 <= factor <= 1.0:
         arm.change_pace(ChangePace(speed_factor=factor))
     else:

@@ -14,13 +14,14 @@ from server.graph.topics import Graph
 
 TOPIC = "/joint_states"
 
-# Topics besides it that are published with every state, or with every other: /tf, and those of controllers.
-_FREQUENT = ("/tf", "_controller/controller_state", "_controller/state")
+# Topics that are published with every state, or with every other: it, also of one of several arms, /tf, and those of
+# controllers.
+_FREQUENT = (TOPIC, "/tf", "_controller/controller_state", "_controller/state")
 
 
 def states_are_observed(graph: Graph) -> bool:
     """Return True while somebody subscribes to a topic that is published with the arm's states."""
-    return any(graph.subscribers(topic) for topic in graph.topic_types() if topic == TOPIC or topic.endswith(_FREQUENT))
+    return any(graph.subscribers(topic) for topic in graph.topic_types() if topic.endswith(_FREQUENT))
 
 
 class JointStates:

@@ -51,6 +51,9 @@ def run_serve(options: argparse.Namespace) -> int:
 
 def _serve(settings: Settings, terminal: Terminal) -> ExitCode:
     logs.configure(settings.server.log_level.upper(), settings.server.log_format)
+    if settings.arms:
+        # Those of several arms start side by side.
+        return _serve_with(settings, None, terminal)
     # The arm's process loads while this one does, which takes half of the time until the server is ready.
     from robot.arm import start_arm_process
 
@@ -63,7 +66,7 @@ def _serve(settings: Settings, terminal: Terminal) -> ExitCode:
         return _serve_with(settings, arm_process, terminal)
 
 
-def _serve_with(settings: Settings, arm_process: StartedChild, terminal: Terminal) -> ExitCode:
+def _serve_with(settings: Settings, arm_process: StartedChild | None, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.app import serve
 

@@ -10,7 +10,7 @@ import asyncio
 import functools
 import logging
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias, TypeVar
 
@@ -19,7 +19,7 @@ import numpy as np
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
-from robot.arm import Arm
+from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, Outcome
 from robot.trajectory import Trajectory
@@ -123,6 +123,7 @@ class GoalExecutor:
         confirm: waits for a user's confirmation of a plan; returns None to execute it, else the goal's answer.
         time_limits: of motions.
         in_progress: motions of all goals; None for an executor that is alone.
+        current: positions of all joints, also of arms that this one does not move; None for those of the arm.
 
     Attributes:
         recorder: records the arm's states for the answers.
@@ -130,7 +131,7 @@ class GoalExecutor:
 
     def __init__(
         self,
-        arm: Arm,
+        arm: ArmInterface,
         robot: RobotModel,
         pool: PlannerPool,
         scene: SceneSource,
@@ -139,6 +140,7 @@ class GoalExecutor:
         confirm: Confirm | None = None,
         time_limits: TimeLimits | None = None,
         in_progress: MotionsInProgress | None = None,
+        current: CurrentState | None = None,
     ) -> None:
         self._arm = arm
         self._robot = robot
@@ -148,7 +150,7 @@ class GoalExecutor:
         self._failed_goals = failed_goals
         self._show = show
         self._confirm = confirm
-        self._current = CurrentState(arm, robot)
+        self._current = current or CurrentState(arm, robot)
         self._alternatives = Alternatives(robot, pool)
         self._scene_monitor = SceneMonitor(pool, scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
@@ -432,7 +434,9 @@ class GoalExecutor:
         """Return the positions that the arm holds, not those it droops to: a motion then starts without a step."""
         held_rad = self._current.positions_rad()
         if held_rad is None:
-            raise AssertionError("planning without a connected arm")
+            # This arm is connected by now: it is another one that is not.
+            message = "where the joints of another arm are is not known: it was not connected yet"
+            raise RefusedError(PlanningFailure(MoveItErrorCode.ROBOT_STATE_STALE, message))
         return held_rad
 
     def _expected_rad(self, joints: Joints) -> dict[str, float]:
@@ -506,13 +510,14 @@ class GoalExecutors:
 
     Args:
         arm: the arm.
-        make: makes an executor that shares the motions in progress with the others.
+        make: makes an executor for the part of the arm that it moves, which shares the motions in progress with the
+            others.
 
     Attributes:
         in_progress: motions of all goals.
     """
 
-    def __init__(self, arm: Arm, make: Callable[[MotionsInProgress], GoalExecutor]) -> None:
+    def __init__(self, arm: ArmInterface, make: Callable[[ArmInterface, MotionsInProgress], GoalExecutor]) -> None:
         self._arm = arm
         self._make = make
         self.in_progress = MotionsInProgress()
@@ -525,12 +530,13 @@ class GoalExecutors:
     def runner(self, joints: Joints) -> GoalExecutor:
         """Return the executor of motions of some joints."""
         if joints not in self._executors:
-            self._executors[joints] = self._make(self.in_progress)
+            self._executors[joints] = self._make(self._arm.part(joints), self.in_progress)
         return self._executors[joints]
 
-    def stop(self, _reason: str) -> None:
-        """Stop the arm, even when no goal is known, so that nothing keeps it moving."""
-        self._arm.stop()
+    def stop(self, _reason: str, joints: Iterable[str] | None = None) -> None:
+        """Stop the arms that have some joints, even when no goal is known, so that nothing keeps them moving."""
+        stopped = self._arm if joints is None else self._arm.part(frozenset(joints))
+        stopped.stop()
 
     def take_state(self, state: ArmState) -> None:
         """Record a state of the arm for the goals in progress."""

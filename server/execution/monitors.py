@@ -97,8 +97,11 @@ def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -
 class ReadArm(Protocol):
     """Arm with a state and its age, as `robot.arm.Arm`."""
 
-    state: ArmState
     state_max_age_s: float
+
+    @property
+    def state(self) -> ArmState:
+        """The latest state."""
 
     @property
     def state_age_s(self) -> float:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckQuestion
-from robot.arm import Arm
+from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Course, MotionEnded, Outcome
 from robot.trajectory import Trajectory
@@ -104,7 +104,7 @@ class Player:
 
     def __init__(
         self,
-        arm: Arm,
+        arm: ArmInterface,
         robot: RobotModel,
         scene_monitor: SceneMonitor,
         time_limits: TimeLimits,

@@ -11,7 +11,7 @@ import functools
 import itertools
 import logging
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
@@ -168,8 +168,11 @@ class GoalRunners(Protocol[Request_contra]):
     def runner(self, joints: Joints) -> GoalRunner[Request_contra]:
         """Return the runner of goals that move these joints; it is the same each time."""
 
-    def stop(self, reason: str) -> None:
-        """End every motion of the arm, also those of other parts; active goals are cancelled besides."""
+    def stop(self, reason: str, joints: Iterable[str] | None) -> None:
+        """End every motion of the arms that have some joints, also those of other parts; None for all arms.
+
+        Active goals are cancelled besides.
+        """
 
 
 class ActiveGoal(Generic[Request]):
@@ -268,9 +271,16 @@ class GoalQueue(Generic[Request]):
     @property
     def running(self) -> RunningGoal | None:
         """The active goal that ends last, for those who wait for its end; None when there is none."""
-        if not self._active:
+        return self._last_of(list(self._active.values()))
+
+    def running_with(self, joints: Iterable[str]) -> RunningGoal | None:
+        """Return the active goal that ends last of those that move any of some joints; None when there is none."""
+        return self._last_of(self._moving(frozenset(joints)))
+
+    def _last_of(self, active: Sequence[ActiveGoal[Request]]) -> RunningGoal | None:
+        if not active:
             return None
-        last = max(self._active.values(), key=_ends_in_s)
+        last = max(active, key=_ends_in_s)
         return RunningGoal(last.goal.title, last.remaining_s, len(self._waiting))
 
     @property
@@ -366,10 +376,15 @@ class GoalQueue(Generic[Request]):
         for active in list(self._active.values()) if wanted is None else self._moving(wanted):
             active.runner.cancel(reason)
 
-    def stop(self, reason: str) -> None:
-        """End the active goals and all that wait, each answered PREEMPTED, and every motion of the arm."""
-        self.cancel_all(reason)
-        self._runners.stop(reason)
+    def stop(self, reason: str, joints: Iterable[str] | None = None) -> None:
+        """End the active goals and all that wait, each answered PREEMPTED, and every motion of the arm.
+
+        Args:
+            reason: in the answers.
+            joints: of those arms alone that have any of these; None for all.
+        """
+        self.cancel_all(reason, joints)
+        self._runners.stop(reason, joints)
 
     def _moving(self, joints: Joints) -> list[ActiveGoal[Request]]:
         """Return the active goals that move any of some joints."""

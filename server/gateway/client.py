@@ -127,11 +127,11 @@ class Client:
 
     def is_stop(self, operation: Operation) -> bool:
         """Return True for an operation that stops the arm."""
-        return is_stop(operation)
+        return is_stop(operation, self._authorizer.arms)
 
     def is_driving(self, operation: Operation) -> bool:
         """Return True for an operation that may move the arm."""
-        return is_driving(operation)
+        return is_driving(operation, self._authorizer.arms)
 
     def carry_out(
         self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False

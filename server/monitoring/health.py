@@ -16,7 +16,7 @@ from server.monitoring.goal_counters import GoalCounters
 
 if TYPE_CHECKING:
     from planners.pool import PlannerPool
-    from robot.arm import Arm
+    from robot.arm_interface import ArmInterface
     from server.execution.queue import GoalQueue
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
@@ -50,7 +50,7 @@ class Sources:
     refused_connections: Callable[[], Mapping[str, int]] | None = None
     goal_counters: GoalCounters | None = None
     queue: GoalQueue[Any] | None = None
-    arm: Arm | None = None
+    arm: ArmInterface | None = None
     arm_health: ArmHealth | None = None
     planners: PlannerPool | None = None
     recorder: Recorder | None = None
@@ -60,10 +60,10 @@ class Sources:
 
     def children(self) -> Mapping[str, int]:
         """Return the process id of every child that runs, by the name of its process."""
-        pids = {} if self.arm is None else {"arm": self.arm.pid}
+        arms = () if self.arm is None else self.arm.pids
         planners = () if self.planners is None else self.planners.pids
-        pids |= {f"planner_{number}": pid for number, pid in enumerate(planners, 1)}
-        return {name: pid for name, pid in pids.items() if pid is not None}
+        pids = {"arm" if len(arms) == 1 else f"arm_{number}": pid for number, pid in enumerate(arms, 1)}
+        return pids | {f"planner_{number}": pid for number, pid in enumerate(planners, 1)}
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def check_health(sources: Sources) -> Health:
     return Health(not dead, not reasons, reasons, tuple(_warnings(sources)))
 
 
-def _reasons_not_live(arm: Arm | None) -> Iterator[str]:
+def _reasons_not_live(arm: ArmInterface | None) -> Iterator[str]:
     if arm is not None and arm.state_age_s > ARM_SILENT_S:
         yield f"the arm process has been silent for more than {ARM_SILENT_S:g} s"
 
@@ -118,7 +118,7 @@ def _reasons_not_ready(sources: Sources) -> Iterator[str]:
         yield from _reasons_planners_are_not_ready(sources.planners)
 
 
-def _reasons_arm_is_not_ready(arm: Arm) -> Iterator[str]:
+def _reasons_arm_is_not_ready(arm: ArmInterface) -> Iterator[str]:
     state = arm.state
     if state.fault is not None:
         yield f"the arm has a fault: {state.fault.code.value}"

@@ -45,7 +45,7 @@ from server.monitoring.systemd import SystemdNotifier
 
 if TYPE_CHECKING:
     from planners.pool import PlannerPool
-    from robot.arm import Arm
+    from robot.arm_interface import ArmInterface
     from server.execution.queue import GoalQueue
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
@@ -236,7 +236,7 @@ def recording_metrics(recorder: Recorder) -> Iterator[Metric]:
 # The arm; metrics of devices that an ideal arm does not have are left out.
 
 
-def arm_metrics(arm: Arm) -> Iterator[Metric]:
+def arm_metrics(arm: ArmInterface) -> Iterator[Metric]:
     """Yield the metrics of the arm's state."""
     mode = GaugeMetricFamily("armbridge_arm_mode", "1 for what the arm is doing, 0 for all else.", labels=("mode",))
     for each in Mode:

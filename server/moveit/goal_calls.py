@@ -82,6 +82,7 @@ class GoalCalls:
         self._confirmation = confirmation
         self._context = context
         self._node = Node("moveit goal")
+        self._name = graph.resolve(NAME)
         # The event loop keeps only weak references to tasks.
         self._tasks: set[asyncio.Task[Answer]] = set()
 
@@ -109,7 +110,7 @@ class GoalCalls:
     def _call_ended(self, call: Call, number: str, response: Response) -> None:
         """Cancel the goal of a call that was not answered with its end; as others, it outlives its client's leaving."""
         if not response.ok and (call.caller.takes_goals_along or not call.caller_left):
-            self._queue.cancel(number, f"the call of {NAME} is over: {response.values}")
+            self._queue.cancel(number, f"the call of {self._name} is over: {response.values}")
 
     # As an action.
 
@@ -131,7 +132,7 @@ class GoalCalls:
         cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
 
     def _plan_for(self, goal: Goal, read: ReadGoal, end: Callable[[Mapping[str, Any]], None]) -> None:
-        task = asyncio.create_task(self._plan(read, goal.sender), name=f"plan for {NAME}")
+        task = asyncio.create_task(self._plan(read, goal.sender), name=f"plan for {self._name}")
 
         def ended(done: asyncio.Task[Answer]) -> None:
             self._tasks.discard(done)
@@ -155,11 +156,11 @@ class GoalCalls:
             message, translate = self._goal_of(request)
             motion = translate(message, self._translator.options(request))
         except RefusedError as error:
-            number = self._queue.reject(NAME, error.failure, message)
+            number = self._queue.reject(self._name, error.failure, message)
             end(self._result(message, Answer.of(error.failure), number))
             return None
         for warning in motion.warnings:
-            log.warning("%s: %s", NAME, warning)
+            log.warning("%s: %s", self._name, warning)
         return ReadGoal(message, replace(motion, confirm=self._confirmation.enabled), request["plan_only"])
 
     def _goal_of(self, request: Message) -> tuple[Message, Callable[..., PlannedMotion]]:
@@ -198,7 +199,7 @@ class GoalCalls:
                 early.append(answer)
 
         number = self._queue.submit(
-            NAME, goal.motion, on_progress=report, on_answer=ended, message=goal.message, client=client
+            self._name, goal.motion, on_progress=report, on_answer=ended, message=goal.message, client=client
         )
         for answer in early:
             ended(answer)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
-from planners.problem import PlanningProblem
+from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
 from server.execution.monitors import CurrentState
@@ -17,7 +17,7 @@ from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message, composed, read_pose
 from server.moveit.requests.context import checked_tip, chooses_orientation, planning_group, tip_link
-from server.moveit.requests.error_codes import invalid
+from server.moveit.requests.error_codes import invalid, refused
 from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames
 
@@ -51,6 +51,19 @@ class GoalOptions:
 AS_SELECTED = GoalOptions()
 
 
+@dataclass(frozen=True)
+class OneArm:
+    """One of several arms.
+
+    Attributes:
+        prefix: with which its joints and groups begin.
+        joints: its joints.
+    """
+
+    prefix: str
+    joints: frozenset[str]
+
+
 class GoalTranslator:
     """Translator of goal messages for one robot.
 
@@ -61,6 +74,7 @@ class GoalTranslator:
         frames: look-up of frames.
         current: the positions of the arm.
         problems: builds the goals' planning problems.
+        only: the one of several arms that the messages are for; None for all that the robot has.
 
     Attributes:
         group: planning group of the goals, until :meth:`select_group` chooses another.
@@ -74,7 +88,9 @@ class GoalTranslator:
         frames: Frames,
         current: CurrentState,
         problems: ProblemBuilder,
+        only: OneArm | None = None,
     ) -> None:
+        self._only = only
         self._robot = robot
         self._parameters = parameters
         self._states = states
@@ -94,8 +110,9 @@ class GoalTranslator:
         Raises:
             RefusedError: there is no such group.
         """
-        self.group = planning_group(self._robot, name, self._parameters)
-        self._states.select_group(self.group.name)
+        self.group = self._group(name)
+        if self._only is None:
+            self._states.select_group(self.group.name)
 
     def options(self, message: Message) -> GoalOptions:
         """Read the fields of an armbridge_msgs/MoveitGoal that choose group and speed.
@@ -103,7 +120,7 @@ class GoalTranslator:
         Raises:
             RefusedError: there is no such group, or a scaling is not from 0 to 1.
         """
-        group = planning_group(self._robot, message["group"], self._parameters) if message["group"] else None
+        group = self._group(message["group"]) if message["group"] else None
         scalings = []
         for field in ("velocity_scaling", "acceleration_scaling"):
             value = float(message[field])
@@ -149,7 +166,7 @@ class GoalTranslator:
         Raises:
             RefusedError: names and positions do not fit, or a position is not finite.
         """
-        names, positions = message["name"], message["position"]
+        names, positions = [self._joint(name) for name in message["name"]], message["position"]
         if len(names) != len(positions):
             raise invalid(f"name has {len(names)} entries and position {len(positions)}; they must be as many")
         repeated = sorted({name for name in names if names.count(name) > 1})
@@ -168,6 +185,30 @@ class GoalTranslator:
         warning = f"ignored joints that are not in group {group.name}: {', '.join(ignored)}"
         goal = JointGoal(known, self._parameters.joint_tolerance)
         return self._motion(group, lambda _start_rad: goal, options, (warning,) if ignored else ())
+
+    def _group(self, name: str) -> Group:
+        """Return a planning group by its name, or by its name without the arm's.
+
+        Raises:
+            RefusedError: there is no such group, or it moves another arm.
+        """
+        if self._only is not None and name and name not in self._robot.groups:
+            name = f"{self._only.prefix}{name}"
+        group = planning_group(self._robot, name, self._parameters)
+        self._check_own(group)
+        return group
+
+    def _check_own(self, group: Group) -> None:
+        if self._only is not None and not self._only.joints.issuperset(group.joints):
+            raise refused(
+                MoveItErrorCode.INVALID_GROUP_NAME,
+                f"group {group.name} moves other arms than {self._only.prefix.removesuffix('_')}",
+                group=group.name,
+            )
+
+    def _joint(self, name: str) -> str:
+        """Return the name of a joint in the description: messages for one arm may leave its name out."""
+        return name if self._only is None or name in self._robot.joints else f"{self._only.prefix}{name}"
 
     def _group_of(self, names: Sequence[str]) -> Group:
         """Return the group of a joint goal: the smallest that has all of its joints, or else the selected one."""
@@ -230,6 +271,7 @@ class GoalTranslator:
         options: GoalOptions,
         warnings: tuple[str, ...] = (),
     ) -> PlannedMotion:
+        self._check_own(group)
         scalings = options.velocity_scaling, options.acceleration_scaling
 
         def step(start_rad: Positions) -> PlanningProblem:

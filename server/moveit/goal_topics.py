@@ -29,7 +29,7 @@ from server.arm.topics import key_values
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions
-from server.execution.queue import Answer, GoalQueue, GoalState, Progress, QueuedGoal
+from server.execution.queue import Answer, GoalQueue, GoalState, Joints, Progress, QueuedGoal
 from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -163,6 +163,7 @@ class GoalStatusTopics:
         self._graph = graph
         self._node = node
         self._robot = robot
+        self._sources = tuple(map(graph.resolve, (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC)))
 
     def open(self) -> None:
         """Advertise the topics."""
@@ -173,21 +174,27 @@ class GoalStatusTopics:
         """Publish the progress of a goal, whatever topic or action it came by."""
         self._publish_status(goal, progress, LEVEL_OK, {})
 
-    def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> Message:
-        """Log the end of a goal, publish its final status and return it; then the result of a goal from a topic."""
+    def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer, *, logged: bool = False) -> Message:
+        """Log the end of a goal, publish its final status and return it; then the result of a goal from a topic.
+
+        Args:
+            goal: the goal.
+            answer: to it.
+            logged: true if its end is in the log already.
+        """
         instead = suggestion(goal.message, answer.details, self._robot)
         message = answer.message if instead is None else instead.added_to(answer.message)
         succeeded = answer.code is MoveItErrorCode.SUCCESS
         level = logging.INFO if succeeded else logging.WARNING
         # A goal without permission is logged where the permission is checked.
-        if goal.only_for is None:
+        if goal.only_for is None and not logged:
             log.log(level, "goal %s from %s: %s: %s", goal.goal_id, goal.source, answer.code.name, message)
         details = {"code": str(int(answer.code)), **details_as_json(answer)}
         if instead is not None:
             details["suggested_goal"] = json.dumps(instead.as_data())
         done = Progress(GoalState.DONE, message, 1.0 if succeeded else 0.0)
         status = self._publish_status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, details)
-        if goal.source in (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC):
+        if goal.source in self._sources:
             result = {"val": int(answer.code), "message": message, "source": f"{goal.source}#{goal.goal_id}"}
             self._publish(goal, RESULT_TOPIC, result)
         return status
@@ -235,6 +242,7 @@ class GoalTopics:
         queue: takes the goals.
         translator: reads their messages.
         confirmation: decides if goals are to be confirmed.
+        joints: those that the topics for stops are for; None for all.
     """
 
     def __init__(
@@ -244,12 +252,14 @@ class GoalTopics:
         queue: GoalQueue[Motion],
         translator: GoalTranslator,
         confirmation: Confirmation,
+        joints: Joints | None = None,
     ) -> None:
         self._graph = graph
         self._node = node
         self._queue = queue
         self._translator = translator
         self._confirmation = confirmation
+        self._joints = joints
 
     def open(self) -> None:
         """Subscribe to the topics, and publish the group of goals."""
@@ -264,24 +274,26 @@ class GoalTopics:
         self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event))
 
     def _take_goals(self, topic: str, type_name: str, translate: Translate) -> None:
+        source = self._graph.resolve(topic)
+
         def deliver(published: PublishedMessage) -> None:
             message = published.msg
             try:
                 motion = translate(message)
             except RefusedError as error:
-                self._queue.reject(topic, error.failure, message)
+                self._queue.reject(source, error.failure, message)
                 return
             for warning in motion.warnings:
-                log.warning("%s: %s", topic, warning)
+                log.warning("%s: %s", source, warning)
             motion = replace(motion, confirm=self._confirmation.enabled)
-            self._queue.submit(topic, motion, message=message, client=published.publisher)
+            self._queue.submit(source, motion, message=message, client=published.publisher)
 
         def reject_invalid(error: MessageError) -> None:
-            self._queue.reject(topic, PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(error)))
+            self._queue.reject(source, PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(error)))
 
         def reject_unauthorized(message: Message, sender: Node, reason: str) -> None:
             failure = PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason)
-            self._queue.reject(topic, failure, message, only_for=sender)
+            self._queue.reject(source, failure, message, only_for=sender)
 
         subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized)
         self._graph.subscribe(self._node, topic, type_name, subscriber)
@@ -293,22 +305,22 @@ class GoalTopics:
         try:
             self._translator.select_group(published.msg["data"])
         except RefusedError as error:
-            self._queue.reject(GROUP_TOPIC, error.failure, published.msg)
+            self._queue.reject(self._graph.resolve(GROUP_TOPIC), error.failure, published.msg)
         self._publish_group()
 
     def _publish_group(self) -> None:
         self._graph.publish(self._node, GROUP_TOPIC, {"data": self._translator.group.name})
 
     def _cancel(self, published: PublishedMessage) -> None:
-        self._queue.cancel(published.msg["data"], f"cancelled by {CANCEL_TOPIC}")
+        self._queue.cancel(published.msg["data"], f"cancelled by {self._graph.resolve(CANCEL_TOPIC)}")
 
     def _stop(self, _published: PublishedMessage) -> None:
-        self._queue.stop(f"stopped by {STOP_TOPIC}")
+        self._queue.stop(f"stopped by {self._graph.resolve(STOP_TOPIC)}", self._joints)
 
     def _on_event(self, published: PublishedMessage) -> None:
         event = published.msg["data"]
         if event == "stop":
-            self._queue.stop(f"stopped by {EVENT_TOPIC}")
+            self._queue.stop(f"stopped by {self._graph.resolve(EVENT_TOPIC)}", self._joints)
         else:
             log.warning("%s: ignored the event %r; only 'stop' is known", EVENT_TOPIC, event)
 

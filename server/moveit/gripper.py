@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from planners.problem import MoveItErrorCode
-from robot.arm import Arm
+from robot.arm_interface import ArmInterface
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
@@ -108,7 +108,7 @@ class Gripper:
 
     def __init__(
         self,
-        arm: Arm,
+        arm: ArmInterface,
         joints: Sequence[Joint],
         velocity_scaling: float,
         acceleration_scaling: float,
@@ -406,14 +406,14 @@ class GripperActions:
         self._gripper = gripper
         simple = GripperCommandMessages(gripper.joints)
         self._actions: dict[str, ActionMessages] = {
-            GRIPPER_ACTION: simple,
-            FETCH_ACTION: simple,
-            PARALLEL_ACTION: ParallelGripperCommandMessages(gripper.joints),
+            graph.resolve(GRIPPER_ACTION): simple,
+            graph.resolve(FETCH_ACTION): simple,
+            graph.resolve(PARALLEL_ACTION): ParallelGripperCommandMessages(gripper.joints),
         }
         self._tasks: set[asyncio.Task[None]] = set()
         node = Node("gripper")
-        for name, messages in self._actions.items():
-            graph.actions.offer(node, name, messages.type_name, self._start, ListLimits())
+        for name in (GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION):
+            graph.actions.offer(node, name, self._actions[graph.resolve(name)].type_name, self._start, ListLimits())
 
     def _start(self, goal: Goal) -> None:
         messages = self._actions[goal.action]

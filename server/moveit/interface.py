@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 from planners.pool import PlannerPool
-from robot.arm import Arm
+from robot.arm_interface import ArmInterface
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.messages import ArmState
@@ -24,6 +24,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 from server.monitoring.goal_counters import GoalCounters
 from server.moveit.actions.move_group import MotionActions
+from server.moveit.arm_goals import ArmGoals, SharedParts
 from server.moveit.description import RobotDescription
 from server.moveit.display import DisplayTopics, TransformsTopics
 from server.moveit.goal_calls import GoalCalls
@@ -70,7 +71,7 @@ class MoveItInterface:
         robot: RobotModel,
         settings: Settings,
         keep_parameter: Callable[[str, str], None],
-        arm: Arm,
+        arm: ArmInterface,
         pool: PlannerPool,
     ) -> None:
         moveit, goals = settings.moveit, settings.goals
@@ -102,9 +103,9 @@ class MoveItInterface:
         failed_goals = None if directory is None else FailedGoals(directory, robot, time.time, max_files)
         self._confirmation = Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s)
 
-        def make_executor(in_progress: MotionsInProgress) -> GoalExecutor:
+        def make_executor(part: ArmInterface, in_progress: MotionsInProgress) -> GoalExecutor:
             return GoalExecutor(
-                arm,
+                part,
                 robot,
                 pool,
                 self.scene,
@@ -113,6 +114,7 @@ class MoveItInterface:
                 self._confirmation.wait,
                 time_limits,
                 in_progress,
+                self._current,
             )
 
         self._executors = GoalExecutors(arm, make_executor)
@@ -143,22 +145,47 @@ class MoveItInterface:
         self._named_states = NamedStatesServices(graph, robot, states, self._current)
         translator = GoalTranslator(robot, moveit, states, frames, self._current, self._context.problems)
         self._translator = translator
+        self._shared = SharedParts(
+            moveit, self._context, self.queue, states, self._confirmation, self._executors.in_progress, time_limits
+        )
+        self._arms: list[ArmGoals] = []
         self._goal_topics = GoalTopics(graph, node, self.queue, translator, self._confirmation)
         self._goal_calls = GoalCalls(graph, self.queue, translator, self._confirmation, self._context)
         reports = GoalReports(robot, moveit)
         self._goal_checks = GoalChecks(graph, reports, translator, self._current, pool, self.scene)
 
         # Goals and commands of MoveIt's clients.
-        self._servo = ServoNode(graph, robot, moveit, self.scene, frames.resolve, arm, pool, lambda: self.queue.busy)
+        steered = arm.part(group.joints)
+        steered_joints = frozenset(joint.name for joint in robot.movable_joints if arm.part((joint.name,)) is steered)
+        self._servo = ServoNode(
+            graph,
+            robot,
+            moveit,
+            self.scene,
+            frames.resolve,
+            steered,
+            pool,
+            lambda: self.queue.busy_with(steered_joints),
+        )
         self._gripper = None
         if robot.gripper is not None:
             joints = [robot.joints[name] for name in robot.gripper.joints]
             scalings = moveit.max_velocity_scaling, moveit.max_acceleration_scaling
             torque_limit = settings.arm.guards.gripper_torque_limit
             in_progress = self._executors.in_progress
-            self._gripper = Gripper(arm, joints, *scalings, time_limits, torque_limit, in_progress)
+            self._gripper = Gripper(
+                arm.part(robot.gripper.joints), joints, *scalings, time_limits, torque_limit, in_progress
+            )
             GripperActions(graph, self._gripper)
         self._actions = MotionActions(graph, self._context, arm, self.queue, time_limits)
+
+    def add_arm(
+        self, graph: Graph, name: str, own: RobotModel, arm: ArmInterface, gripper_torque_limit: float
+    ) -> ArmGoals:
+        """Add the goals of one of several arms, before the start; arguments as of :class:`ArmGoals`."""
+        goals = ArmGoals(graph, name, own, arm, gripper_torque_limit, self._shared)
+        self._arms.append(goals)
+        return goals
 
     async def restore_scene(self) -> None:
         """Restore the planning scene of the run before, and keep its changes from now on."""
@@ -184,7 +211,10 @@ class MoveItInterface:
         self._goal_checks.open()
         self._display.open()
         offer_services(self._graph, self._context)
-        self._actions.open(() if self._gripper is None else (GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION))
+        gripper_actions = () if self._gripper is None else (GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION)
+        for arm in self._arms:
+            arm.open()
+        self._actions.open((*gripper_actions, *(action for arm in self._arms for action in arm.actions)))
 
     def take_state(self, state: ArmState) -> None:
         """Pass the arm's latest state on to the parts that publish or record it."""
@@ -225,15 +255,19 @@ class MoveItInterface:
     async def close(self) -> None:
         """Answer every goal, and bring the arm to rest."""
         self._scene_interface.close()
-        await self._servo.close()
+        await asyncio.gather(self._servo.close(), *(arm.close() for arm in self._arms))
         await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
 
     def _on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
         self._goal_history.take_progress(goal, progress)
         self._goal_status.publish_progress(goal, progress)
+        for arm in self._arms:
+            arm.take_progress(goal, progress)
 
     def _on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
         self.goal_counters.count(goal.source, answer)
         self._display.contacts_of(answer.details)
         status = self._goal_status.publish_answer(goal, answer)
         self._goal_history.take_answer(goal, answer, status)
+        for arm in self._arms:
+            arm.take_answer(goal, answer)

@@ -136,8 +136,8 @@ class Sharing:
     ) -> None:
         self._network = network
         # A machine that may command the arm must be able to stop it.
-        self._subscribe = NameFilter(settings.subscribe, lambda name: rule_of_topic(name).stops)
-        offer = NameFilter(settings.offer, lambda name: rule_of_service(name).stops)
+        self._subscribe = NameFilter(settings.subscribe, lambda name: rule_of_topic(name, authorizer.arms).stops)
+        offer = NameFilter(settings.offer, lambda name: rule_of_service(name, authorizer.arms).stops)
         self._publish, self._call = NameFilter(settings.publish), NameFilter(settings.call)
         self._outgoing = OutgoingTopics(network, self._publish)
         self._incoming = IncomingTopics(network, self._subscribe, authorizer)

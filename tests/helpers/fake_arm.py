@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import cast
 
@@ -62,6 +62,9 @@ class FakeArm:
         return cast("Arm", self)
 
     # What the server calls.
+
+    def part(self, _joint_names: Collection[str]) -> FakeArm:
+        return self
 
     @property
     def clock_s(self) -> float:

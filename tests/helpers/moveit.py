@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -309,7 +309,7 @@ class ActionDesk(ServiceRig):
     def preempt(self, reason: str) -> None:
         self.cancel(reason)
 
-    def stop(self, reason: str) -> None:
+    def stop(self, reason: str, _joints: Iterable[str] | None = None) -> None:
         self.cancel(reason)
 
     def finish(self, answer: Answer = THERE) -> None:

@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
-from robot.arm import Arm
+from robot.arm_interface import ArmInterface
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
@@ -248,6 +248,7 @@ class JointTrajectoryController:
         queue: queue of its goals.
         time_limits: of motions.
         industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
+        name: of the controller, before ``_controller``; None for that of the group.
 
     Attributes:
         actions: names of the actions.
@@ -258,12 +259,13 @@ class JointTrajectoryController:
         graph: Graph,
         robot: RobotModel,
         group: Group,
-        arm: Arm,
+        arm: ArmInterface,
         current: CurrentState,
         queue: GoalQueue[Motion],
         time_limits: TimeLimits,
         *,
         industrial: bool,
+        name: str | None = None,
     ) -> None:
         self._robot = robot
         self._group = group
@@ -273,12 +275,13 @@ class JointTrajectoryController:
         self._time_limits = time_limits
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
-        self._topic = f"/{group.name}_controller/joint_trajectory"
-        action = f"/{group.name}_controller/follow_joint_trajectory"
+        name = group.name if name is None else name
+        self._topic = f"/{name}_controller/joint_trajectory"
+        action = f"/{name}_controller/follow_joint_trajectory"
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
         node = Node(f"{group.name} controller")
-        for name in self.actions:
-            graph.actions.offer(node, name, ACTION_TYPE, self._start, TRAJECTORY_LIMITS)
+        for each in self.actions:
+            graph.actions.offer(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS)
         check = TRAJECTORY_LIMITS.check(graph.message_types.registry, "trajectory_msgs/msg/JointTrajectory")
         graph.subscribe(node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play, check_lists=check))
 
@@ -420,14 +423,16 @@ class ControllerStatePublisher:
     Args:
         graph: where the topics are.
         group: the controlled joints.
+        name: of the controller; None for that of the group.
     """
 
-    def __init__(self, graph: Graph, group: Group) -> None:
+    def __init__(self, graph: Graph, group: Group, name: str | None = None) -> None:
         self._graph = graph
         self._joints = group.joints
         self._node = Node(f"{group.name} controller")
         # ROS 2's name, and ROS 1's.
-        self._topics = (f"/{group.name}_controller/controller_state", f"/{group.name}_controller/state")
+        name = group.name if name is None else name
+        self._topics = (f"/{name}_controller/controller_state", f"/{name}_controller/state")
         for topic in self._topics:
             graph.advertise(self._node, topic, STATE_TYPE)
 

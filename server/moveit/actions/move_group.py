@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
-from robot.arm import Arm
+from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
@@ -415,7 +415,12 @@ class MotionActions:
     """
 
     def __init__(
-        self, graph: Graph, context: PlanningContext, arm: Arm, queue: GoalQueue[Motion], time_limits: TimeLimits
+        self,
+        graph: Graph,
+        context: PlanningContext,
+        arm: ArmInterface,
+        queue: GoalQueue[Motion],
+        time_limits: TimeLimits,
     ) -> None:
         robot, current, default = context.robot, CurrentState(arm, context.robot), context.problems.group("")
         PlanningActions(graph, context, queue)

@@ -26,7 +26,7 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from robot.arm import Arm, ArmStream
+from robot.arm_interface import ArmInterface, StreamInterface
 from robot.trajectory import Vector
 from server.errors import RefusedError
 from server.execution.motions import Positions
@@ -204,7 +204,7 @@ class ServoSession:
 
     def __init__(
         self,
-        arm: Arm,
+        arm: ArmInterface,
         setup: ServoSetup,
         ask: Ask,
         resolve: Resolve,
@@ -220,7 +220,7 @@ class ServoSession:
         self._input: ServoInput = JointVelocities({})
         self._expires_at_s = -math.inf
         self._task: asyncio.Task[None] | None = None
-        self._stream: ArmStream | None = None
+        self._stream: StreamInterface | None = None
         self._released = False
 
     def positions_rad(self) -> dict[str, float]:
@@ -280,7 +280,7 @@ class ServoSession:
         self._publish_status(ServoStatus.INVALID, f"steering was ended: {ended.message}")
         self._interrupted(f"steering was ended: {ended.message}")
 
-    async def _follow_commands(self, stream: ArmStream) -> None:
+    async def _follow_commands(self, stream: StreamInterface) -> None:
         velocity: Mapping[str, float] = {}
         anchor: Anchor | None = None
         kind: type[ServoCommand] | None = None

@@ -16,7 +16,7 @@ from planners.problem import PlanningFailure
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
-from robot.arm import Arm
+from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
 from server.errors import RefusedError, UnsuccessfulError
 from server.execution.monitors import check_ready
@@ -286,7 +286,7 @@ class ServoNode:
         parameters: MoveItParameters,
         scene: SceneState,
         resolve: Resolve,
-        arm: Arm,
+        arm: ArmInterface,
         pool: PlannerPool,
         busy: Callable[[], str],
     ) -> None:

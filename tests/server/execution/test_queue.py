@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable
 
 import pytest
 
@@ -41,7 +41,7 @@ class ScriptedRunner:
     def preempt(self, reason: str) -> None:
         self.cancel(reason)
 
-    def stop(self, reason: str) -> None:
+    def stop(self, reason: str, _joints: Iterable[str] | None = None) -> None:
         self.stopped.append(reason)
         self.cancel(reason)
 
@@ -298,7 +298,7 @@ class TwoArms:
     def runner(self, joints: frozenset[str]) -> ScriptedRunner:
         return self.runners.setdefault(joints, ScriptedRunner())
 
-    def stop(self, reason: str) -> None:
+    def stop(self, reason: str, _joints: Iterable[str] | None = None) -> None:
         self.stopped.append(reason)
 
     def of(self, name: str) -> ScriptedRunner:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable
 from typing import Any
 
 import pytest
@@ -61,7 +61,7 @@ class Obedient:
     def preempt(self, reason: str) -> None:
         self.cancel(reason)
 
-    def stop(self, reason: str) -> None:
+    def stop(self, reason: str, _joints: Iterable[str] | None = None) -> None:
         self.stopped.append(reason)
 
 

@@ -1,0 +1,87 @@
+"""Interface of an arm to those who move it: one arm (:class:`robot.arm.Arm`), or several (:mod:`robot.arm_group`)."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Collection
+from typing import Any, Protocol
+
+from robot.messages import ArmState, ChangePace, CommandDone, Commanded, MotionEnded, MotionProgress, Order
+from robot.trajectory import Trajectory, Vector
+
+
+class StreamInterface(Protocol):
+    """Stream of velocity setpoints, as :class:`robot.arm.ArmStream`."""
+
+    joint_names: tuple[str, ...]
+    ended: asyncio.Future[MotionEnded]
+    commanded: Commanded | None
+
+    def steer(self, velocity_rad_s: Vector) -> None:
+        """Set the joints' velocities until the next setpoint."""
+
+
+class ArmInterface(Protocol):
+    """Arm that is moved; the members are those of :class:`robot.arm.Arm`, which describes them."""
+
+    state_max_age_s: float
+
+    @property
+    def stops(self) -> int:
+        """Number of calls that stopped all motion."""
+
+    @property
+    def state(self) -> ArmState:
+        """Latest state."""
+
+    @property
+    def state_age_s(self) -> float:
+        """Age of the latest state [s]."""
+
+    @property
+    def clock_s(self) -> float:
+        """Clock of the control loop [s]."""
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        """Ids of its processes, of those that have been launched."""
+
+    def part(self, joint_names: Collection[str]) -> ArmInterface:
+        """Return the arm, or the arms together, that have some joints: nothing else counts for their motions."""
+
+    async def until_started(self, timeout_s: float) -> None:
+        """Wait while the start is in progress."""
+
+    async def wait(self, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
+        """Wait until all of some futures are done, on the arm's clock."""
+
+    def execute(
+        self,
+        trajectory: Trajectory,
+        *,
+        gripping: bool = False,
+        torque_share: float = 1.0,
+        continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
+    ) -> asyncio.Future[MotionEnded]:
+        """Send a trajectory."""
+
+    def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
+        """Return the progress of a motion."""
+
+    def stream(self, joint_names: tuple[str, ...]) -> StreamInterface:
+        """Begin a stream of velocity setpoints."""
+
+    async def end_streams(self, timeout_s: float) -> bool:
+        """Bring every stream to rest."""
+
+    def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
+        """Brake one motion, or all of them."""
+
+    def change_pace(self, change: ChangePace) -> None:
+        """Change speed factor or course of motions."""
+
+    async def rest(self, timeout_s: float) -> bool:
+        """Wait until every motion has ended."""
+
+    def order(self, order: Order) -> asyncio.Future[CommandDone]:
+        """Send an order."""

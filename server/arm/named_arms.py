@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -172,6 +174,46 @@ class NamedArm:
         self._on_health(health)
 
 
+# Shares of a period: arms whose states come later than that after the others are not waited for, and in a burst the
+# next state is not told earlier.
+LATE, EARLY = 1.5, 0.5
+
+
+class JoinedBeat:
+    """Beat in which the states of several arms, whose clocks are their own, are told as one.
+
+    Args:
+        names: of the arms.
+        period_s: time between two states of an arm [s].
+    """
+
+    def __init__(self, names: frozenset[str], period_s: float) -> None:
+        self._earliest_s, self._latest_s = EARLY * period_s, LATE * period_s
+        # Those that have sent a state since the last time, and those that had before.
+        self._fresh: set[str] = set()
+        self._awaited: frozenset[str] = names
+        self._told_s = -math.inf
+
+    def takes(self, name: str, now_s: float) -> bool:
+        """Return True if the state that an arm has sent is to be told with those of the others.
+
+        It is when each arm has sent one that is not silent, or some are late. A busy machine brings the states of one
+        arm in bursts, which are told once.
+
+        Args:
+            name: of the arm.
+            now_s: monotonic time [s].
+        """
+        self._fresh.add(name)
+        since_s = now_s - self._told_s
+        if since_s < self._earliest_s or (since_s < self._latest_s and not self._fresh >= self._awaited):
+            return False
+        self._awaited = frozenset(self._fresh)
+        self._fresh.clear()
+        self._told_s = now_s
+        return True
+
+
 class NamedArms:
     """All arms of a server that has several.
 
@@ -199,7 +241,8 @@ class NamedArms:
         self._on_state = on_state
         self._on_health = on_health
         self._leaders = frozenset(name for name, each in files.items() if each.settings.role is ArmRole.LEADER)
-        self._fresh: set[str] = set()
+        period_s = 1.0 / max(each.settings.joint_state_rate_hz for each in files.values())
+        self._beat = JoinedBeat(frozenset(files), period_s)
         self._health: dict[str, ArmHealth] = {}
         self.arms = {name: self._made(graph, name, each, observed) for name, each in files.items()}
         self.group = ArmGroup(
@@ -221,16 +264,8 @@ class NamedArms:
             arm.close()
 
     def _take_state(self, name: str) -> None:
-        """Tell the state of all when each has sent a new one, or one sends its second and so waits for no other."""
-        due = name in self._fresh
-        if due:
-            self._fresh.clear()
-        self._fresh.add(name)
-        if not due and len(self._fresh) < len(self.arms):
-            return
-        if len(self._fresh) == len(self.arms):
-            self._fresh.clear()
-        self._on_state(self.group.state, joined_state(self.group.states, leaders=self._leaders))
+        if self._beat.takes(name, time.monotonic()):
+            self._on_state(self.group.state, joined_state(self.group.states, leaders=self._leaders))
 
     def _take_health(self, name: str, health: ArmHealth) -> None:
         """Tell the condition of all with that of the first, which comes once a second."""

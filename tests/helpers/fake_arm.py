@@ -71,7 +71,12 @@ class FakeArm:
         return self.state.clock_s
 
     def execute(
-        self, trajectory: Trajectory, continues: tuple[asyncio.Future[MotionEnded], float] | None = None
+        self,
+        trajectory: Trajectory,
+        *,
+        gripping: bool = False,
+        torque_share: float = 1.0,
+        continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
     ) -> asyncio.Future[MotionEnded]:
         self.played.append(trajectory)
         if continues is not None:

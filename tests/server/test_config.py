@@ -94,3 +94,68 @@ def test_the_port_of_raw_tcp_is_another_one() -> None:
     with pytest.raises(ConfigurationError, match="tcp_port must differ from port, both are 9090"):
         load(None, {"server": {"tcp_port": 9090}})
     assert load(None, {"server": {"port": 0, "tcp_port": 0}}).server.tcp_port == 0
+
+
+# Several arms.
+
+
+def refusal_of(**arms: dict[str, object]) -> str:
+    with pytest.raises(ConfigurationError) as refused:
+        load(None, {"arms": arms})
+    return str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["Left", "2nd", "le ft", "", "a" * 40, "le/ft"])
+def test_the_name_of_an_arm_must_begin_names_of_topics_and_joints(name: str) -> None:
+    assert "the name of an arm must be a to z, 0 to 9 and _" in refusal_of(**{name: {}})
+
+
+@pytest.mark.parametrize("name", ["arm", "moveit", "rosapi", "servo_node", "teleop", "world"])
+def test_an_arm_cannot_have_a_name_of_the_server(name: str) -> None:
+    assert f"an arm cannot have the name {name!r}" in refusal_of(**{name: {}})
+
+
+def test_two_arms_cannot_share_a_port_whatever_it_is_called(tmp_path) -> None:
+    port, alias = tmp_path / "ttyACM0", tmp_path / "by-id"
+    port.touch()
+    alias.symlink_to(port)
+    said = refusal_of(left={"serial": str(port)}, right={"serial": str(alias)})
+    assert said.startswith(f"settings: arms.right.serial: {alias} is the port of arms.left already")
+
+
+def test_the_port_of_one_of_several_arms_is_named() -> None:
+    assert "name each" in refusal_of(left={"serial": "auto"}, right={})
+    assert load(None, {"arms": {"left": {"serial": "auto"}}}).arms["left"].serial == "auto"
+
+
+def test_the_names_of_two_arms_cannot_be_mixed_up() -> None:
+    assert "arms.left_2: begins as names of arms.left do" in refusal_of(left={}, left_2={})
+
+
+def test_with_several_arms_the_section_of_the_single_one_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="each has its settings in its own section"):
+        load(None, {"arm": {"robot": "so101"}, "arms": {"left": {}}})
+
+
+def test_an_unknown_key_of_an_arm_is_named_with_the_one_that_was_meant() -> None:
+    assert "arms.left.seriel: unknown; did you mean serial?" in refusal_of(left={"seriel": "/dev/ttyACM0"})
+
+
+def test_one_of_several_arms_is_not_parked_at_its_end() -> None:
+    assert "on_exit: one of several arms cannot be parked" in refusal_of(left={"on_exit": "park"})
+    assert "on_last_client: must be nothing" in refusal_of(left={"on_last_client": "relax"})
+
+
+def test_there_are_at_most_32_arms() -> None:
+    assert "there are 33 arms, the limit is 32" in refusal_of(**{f"a{number:02}": {} for number in range(33)})
+
+
+def test_an_arm_settles_within_the_margin_as_a_single_one_does() -> None:
+    assert "arms.left.guards.settle_timeout_s must be below" in refusal_of(left={"guards": {"settle_timeout_s": 5.0}})
+
+
+def test_arms_come_from_the_environment_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ARMBRIDGE_ARMS__LEFT__START_ENABLED", "false")
+    monkeypatch.setenv("ARMBRIDGE_ARMS__LEFT__BASE_XYZ_M", "[0.0, 0.2, 0.0]")
+    left = load(None, {}).arms["left"]
+    assert (left.start_enabled, left.base_xyz_m) == (False, (0.0, 0.2, 0.0))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
 from hashlib import sha512
 from typing import Any
 
@@ -32,7 +33,7 @@ STOPS = {
 class World:
     """Clients before one server's guards, in a time of their own."""
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, *, arms: Sequence[str] = (), **settings: Any) -> None:
         self.now_s = 0.0
         self.graph = Graph(REGISTRY, lambda: self.now_s, call_later=FakeClock().call_later)
         server = Node("server")
@@ -43,7 +44,8 @@ class World:
         self.graph.actions.offer(
             server, "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", lambda _goal: None
         )
-        self.access = Access(AccessSettings.model_validate(settings), lambda: self.now_s, lambda: 0.0)
+        idle = dict.fromkeys(arms, lambda: None)
+        self.access = Access(AccessSettings.model_validate(settings), lambda: self.now_s, lambda: 0.0, arms=idle)
 
     def authorizer(self, identity: Identity | None = ANYONE, name: str = "x") -> Authorizer:
         return self.access.authorizer(Node(name, remote=True, identity=identity), self.graph)
@@ -538,3 +540,66 @@ def test_services_that_plan_are_known(name: str) -> None:
 )
 def test_actions_of_every_controller_drive(name: str) -> None:
     assert authorization.rule_of_action(name).goal
+
+
+ENABLE = {"service": "/arm/enable"}
+ENABLE_LEFT, ENABLE_RIGHT = {"service": "/left/arm/enable"}, {"service": "/right/arm/enable"}
+
+
+class TestSeveralArms:
+    """What stands below the name of one of several arms has the rules of a single arm, and its own control."""
+
+    @pytest.fixture
+    def world(self) -> World:
+        return World(arms=("left", "right"))
+
+    def test_two_clients_drive_an_arm_each(self, world: World) -> None:
+        a, b = world.authorizer(name="a"), world.authorizer(name="b")
+        assert asked(a, "call_service", **ENABLE_LEFT) is None
+        assert asked(b, "call_service", **ENABLE_RIGHT) is None
+        refusal = asked(b, "call_service", **ENABLE_LEFT)
+        assert refusal is not None
+        assert "a has controlled the arm left" in refusal
+
+    def test_nobody_drives_all_arms_while_another_drives_one(self, world: World) -> None:
+        a, b = world.authorizer(name="a"), world.authorizer(name="b")
+        assert asked(a, "call_service", **ENABLE_LEFT) is None
+        assert "the arm left" in (asked(b, "call_service", **ENABLE) or "")
+        assert asked(a, "call_service", **ENABLE) is None
+        assert "all arms" in (asked(b, "call_service", **ENABLE_RIGHT) or "")
+
+    def test_a_client_that_leaves_frees_every_arm(self, world: World) -> None:
+        a, b = world.authorizer(name="a"), world.authorizer(name="b")
+        for service in (ENABLE_LEFT, ENABLE_RIGHT, ENABLE):
+            assert asked(a, "call_service", **service) is None
+        a.leave()
+        assert asked(b, "call_service", **ENABLE) is None
+
+    @pytest.mark.parametrize("service", ["/left/arm/stop", "/right/arm/emergency_stop"])
+    def test_a_viewer_may_stop_an_arm_by_its_name(self, world: World, service: str) -> None:
+        assert asked(world.authorizer(SCREEN), "call_service", service=service) is None
+
+    def test_a_viewer_may_not_move_an_arm_by_its_name(self, world: World) -> None:
+        for fields in ({"topic": "/left/moveit_goal_named"}, {"topic": "/left/servo_node/delta_twist_cmds"}):
+            assert "needs the role operate" in (asked(world.authorizer(SCREEN), "publish", **fields) or "")
+
+    @pytest.mark.parametrize(
+        "name", ["/left/stop", "/left/emergency_stop", "/right/arm/stop", "/right/trajectory_execution_event"]
+    )
+    def test_a_stop_of_one_arm_goes_ahead_of_everything_that_waits(self, name: str) -> None:
+        arms = ("left", "right")
+        operation = (
+            {"op": "call_service", "service": name}
+            if "/arm/" in name
+            else {"op": "publish", "topic": name, "msg": {"data": "stop"}}
+        )
+        assert authorization.is_stop(parse(operation), arms)
+        assert not authorization.is_stop(parse(operation))
+
+    @pytest.mark.parametrize("name", ["/left/arm/park", "/left/set_planner_params", "/left/left/stop", "/middle/stop"])
+    def test_other_names_below_an_arms_are_those_of_clients(self, name: str) -> None:
+        assert authorization.rule_of_service(name, ("left", "right")) == authorization.WORKING
+
+    def test_every_name_of_each_arm_has_a_rule_of_its_own(self) -> None:
+        known = {*authorization.SERVICES, *authorization.TOPICS, *authorization.ACTIONS}
+        assert known >= authorization.OF_EACH_ARM

@@ -25,6 +25,7 @@ from planners.problem import (
 )
 from planners.scene import Scene
 from robot.arm import Arm
+from robot.arm_interface import ArmInterface
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
@@ -703,7 +704,7 @@ def fingers() -> PlannedMotion:
 
 
 async def test_goals_of_the_same_joints_have_the_same_executor_and_all_share_the_motions(stage: Stage) -> None:
-    def make(in_progress: MotionsInProgress) -> GoalExecutor:
+    def make(_part: ArmInterface, in_progress: MotionsInProgress) -> GoalExecutor:
         return GoalExecutor(stage.arm, so101(), stage, stage, in_progress=in_progress)  # type: ignore[arg-type]
 
     executors = GoalExecutors(stage.arm.as_arm, make)

@@ -110,10 +110,12 @@ def test_the_answer_over_http_has_the_status_that_monitors_look_at(sources: Sour
 
 
 def test_children_are_those_that_run() -> None:
-    sources = Sources(arm=WatchedArm(arm_state(), pid=11), planners=WatchedPlanners(pids=(21, 22)))
+    sources = Sources(arm=WatchedArm(arm_state(), pids=(11,)), planners=WatchedPlanners(pids=(21, 22)))
     assert sources.children() == {"arm": 11, "planner_1": 21, "planner_2": 22}
-    sources.arm = WatchedArm(arm_state(), pid=None)
+    sources.arm = WatchedArm(arm_state(), pids=())
     assert sources.children() == {"planner_1": 21, "planner_2": 22}
+    sources.arm = WatchedArm(arm_state(), pids=(11, 12))
+    assert sources.children() == {"arm_1": 11, "arm_2": 12, "planner_1": 21, "planner_2": 22}
 
 
 def test_before_the_start_there_are_none() -> None:

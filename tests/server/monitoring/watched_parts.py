@@ -20,7 +20,7 @@ class _WatchedArm:
 
     state: ArmState
     state_age_s: float = 0.01
-    pid: int | None = None
+    pids: Sequence[int] = ()
     state_max_age_s: float = 1.0
 
 

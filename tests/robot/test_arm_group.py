@@ -1,0 +1,249 @@
+"""Several arms as one: their states, and motions, stops and orders that reach each of them."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from robot.arm import Arm
+from robot.arm_group import ArmGroup
+from robot.errors import OrderRefused
+from robot.faults import Fault, FaultCode
+from robot.hardware.interface import BusCounters
+from robot.joined_states import joined_health, joined_state
+from robot.messages import ArmHealth, ArmState, CommandDone, Mode, MotionEnded, MotionProgress, Order, Outcome
+from robot.trajectory import Trajectory
+from tests.helpers.fake_arm import FakeArm
+
+LEFT, RIGHT = ("left_a", "left_b"), ("right_a", "right_b")
+
+
+class OneArm(FakeArm):
+    """An arm of two joints that keeps its orders, too."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        super().__init__(None)
+        self.names = names
+        self.orders: list[Order] = []
+        self.state = reading(names, 1.0)
+
+    def put(self, **positions_rad: float) -> None:
+        values = np.array([positions_rad.get(name, 0.0) for name in self.names])
+        self.state = replace(self.state, goal_rad=values, position_rad=values)
+
+    def order(self, order: Order) -> asyncio.Future[CommandDone]:
+        self.orders.append(order)
+        answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
+        answered.set_result(CommandDone(1, done=True, message="done"))
+        return answered
+
+
+def reading(names: tuple[str, ...], value: float, mode: Mode = Mode.HOLDING) -> ArmState:
+    values = np.full(len(names), value)
+    return ArmState(
+        stamp_s=10.0 + value,
+        mode=mode,
+        joint_names=names,
+        position_rad=values,
+        velocity_rad_s=values,
+        age_s=np.zeros(len(names)),
+        load=values,
+        current_a=values,
+        goal_rad=None if mode is Mode.RELAXED else values + 0.5,
+        clock_s=value,
+        driven=mode is not Mode.RELAXED,
+    )
+
+
+LOST = ArmState(20.0, Mode.DISCONNECTED, LEFT, reason="no such port", clock_s=3.0)
+
+
+def motion(*names: str) -> Trajectory:
+    positions = np.array([[float(number) for number, _ in enumerate(names)], [1.0] * len(names)])
+    still = np.zeros_like(positions)
+    return Trajectory(names, np.array([0.0, 1.0]), positions, still, still)
+
+
+class Pair:
+    """Two arms, and both as one."""
+
+    def __init__(self, leaders: tuple[str, ...] = ()) -> None:
+        self.left, self.right = OneArm(LEFT), OneArm(RIGHT)
+        arms = {"left": (cast("Arm", self.left), LEFT), "right": (cast("Arm", self.right), RIGHT)}
+        self.both = ArmGroup(arms, leaders)
+
+
+@pytest.fixture
+async def pair() -> Pair:
+    return Pair()
+
+
+# States and health.
+
+
+def test_a_state_of_all_has_the_joints_of_all_and_the_slowest_clock() -> None:
+    state = joined_state({"left": reading(LEFT, 1.0), "right": reading(RIGHT, 2.0)})
+    assert state.joint_names == (*LEFT, *RIGHT)
+    assert state.position_rad is not None
+    assert state.position_rad.tolist() == [1.0, 1.0, 2.0, 2.0]
+    assert state.clock_s == 1.0
+    assert state.stamp_s == 12.0
+    assert state.age_s is not None
+    assert state.age_s.tolist() == [1.0, 1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "both"),
+    [
+        (Mode.HOLDING, Mode.MOVING, Mode.MOVING),
+        (Mode.MOVING, Mode.RELAXED, Mode.MOVING),
+        (Mode.HOLDING, Mode.RELAXED, Mode.RELAXED),
+        (Mode.FAULT, Mode.DISCONNECTED, Mode.FAULT),
+        (Mode.DISCONNECTED, Mode.MOVING, Mode.DISCONNECTED),
+    ],
+)
+def test_the_mode_of_all_is_what_most_keeps_them_from_moving(first: Mode, second: Mode, both: Mode) -> None:
+    for modes in ((first, second), (second, first)):
+        states = {str(number): reading(LEFT, 1.0, mode) for number, mode in enumerate(modes)}
+        assert joined_state(states).mode is both
+
+
+def test_a_relaxed_leader_keeps_nobody_from_moving_and_one_with_a_fault_does() -> None:
+    states = {"leader": reading(LEFT, 1.0, Mode.RELAXED), "follower": reading(RIGHT, 2.0)}
+    assert joined_state(states, leaders={"leader"}).mode is Mode.HOLDING
+    states["leader"] = reading(LEFT, 1.0, Mode.FAULT)
+    assert joined_state(states, leaders={"leader"}).mode is Mode.FAULT
+    assert joined_state({"leader": reading(LEFT, 1.0, Mode.RELAXED)}, leaders={"leader"}).mode is Mode.RELAXED
+
+
+def test_goals_of_an_arm_without_torque_are_where_it_is() -> None:
+    state = joined_state({"left": reading(LEFT, 1.0, Mode.RELAXED), "right": reading(RIGHT, 2.0)})
+    assert state.goal_rad is not None
+    assert state.goal_rad.tolist() == [1.0, 1.0, 2.5, 2.5]
+    assert not state.driven
+
+
+def test_what_is_read_leaves_out_an_arm_that_is_not_connected() -> None:
+    state = joined_state({"left": LOST, "right": reading(RIGHT, 2.0)})
+    assert state.joint_names == RIGHT
+    assert state.position_rad is not None
+    assert len(state.position_rad) == 2
+    assert state.reason == "left: no such port"
+
+
+async def test_a_fault_says_which_arm_has_it(pair: Pair) -> None:
+    fault = Fault(FaultCode.STALLED, "joint left_a is stalled", "left_a")
+    pair.left.state = replace(pair.left.state, mode=Mode.FAULT, fault=fault)
+    assert pair.both.state.fault is not None
+    assert pair.both.state.fault.message == "left: joint left_a is stalled"
+
+
+async def test_an_arm_that_is_lost_stays_where_it_was_read_last(pair: Pair) -> None:
+    assert pair.both.state.position_rad is not None
+    pair.left.state = LOST
+    state = pair.both.state
+    assert state.mode is Mode.DISCONNECTED
+    assert state.position_rad is not None
+    assert state.position_rad.tolist() == [1.0] * 4
+
+
+async def test_before_every_arm_was_read_nobody_knows_where_all_joints_are(pair: Pair) -> None:
+    pair.left.state = LOST
+    assert pair.both.state.position_rad is None
+
+
+def test_health_of_all_is_that_of_the_worst() -> None:
+    one = ArmHealth(
+        5.0, Mode.HOLDING, "/dev/a", (), BusCounters(10, 9, 1, 2, 3), (1.0, 2.0, 3.0), (1.0, 1.0, 1.0), True
+    )
+    other = replace(one, port="/dev/b", lateness_s=(0.0, 5.0, 1.0), real_time=False, real_time_factor=0.5, stamp_s=4.0)
+    both = joined_health({"a": one, "b": other})
+    assert both.port == "/dev/a, /dev/b"
+    assert both.bus == BusCounters(20, 18, 2, 4, 6)
+    assert (both.lateness_s, both.real_time, both.real_time_factor, both.stamp_s) == ((1.0, 5.0, 3.0), False, 0.5, 4.0)
+
+
+# Motions.
+
+
+async def test_the_part_of_some_joints_is_the_arm_that_has_them(pair: Pair) -> None:
+    assert pair.both.part(("left_b",)) is pair.left
+    assert pair.both.part(RIGHT) is pair.right
+    assert pair.both.part((*LEFT, *RIGHT)) is pair.both
+
+
+async def test_two_of_three_arms_are_the_same_part_each_time() -> None:
+    arms = {name: OneArm((f"{name}_a",)) for name in ("x", "y", "z")}
+    all_of = ArmGroup({name: (cast("Arm", arm), arm.names) for name, arm in arms.items()})
+    two = all_of.part(("x_a", "z_a"))
+    assert two is all_of.part(("z_a", "x_a"))
+    two.stop()
+    assert [bool(arms[name].stops) for name in "xyz"] == [True, False, True]
+
+
+async def test_a_motion_of_one_arm_is_played_by_it_alone(pair: Pair) -> None:
+    pair.both.execute(motion(*LEFT))
+    assert len(pair.left.played) == 1
+    assert pair.right.played == []
+
+
+async def test_each_arm_plays_its_joints_of_a_motion_of_both_and_it_ends_with_the_last(pair: Pair) -> None:
+    ended = pair.both.execute(motion("right_a", "left_a", "right_b"))
+    assert pair.left.played[0].joint_names == ("left_a",)
+    assert pair.left.played[0].positions_rad[0].tolist() == [1.0]
+    assert pair.right.played[0].joint_names == ("right_a", "right_b")
+    assert pair.right.played[0].positions_rad[0].tolist() == [0.0, 2.0]
+    pair.left.end(Outcome.REACHED, "the arm is there")
+    await asyncio.sleep(0)
+    assert not ended.done()
+    pair.right.end(Outcome.REACHED, "the arm is there")
+    assert await ended == MotionEnded(0, Outcome.REACHED, "the arm is there")
+
+
+async def test_what_ends_the_motion_of_one_arm_early_stops_the_other_and_is_the_answer(pair: Pair) -> None:
+    ended = pair.both.execute(motion(*LEFT, *RIGHT))
+    pair.left.end(Outcome.FAULT, "stalled")
+    answer = await ended
+    assert answer.outcome is Outcome.FAULT
+    assert "left: stalled" in answer.message
+    assert len(pair.right.stops) == 1
+
+
+async def test_a_motion_of_both_is_stopped_in_both(pair: Pair) -> None:
+    ended = pair.both.execute(motion(*LEFT, *RIGHT))
+    pair.both.stop(ended)
+    assert (await ended).outcome is Outcome.STOPPED
+    assert len(pair.left.stops) == len(pair.right.stops) == 1
+    assert None not in (*pair.left.stops, *pair.right.stops)
+
+
+async def test_a_stop_of_everything_reaches_every_arm(pair: Pair) -> None:
+    pair.both.stop()
+    assert pair.left.stops == pair.right.stops == [None]
+
+
+async def test_the_progress_of_a_motion_of_both_is_that_of_the_last(pair: Pair) -> None:
+    ended = pair.both.execute(motion(*LEFT, *RIGHT))
+    pair.left.show(0.7)
+    pair.right.show(0.4)
+    progress = pair.both.progress(ended)
+    assert isinstance(progress, MotionProgress)
+    assert progress.fraction == pytest.approx(0.4)
+
+
+async def test_an_order_to_all_reaches_every_arm_but_no_leader_is_enabled_by_it() -> None:
+    pair = Pair(leaders=("left",))
+    assert (await pair.both.order(Order.ENABLE)).done
+    assert (pair.left.orders, pair.right.orders) == ([], [Order.ENABLE])
+    await pair.both.order(Order.EMERGENCY_STOP)
+    assert (pair.left.orders, pair.right.orders) == ([Order.EMERGENCY_STOP], [Order.ENABLE, Order.EMERGENCY_STOP])
+
+
+async def test_a_stream_moves_one_arm(pair: Pair) -> None:
+    assert pair.both.stream(("right_a",)).joint_names == ("right_a",)
+    with pytest.raises(OrderRefused, match="not left, right"):
+        pair.both.stream(("left_a", "right_a"))

@@ -1,0 +1,116 @@
+"""Several arms by their settings: files with prefixed names, and the beat in which their states are told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot.calibration import save
+from robot.hardware.config import EmulatedConfig, IdealConfig
+from server.arm.named_arms import JoinedBeat, joined_robot, read_arms
+from server.arm.setup import Description
+from server.config import ArmSettings, Settings
+from server.errors import ConfigurationError
+from tests.helpers.robots import nominal_calibration, so101
+
+JOINTS = tuple(joint.name for joint in so101().movable_joints)
+
+
+def settings(**arms: dict[str, Any]) -> Settings:
+    return Settings.model_validate({"arms": arms})
+
+
+def test_servos_and_calibration_of_an_arm_have_its_joints() -> None:
+    arm = read_arms(settings(left={}))["left"]
+    assert arm.joint_names == tuple(f"left_{joint}" for joint in JOINTS)
+    hardware = arm.config.hardware
+    assert isinstance(hardware, EmulatedConfig)
+    assert tuple(joint.joint for joint in hardware.calibration.joints) == arm.joint_names
+    assert tuple(servo.joint for servo in arm.description.hardware.servos) == arm.joint_names
+
+
+def test_ticks_mean_the_same_angles_below_a_name(tmp_path: Path) -> None:
+    save(nominal_calibration(), tmp_path / "left.json")
+    arm = read_arms(settings(left={"calibration": str(tmp_path / "left.json")}))["left"]
+    assert arm.description.calibration is not None
+    for named, plain in zip(arm.description.calibration.joints, nominal_calibration().joints, strict=True):
+        assert named.rad_from_ticks(1000) == plain.rad_from_ticks(1000)
+    plain_robot = Description.read(ArmSettings(calibration=tmp_path / "left.json")).robot
+    for joint in plain_robot.movable_joints:
+        limits = arm.config.robot.joints[f"left_{joint.name}"]
+        assert (limits.lower, limits.upper) == (joint.lower, joint.upper)
+
+
+def test_arms_of_different_kinds_stand_in_one_description(tmp_path: Path) -> None:
+    urdf, srdf = tmp_path / "one.urdf", tmp_path / "one.srdf"
+    urdf.write_text(so101().urdf)
+    srdf.write_text(so101().srdf)
+    arms = read_arms(
+        settings(
+            left={"base_xyz_m": (0.0, 0.3, 0.0)},
+            koch={"robot": "koch_v1_1", "base_rpy_rad": (0.0, 0.0, 1.5)},
+            ideal={"urdf": str(urdf), "srdf": str(srdf)},
+        )
+    )
+    assert isinstance(arms["ideal"].config.hardware, IdealConfig)
+    whole = joined_robot(arms)
+    assert [joint.name for joint in whole.movable_joints] == [name for arm in arms.values() for name in arm.joint_names]
+
+
+def test_a_leader_starts_without_torque() -> None:
+    arms = read_arms(settings(leader={"role": "leader"}, follower={}))
+    assert (arms["leader"].config.start_enabled, arms["follower"].config.start_enabled) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("arm", "words"),
+    [
+        ({"role": "leader", "serial": "/dev/nothing"}, "a leader needs a calibration"),
+        ({"robot": "nobody"}, "'nobody' is no folder"),
+        ({"zero_offset_rad": {"knee": 0.1}}, "knee"),
+        ({"emulator": {"write_log": "/nowhere/log"}}, "emulator.write_log"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_the_name_of_the_arm(arm: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigurationError, match=rf"^arms.left: .*{words}"):
+        read_arms(settings(left=arm))
+
+
+# The beat of states: arms at 50 Hz.
+
+ARMS, PERIOD_S = ("a", "b", "c"), 0.02
+
+
+def told(arrivals: list[tuple[str, float]]) -> list[float]:
+    beat = JoinedBeat(frozenset(ARMS), PERIOD_S)
+    return [at_s for name, at_s in arrivals if beat.takes(name, at_s)]
+
+
+def test_states_of_arms_in_any_order_are_told_once_a_period() -> None:
+    random = np.random.default_rng(3)
+    arrivals = [
+        (name, tick * PERIOD_S + number * 0.002)
+        for tick in range(100)
+        for number, name in enumerate(random.permutation(ARMS).tolist())
+    ]
+    assert len(told(arrivals)) == pytest.approx(100, abs=2)
+
+
+def test_an_arm_that_falls_silent_holds_nobody_up() -> None:
+    arrivals = [(name, tick * PERIOD_S) for tick in range(100) for name in ("a", "b")]
+    assert len(told(arrivals)) >= 98
+
+
+def test_an_arm_that_speaks_again_is_waited_for_again() -> None:
+    silent = [(name, tick * PERIOD_S) for tick in range(10) for name in ("a", "b")]
+    back = [(name, tick * PERIOD_S + number * 0.001) for tick in range(10, 20) for number, name in enumerate(ARMS)]
+    gaps = np.diff(told(silent + back)[-6:])
+    assert gaps == pytest.approx(np.full(5, PERIOD_S), abs=1e-6)
+
+
+def test_bursts_of_a_busy_machine_are_told_once() -> None:
+    arrivals = [(name, burst * 0.1) for burst in range(20) for name in ARMS for _ in range(5)]
+    assert len(told(arrivals)) <= 2 * 20

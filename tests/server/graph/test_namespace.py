@@ -1,0 +1,77 @@
+"""The view of the graph below a prefix, by which one of several arms has the names of a single one."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from protocol.registry import Registry
+from server.graph.actions import Goal, GoalStatus
+from server.graph.namespace import Namespace
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
+
+
+def graph_with_left() -> tuple[Graph, Namespace]:
+    graph = Graph(Registry.load())
+    return graph, Namespace(graph, "left")
+
+
+def test_topics_stand_below_the_prefix() -> None:
+    graph, left = graph_with_left()
+    part, client = Node("part"), Node("client")
+    heard: list[Any] = []
+    left.advertise(part, "/joint_states", "std_msgs/String", latch=True)
+    graph.subscribe(client, "/left/joint_states", None, Subscriber(lambda published: heard.append(published.msg)))
+    left.publish(part, "/joint_states", {"data": "here"})
+    assert heard == [{"data": "here"}]
+    assert graph.topic_type("/joint_states") is None
+    assert left.topic_type("/joint_states") == graph.topic_type("/left/joint_states")
+    assert left.publishers("/joint_states") == [part]
+    assert left.subscribers("/joint_states") == [client]
+
+
+def test_what_is_published_elsewhere_is_not_heard_below_the_prefix() -> None:
+    graph, left = graph_with_left()
+    heard: list[Any] = []
+    left.subscribe(Node("part"), "/stop", "std_msgs/Empty", Subscriber(heard.append))
+    graph.advertise(Node("client"), "/stop", "std_msgs/Empty")
+    graph.publish(Node("client"), "/stop", {})
+    assert heard == []
+    graph.publish(Node("client"), "/left/stop", {})
+    assert len(heard) == 1
+
+
+def test_what_is_left_again_is_gone() -> None:
+    graph, left = graph_with_left()
+    part = Node("part")
+    left.advertise(part, "/said", "std_msgs/String")
+    left.subscribe(part, "/said", None, Subscriber(lambda _published: None))
+    left.unsubscribe(part, "/said")
+    left.unadvertise(part, "/said")
+    assert graph.publishers("/left/said") == graph.subscribers("/left/said") == []
+
+
+def test_services_stand_below_the_prefix() -> None:
+    graph, left = graph_with_left()
+    left.services.offer(Node("part"), "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True})
+    assert graph.services.provider("/left/arm/stop") is not None
+    assert graph.services.provider("/arm/stop") is None
+
+
+async def test_actions_stand_below_the_prefix_and_goals_name_them_in_full() -> None:
+    graph, left = graph_with_left()
+    ended: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+    names = []
+
+    def start(goal: Goal) -> None:
+        names.append(goal.action)
+        goal.finish(GoalStatus.SUCCEEDED, {})
+
+    left.actions.offer(Node("part"), "/wave", "example_interfaces/action/Fibonacci", start)
+    client = Node("client")
+    graph.actions.send_goal(
+        client, "/left/wave", "example_interfaces/action/Fibonacci", {"order": 1}, ended.set_result, None
+    )
+    assert (await ended).status == GoalStatus.SUCCEEDED
+    assert names == ["/left/wave"] == [left.resolve("/wave")]

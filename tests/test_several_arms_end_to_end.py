@@ -1,0 +1,237 @@
+"""Two arms in one server, each on its emulated bus: by name, together, past each other, and with a fault in one."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.robots import so101
+from tests.helpers.server import EmulatorControl, RunningServer
+
+pytestmark = pytest.mark.real_time
+
+RESULT, ERROR_CODES = "/moveit_goal_result", "moveit_msgs/MoveItErrorCodes"
+JOINTS = tuple(joint.name for joint in so101().movable_joints)
+SUCCESS, COLLISION_AT_GOAL, INVALID_GROUP, CONTROL_FAILED = 1, -12, -15, -4
+TIMEOUT_S = 60.0
+
+# The tips meet between the arms when both reach forward and turn towards each other.
+CONFIG = """
+[server]
+port = 0
+[moveit]
+max_velocity_scaling = 1.0
+max_acceleration_scaling = 1.0
+[arms.left]
+base_xyz_m = [0.0, 0.25, 0.0]
+emulator.control = "{folder}/left"
+[arms.right]
+base_xyz_m = [0.0, -0.25, 0.0]
+emulator.control = "{folder}/right"
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("arms")
+
+
+@pytest.fixture(scope="module")
+def server(folder: Path) -> Iterator[RunningServer]:
+    config = folder / "arms.toml"
+    config.write_text(CONFIG.format(folder=folder))
+    with RunningServer(f"--config {config}") as running:
+        yield running
+
+
+@asynccontextmanager
+async def connected(server: RunningServer) -> AsyncIterator[ArmClient]:
+    async with arm_client(server.url) as client:
+        await client.say("subscribe", topic="/joint_states", type="sensor_msgs/JointState")
+        for arm in ("left", "right"):
+            await client.say("subscribe", topic=f"/{arm}{RESULT}", type=ERROR_CODES)
+            await client.say("subscribe", topic=f"/{arm}/arm/state", type="diagnostic_msgs/DiagnosticStatus")
+        yield client
+
+
+@pytest.fixture
+async def client(server: RunningServer) -> AsyncIterator[ArmClient]:
+    async with connected(server) as one:
+        yield one
+        assert (await one.call("/arm/stop"))["success"]
+        await one.call("/arm/release_control")
+
+
+async def moved(client: ArmClient, arm: str, topic: str, type_name: str, msg: dict[str, Any]) -> dict[str, Any]:
+    """Send a goal to an arm by its name; returns the result."""
+    heard = len(client.topics.get(f"/{arm}{RESULT}", ()))
+    await client.goal(f"/{arm}{topic}", type_name, msg)
+    results = await client.until(f"/{arm}{RESULT}", lambda results: len(results) > heard, TIMEOUT_S)
+    return results[-1]
+
+
+async def to_named(client: ArmClient, arm: str, name: str) -> dict[str, Any]:
+    return await moved(client, arm, "/moveit_goal_named", "std_msgs/String", {"data": name})
+
+
+async def to_joints(client: ArmClient, arm: str, **positions: float) -> dict[str, Any]:
+    msg = {"name": list(positions), "position": list(positions.values())}
+    return await moved(client, arm, "/moveit_goal_joints", "sensor_msgs/JointState", msg)
+
+
+async def go(client: ArmClient, group: str, **target: Any) -> dict[str, Any]:
+    """Send a goal to a group of the whole; returns its answer."""
+    goal = await client.send_goal("/moveit_goal", "armbridge_msgs/action/MoveitGoal", {"group": group, **target})
+    values: dict[str, Any] = (await asyncio.wait_for(client.result(goal), TIMEOUT_S))["values"]
+    return values
+
+
+async def positions(client: ArmClient) -> dict[str, float]:
+    client.topics.pop("/joint_states", None)
+    latest = (await client.until("/joint_states", bool))[-1]
+    return dict(zip(latest["name"], latest["position"], strict=True))
+
+
+async def test_joint_states_have_all_joints_in_one_message_and_each_arm_its_own(client: ArmClient) -> None:
+    assert set(await positions(client)) == {f"{arm}_{joint}" for arm in ("left", "right") for joint in JOINTS}
+    await client.say("subscribe", topic="/left/joint_states", type="sensor_msgs/JointState")
+    assert (await client.until("/left/joint_states", bool))[-1]["name"] == [f"left_{joint}" for joint in JOINTS]
+
+
+async def test_an_arm_is_moved_by_its_name_and_the_other_stays(client: ArmClient) -> None:
+    before = await positions(client)
+    assert (await to_named(client, "left", "ready"))["val"] == SUCCESS
+    assert (await to_joints(client, "left", elbow_flex=0.3))["val"] == SUCCESS
+    after = await positions(client)
+    assert after["left_elbow_flex"] == pytest.approx(0.3, abs=0.06)
+    assert after["left_shoulder_lift"] == pytest.approx(-0.5, abs=0.06)
+    assert all(after[f"right_{joint}"] == pytest.approx(before[f"right_{joint}"], abs=0.02) for joint in JOINTS)
+
+
+async def test_the_joints_of_another_arm_cannot_be_moved_by_the_name_of_one(client: ArmClient) -> None:
+    result = await to_joints(client, "left", right_shoulder_pan=0.2)
+    assert (result["val"], result["message"]) == (INVALID_GROUP, "group right_arm moves other arms than left")
+
+
+async def test_both_arms_move_together_as_one_group(client: ArmClient) -> None:
+    answer = await go(client, "both_arms", named="rest")
+    assert (answer["code_name"], answer["message"]) == ("SUCCESS", "the arm is there")
+    rest = so101().named_states["arm"]["rest"]
+    now = await positions(client)
+    for arm in ("left", "right"):
+        assert all(now[f"{arm}_{joint}"] == pytest.approx(value, abs=0.06) for joint, value in rest.items())
+
+
+async def test_motions_of_two_arms_run_at_the_same_time(client: ArmClient) -> None:
+    await go(client, "both_arms", named="home")
+    await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.3})
+    left = asyncio.create_task(to_joints(client, "left", wrist_roll=1.0))
+    right = asyncio.create_task(to_joints(client, "right", wrist_roll=1.0))
+    for arm in ("left", "right"):
+        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == "moving", TIMEOUT_S)
+    assert not left.done()
+    assert not right.done()
+    assert {(await left)["val"], (await right)["val"]} == {SUCCESS}
+    await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 1.0})
+
+
+async def test_a_stop_of_one_arm_lets_the_other_go_on(client: ArmClient) -> None:
+    await go(client, "both_arms", named="home")
+    await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.1})
+    left = asyncio.create_task(to_joints(client, "left", wrist_roll=-1.5))
+    right = asyncio.create_task(to_joints(client, "right", wrist_roll=-0.8))
+    for arm in ("left", "right"):
+        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == "moving", TIMEOUT_S)
+    assert (await client.call("/left/arm/stop"))["success"]
+    stopped = await left
+    assert stopped["message"].startswith("stopped by /left/arm/stop")
+    await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 1.0})
+    assert (await right)["val"] == SUCCESS
+
+
+async def test_a_goal_where_the_other_arm_stands_is_refused_with_its_link(client: ArmClient) -> None:
+    await go(client, "both_arms", named="home")
+    # Each reaches across the middle.
+    assert (await to_joints(client, "right", shoulder_pan=-1.3, shoulder_lift=0.6, elbow_flex=-0.4))["val"] == SUCCESS
+    result = await to_joints(client, "left", shoulder_pan=1.3, shoulder_lift=0.6, elbow_flex=-0.4)
+    assert result["val"] != SUCCESS
+    assert "left_" in result["message"]
+    assert "right_" in result["message"]
+    assert (await go(client, "both_arms", named="home"))["success"]
+
+
+async def test_a_fault_of_one_arm_is_named_and_the_other_moves_on(client: ArmClient, folder: Path) -> None:
+    control = EmulatorControl(folder / "left")
+    assert (await client.call("/left/arm/emergency_stop"))["success"]
+    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "fault")
+    refused = await to_named(client, "left", "ready")
+    assert refused["val"] == CONTROL_FAILED
+    assert (await to_named(client, "right", "ready"))["val"] == SUCCESS
+    assert (await client.call("/left/arm/reset_fault"))["success"]
+    assert (await client.call("/left/arm/enable"))["success"]
+    assert (await to_named(client, "left", "ready"))["val"] == SUCCESS
+    control.command(online=[1, 2, 3, 4, 5, 6])
+
+
+async def test_an_emergency_stop_means_all_arms(client: ArmClient) -> None:
+    await client.goal("/emergency_stop", "std_msgs/Empty", {})
+    for arm in ("left", "right"):
+        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == "fault")
+    # Each arm first sees that its torque is off.
+    async with asyncio.timeout(TIMEOUT_S):
+        while not (await client.call("/arm/reset_fault"))["success"]:
+            await asyncio.sleep(0.05)
+    assert (await client.call("/arm/enable"))["success"]
+    for arm in ("left", "right"):
+        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == "holding")
+
+
+async def test_two_clients_control_an_arm_each(server: RunningServer) -> None:
+    async with connected(server) as one, connected(server) as other:
+        assert (await one.call("/left/arm/take_control"))["success"]
+        assert (await other.call("/right/arm/take_control"))["success"]
+        refused = await other.call("/left/arm/take_control")
+        assert not refused["success"]
+        assert "the arm left" in refused["message"]
+        assert (await to_named(other, "right", "home"))["val"] == SUCCESS
+        assert (await to_named(one, "left", "home"))["val"] == SUCCESS
+        assert (await to_named(other, "left", "ready"))["val"] == CONTROL_FAILED
+
+
+async def test_the_gripper_of_each_arm_has_its_action(client: ArmClient) -> None:
+    for arm, position in (("left", 0.8), ("right", 0.4)):
+        goal = await client.send_goal(
+            f"/{arm}/gripper_controller/gripper_cmd",
+            "control_msgs/action/GripperCommand",
+            {"command": {"position": position, "max_effort": 0.0}},
+        )
+        assert (await client.result(goal))["values"]["reached_goal"]
+    now = await positions(client)
+    assert now["left_gripper"] == pytest.approx(0.8, abs=0.06)
+    assert now["right_gripper"] == pytest.approx(0.4, abs=0.06)
+
+
+async def test_the_description_has_every_arm_at_its_place(client: ArmClient) -> None:
+    await client.say("subscribe", topic="/robot_description", type="std_msgs/String")
+    urdf = (await client.until("/robot_description", bool))[-1]["data"]
+    assert 'name="left_shoulder_pan"' in urdf
+    assert 'name="right_shoulder_pan"' in urdf
+    assert 'xyz="0.0 0.25 0.0"' in urdf
+
+
+async def test_an_arm_process_that_dies_leaves_the_other_arm_moving(server: RunningServer, client: ArmClient) -> None:
+    ready = next(line for line in server.lines if "armbridge is ready" in line)
+    pid = int(ready.split("left arm simulated (process ")[1].split(",")[0])
+    os.kill(pid, signal.SIGKILL)
+    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "disconnected", TIMEOUT_S)
+    assert (await to_joints(client, "right", wrist_roll=0.5))["val"] == SUCCESS
+    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "holding", TIMEOUT_S)
+    assert (await to_joints(client, "left", wrist_roll=0.5))["val"] == SUCCESS

@@ -94,6 +94,11 @@ async def go(client: ArmClient, group: str, **target: Any) -> dict[str, Any]:
     return values
 
 
+async def both_are(client: ArmClient, mode: str) -> None:
+    for arm in ("left", "right"):
+        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == mode, TIMEOUT_S)
+
+
 async def positions(client: ArmClient) -> dict[str, float]:
     client.topics.pop("/joint_states", None)
     latest = (await client.until("/joint_states", bool))[-1]
@@ -132,11 +137,11 @@ async def test_both_arms_move_together_as_one_group(client: ArmClient) -> None:
 
 async def test_motions_of_two_arms_run_at_the_same_time(client: ArmClient) -> None:
     await go(client, "both_arms", named="home")
+    await both_are(client, "holding")
     await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.3})
     left = asyncio.create_task(to_joints(client, "left", wrist_roll=1.0))
     right = asyncio.create_task(to_joints(client, "right", wrist_roll=1.0))
-    for arm in ("left", "right"):
-        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == "moving", TIMEOUT_S)
+    await both_are(client, "moving")
     assert not left.done()
     assert not right.done()
     assert {(await left)["val"], (await right)["val"]} == {SUCCESS}
@@ -145,11 +150,11 @@ async def test_motions_of_two_arms_run_at_the_same_time(client: ArmClient) -> No
 
 async def test_a_stop_of_one_arm_lets_the_other_go_on(client: ArmClient) -> None:
     await go(client, "both_arms", named="home")
+    await both_are(client, "holding")
     await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.1})
     left = asyncio.create_task(to_joints(client, "left", wrist_roll=-1.5))
     right = asyncio.create_task(to_joints(client, "right", wrist_roll=-0.8))
-    for arm in ("left", "right"):
-        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == "moving", TIMEOUT_S)
+    await both_are(client, "moving")
     assert (await client.call("/left/arm/stop"))["success"]
     stopped = await left
     assert stopped["message"].startswith("stopped by /left/arm/stop")
@@ -183,15 +188,13 @@ async def test_a_fault_of_one_arm_is_named_and_the_other_moves_on(client: ArmCli
 
 async def test_an_emergency_stop_means_all_arms(client: ArmClient) -> None:
     await client.goal("/emergency_stop", "std_msgs/Empty", {})
-    for arm in ("left", "right"):
-        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == "fault")
+    await both_are(client, "fault")
     # Each arm first sees that its torque is off.
     async with asyncio.timeout(TIMEOUT_S):
         while not (await client.call("/arm/reset_fault"))["success"]:
             await asyncio.sleep(0.05)
     assert (await client.call("/arm/enable"))["success"]
-    for arm in ("left", "right"):
-        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == "holding")
+    await both_are(client, "holding")
 
 
 async def test_two_clients_control_an_arm_each(server: RunningServer) -> None:
@@ -203,7 +206,9 @@ async def test_two_clients_control_an_arm_each(server: RunningServer) -> None:
         assert "the arm left" in refused["message"]
         assert (await to_named(other, "right", "home"))["val"] == SUCCESS
         assert (await to_named(one, "left", "home"))["val"] == SUCCESS
-        assert (await to_named(other, "left", "ready"))["val"] == CONTROL_FAILED
+        # The answers to the goals of the one come to the other as well.
+        await other.goal("/left/moveit_goal_named", "std_msgs/String", {"data": "ready"})
+        await other.until(f"/left{RESULT}", lambda results: any(each["val"] == CONTROL_FAILED for each in results))
 
 
 async def test_the_gripper_of_each_arm_has_its_action(client: ArmClient) -> None:

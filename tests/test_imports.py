@@ -55,6 +55,8 @@ PURPOSES = {
 ASYNCIO_OUTSIDE_SERVER = {
     "robot/processes.py",
     "robot/arm.py",
+    "robot/arm_group.py",
+    "robot/arm_interface.py",
     "planners/pool.py",
     "planners/pool_host.py",
     "planners/shared_pool.py",

@@ -13,7 +13,7 @@ from websockets.sync.client import connect
 
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
 from tests.helpers.clients import call_on
-from tests.helpers.server import RunningServer, free_port
+from tests.helpers.server import FAST, RunningServer, free_port
 
 SCREEN_LINES = 100
 
@@ -131,6 +131,21 @@ def test_a_box_is_picked_up_and_put_down(run_example: RunExample, server: Runnin
     done = run_example("pick_and_place.py", "--port", str(server.port))
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == ["the box is held", "the box stands in its new place"]
+
+
+def test_two_arms_are_moved_each_by_its_name_and_then_together(run_example: RunExample) -> None:
+    with RunningServer(f"--port 0 --config {EXAMPLES / 'two_arms.toml'}", FAST) as arms:
+        done = run_example("two_hands.py", "--port", str(arms.port))
+    assert done.returncode == 0, done.stdout + done.stderr
+    *each, both = done.stdout.splitlines()
+    assert sorted(each) == ["left: 1 the arm is there", "right: 1 the arm is there"]
+    assert both == "both: 1 the arm is there"
+
+
+def test_two_hands_need_two_arms(run_example: RunExample, server: RunningServer) -> None:
+    done = run_example("two_hands.py", "--port", str(server.port))
+    assert done.returncode == 1
+    assert done.stdout == "the server has no arms left and right: start it with --config examples/two_arms.toml\n"
 
 
 def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: RunningServer) -> None:

@@ -31,6 +31,7 @@ from benchmarks import (
     rosapi,
     servo_loop,
     servo_stream,
+    several_arms,
     soak,
     start,
 )
@@ -59,6 +60,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "floods": floods.run,
     "one_frame": one_frame.run,
     "classroom": classroom.run,
+    "several_arms": several_arms.run,
     "soak": soak.run,
     "planning_scene_services": planning_scene_services.run,
 }

@@ -14,7 +14,7 @@ import pytest
 from tests.helpers.clients import tip
 from tests.helpers.page import LOOK_MS, PATIENCE_MS, OpenPage, opened
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
-from tests.helpers.server import RunningServer
+from tests.helpers.server import ROOT, RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, WebSocketRoute
@@ -27,6 +27,9 @@ PANELS_WITH_JOINTS = ("move", "drive", "plots")
 
 # The servos of an ideal arm are exact; what remains is the last tick.
 ARRIVED = 0.01
+
+# Servos carry the arm's weight, and have backlash.
+ON_SERVOS = 0.06
 
 # Far more than an arm at rest moves.
 MOVED_M = 0.1
@@ -120,6 +123,28 @@ def test_an_arm_with_a_lift_has_all_panels_and_moves(browser: Browser, fetch: Ru
         page.until_state("s.goal.code === 1")
         assert math.dist(tip(fetch.url, "gripper_link"), before_m) > MOVED_M
         page.shot("fetch")
+        assert page.errors == []
+
+
+def test_two_arms_are_shown_and_each_is_moved_by_its_group(browser: Browser, settings: dict[str, str]) -> None:
+    own = {key: value for key, value in settings.items() if not key.startswith("ARMBRIDGE_ARM__")}
+    with (
+        RunningServer(f"--port 0 --config {ROOT / 'examples' / 'two_arms.toml'}", own) as arms,
+        opened(browser) as page,
+    ):
+        page.open(arms.port)
+        page.until_state("s.srdf !== null && Object.keys(s.limits).length > 0")
+        assert page.part("group").locator("option").all_text_contents() == ["left_arm", "right_arm", "both_arms"]
+        before = page.joints()
+        page.part("group").select_option("right_arm")
+        page.part("joint-right_elbow_flex-number").wait_for()
+        page.part("named-ready").click()
+        page.part("plan-and-move").click()
+        page.until_state("s.goal.code === 1")
+        after = page.joints()
+        assert after["right_shoulder_lift"] == pytest.approx(-0.5, abs=ON_SERVOS)
+        assert after["left_shoulder_lift"] == pytest.approx(before["left_shoulder_lift"], abs=ON_SERVOS)
+        page.shot("two_arms")
         assert page.errors == []
 
 

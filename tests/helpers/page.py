@@ -48,6 +48,24 @@ PATIENCE_MS = 60_000
 LOOK_MS = 20
 
 
+# Page and tests drive in turns, without waiting for each other.
+SHARED = {"ARMBRIDGE_ACCESS__CONTROL": "shared"}
+
+AXE = ROOT / "server" / "page" / "node_modules" / "axe-core" / "axe.min.js"
+
+# WCAG's levels A and AA of each version, and axe-core's own good practice.
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+
+FIND_VIOLATIONS = """async rules => {
+    const { violations } = await window.axe.run(document, {
+        runOnly: { type: "tag", values: rules }, resultTypes: ["violations"],
+    });
+    return violations.flatMap(({ id, nodes }) => nodes.map(({ target, failureSummary }) => {
+        return `${id}: ${target.join(" ")}: ${failureSummary.replace(/\\s+/g, " ")}`;
+    }));
+}"""
+
+
 def browser_is_missing() -> str:
     """Return the reason for having no browser here; empty when one can be started."""
     if shutil.which("chromium") is None:

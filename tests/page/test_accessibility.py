@@ -11,31 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.page import DESKTOP, PHONE, OpenPage, opened
-from tests.helpers.server import ROOT, RunningServer
+from tests.helpers.page import AXE, DESKTOP, FIND_VIOLATIONS, PHONE, RULES, OpenPage, opened
+from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
-
-AXE = ROOT / "server" / "page" / "node_modules" / "axe-core" / "axe.min.js"
-
-# WCAG's levels A and AA of each version, and axe-core's own good practice.
-RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 
 # Apple's guidelines and WCAG 2.2's level AAA (2.5.5) want as much; a finger covers it.
 FINGER_PX = 44
 
 # More stops of the Tab key than any panel has.
 MANY_STOPS = 300
-
-FIND_VIOLATIONS = """async rules => {
-    const { violations } = await window.axe.run(document, {
-        runOnly: { type: "tag", values: rules }, resultTypes: ["violations"],
-    });
-    return violations.flatMap(({ id, nodes }) => nodes.map(({ target, failureSummary }) => {
-        return `${id}: ${target.join(" ")}: ${failureSummary.replace(/\\s+/g, " ")}`;
-    }));
-}"""
 
 # A checkbox is pressed by its label too.
 FIND_SMALL_CONTROLS = """least_px => {

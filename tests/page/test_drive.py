@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.helpers.clients import call, goal
-from tests.helpers.page import PHONE, OpenPage, opened
+from tests.helpers.page import PHONE, SHARED, OpenPage, opened
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ WebSocket.prototype.send = function (data) {
 
 @pytest.fixture(scope="module")
 def settings(settings: dict[str, str]) -> dict[str, str]:
-    return {**settings, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
+    return {**settings, **SHARED}
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from tests.helpers.clients import tip
-from tests.helpers.page import DESKTOP, PHONE, OpenPage, opened
+from tests.helpers.page import DESKTOP, PHONE, SHARED, OpenPage, opened
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
@@ -29,8 +29,7 @@ LIT_M: Point = (0.12, -0.22, 0.0)
 
 @pytest.fixture(scope="module")
 def settings(settings: dict[str, str]) -> dict[str, str]:
-    """Here page and tests drive in turns, without waiting for each other."""
-    return {**settings, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
+    return {**settings, **SHARED}
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.helpers.clients import tip
-from tests.helpers.page import LOOK_MS, PATIENCE_MS, OpenPage, opened
+from tests.helpers.page import LOOK_MS, PATIENCE_MS, SHARED, OpenPage, opened
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.helpers.server import ROOT, RunningServer
 
@@ -65,7 +65,7 @@ def settings(settings: dict[str, str], tmp_path_factory: pytest.TempPathFactory)
     (folder / "arm.urdf").write_text(URDF)
     (folder / "arm.srdf").write_text(SRDF)
     files = {f"ARMBRIDGE_ARM__{kind.upper()}": str(folder / f"arm.{kind}") for kind in ("urdf", "srdf")}
-    return {**settings, **files, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
+    return {**settings, **files, **SHARED}
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.helpers.clients import call, goal, tip
-from tests.helpers.page import OpenPage, opened
+from tests.helpers.page import SHARED, OpenPage, opened
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
@@ -27,8 +27,7 @@ STILL_RAD = 0.02
 
 @pytest.fixture(scope="module")
 def settings(settings: dict[str, str]) -> dict[str, str]:
-    """Here page and tests drive in turns, without waiting for each other."""
-    return {**settings, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
+    return {**settings, **SHARED}
 
 
 @pytest.fixture(scope="module")

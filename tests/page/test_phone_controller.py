@@ -10,7 +10,7 @@ import pytest
 from websockets.sync import client as blocking
 
 from tests.helpers.clients import call, call_on, goal, tip
-from tests.helpers.page import PHONE, OpenPage, opened
+from tests.helpers.page import PHONE, SHARED, OpenPage, opened
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ for (const type of ["pointerup", "blur"]) {
 
 @pytest.fixture(scope="module")
 def settings(settings: dict[str, str]) -> dict[str, str]:
-    return {**settings, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
+    return {**settings, **SHARED}
 
 
 @pytest.fixture(scope="module")

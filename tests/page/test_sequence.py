@@ -16,9 +16,8 @@ import pytest
 from websockets.sync.client import connect
 
 from tests.helpers.clients import call
-from tests.helpers.page import PATIENCE_MS, OpenPage, opened
+from tests.helpers.page import AXE, FIND_VIOLATIONS, PATIENCE_MS, RULES, SHARED, OpenPage, opened
 from tests.helpers.server import FAST, ROOT, RunningServer
-from tests.page.test_accessibility import AXE, FIND_VIOLATIONS, RULES
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -43,8 +42,7 @@ PATIENCE_S = PATIENCE_MS / 1e3
 
 @pytest.fixture(scope="module")
 def settings(settings: dict[str, str]) -> dict[str, str]:
-    """Here page and tests drive in turns, without waiting for each other."""
-    return {**settings, **FAST, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
+    return {**settings, **FAST, **SHARED}
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.helpers.clients import call
-from tests.helpers.page import PHONE, OpenPage, opened
+from tests.helpers.page import PHONE, SHARED, OpenPage, opened
 from tests.helpers.server import FAST, RunningServer
 
 if TYPE_CHECKING:
@@ -24,8 +24,7 @@ Point = tuple[float, ...]
 
 @pytest.fixture(scope="module")
 def settings(settings: dict[str, str]) -> dict[str, str]:
-    """Here page and tests drive in turns, without waiting for each other."""
-    return {**settings, **FAST, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
+    return {**settings, **FAST, **SHARED}
 
 
 @pytest.fixture

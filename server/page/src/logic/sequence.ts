@@ -1,3 +1,4 @@
+import { gripperGoal, jointConstraints } from "../link/messages";
 import type { JointValues } from "../state/state";
 
 /** Place that a sequence of motions goes to, and what is done on the way and there. */
@@ -45,9 +46,6 @@ export const MIN_SPEED = 0.01;
 const MOVE_ACTION = { action: "/move_action", type: "moveit_msgs/action/MoveGroup" };
 export const GRIPPER_TYPE = "control_msgs/action/GripperCommand";
 
-/** Tolerance of a joint goal [rad or m]: room for rounding errors. */
-const JOINT_TOLERANCE = 1e-4;
-
 /** Return a waypoint without what is edited later, numbered after those that there are. */
 export function newWaypoint(before: readonly Waypoint[], group: string, joints_rad: JointValues, speed: number): Waypoint {
   const id = 1 + Math.max(0, ...before.map((waypoint) => waypoint.id));
@@ -74,17 +72,10 @@ export function edited(waypoints: readonly Waypoint[], id: number, patch: Partia
 
 /** Build moveit_msgs/MotionPlanRequest of the motion to a waypoint; without a start it begins where the arm is. */
 export function legRequest(waypoint: Waypoint, start_rad: JointValues | null = null): object {
-  const joint_constraints = Object.entries(waypoint.joints_rad).map(([joint_name, position]) => ({
-    joint_name,
-    position,
-    tolerance_above: JOINT_TOLERANCE,
-    tolerance_below: JOINT_TOLERANCE,
-    weight: 1,
-  }));
   const joint_state = start_rad && { name: Object.keys(start_rad), position: Object.values(start_rad) };
   return {
     group_name: waypoint.group,
-    goal_constraints: [{ joint_constraints }],
+    goal_constraints: [jointConstraints(waypoint.joints_rad)],
     max_velocity_scaling_factor: waypoint.speed,
     max_acceleration_scaling_factor: waypoint.speed,
     ...(waypoint.straight ? { pipeline_id: "pilz_industrial_motion_planner", planner_id: "LIN" } : {}),
@@ -101,7 +92,7 @@ export function sequenceSteps(waypoints: readonly Waypoint[], gripper_action: st
   return waypoints.flatMap((waypoint, index) => {
     const steps: Step[] = [{ doing: "motion", index, ...MOVE_ACTION, goal: { request: legRequest(waypoint) } }];
     if (waypoint.gripper !== null && gripper_action !== null) {
-      const goal = { command: { position: waypoint.gripper, max_effort: 0 } };
+      const goal = gripperGoal(waypoint.gripper);
       steps.push({ doing: "gripper", index, action: gripper_action, type: GRIPPER_TYPE, goal });
     }
     if (waypoint.pause_s > 0) steps.push({ doing: "pause", index, pause_s: waypoint.pause_s });

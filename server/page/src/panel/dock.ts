@@ -1,7 +1,7 @@
 import { closePanel, columnOf, COLUMNS, movePanel, openPanel, parseLayout, type Column, type Layout } from "../logic/layout";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
-import { button, el, loadPreference, storePreference } from "./dom";
+import { button, el, loadPreference, option, storePreference } from "./dom";
 
 /** Panel of the dock; its sections exist from the start, also while it is closed. */
 export interface Panel {
@@ -146,8 +146,8 @@ export class Dock {
       const closed = this.panels.filter(({ id }) => columnOf(this.layout, id) === null);
       const key = closed.map(({ id }) => id).join();
       if (key !== offered || choice.options.length === 0) {
-        choice.replaceChildren(el("option", { text: "+", attributes: { value: "" } }));
-        choice.append(...closed.map(({ id, title }) => el("option", { text: title, attributes: { value: id } })));
+        choice.replaceChildren(option("", "+"));
+        choice.append(...closed.map(({ id, title }) => option(id, title)));
         offered = key;
       }
       choice.hidden = closed.length === 0;

@@ -38,6 +38,16 @@ export function button(text: string, testid: string, press: () => void, title = 
   return el("button", title ? { ...options, title } : options);
 }
 
+/** Create an option of a choice. */
+export function option(value: string, text: string, attributes: Record<string, string> = {}): HTMLOptionElement {
+  return el("option", { text, attributes: { value, ...attributes } });
+}
+
+/** Create a line with a text before its control. */
+export function labelled(text: string, control: HTMLElement): HTMLElement {
+  return el("label", { class: "line" }, `${text} `, control);
+}
+
 /** Return a text with a capital first letter. */
 export function capitalized(text: string): string {
   return text.charAt(0).toUpperCase() + text.slice(1);

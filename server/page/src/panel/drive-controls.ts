@@ -1,6 +1,6 @@
 import type { JogCommand, TipAxis } from "../logic/jog";
 import { t } from "../texts/texts";
-import { el, loadPreference, storePreference } from "./dom";
+import { el, loadPreference, option, storePreference } from "./dom";
 
 /** What a press of any input of this panel does: the chosen speed, and the chosen step. */
 export interface JogControls {
@@ -26,7 +26,7 @@ export function choice(
   texts: readonly string[],
   take: (value: string) => void = () => undefined,
 ): HTMLSelectElement {
-  const options = values.map((value, index) => el("option", { text: texts[index] ?? value, attributes: { value } }));
+  const options = values.map((value, index) => option(value, texts[index] ?? value));
   const select = el("select", { testid, label }, ...options);
   const stored = loadPreference(testid, "");
   if (values.includes(stored)) select.value = stored;

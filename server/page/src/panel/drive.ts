@@ -5,7 +5,7 @@ import { isRotation, JogStep, scaled, tipAxes, type JogCommand, type TipAxis } f
 import type { State } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { el, loadPreference, section, setText, storePreference } from "./dom";
+import { el, labelled, loadPreference, section, setText, storePreference } from "./dom";
 import { axisText, choice, watchPointer, type JogControls } from "./drive-controls";
 import { gamepadSection } from "./drive-gamepad";
 import { keyboardSection } from "./drive-keyboard";
@@ -97,10 +97,6 @@ function stepOf(state: State, command: JogCommand, step: (typeof STEPS)[number])
 
 function degrees(angle_rad: number): number {
   return Math.round((angle_rad * 180) / Math.PI);
-}
-
-function labelled(text: string, control: HTMLElement): HTMLElement {
-  return el("label", { class: "line" }, `${text} `, control);
 }
 
 /** Create the line that says what limits the arm. */

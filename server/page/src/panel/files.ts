@@ -10,6 +10,17 @@ export function saveFile(name: string, type: string, text: string): void {
   setTimeout(() => URL.revokeObjectURL(url), RELEASE_AFTER_MS);
 }
 
+/** Create an input for a JSON file of the user; `take` is called with each file that is chosen. */
+export function fileInput(testid: string, label: string, take: (file: File) => Promise<void>): HTMLLabelElement {
+  const input = el("input", { type: "file", testid, attributes: { accept: ".json,application/json" } });
+  input.addEventListener("change", () => {
+    const file = input.files?.[0];
+    // The same file can be chosen again.
+    if (file) void take(file).finally(() => (input.value = ""));
+  });
+  return el("label", { class: "scene-upload" }, label, input);
+}
+
 /** Copy a text; return false where the browser does not let the page. */
 export async function copyText(text: string): Promise<boolean> {
   try {

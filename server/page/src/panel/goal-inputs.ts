@@ -15,7 +15,7 @@ import type { Orientation, Point, State } from "../state/state";
 import { selectGoal, selectTarget } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, numberField, section, setText, throttle, type NumberField } from "./dom";
+import { button, el, numberField, option, section, setText, throttle, type NumberField } from "./dom";
 
 /** Limit of typed coordinates [m], beyond the reach of any arm on a table or a mobile base. */
 const MAX_COORDINATE_M = 5;
@@ -154,10 +154,6 @@ export function jointsSection(context: PanelContext): HTMLElement {
   }
   const back = button(t("joints.back"), "forget-wish", () => selectGoal(store, "none", null));
   return section("joints", t("joints.title"), true, list, back);
-}
-
-function option(value: string, text: string): HTMLOptionElement {
-  return el("option", { text, attributes: { value } });
 }
 
 function jointRow({ store }: PanelContext, name: string): JointRow {

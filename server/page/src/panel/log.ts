@@ -3,7 +3,7 @@ import { filteredLog, levelName, LOG_LEVELS, logLine } from "../logic/log-filter
 import type { LogEntry, State } from "../state/state";
 import { t } from "../texts/texts";
 import { isShown, whenShown } from "./dock";
-import { button, el, setText, throttle } from "./dom";
+import { button, el, labelled, option, setText, throttle } from "./dom";
 import type { PanelContext } from "./context";
 import { copyText } from "./files";
 
@@ -38,7 +38,7 @@ class LogPanel {
   constructor(private readonly context: PanelContext) {
     const { store } = context;
     for (const [level, name] of LOG_LEVELS) {
-      this.level.append(el("option", { text: t(`log.level.${name}`), attributes: { value: String(level) } }));
+      this.level.append(option(String(level), t(`log.level.${name}`)));
     }
     this.level.value = "20";
     this.list.tabIndex = 0;
@@ -106,10 +106,6 @@ class LogPanel {
     setText(this.copy, t(copied ? "log.copied" : "log.not_copied"));
     setTimeout(() => setText(this.copy, t("log.copy")), COPIED_MS);
   }
-}
-
-function labelled(text: string, control: HTMLElement): HTMLElement {
-  return el("label", { class: "line" }, `${text} `, control);
 }
 
 function logItem(entry: LogEntry): HTMLElement {

@@ -3,7 +3,7 @@ import { PhoneFollower, type PhoneMode } from "../logic/phone-follower";
 import { denialReason } from "../logic/permissions";
 import { t, type TextKey } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, loadPreference, setText, storePreference } from "./dom";
+import { button, el, loadPreference, option, setText, storePreference } from "./dom";
 import { canTrackPosition, SourceError, startOrientation, startTracking, type PoseSource } from "./phone-sources";
 
 /** Name of this input among those that drive the arm. */
@@ -87,7 +87,7 @@ class PhoneController {
   /** Create the choice of what tilting and turning do where the phone's position is not known. */
   private modeLine(): HTMLElement {
     for (const mode of ["tilt", "turn"] as const) {
-      this.modes.append(el("option", { text: t(`phone.mode.${mode}`), attributes: { value: mode } }));
+      this.modes.append(option(mode, t(`phone.mode.${mode}`)));
     }
     this.modes.value = loadPreference("phone-mode", "tilt") === "turn" ? "turn" : "tilt";
     this.modes.addEventListener("change", () => {

@@ -4,7 +4,7 @@ import type { PhoneAccess } from "../link/phone";
 import { modulePath, phoneAddress, phoneUrls } from "../logic/phone-address";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, section, setText } from "./dom";
+import { button, el, option, section, setText } from "./dom";
 import { phoneController } from "./phone-controller";
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -75,7 +75,7 @@ function addressOf(urls: readonly string[], token: string): HTMLElement[] {
   show(urls[0] ?? "");
   if (urls.length < 2) return [place, text];
   const choice = el("select", { testid: "phone-url", label: t("phone.address") });
-  choice.append(...urls.map((url) => el("option", { text: url, attributes: { value: url } })));
+  choice.append(...urls.map((url) => option(url, url)));
   choice.addEventListener("change", () => show(choice.value));
   return [el("label", { class: "line" }, `${t("phone.address")} `, choice), place, text];
 }

@@ -5,7 +5,7 @@ import type { State } from "../state/state";
 import { t } from "../texts/texts";
 import type { PanelContext } from "./context";
 import { isShown, whenShown } from "./dock";
-import { button, el, loadPreference, setText, storePreference, throttle } from "./dom";
+import { button, el, loadPreference, option, setText, storePreference, throttle } from "./dom";
 import { saveFile } from "./files";
 import { TimeChart } from "./time-chart";
 
@@ -154,7 +154,7 @@ class Plots {
     this.halt.setAttribute("aria-pressed", String(!is_live));
     const spans = [...new Set([...SPANS_S, this.window.span_s])].sort((one, other) => one - other);
     if (spans.join() !== [...this.span.options].map(({ value }) => value).join()) {
-      this.span.replaceChildren(...spans.map((span_s) => el("option", { text: spanText(span_s), attributes: { value: String(span_s) } })));
+      this.span.replaceChildren(...spans.map((span_s) => option(String(span_s), spanText(span_s))));
     }
     if (document.activeElement !== this.span) this.span.value = String(this.window.span_s);
     const reason = this.samples.names.length === 0 ? t("plots.empty") : this.charts.length === 0 ? t("plots.nothing_chosen") : "";

@@ -16,7 +16,7 @@ import type { NewObject, Point, Shape } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { readCorners } from "../view/mesh-file";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, section, setText } from "./dom";
+import { button, el, option, section, setText } from "./dom";
 import { measureField, measureLine, type MeasureField } from "./scene-fields";
 import "./scene.css";
 
@@ -119,7 +119,7 @@ class AddForm {
       void this.readFile();
     });
     const units = el("select", { testid: "mesh-unit", label: t("world.file.unit") });
-    units.append(...Object.keys(FILE_UNITS).map((unit) => el("option", { text: unit, attributes: { value: unit } })));
+    units.append(...Object.keys(FILE_UNITS).map((unit) => option(unit, unit)));
     units.addEventListener("change", () => {
       this.unit = units.value;
       void this.readFile();

@@ -2,7 +2,7 @@ import { MAX_PLACE_M } from "../logic/scene-objects";
 import type { Region, Slice } from "../state/state";
 import { t } from "../texts/texts";
 import type { PanelContext } from "./context";
-import { el, section, setText } from "./dom";
+import { el, option, section, setText } from "./dom";
 import { measureField } from "./scene-fields";
 
 /** Create the section of the reachable region: the switch, its slice, and the progress of its computation. */
@@ -11,7 +11,7 @@ export function regionSection({ store }: PanelContext): HTMLElement {
   shown.addEventListener("change", () => store.patch("region", { shown: shown.checked }));
   const change = (patch: Partial<Slice>): void => store.patch("region", { slice: { ...store.state.region.slice, ...patch } });
   const kind = el("select", { testid: "region-slice", label: t("world.region.slice") });
-  kind.append(...(["upright", "level"] as const).map((value) => el("option", { text: t(`world.region.${value}`), attributes: { value } })));
+  kind.append(...(["upright", "level"] as const).map((value) => option(value, t(`world.region.${value}`))));
   kind.addEventListener("change", () => change({ kind: kind.value === "level" ? "level" : "upright" }));
   const height_label = t("world.region.height");
   const height = measureField(

@@ -2,6 +2,7 @@ import { MAX_SCENE_FILE_BYTES } from "../logic/scene-file";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
 import { button, el, section } from "./dom";
+import { fileInput, saveFile } from "./files";
 
 /** Create the section of saved scenes: by name on the server, and as files of the user. */
 export function savedScenesSection(context: PanelContext): HTMLElement {
@@ -45,21 +46,12 @@ function savedItem(context: PanelContext, name: string): HTMLElement {
 /** Create the buttons that write the scene to a file of the user, and read it from one. */
 function fileForm(context: PanelContext): HTMLElement {
   const { sceneEditor } = context;
-  const download = button(t("world.file.download"), "download-scene", () => void saveFile());
-  const saveFile = async (): Promise<void> => {
+  const save = async (): Promise<void> => {
     const text = await sceneEditor.fileText();
-    if (text === null) return;
-    const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
-    el("a", { attributes: { href: url, download: "scene.json" } }).click();
-    // The browser takes the file after the click.
-    setTimeout(() => URL.revokeObjectURL(url), 60_000);
+    if (text !== null) saveFile("scene.json", "application/json", text);
   };
-  const input = el("input", { type: "file", testid: "scene-file", attributes: { accept: ".json,application/json" } });
-  input.addEventListener("change", () => {
-    const file = input.files?.[0];
-    if (file) void openFile(context, file).finally(() => (input.value = ""));
-  });
-  const upload = el("label", { class: "scene-upload" }, t("world.file.upload"), input);
+  const download = button(t("world.file.download"), "download-scene", () => void save());
+  const upload = fileInput("scene-file", t("world.file.upload"), (file) => openFile(context, file));
   return el("div", {}, el("div", { class: "buttons" }, download), permissionFieldset(context, "work", upload));
 }
 

@@ -18,8 +18,8 @@ import type { JointValues, State } from "../state/state";
 import { selectGoal, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, loadPreference, numberField, section, setText, storePreference } from "./dom";
-import { saveFile } from "./files";
+import { button, el, loadPreference, numberField, option, section, setText, storePreference } from "./dom";
+import { fileInput, saveFile } from "./files";
 import { programButtons } from "./sequence-export";
 
 /** Create the section of the sequence: its waypoints, and the buttons that add them and play it. */
@@ -123,14 +123,14 @@ function waypointRow(store: PageStore, id: number): WaypointRow {
   const seconds = { name: t("sequence.pause"), lower: 0, upper: MAX_PAUSE_S, unit: " s", digits: 1 };
   const pause = numberField(`${own}-pause`, t("sequence.pause"), () => seconds, (pause_s) => edit({ pause_s }));
   const gripper = select(`${own}-gripper`, t("sequence.gripper"), (value) => edit({ gripper: gripperPosition(store.state, value) }));
-  const gripper_field = labelled(t("sequence.gripper"), gripper);
+  const gripper_field = measure(t("sequence.gripper"), gripper);
 
   const up = iconButton("↑", `${own}-up`, t("sequence.up"), () => reorder(index() - 1));
   const down = iconButton("↓", `${own}-down`, t("sequence.down"), () => reorder(index() + 1));
   const ghost = button(t("sequence.show"), `${own}-show`, () => selectGoal(store, "joints", list()[index()]?.joints_rad ?? null), t("sequence.show.title"));
   const remove = iconButton("×", `${own}-remove`, t("sequence.remove"), () => setWaypoints(store, list().filter((waypoint) => waypoint.id !== id)));
 
-  const fields = el("div", { class: "waypoint-fields" }, labelled(t("sequence.way"), way), labelled(`${t("sequence.speed")} (%)`, speed.input), gripper_field, labelled(`${t("sequence.pause")} (s)`, pause.input));
+  const fields = el("div", { class: "waypoint-fields" }, measure(t("sequence.way"), way), measure(`${t("sequence.speed")} (%)`, speed.input), gripper_field, measure(`${t("sequence.pause")} (s)`, pause.input));
   const head = el("div", { class: "waypoint-head" }, handle, name, ghost, up, down, remove);
   const box = el("li", { testid: own }, head, fields, speed.problem, pause.problem, check);
   takeDrops(box, handle, id, (dragged) => setWaypoints(store, moved(list(), dragged, index())));
@@ -308,12 +308,7 @@ function fileForm(store: PageStore): HTMLElement {
   const download = button(t("sequence.file.download"), "download-sequence", () => {
     saveFile("sequence.json", "application/json", sequenceText(store.state.sequence.waypoints));
   });
-  const input = el("input", { type: "file", testid: "sequence-file", attributes: { accept: ".json,application/json" } });
-  input.addEventListener("change", () => {
-    const file = input.files?.[0];
-    if (file) void openFile(store, file).finally(() => (input.value = ""));
-  });
-  const upload = el("label", { class: "scene-upload" }, t("sequence.file.upload"), input);
+  const upload = fileInput("sequence-file", t("sequence.file.upload"), (file) => openFile(store, file));
   return el("div", {}, el("div", { class: "buttons" }, download), upload);
 }
 
@@ -336,11 +331,7 @@ function select(testid: string, label: string, take: (value: string) => void): H
   return choice;
 }
 
-function option(value: string, text: string): HTMLOptionElement {
-  return el("option", { text, attributes: { value } });
-}
-
-function labelled(text: string, control: HTMLElement): HTMLElement {
+function measure(text: string, control: HTMLElement): HTMLElement {
   return el("label", { class: "measure" }, el("span", { text }), control);
 }
 

@@ -1,7 +1,7 @@
 import { PAGE_VERSION } from "../logic/version";
 import { LANGUAGES, t } from "../texts/texts";
 import type { PanelContext } from "./context";
-import { el, loadPreference, storePreference } from "./dom";
+import { el, loadPreference, option, storePreference } from "./dom";
 
 /** Create the settings of this page in this browser: units, language and colours. */
 export function settingsSection(context: PanelContext): HTMLElement {
@@ -13,7 +13,7 @@ export function settingsSection(context: PanelContext): HTMLElement {
 function unitChoice({ store }: PanelContext): HTMLElement {
   const choice = el("select", { testid: "units", id: "units" });
   for (const value of ["deg", "rad"] as const) {
-    choice.append(el("option", { text: t(`settings.units.${value}`), attributes: { value } }));
+    choice.append(option(value, t(`settings.units.${value}`)));
   }
   const apply = (): void => store.patch("settings", { units: choice.value === "rad" ? "rad" : "deg" });
   choice.value = loadPreference("units", "deg") === "rad" ? "rad" : "deg";
@@ -28,7 +28,7 @@ function unitChoice({ store }: PanelContext): HTMLElement {
 function languageChoice(): HTMLElement {
   const choice = el("select", { testid: "language" });
   for (const [tag, { name }] of Object.entries(LANGUAGES)) {
-    choice.append(el("option", { text: name, attributes: { value: tag, lang: tag } }));
+    choice.append(option(tag, name, { lang: tag }));
   }
   choice.value = document.documentElement.lang;
   choice.addEventListener("change", () => {
@@ -42,7 +42,7 @@ function languageChoice(): HTMLElement {
 function themeChoice(): HTMLElement {
   const choice = el("select", { testid: "theme" });
   for (const value of ["system", "light", "dark"] as const) {
-    choice.append(el("option", { text: t(`settings.colours.${value}`), attributes: { value } }));
+    choice.append(option(value, t(`settings.colours.${value}`)));
   }
   const apply = (theme: string): void => {
     if (theme === "system") delete document.documentElement.dataset["theme"];

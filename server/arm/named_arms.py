@@ -17,6 +17,7 @@ from robot.messages import ArmConfig, ArmHealth, ArmState
 from server.access.control_lease import ControlLease, ControlServices
 from server.arm.services import ArmPace, ArmServices
 from server.arm.setup import Description, arm_config
+from server.arm.topics import TOPIC as JOINT_STATES
 from server.arm.topics import ArmStateTopics, JointStates
 from server.config import ArmRole, NamedArmSettings, Settings
 from server.errors import ConfigurationError
@@ -120,7 +121,7 @@ class NamedArm:
         graph: the graph of all arms.
         name: of the arm.
         files: by which it is known.
-        on_state: called with every state of the arm, after it is published.
+        on_state: called with every state of the arm.
         on_health: called with its condition.
         observed: returns False when nobody sees its states at the moment.
 
@@ -165,7 +166,9 @@ class NamedArm:
             self._control.close()
 
     def _take_state(self, state: ArmState) -> None:
-        self._joint_states.publish(state)
+        # All joints are on the topic of all arms; this one costs as much again where several listen to that alone.
+        if self.graph.subscribers(JOINT_STATES):
+            self._joint_states.publish(state)
         self._topics.take_state(state)
         self._on_state(state)
 
@@ -264,8 +267,11 @@ class NamedArms:
             arm.close()
 
     def _take_state(self, name: str) -> None:
-        if self._beat.takes(name, time.monotonic()):
-            self._on_state(self.group.state, joined_state(self.group.states, leaders=self._leaders))
+        if not self._beat.takes(name, time.monotonic()):
+            return
+        state, states = self.group.state, self.group.states
+        all_read = all(each.position_rad is not None for each in states.values())
+        self._on_state(state, state if all_read else joined_state(states, leaders=self._leaders))
 
     def _take_health(self, name: str, health: ArmHealth) -> None:
         """Tell the condition of all with that of the first, which comes once a second."""

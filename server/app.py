@@ -171,7 +171,7 @@ class App:
             self._on_state,
             self._on_health,
             arm_process,
-            observed=lambda: states_are_observed(graph),
+            observed=lambda: states_are_observed(graph) or self._moveit.teaching.recording,
         )
         self._pool = (
             PlannerPool(robot, settings.planning.workers, settings.planning.memory_limit_bytes)

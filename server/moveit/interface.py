@@ -42,6 +42,9 @@ from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
+from server.teaching.motion_files import MotionFiles
+from server.teaching.replay import ReplayAction
+from server.teaching.services import Teaching
 
 # The queue waits so long for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0
@@ -62,6 +65,7 @@ class MoveItInterface:
         goal_counters: counters of answered goals.
         queue: of goals.
         scene: the planning scene.
+        teaching: recording of motions.
     """
 
     def __init__(
@@ -160,6 +164,11 @@ class MoveItInterface:
             GripperActions(graph, self._gripper)
         self._actions = MotionActions(graph, self._context, arm, self.queue, time_limits)
 
+        # Motions that people teach, in a folder beside the named states.
+        motions = MotionFiles(default_path("motions", robot, os.environ).with_suffix(""), robot)
+        self.teaching = Teaching(graph, robot, motions, pool, self.scene, self._current)
+        self._replay = ReplayAction(graph, robot, motions, self.queue, moveit)
+
     async def restore_scene(self) -> None:
         """Restore the planning scene of the run before, and keep its changes from now on."""
         if self._saved_scene is not None:
@@ -184,6 +193,8 @@ class MoveItInterface:
         self._goal_checks.open()
         self._display.open()
         offer_services(self._graph, self._context)
+        self.teaching.open()
+        self._replay.open()
         self._actions.open(() if self._gripper is None else (GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION))
 
     def take_state(self, state: ArmState) -> None:
@@ -191,6 +202,7 @@ class MoveItInterface:
         self._transforms.take_state(state)
         self._executors.take_state(state)
         self._actions.take_state(state)
+        self.teaching.take_state(state)
 
     @property
     def running(self) -> RunningGoal | None:
@@ -225,6 +237,7 @@ class MoveItInterface:
     async def close(self) -> None:
         """Answer every goal, and bring the arm to rest."""
         self._scene_interface.close()
+        await self.teaching.close()
         await self._servo.close()
         await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
 

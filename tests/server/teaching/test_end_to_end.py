@@ -80,10 +80,11 @@ async def taught(client: ArmClient, arm: ServerOnBus, name: str) -> dict[str, An
     return ended
 
 
-async def replayed(client: ArmClient, name: str, **goal: Any) -> dict[str, Any]:
+async def replayed(client: ArmClient, arm: ServerOnBus, name: str, **goal: Any) -> dict[str, Any]:
     """Replay a motion; returns the result."""
     assert (await client.call("/arm/enable"))["success"]
     await client.until_mode("holding")
+    arm.emulator.command(hand={str(joint.servo_id): None for joint in SERVOS.values()})
     sent = await client.send_goal(REPLAY, REPLAY_TYPE, {"name": name, "speed": 2.0, **goal})
     values: dict[str, Any] = (await asyncio.wait_for(client.result(sent), HAND_TIMEOUT_S))["values"]
     return values
@@ -103,8 +104,8 @@ async def test_an_arm_that_was_led_by_hand_follows_the_same_path_again(arm: Serv
         path = path_of(got["trajectory"], JOINTS)
         assert len(path) == ended["points"]
         client.topics["/joint_states"].clear()
-        done = await replayed(client, "wave")
-        assert done["error_code"]["val"] == 1, (done, arm.server.lines[-12:])
+        done = await replayed(client, arm, "wave")
+        assert done["error_code"]["val"] == 1, done
         seen = np.array([[positions(state)[name] for name in JOINTS] for state in client.topics["/joint_states"]])
         # Every place that was taught is passed, in the taught order.
         after = 0
@@ -117,16 +118,16 @@ async def test_an_arm_that_was_led_by_hand_follows_the_same_path_again(arm: Serv
 async def test_a_replay_that_a_box_has_come_into_the_way_of_is_refused_with_where(arm: ServerOnBus) -> None:
     async with teacher(arm) as client:
         await taught(client, arm, "blocked")
-        assert (await replayed(client, "blocked"))["error_code"]["val"] == 1
+        assert (await replayed(client, arm, "blocked"))["error_code"]["val"] == 1
         middle = await client.call("/teach/get", name="blocked")
         names, points = middle["trajectory"]["joint_names"], middle["trajectory"]["points"]
         state = {"joint_state": {"name": names, "position": points[len(points) // 2]["positions"]}}
-        tip = (await client.call("/compute_fk", fk_link_names=["gripper_frame_link"], robot_state=state))
+        tip = await client.call("/compute_fk", fk_link_names=["gripper_frame_link"], robot_state=state)
         place = tip["pose_stamped"][0]["pose"]["position"]
         cube = {**box("crate", at=pose(place["x"], place["y"], place["z"]), frame="base_link"), "operation": 0}
         scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [cube]}}
         assert (await client.call("/apply_planning_scene", scene=scene))["success"]
-        refused = await replayed(client, "blocked")
+        refused = await replayed(client, arm, "blocked")
         assert refused["error_code"]["val"] == -2
         assert "s of the motion would touch" in refused["message"]
         assert "crate" in refused["message"]

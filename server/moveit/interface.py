@@ -237,9 +237,9 @@ class MoveItInterface:
     async def close(self) -> None:
         """Answer every goal, and bring the arm to rest."""
         self._scene_interface.close()
-        await self.teaching.close()
         await self._servo.close()
         await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
+        await self.teaching.close()
 
     def _on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
         self._goal_history.take_progress(goal, progress)

@@ -33,6 +33,9 @@ _Work: TypeAlias = Callable[[Message], Awaitable[dict[str, Any]]]
 # Ten minutes of six joints are timed and checked in half a second on a quiet machine.
 CHECK_TIME_S = 10.0
 
+# Smoothing takes a tenth of a second, and so does a memory card; the server's stop has little more [s].
+CLOSE_TIMEOUT_S = 0.6
+
 # The state of a recording is published as often as people read it [s].
 SHOWN_EVERY_S = 0.2
 
@@ -72,6 +75,7 @@ class Teaching:
         self._node = Node("teaching")
         self._recorder: TeachingRecorder | None = None
         self._state: ArmState | None = None
+        self._closing = False
         self._shown_at_s = 0.0
         self._told = f"nothing is recorded: {BEGIN} begins"
         # The recording that is being made a motion, whoever waits for it.
@@ -111,11 +115,12 @@ class Teaching:
             self._show()
 
     async def close(self) -> None:
-        """End the recording, and wait until it is saved."""
+        """End the recording, and wait until it is saved; it is not checked, which may take seconds."""
+        self._closing = True
         if self._recorder is not None:
             self._finish(self._recorder, "the server is ending; ")
         if self._finishing is not None:
-            await asyncio.wait([self._finishing])
+            await asyncio.wait([self._finishing], timeout=CLOSE_TIMEOUT_S)
 
     # Recording.
 
@@ -228,6 +233,8 @@ class Teaching:
 
     async def _checked(self, motion: TaughtMotion) -> str:
         """Return a sentence on the motion in the present scene."""
+        if self._closing:
+            return "it was not checked: the server is ending"
         held_rad = self._current.positions_rad()
         if held_rad is None:
             return "it was not checked: where the arm is is not known"

@@ -80,11 +80,16 @@ async def taught(client: ArmClient, arm: ServerOnBus, name: str) -> dict[str, An
     return ended
 
 
-async def replayed(client: ArmClient, arm: ServerOnBus, name: str, **goal: Any) -> dict[str, Any]:
-    """Replay a motion; returns the result."""
+async def ready(client: ArmClient, arm: ServerOnBus) -> None:
+    """Switch the arm on, then let go of it."""
     assert (await client.call("/arm/enable"))["success"]
     await client.until_mode("holding")
     arm.emulator.command(hand={str(joint.servo_id): None for joint in SERVOS.values()})
+
+
+async def replayed(client: ArmClient, arm: ServerOnBus, name: str, **goal: Any) -> dict[str, Any]:
+    """Replay a motion; returns the result."""
+    await ready(client, arm)
     sent = await client.send_goal(REPLAY, REPLAY_TYPE, {"name": name, "speed": 2.0, **goal})
     values: dict[str, Any] = (await asyncio.wait_for(client.result(sent), HAND_TIMEOUT_S))["values"]
     return values
@@ -115,18 +120,30 @@ async def test_an_arm_that_was_led_by_hand_follows_the_same_path_again(arm: Serv
             after += int(np.argmax(away < PATH_TOLERANCE_RAD))
 
 
+async def put_crate(client: ArmClient, name: str) -> None:
+    """Put a crate where the tip is half-way on a motion."""
+    trajectory = (await client.call("/teach/get", name=name))["trajectory"]
+    points = trajectory["points"]
+    state = {"joint_state": {"name": trajectory["joint_names"], "position": points[len(points) // 2]["positions"]}}
+    tip = await client.call("/compute_fk", fk_link_names=["gripper_frame_link"], robot_state=state)
+    place = tip["pose_stamped"][0]["pose"]["position"]
+    await change_scene(client, box("crate", at=pose(place["x"], place["y"], place["z"]), frame="base_link"))
+
+
+async def change_scene(client: ArmClient, collision_object: dict[str, Any]) -> None:
+    scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [collision_object]}}
+    assert (await client.call("/apply_planning_scene", scene=scene))["success"]
+
+
+async def remove_crate(client: ArmClient) -> None:
+    await change_scene(client, {"id": "crate", "operation": 1})
+
+
 async def test_a_replay_that_a_box_has_come_into_the_way_of_is_refused_with_where(arm: ServerOnBus) -> None:
     async with teacher(arm) as client:
         await taught(client, arm, "blocked")
         assert (await replayed(client, arm, "blocked"))["error_code"]["val"] == 1
-        middle = await client.call("/teach/get", name="blocked")
-        names, points = middle["trajectory"]["joint_names"], middle["trajectory"]["points"]
-        state = {"joint_state": {"name": names, "position": points[len(points) // 2]["positions"]}}
-        tip = await client.call("/compute_fk", fk_link_names=["gripper_frame_link"], robot_state=state)
-        place = tip["pose_stamped"][0]["pose"]["position"]
-        cube = {**box("crate", at=pose(place["x"], place["y"], place["z"]), frame="base_link"), "operation": 0}
-        scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [cube]}}
-        assert (await client.call("/apply_planning_scene", scene=scene))["success"]
+        await put_crate(client, "blocked")
         refused = await replayed(client, arm, "blocked")
         assert refused["error_code"]["val"] == -2
         assert "s of the motion would touch" in refused["message"]
@@ -134,6 +151,37 @@ async def test_a_replay_that_a_box_has_come_into_the_way_of_is_refused_with_wher
         again = await taught(client, arm, "blocked too")
         assert "cannot be replayed as it is: at " in again["message"]
         assert "crate" in again["message"]
-        cube = {"id": "crate", "operation": 1}
-        scene["world"] = {"collision_objects": [cube]}
-        assert (await client.call("/apply_planning_scene", scene=scene))["success"]
+        await remove_crate(client)
+
+
+async def test_a_replay_brakes_when_something_comes_into_its_way(arm: ServerOnBus) -> None:
+    async with teacher(arm) as client:
+        ended = await taught(client, arm, "surprised")
+        sent = await begun_slowly(client, arm, "surprised", ended["duration_s"])
+        await put_crate(client, "surprised")
+        values = (await asyncio.wait_for(client.result(sent), HAND_TIMEOUT_S))["values"]
+        assert values["error_code"]["val"] == -3
+        assert "crate" in values["message"]
+        await remove_crate(client)
+
+
+async def test_a_stop_ends_a_replay(arm: ServerOnBus) -> None:
+    async with teacher(arm) as client:
+        ended = await taught(client, arm, "stopped")
+        sent = await begun_slowly(client, arm, "stopped", ended["duration_s"])
+        assert (await client.call("/arm/stop"))["success"]
+        values = (await asyncio.wait_for(client.result(sent), HAND_TIMEOUT_S))["values"]
+        assert values["error_code"]["val"] == -7
+
+
+async def begun_slowly(client: ArmClient, arm: ServerOnBus, name: str, duration_s: float) -> str:
+    """Begin a replay at a tenth of its speed; returns its goal when it follows the taught path."""
+    await ready(client, arm)
+    sent = await client.send_goal(REPLAY, REPLAY_TYPE, {"name": name, "speed": 0.1})
+
+    async def follows() -> None:
+        while not any(0.0 < each["remaining_s"] < 9.9 * duration_s for each in client.feedback.get(sent, ())):
+            await asyncio.sleep(0.02)
+
+    await asyncio.wait_for(follows(), HAND_TIMEOUT_S)
+    return sent

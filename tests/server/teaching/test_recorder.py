@@ -14,7 +14,7 @@ from server.teaching.taught_motion import MAX_DURATION_S
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import ROBOT, SEVEN
 
-RELAXED = ArmState(1.0, Mode.RELAXED, JOINTS, position_rad=np.arange(6.0), goal_rad=None)
+RELAXED = ArmState(1.0, Mode.RELAXED, JOINTS, position_rad=np.arange(6.0), goal_rad=np.arange(6.0) + 9.0)
 
 
 def test_a_relaxed_arm_is_recorded_where_it_is_measured() -> None:

@@ -106,7 +106,9 @@ async def test_one_motion_is_recorded_at_a_time_whoever_asks(lesson: Lesson) -> 
 async def test_a_discarded_recording_leaves_nothing(lesson: Lesson) -> None:
     assert (await lesson.call("/teach/begin", name="wave"))["success"]
     lesson.hand(shoulder_pan=0.7)
+    assert lesson.teaching.recording
     assert (await lesson.call("/teach/discard"))["success"]
+    assert not lesson.teaching.recording
     assert (await lesson.call("/teach/list")) == {"names": []}
     assert "discarded" in await refused(lesson, "end")
     assert "discarded" in await refused(lesson, "discard")

@@ -20,6 +20,7 @@ from planners.geometry.concurrent_motions import encounter
 from planners.geometry.joint_space import JointSpace
 from planners.ik.goal_refusals import start_violates
 from planners.ik.goal_states import GoalQuery, GoalState, GoalStates
+from planners.joint_path import plan_joint_path
 from planners.motions.motion import MotionTask, find_motion
 from planners.problem import (
     Answer,
@@ -27,6 +28,7 @@ from planners.problem import (
     ConcurrencyQuestion,
     IkAnswer,
     IkQuestion,
+    JointPathProblem,
     MoveItErrorCode,
     Plan,
     PlanningFailure,
@@ -42,6 +44,7 @@ from planners.scene import Point, Scene
 from planners.servo.question import ServoQuestion
 from planners.servo.steering import answer_servo
 from robot.description.model import RobotModel
+from robot.description.srdf import Group
 from robot.trajectory import Trajectory, Vector
 
 NOTHING_TO_DO = "nothing to do"
@@ -111,6 +114,9 @@ class Planner:
             case CartesianProblem():
                 budget = Budget(self._clock, request.allowed_time_s, should_stop)
                 return plan_cartesian(request, robot, collision, self._states.forward, budget)
+            case JointPathProblem():
+                budget = Budget(self._clock, request.allowed_time_s, should_stop)
+                return plan_joint_path(request, robot, collision, budget)
             case IkQuestion():
                 budget = Budget(self._clock, request.allowed_time_s, should_stop)
                 return answer_ik(request, robot, self._states, collision, budget)
@@ -294,7 +300,8 @@ def recheck(question: RecheckQuestion, robot: RobotModel, collision: CollisionMo
     contacts = collision.colliding_pairs(now_q)
     if checks.check_start_contact(contacts) is not None:
         return RecheckAnswer(_contact(contacts, question.from_s), question.from_s)
-    space = JointSpace(collision, robot.groups[question.group], now_q, collision.overlaps_m(now_q))
+    group = robot.groups.get(question.group) or Group("", rest.joint_names, "", "")
+    space = JointSpace(collision, group, now_q, collision.overlaps_m(now_q))
     found = _sparse_contact(space, rest) or certify(space, rest)
     if found is None:
         return RecheckAnswer(None)
@@ -356,13 +363,16 @@ def _free(space: JointSpace, point: Vector) -> bool:
 
 
 def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFailure | None:
-    refusal = checks.check_group(robot, question.group)
+    refusal = checks.check_group(robot, question.group) if question.group else None
     if refusal is not None:
         return refusal
-    group = robot.groups[question.group]
     motion = question.trajectory
-    if motion.joint_names != group.joints:
-        return _invalid(f"a motion of {', '.join(motion.joint_names)} is none of the joints {', '.join(group.joints)}")
+    known = (
+        robot.groups[question.group].joints if question.group else tuple(joint.name for joint in robot.movable_joints)
+    )
+    named = motion.joint_names == known if question.group else set(motion.joint_names) <= set(known)
+    if not named:
+        return _invalid(f"a motion of {', '.join(motion.joint_names)} is none of the joints {', '.join(known)}")
     if not all(np.all(np.isfinite(part)) for part in (motion.time_s, motion.positions_rad, motion.velocities_rad_s)):
         return _invalid("the motion has numbers that are not finite")
     if not 0.0 <= question.from_s <= motion.duration_s:

@@ -33,6 +33,7 @@ from planners.problem import (
     ConcurrencyQuestion,
     IkAnswer,
     IkQuestion,
+    JointPathProblem,
     MoveItErrorCode,
     Plan,
     PlanningFailure,
@@ -81,6 +82,7 @@ PART_BYTES = 1 << 20
 ANSWER_TO: Mapping[type[Request], type[Answer]] = {
     PlanningProblem: Plan,
     CartesianProblem: CartesianPlan,
+    JointPathProblem: Plan,
     IkQuestion: IkAnswer,
     StateQuestion: StateAnswer,
     RecheckQuestion: RecheckAnswer,
@@ -383,12 +385,12 @@ class PlannerPool:
     # Public methods for requests.
 
     @overload
-    async def ask(self, request: PlanningProblem, scene: Scene = ...) -> Plan | PlanningFailure: ...
+    async def ask(self, request: PlanningProblem | JointPathProblem, scene: Scene = ...) -> Plan | PlanningFailure: ...
     @overload
     async def ask(self, request: CartesianProblem, scene: Scene = ...) -> CartesianPlan | PlanningFailure: ...
     @overload
     async def ask(
-        self, request: PlanningProblem | CartesianProblem, scene: Scene = ...
+        self, request: PlanningProblem | CartesianProblem | JointPathProblem, scene: Scene = ...
     ) -> Plan | CartesianPlan | PlanningFailure: ...
     @overload
     async def ask(self, request: IkQuestion, scene: Scene = ...) -> IkAnswer | PlanningFailure: ...
@@ -409,7 +411,7 @@ class PlannerPool:
         if self.waiting_count >= self._max_waiting:
             message = f"{self.waiting_count} requests wait for a planner already (limit {self._max_waiting})"
             return PlanningFailure(MoveItErrorCode.FAILURE, message)
-        motion = isinstance(request, PlanningProblem | CartesianProblem)
+        motion = isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem)
         turns = self._motion_turns if motion else self._question_turns
         self.waiting_count += 1
         try:

@@ -20,6 +20,7 @@ from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
 from planners.problem import (
     CartesianProblem,
     IkQuestion,
+    JointPathProblem,
     MoveItErrorCode,
     PlanningFailure,
     PlanningProblem,
@@ -162,6 +163,6 @@ class _Connection:
 
 def bounded(request: Request) -> Request:
     """Return the request with no more planning time than others can wait for."""
-    if isinstance(request, PlanningProblem | CartesianProblem | IkQuestion):
+    if isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | IkQuestion):
         return dataclasses.replace(request, allowed_time_s=min(request.allowed_time_s, LONGEST_PLANNING_S))
     return request

@@ -181,6 +181,27 @@ class CartesianProblem:
 
 
 @dataclass(frozen=True)
+class JointPathProblem:
+    """A path of the joints to time and to follow, from its first point to its last; answered by :class:`Plan`.
+
+    Attributes:
+        start_rad: position of every movable joint of the robot before; those of the path do not count [rad].
+        joint_names: the joints of the path, which need not be one group.
+        time_s: shape (n,), n >= 2, strictly increasing: when the path passes each point at speed 1 [s].
+        positions_rad: shape (n, joints), points that a natural cubic spline joins [rad].
+        speed: greatest share of the path's own speed, above 0; the limits of the joints hold besides.
+        allowed_time_s: planning time after which the answer is TIMED_OUT [s].
+    """
+
+    start_rad: Mapping[str, float]
+    joint_names: tuple[str, ...]
+    time_s: Vector
+    positions_rad: Vector
+    speed: float = 1.0
+    allowed_time_s: float = 5.0
+
+
+@dataclass(frozen=True)
 class IkQuestion:
     """Question for joint positions at which a goal holds; answered by :class:`IkAnswer`.
 
@@ -217,6 +238,7 @@ class RecheckQuestion:
     """Question if the rest of a running motion is free in the present scene; answered by :class:`RecheckAnswer`.
 
     Attributes:
+        group: planning group of its joints; empty for joints that are not just those of a group.
         trajectory: the motion.
         others_rad: position of every joint that is not in it [rad].
         from_s: where in it the robot is now [s].
@@ -248,6 +270,7 @@ class ConcurrencyQuestion:
 Request = (
     PlanningProblem
     | CartesianProblem
+    | JointPathProblem
     | IkQuestion
     | StateQuestion
     | RecheckQuestion
@@ -284,7 +307,7 @@ class Plan:
     """A motion that keeps limits and touches nothing.
 
     Attributes:
-        method: how the path was found: "nothing to do", "straight line" or the planner's name.
+        method: how the path was found: "nothing to do", "straight line", "given path" or the planner's name.
         planning_time_s: time spent on it, by the clock of allowed times [s].
         goal_index: which of the alternatives is reached.
         deviation: of its end from that goal.

@@ -179,7 +179,10 @@ class App:
             takes_goals_along=settings.goals.on_disconnect == "stop",
         )
         self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
-        observed = functools.partial(states_are_observed, graph)
+
+        def observed() -> bool:
+            return states_are_observed(graph) or self._moveit.teaching.recording
+
         # One arm by itself, or several by name.
         self._arms: NamedArms | None = None
         self._arm: Arm | ArmGroup

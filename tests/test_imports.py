@@ -20,6 +20,7 @@ ALLOWED = {
         "server",
         "protocol",
         "robot",
+        "planners.cartesian.spline",
         "planners.goals",
         "planners.scene",
         "planners.scene_checks",

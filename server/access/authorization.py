@@ -193,6 +193,16 @@ SERVICES: Mapping[str, Rule] = {
     "/servo_node/switch_command_type": SWITCHING,
     "/servo_node/unpause_servo": SWITCHING,
     "/set_planner_params": CONFIGURING,
+    # To record moves nothing; the client that teaches is one that may also drive.
+    "/teach/begin": WORKING,
+    "/teach/delete": CONFIGURING,
+    "/teach/discard": WORKING,
+    "/teach/end": WORKING,
+    "/teach/get": LOOKING,
+    "/teach/list": LOOKING,
+    "/teach/rename": CONFIGURING,
+    "/teach/save": CONFIGURING,
+    "/teach/trim": CONFIGURING,
 }
 
 # Rules of publishing; to subscribe needs LOOKING alone.
@@ -225,6 +235,7 @@ ACTIONS: Mapping[str, Rule] = {
     "/move_action": PLANNING_GOAL,
     "/move_group": PLANNING_GOAL,
     "/moveit_goal": CALLED_GOAL,
+    "/replay_motion": GOAL,
     "/sequence_move_group": PLANNING_GOAL,
 }
 

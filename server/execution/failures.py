@@ -17,6 +17,7 @@ from planners.problem import (
     CartesianProblem,
     IkAnswer,
     IkQuestion,
+    JointPathProblem,
     MoveItErrorCode,
     PlanningFailure,
     PlanningProblem,
@@ -91,7 +92,10 @@ class Alternatives:
         self._pool = pool
 
     async def add_to(
-        self, failure: PlanningFailure, problem: PlanningProblem | CartesianProblem | None, scene: Scene
+        self,
+        failure: PlanningFailure,
+        problem: PlanningProblem | CartesianProblem | JointPathProblem | None,
+        scene: Scene,
     ) -> PlanningFailure:
         """Add the last free place before the goal to a failure, if there is one: its detail ``free_rad`` or ``free_m``.
 

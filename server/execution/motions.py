@@ -12,7 +12,15 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from planners.problem import CartesianPlan, CartesianProblem, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.problem import (
+    CartesianPlan,
+    CartesianProblem,
+    JointPathProblem,
+    MoveItErrorCode,
+    Plan,
+    PlanningFailure,
+    PlanningProblem,
+)
 from planners.scene import Scene
 from robot.description.model import RobotModel
 from robot.messages import Course, MotionProgress, Pace
@@ -24,9 +32,12 @@ from server.moveit.requests.error_codes import deviation_note
 # Position of every movable joint [rad].
 Positions: TypeAlias = Mapping[str, float]
 
+# A motion to plan.
+Problem: TypeAlias = PlanningProblem | CartesianProblem | JointPathProblem
+
 # Makes a problem for a start, or raises RefusedError; when a goal's turn comes the arm may hold elsewhere than when the
 # goal came.
-Step: TypeAlias = Callable[[Positions], PlanningProblem | CartesianProblem]
+Step: TypeAlias = Callable[[Positions], Problem]
 
 
 @dataclass(frozen=True)
@@ -71,9 +82,7 @@ Motion: TypeAlias = PlannedMotion | ExternalTrajectory
 class AskPlanner(Protocol):
     """Function that has a planner answer, as `planners.pool.PlannerPool.ask` does."""
 
-    def __call__(
-        self, request: PlanningProblem | CartesianProblem, scene: Scene, /
-    ) -> Awaitable[Plan | CartesianPlan | PlanningFailure]:
+    def __call__(self, request: Problem, scene: Scene, /) -> Awaitable[Plan | CartesianPlan | PlanningFailure]:
         """Plan a motion in a scene."""
 
 
@@ -93,7 +102,7 @@ class PlannedSequence:
     methods: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     failure: PlanningFailure | None = None
-    problem: PlanningProblem | CartesianProblem | None = None
+    problem: Problem | None = None
 
     @property
     def duration_s(self) -> float:
@@ -157,7 +166,7 @@ def _end_positions(motion: Trajectory) -> dict[str, float]:
     return dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
 
 
-async def _plan(problem: PlanningProblem | CartesianProblem, scene: Scene, ask: AskPlanner) -> Plan | CartesianPlan:
+async def _plan(problem: Problem, scene: Scene, ask: AskPlanner) -> Plan | CartesianPlan:
     """Plan one motion to its end.
 
     Raises:

@@ -43,6 +43,9 @@ from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
+from server.teaching.motion_files import MotionFiles
+from server.teaching.replay import ReplayAction
+from server.teaching.services import Teaching
 
 # The queue waits so long for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0
@@ -63,6 +66,7 @@ class MoveItInterface:
         goal_counters: counters of answered goals.
         queue: of goals.
         scene: the planning scene.
+        teaching: recording of motions.
     """
 
     def __init__(
@@ -179,6 +183,11 @@ class MoveItInterface:
             GripperActions(graph, self._gripper)
         self._actions = MotionActions(graph, self._context, arm, self.queue, time_limits)
 
+        # Motions that people teach, in a folder beside the named states.
+        motions = MotionFiles(default_path("motions", robot, os.environ).with_suffix(""), robot)
+        self.teaching = Teaching(graph, robot, motions, pool, self.scene, self._current)
+        self._replay = ReplayAction(graph, robot, motions, self.queue, moveit)
+
     def add_arm(
         self, graph: Graph, name: str, own: RobotModel, arm: ArmInterface, gripper_torque_limit: float
     ) -> ArmGoals:
@@ -211,6 +220,8 @@ class MoveItInterface:
         self._goal_checks.open()
         self._display.open()
         offer_services(self._graph, self._context)
+        self.teaching.open()
+        self._replay.open()
         gripper_actions = () if self._gripper is None else (GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION)
         for arm in self._arms:
             arm.open()
@@ -221,6 +232,7 @@ class MoveItInterface:
         self._transforms.take_state(state)
         self._executors.take_state(state)
         self._actions.take_state(state)
+        self.teaching.take_state(state)
 
     @property
     def running(self) -> RunningGoal | None:
@@ -257,6 +269,7 @@ class MoveItInterface:
         self._scene_interface.close()
         await asyncio.gather(self._servo.close(), *(arm.close() for arm in self._arms))
         await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
+        await self.teaching.close()
 
     def _on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
         self._goal_history.take_progress(goal, progress)

@@ -1,0 +1,1 @@
+"""Motions that people teach the arm: recorded, kept by name, edited, and replayed."""

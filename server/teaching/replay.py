@@ -1,0 +1,192 @@
+"""Replay of taught motions: the action ``/replay_motion``.
+
+A replay is a goal as others: the arm goes to the motion's start by a planned motion, then follows the motion as it was
+taught, as fast as it was taught or slower where limits demand it, checked in the scene at that time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+from planners.goals import JointGoal
+from planners.problem import MoveItErrorCode, PlanningProblem
+from robot.description.model import RobotModel
+from robot.description.srdf import Group
+from server.errors import RefusedError, ServiceError
+from server.execution.motions import Motion, PlannedMotion, Positions, Step
+from server.execution.queue import Answer, GoalQueue, Progress
+from server.graph.actions import Goal
+from server.graph.node import Node
+from server.graph.topics import Graph
+from server.moveit.actions.joint_trajectory_controller import code_message, reject_goal, submit_goal
+from server.moveit.parameters import MoveItParameters
+from server.moveit.poses import Message
+from server.moveit.requests.error_codes import invalid
+from server.teaching.motion_files import MotionFiles
+from server.teaching.services import CHECK_TIME_S
+from server.teaching.taught_motion import TaughtMotion
+
+NAME = "/replay_motion"
+TYPE = "armbridge_msgs/action/ReplayMotion"
+
+# Twice as fast as a hand: beyond, nobody has seen the motion.
+MAX_SPEED = 2.0
+
+# Each replay is planned before the first begins, and their durations together have a limit of their own.
+MAX_REPEAT = 100
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Contents of a goal.
+
+    Attributes:
+        name: of the motion.
+        speed: share of its own speed, above 0.
+        reverse: true to go from its end to its start.
+        repeat: number of replays after the first.
+    """
+
+    name: str
+    speed: float
+    reverse: bool
+    repeat: int
+
+    @classmethod
+    def of(cls, message: Message) -> Replay:
+        """Read a goal message; a speed of 0, as when it is left out, is 1.
+
+        Raises:
+            RefusedError: a field that is out of its range.
+        """
+        speed, repeat = message["speed"] or 1.0, message["repeat"]
+        if not (math.isfinite(speed) and 0.0 < speed <= MAX_SPEED):
+            raise invalid(f"speed: must be above 0 and at most {MAX_SPEED:g}, not {speed:g}", speed=str(speed))
+        if repeat > MAX_REPEAT:
+            raise invalid(f"repeat: must be 0 to {MAX_REPEAT}, not {repeat}", repeat=repeat)
+        return cls(message["name"], speed, message["reverse"], repeat)
+
+
+class ReplayAction:
+    """The action.
+
+    Args:
+        graph: where it is.
+        robot: the arm.
+        motions: taught motions.
+        queue: takes the goals.
+        parameters: of the planned motion to the start.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        robot: RobotModel,
+        motions: MotionFiles,
+        queue: GoalQueue[Motion],
+        parameters: MoveItParameters,
+    ) -> None:
+        self._graph = graph
+        self._robot = robot
+        self._motions = motions
+        self._queue = queue
+        self._parameters = parameters
+        # The event loop keeps only weak references to tasks.
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def open(self) -> None:
+        """Offer the action."""
+        self._graph.actions.offer(Node("replay"), NAME, TYPE, self._start)
+
+    def _start(self, goal: Goal) -> None:
+        task = asyncio.create_task(self._submit(goal), name="a replay")
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _submit(self, goal: Goal) -> None:
+        try:
+            replay = Replay.of(goal.request)
+            motion = planned(replay, await self._motions.load(replay.name), self._robot, self._parameters)
+        except RefusedError as error:
+            reject_goal(goal, self._queue, error.failure, result)
+        except ServiceError as error:
+            reject_goal(goal, self._queue, invalid(str(error)).failure, result)
+        else:
+            if not goal.ended:
+                submit_goal(goal, self._queue, motion, feedback, result)
+
+
+def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, parameters: MoveItParameters) -> PlannedMotion:
+    """Return the motion to the start of a taught motion, and its replays.
+
+    Args:
+        replay: the goal.
+        taught: its motion.
+        robot: the arm.
+        parameters: of the planned motion to the start.
+    """
+    if replay.reverse:
+        taught = taught.reversed()
+    joints = frozenset(taught.joint_names)
+    once = (
+        *(_to_start(group, taught.start_rad, parameters) for group in groups_of(robot, joints)),
+        _follow(taught, replay),
+    )
+    return PlannedMotion(once * (1 + replay.repeat), joints)
+
+
+def groups_of(robot: RobotModel, joints: frozenset[str]) -> list[Group]:
+    """Return groups that have all of these joints and no other, the largest first, each joint in one of them.
+
+    Raises:
+        RefusedError: there are no such groups.
+    """
+    chosen: list[Group] = []
+    left = set(joints)
+    for group in sorted(robot.groups.values(), key=lambda group: -len(group.joints)):
+        if group.joints and set(group.joints) <= left:
+            chosen.append(group)
+            left -= set(group.joints)
+    if left:
+        raise invalid(f"the motion has joints that make no group without others: {', '.join(sorted(left))}")
+    return chosen
+
+
+def _to_start(group: Group, start_rad: Positions, parameters: MoveItParameters) -> Step:
+    wanted = {name: start_rad[name] for name in group.joints}
+
+    def problem(now_rad: Positions) -> PlanningProblem:
+        return PlanningProblem(
+            group=group.name,
+            start_rad=now_rad,
+            goal=JointGoal(wanted),
+            velocity_scaling=parameters.max_velocity_scaling,
+            acceleration_scaling=parameters.max_acceleration_scaling,
+            allowed_time_s=parameters.allowed_planning_time,
+            attempts=parameters.num_planning_attempts,
+            planner_id=parameters.planner_id,
+            optimization_time_s=parameters.optimization_time,
+        )
+
+    return problem
+
+
+def _follow(taught: TaughtMotion, replay: Replay) -> Step:
+    return lambda now_rad: taught.problem(now_rad, replay.speed, CHECK_TIME_S)
+
+
+def feedback(progress: Progress) -> Message:
+    """Write the feedback of some progress."""
+    return {"state": progress.state.value, "fraction": progress.fraction, "remaining_s": progress.remaining_s}
+
+
+def result(answer: Answer) -> dict[str, Any]:
+    """Write the result of an answer; a motion of the goal that cannot be planned is called by what it is."""
+    item = answer.details.get("item")
+    if isinstance(item, int):
+        answer = replace(answer, message=answer.message.removeprefix(f"items[{item}]: "))
+    message = "the arm has followed the motion" if answer.code is MoveItErrorCode.SUCCESS else answer.message
+    return {"error_code": code_message(replace(answer, message=message)), "message": message}

@@ -1,0 +1,270 @@
+"""Teaching by clients: the services under ``/teach/`` and the topic of the recording in progress."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeAlias
+
+from planners.pool import PlannerPool
+from planners.problem import PlanningFailure
+from robot.description.model import RobotModel
+from robot.messages import ArmState
+from server.errors import RefusedError, ServiceError
+from server.execution.monitors import CurrentState, SceneSource
+from server.graph.node import Node
+from server.graph.topics import Graph
+from server.moveit.poses import Message
+from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
+from server.teaching.motion_files import MotionFiles
+from server.teaching.recorder import TeachingRecorder, joints_to_teach
+from server.teaching.taught_motion import MAX_DURATION_S, TaughtMotion, from_message, of_recording, to_message
+
+log = logging.getLogger("armbridge.teaching")
+
+STATE_TOPIC = "/teach/state"
+BEGIN = "/teach/begin"
+END = "/teach/end"
+DISCARD = "/teach/discard"
+
+_Work: TypeAlias = Callable[[Message], Awaitable[dict[str, Any]]]
+
+# Ten minutes of six joints are timed and checked in half a second on a quiet machine.
+CHECK_TIME_S = 10.0
+
+# Smoothing takes a tenth of a second, and so does a memory card; the server's stop has little more [s].
+CLOSE_TIMEOUT_S = 0.6
+
+# The state of a recording is published as often as people read it [s].
+SHOWN_EVERY_S = 0.2
+
+_HELD_BY_HAND = "the arm is relaxed, and nothing compensates its weight: hold it all the time"
+_DRIVEN = (
+    "the arm is driven: its commanded positions are recorded; /arm/relax lets a hand move it, which has to hold it"
+)
+
+
+class Teaching:
+    """Records motions, one at a time, and keeps them by name.
+
+    Args:
+        graph: where the services and the topic are.
+        robot: the arm.
+        motions: where motions are kept.
+        pool: the planners, which check motions.
+        scene: the planning scene.
+        current: positions of the joints.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        robot: RobotModel,
+        motions: MotionFiles,
+        pool: PlannerPool,
+        scene: SceneSource,
+        current: CurrentState,
+    ) -> None:
+        self._graph = graph
+        self._robot = robot
+        self._motions = motions
+        self._pool = pool
+        self._scene = scene
+        self._current = current
+        self._node = Node("teaching")
+        self._recorder: TeachingRecorder | None = None
+        self._state: ArmState | None = None
+        self._closing = False
+        self._shown_at_s = 0.0
+        self._told = f"nothing is recorded: {BEGIN} begins"
+        # The recording that is being made a motion, whoever waits for it.
+        self._finishing: asyncio.Task[dict[str, Any]] | None = None
+
+    def open(self) -> None:
+        """Offer the services, and publish the state."""
+        self._graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/TeachState", latch=True)
+        self._offer(BEGIN, "armbridge_msgs/srv/BeginTeaching", self._begin)
+        self._offer(END, "armbridge_msgs/srv/EndTeaching", self._end)
+        self._offer(DISCARD, "std_srvs/srv/Trigger", self._discard)
+        self._offer("/teach/get", "armbridge_msgs/srv/GetMotion", self._get)
+        self._offer("/teach/save", "armbridge_msgs/srv/SaveMotion", self._save)
+        self._offer("/teach/delete", "armbridge_msgs/srv/DeleteMotion", self._delete)
+        self._offer("/teach/rename", "armbridge_msgs/srv/RenameMotion", self._rename)
+        self._offer("/teach/trim", "armbridge_msgs/srv/TrimMotion", self._trim)
+        self._graph.services.offer(self._node, "/teach/list", "armbridge_msgs/srv/ListMotions", self._list)
+        self._show()
+
+    @property
+    def recording(self) -> bool:
+        """True while a motion is recorded, which needs the arm's states at their full rate."""
+        return self._recorder is not None
+
+    def take_state(self, state: ArmState) -> None:
+        """Record the arm's latest state; end a recording that cannot go on."""
+        self._state = state
+        recorder = self._recorder
+        if recorder is None:
+            return
+        reason = recorder.take_state(state)
+        if reason:
+            log.warning("the recording of %r ends: %s", recorder.name, reason)
+            self._finish(recorder, f"{reason}; ")
+        elif abs(state.clock_s - self._shown_at_s) >= SHOWN_EVERY_S:
+            self._shown_at_s = state.clock_s
+            self._show()
+
+    async def close(self) -> None:
+        """End the recording, and wait until it is saved; it is not checked, which may take seconds."""
+        self._closing = True
+        if self._recorder is not None:
+            self._finish(self._recorder, "the server is ending; ")
+        if self._finishing is not None:
+            await asyncio.wait([self._finishing], timeout=CLOSE_TIMEOUT_S)
+
+    # Recording.
+
+    async def _begin(self, request: Message) -> dict[str, Any]:
+        self._check_idle()
+        joints = joints_to_teach(self._robot, request["group"])
+        state = self._state
+        if state is None or state.position_rad is None:
+            raise ServiceError("the arm is not connected: there is nothing to record")
+        if state.fault is not None:
+            raise ServiceError(f"the arm has a fault, after which no recording begins: {state.fault}")
+        await self._motions.check_new(request["name"])
+        # Another client may have begun while the disk was asked.
+        self._check_idle()
+        self._recorder = TeachingRecorder(request["name"], joints)
+        self._told = _DRIVEN if state.driven else _HELD_BY_HAND
+        self._show()
+        log.info("recording of the motion %r begins", request["name"])
+        return {
+            "success": True,
+            "message": f"{', '.join(joints)} are recorded for at most {MAX_DURATION_S:g} s; {self._told}",
+        }
+
+    def _check_idle(self) -> None:
+        if self._recorder is not None:
+            raise ServiceError(f"the motion {self._recorder.name!r} is being recorded: call {END} or {DISCARD} first")
+        if self._finishing is not None and not self._finishing.done():
+            raise ServiceError("the recording before is still being saved: call again")
+
+    async def _end(self, _request: Message) -> dict[str, Any]:
+        if self._recorder is None:
+            raise ServiceError(f"nothing is recorded; {self._told}")
+        # The motion is saved also when the caller leaves meanwhile.
+        return await asyncio.shield(self._finish(self._recorder, ""))
+
+    async def _discard(self, _request: Message) -> dict[str, Any]:
+        if self._recorder is None:
+            raise ServiceError(f"nothing is recorded; {self._told}")
+        name, self._recorder = self._recorder.name, None
+        self._told = f"the recording of {name!r} is discarded"
+        self._show()
+        return {"success": True, "message": self._told}
+
+    def _finish(self, recorder: TeachingRecorder, reason: str) -> asyncio.Task[dict[str, Any]]:
+        """End a recording; return the task that makes it a motion and answers as ``/teach/end``."""
+        self._recorder = None
+        self._told = f"{reason}the motion {recorder.name!r} is being saved"
+        self._show()
+        self._finishing = asyncio.create_task(self._make_motion(recorder, reason), name="saving a taught motion")
+        return self._finishing
+
+    async def _make_motion(self, recorder: TeachingRecorder, reason: str) -> dict[str, Any]:
+        answer: dict[str, Any] = {"success": False, "duration_s": 0.0, "points": 0}
+        try:
+            time_s, positions_rad = recorder.samples
+            motion, away_rad = await asyncio.to_thread(
+                of_recording, recorder.joint_names, time_s, positions_rad, self._robot
+            )
+            await self._motions.save(recorder.name, motion)
+            found = await self._checked(motion)
+            text = (
+                f"{reason}the motion {recorder.name!r} is saved: {motion.duration_s:.2f} s, {len(motion.time_s)} points"
+                f" within {away_rad:.3f} rad of the recording; {found}"
+            )
+            answer = {"success": True, "duration_s": motion.duration_s, "points": len(motion.time_s)}
+        except ServiceError as error:
+            text = f"{reason}the motion {recorder.name!r} is not saved: {error}"
+        except Exception:
+            text = f"{reason}the motion {recorder.name!r} is not saved; the log has the cause"
+            log.exception("saving the motion %r failed", recorder.name)
+        log.info("%s", text)
+        self._told = text
+        self._show()
+        return {**answer, "message": text}
+
+    # Motions by name.
+
+    async def _list(self, _request: Message) -> dict[str, Any]:
+        return {"names": await self._motions.names()}
+
+    async def _get(self, request: Message) -> dict[str, Any]:
+        motion = await self._motions.load(request["name"])
+        message = f"{motion.duration_s:.2f} s, {len(motion.time_s)} points"
+        return {"success": True, "message": message, "trajectory": to_message(motion)}
+
+    async def _save(self, request: Message) -> dict[str, Any]:
+        name = request["name"]
+        try:
+            motion = await asyncio.to_thread(from_message, request["trajectory"], self._robot)
+        except RefusedError as error:
+            raise ServiceError(str(error)) from error
+        await self._motions.save(name, motion)
+        return {"success": True, "message": f"the motion {name!r} is saved; {await self._checked(motion)}"}
+
+    async def _delete(self, request: Message) -> dict[str, Any]:
+        await self._motions.delete(request["name"])
+        return {"success": True, "message": f"the motion {request['name']!r} is deleted"}
+
+    async def _rename(self, request: Message) -> dict[str, Any]:
+        name, new_name = request["name"], request["new_name"]
+        await self._motions.rename(name, new_name)
+        return {"success": True, "message": f"the motion {name!r} is now {new_name!r}"}
+
+    async def _trim(self, request: Message) -> dict[str, Any]:
+        name = request["name"]
+        motion = (await self._motions.load(name)).part(request["from_s"], request["to_s"])
+        await self._motions.save(name, motion)
+        message = f"the motion {name!r} lasts {motion.duration_s:.2f} s; {await self._checked(motion)}"
+        return {"success": True, "message": message, "duration_s": motion.duration_s}
+
+    async def _checked(self, motion: TaughtMotion) -> str:
+        """Return a sentence on the motion in the present scene."""
+        if self._closing:
+            return "it was not checked: the server is ending"
+        held_rad = self._current.positions_rad()
+        if held_rad is None:
+            return "it was not checked: where the arm is is not known"
+        answer = await self._pool.ask(motion.problem(held_rad, 1.0, CHECK_TIME_S), self._scene.scene)
+        if isinstance(answer, PlanningFailure):
+            return f"it cannot be replayed as it is: {answer.message}"
+        return f"it touches nothing, and a replay takes {answer.trajectory.duration_s:.2f} s"
+
+    # Messages.
+
+    def _offer(self, name: str, type_name: str, work: _Work) -> None:
+        async def serve(request: Message) -> dict[str, Any]:
+            try:
+                return await work(request)
+            except ServiceError as error:
+                log.warning("%s: %s", name, error)
+                return {"success": False, "message": str(error)}
+
+        self._graph.services.offer(self._node, name, type_name, serve, limits=TRAJECTORY_LIMITS)
+
+    def _show(self) -> None:
+        recorder = self._recorder
+        self._graph.publish(
+            self._node,
+            STATE_TOPIC,
+            {
+                "recording": recorder is not None,
+                "name": "" if recorder is None else recorder.name,
+                "duration_s": 0.0 if recorder is None else recorder.duration_s,
+                "points": 0 if recorder is None else recorder.points,
+                "message": self._told,
+            },
+        )

@@ -1,0 +1,237 @@
+"""Motions as they are taught: points over time, made from a recording by pure functions, and their messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planners.cartesian.spline import NaturalSpline
+from planners.problem import JointPathProblem
+from protocol.messages import Stamp
+from robot.description.model import RobotModel
+from robot.trajectory import Vector
+from server.errors import ServiceError
+from server.execution.motions import Positions
+from server.moveit.poses import Message
+from server.moveit.requests.trajectories import MAX_POINTS, read_joint_trajectory
+
+# A joint that has moved by less rests: a hand trembles, and gears have play.
+REST_RAD = 0.01
+
+# What is kept of the rest before and after a motion.
+KEPT_REST_S = 0.2
+
+# As long as the longest motion that is played unless goals.max_trajectory_duration_s says otherwise.
+MAX_DURATION_S = 600.0
+
+# Shorter motions are a slip of a finger.
+MIN_DURATION_S = 0.1
+
+# Greatest distance between a joint of the motion and of the recording at the same time; a hand is no steadier.
+TOLERANCE_RAD = 0.02
+
+# Window of the moving average and distance of the points [s], the smoothest first. The last is the recording itself.
+SMOOTHINGS = ((0.4, 0.1), (0.2, 0.1), (0.1, 0.05), (0.06, 0.04), (0.0, 0.04), (0.0, 0.02))
+
+# The recording is brought to this rate before it is averaged: that of the arm's states.
+GRID_S = 0.02
+
+# Digits of times and positions in files and messages: microseconds, and a thousandth of a servo's tick.
+DIGITS = 6
+
+
+@dataclass(frozen=True)
+class TaughtMotion:
+    """Points of some joints over time, which a natural cubic spline joins.
+
+    Attributes:
+        joint_names: joint of each column.
+        time_s: shape (n,), n >= 2, strictly increasing from 0 [s].
+        positions_rad: shape (n, joints) [rad].
+    """
+
+    joint_names: tuple[str, ...]
+    time_s: Vector
+    positions_rad: Vector
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first point to the last, as taught [s]."""
+        return float(self.time_s[-1])
+
+    @property
+    def start_rad(self) -> dict[str, float]:
+        """Positions of its joints at the first point [rad]."""
+        return dict(zip(self.joint_names, self.positions_rad[0].tolist(), strict=True))
+
+    def at(self, time_s: Vector) -> Vector:
+        """Return the positions at some times, shape (k, joints) [rad]."""
+        return NaturalSpline(self.time_s, self.positions_rad)(time_s)
+
+    def reversed(self) -> TaughtMotion:
+        """Return the motion from its end to its start."""
+        return TaughtMotion(self.joint_names, (self.time_s[-1] - self.time_s)[::-1], self.positions_rad[::-1])
+
+    def part(self, from_s: float, to_s: float) -> TaughtMotion:
+        """Return the part between two times.
+
+        Raises:
+            ServiceError: there is no such part, or it is too short.
+        """
+        if not 0.0 <= from_s < to_s <= self.duration_s + 10.0**-DIGITS:
+            raise ServiceError(
+                f"from_s and to_s: must be 0 to {self.duration_s:g} s, from_s before to_s, not {from_s:g} and {to_s:g}"
+            )
+        to_s = min(to_s, self.duration_s)
+        if to_s - from_s < MIN_DURATION_S:
+            raise ServiceError(f"to_s: must be {MIN_DURATION_S:g} s or more after from_s, not {to_s - from_s:g} s")
+        # A point beside an end would bend the spline there.
+        inside = (self.time_s > from_s + GRID_S / 2.0) & (self.time_s < to_s - GRID_S / 2.0)
+        time_s = np.concatenate(([from_s], self.time_s[inside], [to_s]))
+        ends = self.at(np.array([from_s, to_s]))
+        positions = np.vstack((ends[:1], self.positions_rad[inside], ends[1:]))
+        return rounded(TaughtMotion(self.joint_names, time_s - from_s, positions))
+
+    def problem(self, before_rad: Positions, speed: float, allowed_time_s: float) -> JointPathProblem:
+        """Return the problem for planners to time and to check it.
+
+        Args:
+            before_rad: position of every movable joint before [rad].
+            speed: share of its own speed.
+            allowed_time_s: planning time [s].
+        """
+        return JointPathProblem(
+            before_rad, self.joint_names, self.time_s, self.positions_rad, speed, allowed_time_s=allowed_time_s
+        )
+
+
+def rounded(motion: TaughtMotion) -> TaughtMotion:
+    """Return the motion with as many digits as files and messages have."""
+    return TaughtMotion(motion.joint_names, np.round(motion.time_s, DIGITS), np.round(motion.positions_rad, DIGITS))
+
+
+def of_recording(
+    joint_names: Sequence[str], time_s: Vector, positions_rad: Vector, robot: RobotModel
+) -> tuple[TaughtMotion, float]:
+    """Make a motion of a recording: without the rests at its ends, smoothed, within the position limits.
+
+    Args:
+        joint_names: joint of each column.
+        time_s: shape (n,), strictly increasing [s].
+        positions_rad: shape (n, joints), as recorded [rad].
+        robot: the arm, for its limits.
+
+    Returns:
+        The motion, and its greatest distance from the recording within the limits, joint by joint at the same time
+        [rad]: at most :data:`TOLERANCE_RAD`, unless the recording is as long and as fast as hands hardly are.
+
+    Raises:
+        ServiceError: nothing has moved, or for too short a time.
+    """
+    joints = [robot.joints[name] for name in joint_names]
+    lower, upper = np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
+    first, last = moving(time_s, positions_rad)
+    time_s, positions = time_s[first : last + 1] - time_s[first], np.clip(positions_rad[first : last + 1], lower, upper)
+    found: list[tuple[float, TaughtMotion]] = []
+    for window_s, spacing_s in SMOOTHINGS:
+        if time_s[-1] / spacing_s > MAX_POINTS - 2:
+            continue
+        motion = smoothed(tuple(joint_names), time_s, positions, window_s, spacing_s)
+        motion = rounded(TaughtMotion(motion.joint_names, motion.time_s, np.clip(motion.positions_rad, lower, upper)))
+        away_rad = float(np.max(np.abs(motion.at(np.minimum(time_s, motion.duration_s)) - positions)))
+        found.append((away_rad, motion))
+        if away_rad <= TOLERANCE_RAD:
+            break
+    away_rad, motion = min(found, key=lambda one: one[0])
+    return motion, away_rad
+
+
+def moving(time_s: Vector, positions_rad: Vector) -> tuple[int, int]:
+    """Return the first and the last sample of a recording that belong to its motion, with a short rest at both ends.
+
+    Raises:
+        ServiceError: nothing has moved, or for too short a time.
+    """
+    if len(time_s) < 2:
+        raise ServiceError("nothing was recorded: no state of the arm came")
+    away = np.max(np.abs(positions_rad - positions_rad[0]), axis=1)
+    left = np.flatnonzero(away > REST_RAD)
+    if not left.size:
+        raise ServiceError(f"nothing has moved: every joint stayed within {REST_RAD:g} rad, {away.max():.4f} at most")
+    still_away = np.flatnonzero(np.max(np.abs(positions_rad - positions_rad[-1]), axis=1) > REST_RAD)
+    # A motion that comes back to where it began has an end all the same.
+    arrived = int(still_away[-1]) + 1 if still_away.size else len(time_s) - 1
+    first = int(np.searchsorted(time_s, time_s[left[0]] - KEPT_REST_S))
+    last = int(np.searchsorted(time_s, time_s[arrived] + KEPT_REST_S, side="right")) - 1
+    if time_s[last] - time_s[first] < MIN_DURATION_S:
+        raise ServiceError(f"the motion must last {MIN_DURATION_S:g} s or more, not {time_s[last] - time_s[first]:g} s")
+    return first, last
+
+
+def smoothed(
+    joint_names: tuple[str, ...], time_s: Vector, positions_rad: Vector, window_s: float, spacing_s: float
+) -> TaughtMotion:
+    """Average over a window twice, which leaves no step in the velocity, and keep some of the points.
+
+    Args:
+        joint_names: joint of each column.
+        time_s: shape (n,), strictly increasing from 0 [s].
+        positions_rad: shape (n, joints) [rad].
+        window_s: of the average; 0 for none [s].
+        spacing_s: distance of the points that are kept [s].
+    """
+    count = max(2, math.ceil(time_s[-1] / GRID_S) + 1)
+    grid_s = np.linspace(0.0, time_s[-1], count)
+    columns = [np.interp(grid_s, time_s, column) for column in positions_rad.T]
+    half = round(window_s / GRID_S / 2.0)
+    if half:
+        columns = [_average(_average(column, half), half) for column in columns]
+    points = max(2, math.ceil(time_s[-1] / spacing_s) + 1)
+    kept = np.unique(np.round(np.linspace(0, count - 1, min(points, count))).astype(int))
+    return TaughtMotion(joint_names, grid_s[kept], np.column_stack(columns)[kept])
+
+
+def _average(column: Vector, half: int) -> Vector:
+    """Return the mean of each value with so many on both sides; the ends go on as they end."""
+    padded = np.pad(column, half, mode="edge")
+    sums = np.concatenate(([0.0], np.cumsum(padded)))
+    width = 2 * half + 1
+    mean: Vector = (sums[width:] - sums[:-width]) / width
+    return mean
+
+
+# Messages.
+
+
+def from_message(message: Message, robot: RobotModel) -> TaughtMotion:
+    """Read a trajectory_msgs/JointTrajectory; velocities and accelerations do not count.
+
+    Raises:
+        RefusedError: a field that cannot be used.
+        ServiceError: it is too long, or has one point.
+    """
+    points = message["points"]
+    # A first point after time 0 is waited for, where it is.
+    start_rad = dict(zip(message["joint_names"], points[0]["positions"] if points else (), strict=False))
+    trajectory = read_joint_trajectory(message, robot, start_rad)
+    if len(trajectory.time_s) < 2:
+        raise ServiceError(f"trajectory.points: must be 2 or more at different times, not {len(trajectory.time_s)}")
+    if not MIN_DURATION_S <= trajectory.duration_s <= MAX_DURATION_S:
+        limits = f"{MIN_DURATION_S:g} to {MAX_DURATION_S:g} s"
+        raise ServiceError(f"trajectory.points: must last {limits}, not {trajectory.duration_s:g} s")
+    return rounded(TaughtMotion(trajectory.joint_names, trajectory.time_s, trajectory.positions_rad))
+
+
+def to_message(motion: TaughtMotion) -> dict[str, Any]:
+    """Write a trajectory_msgs/JointTrajectory of positions alone."""
+    return {
+        "joint_names": list(motion.joint_names),
+        "points": [
+            {"positions": positions, "time_from_start": Stamp.from_seconds(time_s).as_message()}
+            for time_s, positions in zip(motion.time_s.tolist(), motion.positions_rad.tolist(), strict=True)
+        ],
+    }

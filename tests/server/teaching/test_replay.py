@@ -1,0 +1,147 @@
+"""Replays of taught motions: goals read, and motions made of them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planners.goals import JointGoal
+from planners.problem import JointPathProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
+from planners.scene import EMPTY_SCENE
+from server.execution.motions import PlannedMotion, plan_sequence
+from server.execution.queue import Answer, GoalState, Progress
+from server.graph.actions import GoalStatus
+from server.moveit.parameters import MoveItParameters
+from server.teaching.motion_files import MotionFiles
+from server.teaching.replay import MAX_REPEAT, NAME, Replay, ReplayAction, groups_of, planned, result
+from server.teaching.taught_motion import TaughtMotion
+from tests.helpers.fake_arm import HOME, JOINTS
+from tests.helpers.moveit import ROBOT, SEVEN, ActionDesk, DirectPool, rejection
+
+POINTS = np.linspace(0.1, 0.5, 11)[:, np.newaxis] * np.ones(len(JOINTS))
+WAVE = TaughtMotion(JOINTS, np.arange(11) * 0.3, POINTS)
+ONCE = Replay("wave", 1.0, reverse=False, repeat=0)
+
+
+class Desk(ActionDesk):
+    """The action with one taught motion."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.motions = MotionFiles(folder, ROBOT)
+        ReplayAction(self.graph, ROBOT, self.motions, self.queue, MoveItParameters()).open()
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        async with asyncio.timeout(20.0):
+            while not condition():
+                await asyncio.sleep(0.01)
+
+
+@pytest.fixture
+async def desk(tmp_path: Path) -> Desk:
+    made = Desk(tmp_path)
+    await made.motions.save("wave", WAVE)
+    return made
+
+
+def problems(motion: PlannedMotion) -> list[Any]:
+    return [step(HOME) for step in motion.steps]
+
+
+def test_a_replay_goes_to_the_start_of_each_group_and_then_follows_all_joints() -> None:
+    arm, gripper, path = problems(planned(ONCE, WAVE, ROBOT, MoveItParameters()))
+    assert isinstance(arm, PlanningProblem)
+    assert arm.group == "arm"
+    assert arm.goal == JointGoal(dict.fromkeys(JOINTS[:-1], 0.1))
+    assert gripper.group == "gripper"
+    assert isinstance(path, JointPathProblem)
+    assert path.joint_names == JOINTS
+    assert path.positions_rad.tolist() == POINTS.tolist()
+
+
+def test_a_replay_backwards_begins_at_the_end() -> None:
+    arm, _, path = problems(planned(Replay("wave", 0.5, reverse=True, repeat=0), WAVE, ROBOT, MoveItParameters()))
+    assert arm.goal == JointGoal(dict.fromkeys(JOINTS[:-1], 0.5))
+    assert path.positions_rad.tolist() == POINTS[::-1].tolist()
+    assert path.speed == 0.5
+
+
+def test_a_repeated_replay_returns_to_the_start_each_time() -> None:
+    motion = planned(Replay("wave", 1.0, reverse=False, repeat=2), WAVE, ROBOT, MoveItParameters())
+    assert [type(problem) for problem in problems(motion)] == [PlanningProblem, PlanningProblem, JointPathProblem] * 3
+    assert motion.joints == frozenset(JOINTS)
+
+
+def test_joints_that_make_no_group_without_others_are_refused() -> None:
+    assert [group.name for group in groups_of(ROBOT, frozenset(JOINTS))] == ["arm", "gripper"]
+    failure = rejection(groups_of, ROBOT, frozenset({"elbow_flex", "gripper"}))
+    assert "elbow_flex" in failure.message
+    assert groups_of(SEVEN, frozenset(SEVEN.groups[SEVEN.default_group].joints))
+
+
+async def test_the_motions_of_a_replay_follow_each_other_without_a_gap() -> None:
+    motion = planned(ONCE, WAVE, ROBOT, MoveItParameters())
+    found = await plan_sequence(motion.steps, HOME, EMPTY_SCENE, DirectPool().ask)
+    assert found.failure is None
+    arm, gripper, path = found.performed.planned
+    ends = [*arm.positions_rad[-1], *gripper.positions_rad[-1]]
+    assert np.abs(np.array(ends) - path.positions_rad[0]).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("speed", -1.0, "speed: must be above 0 and at most 2, not -1"),
+        ("speed", 2.1, "not 2.1"),
+        ("repeat", MAX_REPEAT + 1, f"repeat: must be 0 to {MAX_REPEAT}"),
+    ],
+)
+async def test_a_field_out_of_its_range_is_refused_with_the_limit(
+    desk: Desk, field: str, value: float, says: str
+) -> None:
+    await desk.send(NAME, name="wave", **{field: value})
+    await desk.until(lambda: bool(desk.results))
+    assert desk.results[0].status == GoalStatus.ABORTED
+    assert says in desk.results[0].values["message"]
+    assert desk.asked == []
+
+
+async def test_an_unknown_motion_is_refused_with_the_known_ones(desk: Desk) -> None:
+    await desk.send(NAME, name="dance")
+    await desk.until(lambda: bool(desk.results))
+    assert "saved are: wave" in desk.results[0].values["message"]
+
+
+async def test_a_replay_is_a_goal_with_feedback_and_a_result(desk: Desk) -> None:
+    await desk.send(NAME, name="wave", speed=0.0)
+    await desk.until(lambda: bool(desk.asked))
+    (motion,) = desk.asked
+    assert isinstance(motion, PlannedMotion)
+    assert problems(motion)[-1].speed == 1.0
+    desk.report(Progress(GoalState.EXECUTING, "moving", 0.25, 3.0))
+    assert desk.feedback[-1] == {"state": "executing", "fraction": 0.25, "remaining_s": 3.0}
+    desk.finish()
+    await desk.until(lambda: bool(desk.results))
+    assert desk.results[0].status == GoalStatus.SUCCEEDED
+    assert desk.results[0].values["error_code"]["val"] == 1
+
+
+async def test_a_replay_that_is_cancelled_ends(desk: Desk) -> None:
+    goal = await desk.send(NAME, name="wave")
+    assert goal is not None
+    await desk.until(lambda: bool(desk.asked))
+    goal.cancel()
+    await desk.until(lambda: bool(desk.results))
+    assert desk.results[0].status == GoalStatus.CANCELED
+
+
+def test_a_refusal_says_where_without_the_number_of_the_step() -> None:
+    failure = PlanningFailure(
+        MoveItErrorCode.INVALID_MOTION_PLAN, "items[2]: at 1.20 s of the motion would touch: crate", {"item": 2}
+    )
+    assert result(Answer.of(failure))["message"] == "at 1.20 s of the motion would touch: crate"

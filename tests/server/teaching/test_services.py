@@ -1,0 +1,219 @@
+"""The services of teaching, on a fake arm and with a planner in the process."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot.messages import ArmState, Mode
+from server.access.authorization import rule_of_action, rule_of_service
+from server.access.permissions import Role
+from server.teaching.motion_files import MotionFiles
+from server.teaching.services import Teaching
+from server.teaching.taught_motion import MAX_DURATION_S
+from tests.helpers.fake_arm import JOINTS
+from tests.helpers.moveit import BENT, ROBOT, ServiceRig, box, diff, pose
+
+START = np.array(list(BENT.values()))
+RELAXED = ArmState(1.0, Mode.RELAXED, JOINTS, position_rad=START)
+
+
+class Lesson(ServiceRig):
+    """Teaching on a graph of its own, and a hand."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.motions = MotionFiles(folder, ROBOT)
+        self.teaching = Teaching(self.graph, ROBOT, self.motions, self.pool, self.scene_state, self.current)
+        self.teaching.open()
+        self.states = self.listen("/teach/state", "armbridge_msgs/TeachState")
+        self.state = RELAXED
+        self.teaching.take_state(self.state)
+
+    def hand(self, lasts_s: float = 2.0, **to_rad: float) -> None:
+        """Lead joints to positions, and rest there for a moment."""
+        before = self.state
+        assert before.position_rad is not None
+        goal = before.position_rad.copy()
+        for name, value in to_rad.items():
+            goal[JOINTS.index(name)] = value
+        for passed_s in np.arange(0.02, lasts_s + 0.5, 0.02):
+            share = 0.5 - 0.5 * np.cos(np.pi * min(passed_s / lasts_s, 1.0))
+            at = before.position_rad + share * (goal - before.position_rad)
+            self.state = replace(before, clock_s=before.clock_s + float(passed_s), position_rad=at)
+            self.teaching.take_state(self.state)
+
+    async def teach(self, name: str) -> dict[str, Any]:
+        assert (await self.call("/teach/begin", name=name))["success"]
+        self.hand(shoulder_pan=0.7, gripper=0.6)
+        answer: dict[str, Any] = await self.call("/teach/end")
+        return answer
+
+
+@pytest.fixture
+async def lesson(tmp_path: Path) -> AsyncIterator[Lesson]:
+    made = Lesson(tmp_path / "motions")
+    yield made
+    await made.teaching.close()
+
+
+async def refused(lesson: Lesson, service: str, **request: Any) -> str:
+    answer = await lesson.call(f"/teach/{service}", **request)
+    assert not answer["success"]
+    return str(answer["message"])
+
+
+async def test_a_taught_motion_is_saved_with_its_gripper_and_found_by_its_name(lesson: Lesson) -> None:
+    ended = await lesson.teach("wave")
+    assert ended["success"]
+    assert "touches nothing" in ended["message"]
+    assert 1.5 < ended["duration_s"] < 2.5
+    assert (await lesson.call("/teach/list")) == {"names": ["wave"]}
+    got = await lesson.call("/teach/get", name="wave")
+    assert got["trajectory"]["joint_names"] == list(JOINTS)
+    assert len(got["trajectory"]["points"]) == ended["points"]
+    assert got["trajectory"]["points"][-1]["positions"][0] == pytest.approx(0.7, abs=0.02)
+
+
+async def test_the_state_tells_of_the_recording_and_how_it_ended(lesson: Lesson) -> None:
+    await lesson.teach("wave")
+    during = [state for state in lesson.states if state["recording"]]
+    assert [state["duration_s"] for state in during] == sorted(state["duration_s"] for state in during)
+    assert during[-1]["name"] == "wave"
+    assert during[-1]["points"] > 50
+    assert not lesson.states[-1]["recording"]
+    assert "'wave' is saved" in lesson.states[-1]["message"]
+
+
+@pytest.mark.parametrize(("driven", "says"), [(False, "hold it"), (True, "commanded positions")])
+async def test_the_beginning_says_what_is_recorded(lesson: Lesson, driven: bool, says: str) -> None:
+    lesson.teaching.take_state(replace(RELAXED, driven=driven, goal_rad=START))
+    assert says in (await lesson.call("/teach/begin", name="wave"))["message"]
+
+
+async def test_one_motion_is_recorded_at_a_time_whoever_asks(lesson: Lesson) -> None:
+    both = await asyncio.gather(*(lesson.call("/teach/begin", name=name) for name in ("a", "b")))
+    assert sorted(answer["success"] for answer in both) == [False, True]
+    assert "is being recorded" in next(answer["message"] for answer in both if not answer["success"])
+
+
+async def test_a_discarded_recording_leaves_nothing(lesson: Lesson) -> None:
+    assert (await lesson.call("/teach/begin", name="wave"))["success"]
+    lesson.hand(shoulder_pan=0.7)
+    assert lesson.teaching.recording
+    assert (await lesson.call("/teach/discard"))["success"]
+    assert not lesson.teaching.recording
+    assert (await lesson.call("/teach/list")) == {"names": []}
+    assert "discarded" in await refused(lesson, "end")
+    assert "discarded" in await refused(lesson, "discard")
+
+
+async def test_a_recording_without_a_motion_is_not_saved(lesson: Lesson) -> None:
+    assert (await lesson.call("/teach/begin", name="wave"))["success"]
+    lesson.hand()
+    assert "nothing has moved" in await refused(lesson, "end")
+    assert (await lesson.call("/teach/list")) == {"names": []}
+
+
+async def until_told(lesson: Lesson, words: str) -> None:
+    async with asyncio.timeout(20.0):
+        while words not in lesson.states[-1]["message"]:
+            await asyncio.sleep(0.01)
+
+
+async def test_a_lost_arm_ends_the_recording_which_is_kept_and_the_state_says_so(lesson: Lesson) -> None:
+    assert (await lesson.call("/teach/begin", name="wave"))["success"]
+    lesson.hand(shoulder_pan=0.7)
+    lesson.teaching.take_state(replace(lesson.state, mode=Mode.DISCONNECTED, reason="unplugged"))
+    await until_told(lesson, "unplugged; the motion 'wave' is saved")
+    assert (await lesson.call("/teach/list")) == {"names": ["wave"]}
+
+
+async def test_a_recording_ends_at_its_limit(lesson: Lesson) -> None:
+    assert (await lesson.call("/teach/begin", name="wave"))["success"]
+    lesson.hand(shoulder_pan=0.7)
+    late = replace(lesson.state, clock_s=lesson.state.clock_s + MAX_DURATION_S)
+    lesson.teaching.take_state(late)
+    await until_told(lesson, "600 s at most; the motion 'wave' is saved")
+
+
+async def test_a_server_that_ends_saves_what_is_being_recorded(lesson: Lesson) -> None:
+    assert (await lesson.call("/teach/begin", name="wave"))["success"]
+    lesson.hand(shoulder_pan=0.7)
+    await lesson.teaching.close()
+    assert await lesson.motions.names() == ["wave"]
+
+
+async def test_a_recording_that_would_collide_is_kept_and_says_where(lesson: Lesson) -> None:
+    await lesson.teach("free")
+    middle = (await lesson.call("/teach/get", name="free"))["trajectory"]["points"][-1]["positions"]
+    state = {"joint_state": {"name": list(JOINTS), "position": middle}}
+    tip = await lesson.call("/compute_fk", fk_link_names=["gripper_frame_link"], robot_state=state)
+    at = tip["pose_stamped"][0]["pose"]["position"]
+    crate = box("crate", at=pose(at["x"], at["y"], at["z"]))
+    lesson.scene_state.apply_diff(diff(world={"collision_objects": [crate]}), BENT)
+    lesson.state = replace(RELAXED, clock_s=lesson.state.clock_s + 1.0)
+    ended = await lesson.teach("blocked")
+    assert ended["success"]
+    assert "cannot be replayed as it is: at " in ended["message"]
+    assert "crate" in ended["message"]
+    assert (await lesson.call("/teach/list")) == {"names": ["blocked", "free"]}
+
+
+async def test_a_trimmed_motion_is_the_part(lesson: Lesson) -> None:
+    await lesson.teach("wave")
+    trimmed = await lesson.call("/teach/trim", name="wave", from_s=0.5, to_s=1.5)
+    assert trimmed["success"]
+    assert trimmed["duration_s"] == pytest.approx(1.0)
+    points = (await lesson.call("/teach/get", name="wave"))["trajectory"]["points"]
+    assert points[-1]["time_from_start"] == {"sec": 1, "nanosec": 0}
+    assert "must be 0 to 1 s" in await refused(lesson, "trim", name="wave", from_s=0.5, to_s=1.5)
+
+
+async def test_a_motion_goes_to_a_client_and_comes_back_edited(lesson: Lesson) -> None:
+    await lesson.teach("wave")
+    trajectory = (await lesson.call("/teach/get", name="wave"))["trajectory"]
+    trajectory["points"][-1]["positions"][0] = 0.65
+    assert (await lesson.call("/teach/save", name="mine", trajectory=trajectory))["success"]
+    again = (await lesson.call("/teach/get", name="mine"))["trajectory"]
+    assert again["points"][-1]["positions"][0] == 0.65
+    trajectory["joint_names"][0] = "knee"
+    assert "knee" in await refused(lesson, "save", name="mine", trajectory=trajectory)
+
+
+async def test_motions_are_renamed_and_deleted(lesson: Lesson) -> None:
+    await lesson.teach("wave")
+    assert (await lesson.call("/teach/rename", name="wave", new_name="greet"))["success"]
+    assert "saved are: greet" in await refused(lesson, "get", name="wave")
+    assert (await lesson.call("/teach/delete", name="greet"))["success"]
+    assert "no motion is saved" in await refused(lesson, "delete", name="greet")
+
+
+@pytest.mark.parametrize(
+    ("request_", "says"),
+    [({"name": "../x"}, "name: must be"), ({"name": "a", "group": "leg"}, "one of arm, gripper")],
+)
+async def test_a_recording_that_cannot_be_kept_does_not_begin(
+    lesson: Lesson, request_: dict[str, str], says: str
+) -> None:
+    assert says in await refused(lesson, "begin", **request_)
+    assert not any(state["recording"] for state in lesson.states)
+
+
+async def test_an_arm_that_is_not_connected_is_not_recorded(lesson: Lesson) -> None:
+    lesson.teaching.take_state(ArmState(1.0, Mode.DISCONNECTED, JOINTS))
+    assert "not connected" in await refused(lesson, "begin", name="wave")
+
+
+def test_replays_drive_the_arm_and_changes_of_motions_configure() -> None:
+    assert rule_of_action("/replay_motion").drives
+    assert {rule_of_service(f"/teach/{name}").role for name in ("list", "get")} == {Role.VIEW}
+    assert {rule_of_service(f"/teach/{name}").role for name in ("begin", "end", "discard")} == {Role.OPERATE}
+    changes = ("save", "delete", "rename", "trim")
+    assert {rule_of_service(f"/teach/{name}").role for name in changes} == {Role.ADMIN}

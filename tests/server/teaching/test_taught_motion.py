@@ -1,0 +1,171 @@
+"""Recordings that become motions: their rests, their smoothing, their parts, and their messages."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot.trajectory import Vector
+from server.errors import RefusedError, ServiceError
+from server.teaching import taught_motion
+from server.teaching.taught_motion import (
+    KEPT_REST_S,
+    MAX_DURATION_S,
+    TOLERANCE_RAD,
+    TaughtMotion,
+    from_message,
+    moving,
+    of_recording,
+    to_message,
+)
+from tests.helpers.moveit import ROBOT, message
+
+NAMES = ("shoulder_pan", "elbow_flex")
+RATE_HZ = 50.0
+
+
+def recording(lasts_s: float, seed: int = 0, tremble_rad: float = 0.004) -> tuple[Vector, Vector]:
+    """A hand that moves two joints, with a second of rest before and two after it, and trembles."""
+    rng = np.random.default_rng(seed)
+    knots = np.linspace(0.0, lasts_s, max(2, round(lasts_s)) + 1)
+    targets = rng.uniform(-0.8, 0.8, (len(knots), 2))
+    targets[0] = 0.0
+    time_s = np.arange(0.0, lasts_s + 3.0, 1.0 / RATE_HZ)
+    at = np.clip(time_s - 1.0, 0.0, lasts_s)
+    # A cosine from target to target: a hand speeds up and slows down.
+    i = np.minimum((at / knots[1]).astype(int), len(knots) - 2)
+    share = 0.5 - 0.5 * np.cos(np.pi * (at / knots[1] - i))
+    clean = targets[i] + share[:, np.newaxis] * (targets[i + 1] - targets[i])
+    return time_s, clean + rng.uniform(-tremble_rad, tremble_rad, clean.shape)
+
+
+def motion(*points: float, every_s: float = 0.5) -> TaughtMotion:
+    """A motion of the base joint."""
+    return TaughtMotion(NAMES[:1], every_s * np.arange(len(points)), np.array(points)[:, np.newaxis])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_motion_keeps_within_the_tolerance_of_its_recording(seed: int) -> None:
+    time_s, positions = recording(6.0, seed)
+    made, away_rad = of_recording(NAMES, time_s, positions, ROBOT)
+    first, last = moving(time_s, positions)
+    away = np.abs(made.at(time_s[first : last + 1] - time_s[first]) - positions[first : last + 1])
+    # Rounded to microseconds and microradians.
+    assert away.max() == pytest.approx(away_rad, abs=1e-5)
+    assert away_rad <= 0.02
+
+
+def test_a_motion_is_smoother_than_the_hand_that_trembled() -> None:
+    time_s, positions = recording(4.0)
+    made, _ = of_recording(NAMES, time_s, positions, ROBOT)
+    grid_s = np.arange(0.0, made.duration_s, 1.0 / RATE_HZ)
+    hand, smooth = np.diff(positions, 3, axis=0), np.diff(made.at(grid_s), 3, axis=0)
+    assert np.abs(smooth).max() < 0.2 * np.abs(hand).max()
+
+
+def test_a_jerk_of_the_hand_is_kept_rather_than_smoothed_away() -> None:
+    time_s = np.arange(0.0, 4.0, 1.0 / RATE_HZ)
+    positions = np.zeros((len(time_s), 2))
+    positions[:, 0] = np.clip(time_s - 1.0, 0.0, 2.0) * 0.1 + 0.2 * np.exp(-(((time_s - 2.0) / 0.08) ** 2))
+    made, away_rad = of_recording(NAMES, time_s, positions, ROBOT)
+    assert away_rad <= 0.02
+    assert made.positions_rad[:, 0].max() > positions[:, 0].max() - TOLERANCE_RAD
+
+
+def test_rest_at_both_ends_is_cut_off_but_for_a_moment() -> None:
+    time_s, positions = recording(4.0, tremble_rad=0.001)
+    made, _ = of_recording(NAMES, time_s, positions, ROBOT)
+    # The first and the last hundredth of a radian of a slow start and end count as rest as well.
+    assert 4.0 - 0.4 < made.duration_s < 4.0 + 2.0 * KEPT_REST_S + 0.05
+
+
+def test_a_motion_that_returns_to_its_start_keeps_its_way_back() -> None:
+    time_s = np.arange(0.0, 6.0, 1.0 / RATE_HZ)
+    out_and_back = np.sin(np.pi * np.clip(time_s - 1.0, 0.0, 4.0) / 4.0)[:, np.newaxis] * [0.5, 0.2]
+    made, _ = of_recording(NAMES, time_s, out_and_back, ROBOT)
+    assert made.duration_s > 4.0
+    assert np.abs(made.positions_rad[-1]).max() < 0.01
+
+
+@pytest.mark.parametrize("samples", [0, 1, 100])
+def test_a_recording_in_which_nothing_has_moved_is_refused(samples: int) -> None:
+    still = np.full((samples, 2), 0.3)
+    with pytest.raises(ServiceError, match=r"nothing (was recorded|has moved)"):
+        of_recording(NAMES, np.arange(samples) / RATE_HZ, still, ROBOT)
+
+
+def test_a_motion_keeps_the_limits_that_a_relaxed_arm_was_beyond() -> None:
+    time_s, positions = recording(3.0)
+    upper = ROBOT.joints["elbow_flex"].upper
+    positions[:, 1] += upper - positions[:, 1].max() + 0.05
+    made, _ = of_recording(NAMES, time_s, positions, ROBOT)
+    assert made.positions_rad[:, 1].max() <= upper + 1e-6
+
+
+def test_the_longest_recording_has_no_more_points_than_a_message() -> None:
+    time_s, positions = recording(MAX_DURATION_S - 4.0)
+    made, _ = of_recording(NAMES, time_s, positions, ROBOT)
+    assert len(made.time_s) <= taught_motion.MAX_POINTS
+
+
+def test_a_part_follows_the_same_curve_between_its_times() -> None:
+    whole = motion(0.0, 0.3, 0.1, 0.5, 0.2)
+    part = whole.part(0.7, 1.6)
+    assert part.duration_s == pytest.approx(0.9)
+    ends = part.at(np.array([0.0, 0.9])) - whole.at(np.array([0.7, 1.6]))
+    assert np.abs(ends).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("from_s", "to_s", "says"),
+    [(-0.1, 1.0, "must be 0 to 2 s"), (0.5, 2.5, "not 0.5 and 2.5"), (1.0, 1.0, "from_s before"), (1.0, 1.05, "0.1 s")],
+)
+def test_a_part_that_is_none_is_refused_with_the_limits(from_s: float, to_s: float, says: str) -> None:
+    with pytest.raises(ServiceError, match=says):
+        motion(0.0, 0.3, 0.1, 0.5, 0.2).part(from_s, to_s)
+
+
+@pytest.mark.parametrize("times", [(float("nan"), 1.0), (0.0, float("nan")), (0.0, float("inf"))])
+def test_times_that_are_no_numbers_are_refused(times: tuple[float, float]) -> None:
+    with pytest.raises(ServiceError):
+        motion(0.0, 0.3, 0.1).part(*times)
+
+
+def test_a_reversed_motion_passes_the_same_places_from_the_end() -> None:
+    whole = motion(0.0, 0.3, 0.1)
+    back = whole.reversed()
+    assert back.positions_rad[:, 0].tolist() == [0.1, 0.3, 0.0]
+    assert back.time_s.tolist() == whole.time_s.tolist()
+    assert back.reversed().positions_rad.tolist() == whole.positions_rad.tolist()
+
+
+def test_a_motion_comes_back_from_its_message_unchanged() -> None:
+    made, _ = of_recording(NAMES, *recording(5.0), ROBOT)
+    back = from_message(message("trajectory_msgs/JointTrajectory", **to_message(made)), ROBOT)
+    assert back.joint_names == made.joint_names
+    assert np.abs(back.time_s - made.time_s).max() < 1e-6
+    assert back.positions_rad.tolist() == made.positions_rad.tolist()
+
+
+def given(*times_s: int, joint: str = "shoulder_pan") -> dict[str, object]:
+    points = [{"positions": [0.1 * i], "time_from_start": {"sec": at, "nanosec": 0}} for i, at in enumerate(times_s)]
+    return message("trajectory_msgs/JointTrajectory", joint_names=[joint], points=points)
+
+
+def test_the_first_point_of_a_message_is_waited_for_where_it_is() -> None:
+    assert from_message(given(1, 2), ROBOT).positions_rad[:, 0].tolist() == [0.0, 0.0, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "says"),
+    [
+        (given(), "points has 0"),
+        (given(0), "2 or more"),
+        (given(0, 601), "0.1 to 600 s, not 601 s"),
+        (given(0, 1, joint="knee"), "unknown joint 'knee'"),
+        (given(1, 1), "must be after"),
+    ],
+)
+def test_a_message_that_is_no_motion_is_refused(trajectory: dict[str, object], says: str) -> None:
+    with pytest.raises((RefusedError, ServiceError), match=says):
+        from_message(trajectory, ROBOT)

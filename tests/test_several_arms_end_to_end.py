@@ -224,6 +224,20 @@ async def test_the_gripper_of_each_arm_has_its_action(client: ArmClient) -> None
     assert now["right_gripper"] == pytest.approx(0.4, abs=0.06)
 
 
+async def test_each_arm_is_steered_by_its_servo_node(client: ArmClient) -> None:
+    await go(client, "both_arms", named="home")
+    before = await positions(client)
+    for arm in ("right", "left"):
+        topic, type_name = f"/{arm}/servo_node/delta_joint_cmds", "control_msgs/JointJog"
+        await client.say("advertise", topic=topic, type=type_name)
+        jog = {"joint_names": [f"{arm}_elbow_flex"], "velocities": [0.5]}
+        async with asyncio.timeout(TIMEOUT_S):
+            while (await positions(client))[f"{arm}_elbow_flex"] < before[f"{arm}_elbow_flex"] + 0.1:
+                await client.say("publish", topic=topic, msg=jog)
+    other = await positions(client)
+    assert other["left_shoulder_pan"] == pytest.approx(before["left_shoulder_pan"], abs=0.02)
+
+
 async def test_the_description_has_every_arm_at_its_place(client: ArmClient) -> None:
     await client.say("subscribe", topic="/robot_description", type="std_msgs/String")
     urdf = (await client.until("/robot_description", bool))[-1]["data"]

@@ -98,6 +98,7 @@ class ArmGoals:
             arm,
             context.pool,
             lambda: queue.busy_with(self._joints),
+            context.current,
         )
         self._gripper = None
         actions = [GOAL_ACTION]

@@ -170,6 +170,7 @@ class MoveItInterface:
             steered,
             pool,
             lambda: self.queue.busy_with(steered_joints),
+            self._current,
         )
         self._gripper = None
         if robot.gripper is not None:

@@ -29,6 +29,7 @@ from planners.servo.question import (
 from robot.arm_interface import ArmInterface, StreamInterface
 from robot.trajectory import Vector
 from server.errors import RefusedError
+from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.moveit.poses import Message, composed, matrix_of, read_pose
 from server.moveit.requests.error_codes import invalid
@@ -200,6 +201,7 @@ class ServoSession:
         publish_status: called after every step.
         interrupted: called with the reason when the arm is stopped from elsewhere.
         clock: monotonic time [s].
+        current: positions of all joints, also of arms that are not steered; None for those of the arm.
     """
 
     def __init__(
@@ -211,8 +213,10 @@ class ServoSession:
         publish_status: PublishStatus,
         interrupted: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
+        current: CurrentState | None = None,
     ) -> None:
         self._arm = arm
+        self._current = current
         self._setup = setup
         self._ask, self._resolve = ask, resolve
         self._publish_status, self._interrupted = publish_status, interrupted
@@ -228,7 +232,8 @@ class ServoSession:
         state = self._arm.state
         if state.goal_rad is None:
             return {}
-        positions = dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
+        beside = None if self._current is None else self._current.positions_rad()
+        positions = (beside or {}) | dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
         commanded = self._stream.commanded if self._stream is not None else None
         if commanded is not None:
             ahead = commanded.position_rad + LEAD_S * commanded.velocity_rad_s

@@ -19,7 +19,7 @@ from protocol.publication import PublishedMessage
 from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
 from server.errors import RefusedError, UnsuccessfulError
-from server.execution.monitors import check_ready
+from server.execution.monitors import CurrentState, check_ready
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
@@ -277,6 +277,7 @@ class ServoNode:
         arm: the arm's process.
         pool: the planners.
         busy: returns the reason if the arm cannot be steered now, else an empty text.
+        current: positions of all joints, also of other arms; None for those of the arm.
     """
 
     def __init__(
@@ -289,6 +290,7 @@ class ServoNode:
         arm: ArmInterface,
         pool: PlannerPool,
         busy: Callable[[], str],
+        current: CurrentState | None = None,
     ) -> None:
         group, servo = planning_group(robot, "", parameters), parameters.servo
         timeout_s = servo.incoming_command_timeout
@@ -313,7 +315,9 @@ class ServoNode:
         self._status = StatusPublisher(graph, self._node, servo.status_type)
         self._timeouts = CommandTimeouts(timeout_s)
         self._gate = CommandGate(self._present, timeout_s, unavailable)
-        self._session = ServoSession(arm, setup, ask, resolve, self._status.publish, self._gate.interrupt)
+        self._session = ServoSession(
+            arm, setup, ask, resolve, self._status.publish, self._gate.interrupt, current=current
+        )
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""
         for kind in CommandType:

@@ -13,6 +13,7 @@ import { fetchGoalHistory, fetchGoalRecord } from "./link/goal-history";
 import { SceneEditor } from "./link/scene-editor";
 import { SequencePlayer } from "./link/sequence";
 import { fetchServoHistory } from "./link/servo-history";
+import { Teaching } from "./link/teaching";
 import { JogSender, subscribeServoNode } from "./link/servo-node";
 import { fetchActions, resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
 import { createPanel } from "./panel/panel";
@@ -37,7 +38,8 @@ function startPage(): void {
   const goalRecord = (id: string): ReturnType<typeof fetchGoalRecord> => fetchGoalRecord(connection, id);
   const sceneEditor = new SceneEditor(connection, store);
   const sequencePlayer = new SequencePlayer(connection, store);
-  createPanel({ store, moveGroup, commands, stopCommand, jogSender, commissioning, authentication, phoneAccess, servoHistory, goalRecord, sceneEditor, sequencePlayer });
+  const teaching = new Teaching(connection, store);
+  createPanel({ store, moveGroup, commands, stopCommand, jogSender, commissioning, authentication, phoneAccess, servoHistory, goalRecord, sceneEditor, sequencePlayer, teaching });
   subscribeTopics(connection, store);
   subscribeControl(connection, store);
   subscribeCommissioning(connection, store);

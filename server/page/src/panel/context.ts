@@ -7,6 +7,7 @@ import type { PhoneAccess } from "../link/phone";
 import type { SceneEditor } from "../link/scene-editor";
 import type { SequencePlayer } from "../link/sequence";
 import type { JogSender } from "../link/servo-node";
+import type { Teaching } from "../link/teaching";
 import type { ServoHistory } from "../logic/servo-history";
 import { denialReason, type Operation } from "../logic/permissions";
 import type { State } from "../state/state";
@@ -27,6 +28,7 @@ export interface PanelContext {
   phoneAccess: () => Promise<PhoneAccess>;
   sceneEditor: SceneEditor;
   sequencePlayer: SequencePlayer;
+  teaching: Teaching;
   /** Asks the server for the last minutes of a joint's servo; null where it has none. */
   servoHistory: (joint: string) => Promise<ServoHistory | null>;
   /** Asks the server for the record of a goal; a text is its reason for having none. */

@@ -22,6 +22,7 @@ import { savedScenesSection } from "./scene-saved";
 import { savedSequencesSection, sequenceSection } from "./sequence";
 import { servosSection } from "./servos";
 import { settingsSection } from "./settings";
+import { teachingSection } from "./teaching";
 import { connectionPill, noticeList, statusBar } from "./status";
 
 /** Return every panel with its sections, in the order in which they are offered. */
@@ -32,7 +33,7 @@ function allPanels(context: PanelContext): Panel[] {
   return [
     { id: "move", title: t("panel.move"), sections: create(groupChoice, motionSection, targetSection, jointsSection, gripperSection) },
     { id: "drive", title: t("panel.drive"), sections: create(driveSection, phoneSection) },
-    { id: "sequence", title: t("panel.sequence"), sections: create(sequenceSection, savedSequencesSection) },
+    { id: "sequence", title: t("panel.sequence"), sections: create(sequenceSection, savedSequencesSection, teachingSection) },
     { id: "world", title: t("panel.world"), sections: create(sceneBar, addObjectSection, objectsSection, savedScenesSection, regionSection) },
     { id: "plots", title: t("panel.plots"), sections: create(plotsSection) },
     { id: "goals", title: t("panel.goals"), sections: create(activeGoalsSection, goalsSection) },

@@ -342,6 +342,20 @@ export interface SequenceState {
   saved: Record<string, readonly Waypoint[]>;
 }
 
+/** Motions that a hand has shown, and the one that is recorded. */
+export interface TeachingState {
+  /** The recording in progress; null for none. */
+  recording: { name: string; duration_s: number } | null;
+  /** Names of the motions that the server keeps; null before it has told them. */
+  motions: readonly string[] | null;
+  /** The motion that is edited. */
+  edited: { name: string; duration_s: number } | null;
+  /** The motion that this page replays. */
+  replaying: string | null;
+  /** What the server has said last, a sentence; empty before. */
+  told: string;
+}
+
 /** Status and parameters of the servo node, which follows the velocities of driving by hand. */
 export interface ServoNodeState {
   /** Code of moveit_msgs/ServoStatus: what limits the arm; -1 for a refused command. */
@@ -415,6 +429,7 @@ export interface State {
   editing: SceneEditing;
   region: Region;
   sequence: SequenceState;
+  teaching: TeachingState;
 }
 
 /** Return the state before the first message. */
@@ -468,6 +483,7 @@ export function emptyState(url: string): State {
     editing: { placing: null, clicked: null, arrows: "translate", history: [], saved: null, result: "" },
     region: { shown: false, slice: { kind: "upright", height_m: 0.1, angle_rad: 0 }, cells: [], total: 0, problem: "" },
     sequence: noSequence(),
+    teaching: { recording: null, motions: null, edited: null, replaying: null, told: "" },
   };
 }
 

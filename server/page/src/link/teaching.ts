@@ -1,0 +1,141 @@
+import type { PageStore } from "../state/store";
+import { t } from "../texts/texts";
+import type { Connection, GoalHandle } from "./connection";
+import type { MoveItErrorCodes, TriggerResponse } from "./messages";
+
+/** Time for making a motion of a recording, or for checking an edited one [s]: minutes of motion take seconds. */
+const WORK_TIMEOUT_S = 30;
+
+/** armbridge_msgs/TeachState. */
+interface TeachState {
+  recording: boolean;
+  name: string;
+  duration_s: number | null;
+  message: string;
+}
+
+/** armbridge_msgs/srv/GetMotion, the response. */
+interface MotionResponse extends TriggerResponse {
+  trajectory: { points: { time_from_start: { sec: number; nanosec: number } }[] };
+}
+
+interface ReplayResult {
+  error_code: MoveItErrorCodes;
+  message: string;
+}
+
+/** Records motions that a hand shows, keeps them on the server, and replays them. */
+export class Teaching {
+  private handle: GoalHandle<ReplayResult> | null = null;
+
+  /**
+   * @param connection - connection to the server.
+   * @param store - updated with the recording, the motions and the answers.
+   */
+  constructor(
+    private readonly connection: Connection,
+    private readonly store: PageStore,
+  ) {
+    connection.subscribe<TeachState>("/teach/state", "armbridge_msgs/TeachState", ({ recording, name, duration_s, message }) => {
+      store.patch("teaching", { recording: recording ? { name, duration_s: duration_s ?? 0 } : null, told: message });
+      // Another client may have recorded, too.
+      if (!recording) void this.list();
+    });
+    store.subscribe(
+      (state) => state.link.connected,
+      (connected) => connected && void this.list(),
+    );
+  }
+
+  /** Begin to record a motion under a name. */
+  async begin(name: string): Promise<boolean> {
+    return this.work("/teach/begin", { name, group: "" });
+  }
+
+  /** End the recording, which makes it a motion. */
+  async end(): Promise<boolean> {
+    return this.work("/teach/end", {});
+  }
+
+  /** Forget the recording. */
+  async discard(): Promise<boolean> {
+    return this.work("/teach/discard", {});
+  }
+
+  /** Delete a motion. */
+  async remove(name: string): Promise<boolean> {
+    return this.work("/teach/delete", { name });
+  }
+
+  /** Rename a motion. */
+  async rename(name: string, new_name: string): Promise<boolean> {
+    return this.work("/teach/rename", { name, new_name });
+  }
+
+  /** Keep a part of a motion alone, from one of its times to another. */
+  async trim(name: string, from_s: number, to_s: number): Promise<boolean> {
+    return this.work("/teach/trim", { name, from_s, to_s });
+  }
+
+  /** Choose a motion to edit, whose duration is asked for; null for none. */
+  async edit(name: string | null): Promise<void> {
+    this.store.patch("teaching", { edited: null });
+    if (name === null) return;
+    try {
+      const { success, message, trajectory } = await this.connection.call<MotionResponse>("/teach/get", { name }, WORK_TIMEOUT_S);
+      const last = trajectory?.points.at(-1)?.time_from_start;
+      if (!success || last === undefined) this.store.patch("teaching", { told: message });
+      else this.store.patch("teaching", { edited: { name, duration_s: last.sec + last.nanosec / 1e9 } });
+    } catch (error) {
+      this.store.patch("teaching", { told: (error as Error).message });
+    }
+  }
+
+  /** Replay a motion, at a multiple of the speed in which it was shown. */
+  async replay(name: string, speed: number, reverse: boolean): Promise<void> {
+    if (this.store.state.teaching.replaying !== null) return;
+    this.store.patch("teaching", { replaying: name, told: t("teaching.replaying", { name }) });
+    let told = "";
+    try {
+      const goal = { name, speed, reverse, repeat: 0 };
+      this.handle = this.connection.goal<ReplayResult>("/replay_motion", "armbridge_msgs/action/ReplayMotion", goal);
+      const { values, reason } = await this.handle.result;
+      told = values?.message || reason;
+    } catch (error) {
+      told = (error as Error).message;
+    } finally {
+      this.handle = null;
+    }
+    this.store.patch("teaching", { replaying: null, told });
+  }
+
+  /** Stop the replay: the motion brakes along its path. */
+  stop(): void {
+    this.handle?.cancel();
+  }
+
+  private async list(): Promise<void> {
+    try {
+      const { names } = await this.connection.call<{ names: string[] }>("/teach/list", {});
+      this.store.patch("teaching", { motions: names });
+    } catch {
+      // A server without motions, or one that is gone: the list is asked for again with the next connection.
+      this.store.patch("teaching", { motions: null });
+    }
+  }
+
+  /** Call a service; true when it has done what it was asked for. */
+  private async work(service: string, request: object): Promise<boolean> {
+    let done = false;
+    let told = "";
+    try {
+      const { success, message } = await this.connection.call<TriggerResponse>(service, request, WORK_TIMEOUT_S);
+      [done, told] = [success, message];
+    } catch (error) {
+      told = (error as Error).message;
+    }
+    this.store.patch("teaching", { told, ...(done ? { edited: null } : {}) });
+    await this.list();
+    return done;
+  }
+}

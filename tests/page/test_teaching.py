@@ -1,0 +1,128 @@
+"""Motions shown by hand on the page: recorded, listed, replayed, cut, renamed and deleted, on the emulated arm."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.helpers.clients import call
+from tests.helpers.page import AXE, FIND_VIOLATIONS, RULES, SHARED, OpenPage, opened
+from tests.helpers.robots import nominal_calibration
+from tests.helpers.server import FAST, ServerOnBus, server_on_bus
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+ELBOW = next(joint for joint in nominal_calibration().joints if joint.joint == "elbow_flex")
+
+# Servos carry the arm's weight, and have backlash [rad].
+ARRIVED = 0.06
+
+
+@pytest.fixture(scope="module")
+def arm() -> Iterator[ServerOnBus]:
+    settings = {key.removeprefix("ARMBRIDGE_"): value for key, value in {**FAST, **SHARED}.items()}
+    with server_on_bus(**settings) as running:
+        yield running
+
+
+@pytest.fixture
+def page(browser: Browser, arm: ServerOnBus) -> Iterator[OpenPage]:
+    with opened(browser) as open_page:
+        open_page.open(arm.server.port)
+        open_page.until_state("s.teaching.motions !== null && s.joints.names.length > 0")
+        open_page.open_panel("sequence", "teaching")
+        yield open_page
+        assert open_page.errors == []
+
+
+def lead_elbow(page: OpenPage, arm: ServerOnBus, position_rad: float) -> None:
+    """Move the elbow by hand, and wait until the page shows it there."""
+    arm.emulator.command(hand={str(ELBOW.servo_id): ELBOW.ticks_from_rad(position_rad)})
+    at = "s.joints.position_rad[s.joints.names.indexOf('elbow_flex')]"
+    page.until_state(f"Math.abs({at} - {position_rad}) < 0.02")
+
+
+def show(page: OpenPage, arm: ServerOnBus, name: str) -> None:
+    """Show a motion by hand: the elbow from 0 to 0.6 and back to 0.2 rad."""
+    assert call(arm.server.url, "/arm/relax")["success"]
+    page.until_state("s.arm.mode === 'relaxed'")
+    lead_elbow(page, arm, 0.0)
+    page.part("teach-name").fill(name)
+    page.part("teach-begin").click()
+    page.part("teach-recording").wait_for()
+    lead_elbow(page, arm, 0.6)
+    lead_elbow(page, arm, 0.2)
+    page.part("teach-end").click()
+    page.until_state(f"s.teaching.motions.includes('{name}')")
+    page.until_text("teach-told", "it touches nothing")
+
+
+def hold(page: OpenPage, arm: ServerOnBus) -> None:
+    assert call(arm.server.url, "/arm/enable")["success"]
+    page.until_state("s.arm.mode === 'holding'")
+    arm.emulator.command(hand={str(ELBOW.servo_id): None})
+
+
+def test_a_motion_is_recorded_and_replayed_backwards_and_forwards(page: OpenPage, arm: ServerOnBus) -> None:
+    show(page, arm, "lift")
+    hold(page, arm)
+    page.part("replay-speed").fill("200")
+    page.part("replay-speed").press("Enter")
+    page.part("replay-reverse").check()
+    page.part("replay-lift").click()
+    page.until_text("teach-told", "the arm has followed the motion")
+    assert page.joints()["elbow_flex"] == pytest.approx(0.0, abs=ARRIVED)
+    page.part("replay-reverse").uncheck()
+    page.part("replay-lift").click()
+    page.until_text("teach-told", "“lift” is replayed")
+    page.until_text("teach-told", "the arm has followed the motion")
+    assert page.joints()["elbow_flex"] == pytest.approx(0.2, abs=ARRIVED)
+    page.shot("teaching")
+
+
+def test_a_motion_is_cut_renamed_and_deleted(page: OpenPage, arm: ServerOnBus) -> None:
+    show(page, arm, "long")
+    page.part("edit-motion-long").click()
+    page.part("motion-editor").wait_for()
+    whole_s = page.state("teaching.edited.duration_s")
+    page.part("trim-to").fill(f"{whole_s / 2:.2f}")
+    page.part("trim-to").press("Enter")
+    page.part("trim-motion").click()
+    page.until_text("teach-told", "lasts")
+    page.part("edit-motion-long").click()
+    page.until_state("s.teaching.edited !== null")
+    assert page.state("teaching.edited.duration_s") == pytest.approx(whole_s / 2, abs=0.02)
+    page.part("new-motion-name").fill("short")
+    page.part("rename-motion").click()
+    page.until_state("s.teaching.motions.includes('short') && !s.teaching.motions.includes('long')")
+    page.part("edit-motion-short").click()
+    page.part("delete-motion").click()
+    page.until_state("!s.teaching.motions.includes('short')")
+
+
+def test_a_recording_that_is_discarded_is_no_motion(page: OpenPage) -> None:
+    page.part("teach-name").fill("nothing")
+    page.part("teach-begin").click()
+    page.part("teach-discard").click()
+    page.until_text("teach-told", "the recording of 'nothing' is discarded")
+    assert "nothing" not in page.state("teaching.motions")
+
+
+def test_a_name_that_cannot_be_used_is_said_with_the_reason(page: OpenPage) -> None:
+    page.part("teach-name").fill("a/b")
+    page.part("teach-begin").click()
+    page.until_text("teach-told", "name")
+    assert page.state("teaching.recording") is None
+
+
+@pytest.mark.skipif(not AXE.exists(), reason="axe-core is not installed (make page)")
+def test_axe_finds_nothing_among_motions(page: OpenPage, arm: ServerOnBus) -> None:
+    if "lift" not in page.state("teaching.motions"):
+        show(page, arm, "lift")
+    page.part("edit-motion-lift").click()
+    page.part("motion-editor").wait_for()
+    page.page.evaluate(AXE.read_text())
+    assert page.page.evaluate(FIND_VIOLATIONS, RULES) == []

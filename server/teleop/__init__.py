@@ -1,0 +1,1 @@
+"""Leader and follower: one arm is moved by hand, another follows."""

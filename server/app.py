@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING
 import uvloop
 
 from planners.pool import PlannerPool
-from planners.problem import PlanningFailure
-from planners.servo.question import ServoAnswer, ServoQuestion
 from planners.shared_pool import SharedPlanners
 from robot.arm import CLOSE_LIMIT_S, Arm
 from robot.arm_group import ArmGroup
@@ -34,9 +32,9 @@ from server.arm.services import ArmPace, ArmServices
 from server.arm.setup import Description, arm_config, check_parameters
 from server.arm.topics import ArmStateTopics, JointStates, states_are_observed
 from server.arm.verifying import VerificationProcedure
-from server.config import ArmRole, RecordingSettings, Settings
+from server.config import RecordingSettings, Settings
 from server.errors import StartError
-from server.execution.monitors import ARM_START_TIMEOUT_S, CurrentState
+from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.execution.parking import LastClient, Parking
 from server.execution.queue import RunningGoal
 from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, Route, page_is_built
@@ -56,8 +54,6 @@ from server.moveit.arm_goals import ArmGoals
 from server.moveit.interface import MoveItInterface
 from server.moveit.named_states import data_directory
 from server.rosapi import RosApi
-from server.teleop.following import Follower
-from server.teleop.teleoperation import GripperFollower, Teleoperation, Way
 from server.zenoh.bridge import bridge_of
 
 if TYPE_CHECKING:
@@ -185,13 +181,13 @@ class App:
         self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
 
         def observed() -> bool:
-            return states_are_observed(graph) or self._moveit.teaching.recording or self._teleoperation.active
+            return states_are_observed(graph) or self._moveit.teaching.recording
 
         # One arm by itself, or several by name.
         self._arms: NamedArms | None = None
         self._arm: Arm | ArmGroup
         if files:
-            self._arms = NamedArms(graph, files, self._on_states, self._on_health, observed, self._on_leader)
+            self._arms = NamedArms(graph, files, self._on_states, self._on_health, observed)
             self._arm = self._arms.group
         else:
             config = arm_config(settings, self._description)
@@ -243,7 +239,6 @@ class App:
             goals = self._moveit.add_arm(arm.graph, name, arm.files.description.robot, arm.arm, limit)
             arm.open(goals.stop, access.leases_of_arms[name])
             self._goals_of[name] = goals
-        self._teleoperation = Teleoperation(graph, self._followers(), self._leaders(), self._ask_planners)
         ArmPace(graph, self._arm)
         self._inherits = inherited is not None
         self._next: NewStart | None = None
@@ -352,7 +347,7 @@ class App:
             # It has its own limits, by its own clock: a simulated arm is slow where the machine is busy.
             Part("the arm", self._arm.launch, self._arm.close, ARM_STOP_S, beyond_total=True),
             *self._way_to_rest_pose(),
-            Part("goals", self._start_goals, self._close_goals, 1.1),
+            Part("goals", self._start_goals, self._moveit.close, 1.1),
             Part("commissioning", stop=self._commissioning.close),
             # Clients are answered from here on; goals that they send wait for the arm.
             Part("connections", self._listener.open),
@@ -387,11 +382,6 @@ class App:
 
     async def _start_goals(self) -> None:
         self._moveit.start()
-        self._teleoperation.open()
-
-    async def _close_goals(self) -> None:
-        await self._teleoperation.close()
-        await self._moveit.close()
 
     async def _wait_for_arm(self) -> None:
         # Nothing moves yet that could wait for it.
@@ -423,32 +413,6 @@ class App:
     def _nothing_moves(self) -> bool:
         return not self._moveit.queue.busy and self._arm.state.mode is not Mode.MOVING
 
-    def _followers(self) -> dict[str, Follower]:
-        """Return the arms that may follow a leader, by name; a server with one arm has one without a name."""
-        moveit, robot = self._moveit, self._description.robot
-        current = CurrentState(self._arm, robot)
-        if self._arms is None:
-            way = Way(moveit.go_to, moveit.queue.cancel)
-            grip = None if moveit.gripper is None else GripperFollower(moveit.gripper).send
-            return {"": Follower("", self._arm, robot, current, way.reach, way.give_up, grip)}
-        followers = {}
-        for name, arm in self._arms.arms.items():
-            if arm.files.settings.role is ArmRole.FOLLOWER:
-                way = Way(moveit.go_to, moveit.queue.cancel)
-                gripper = self._goals_of[name].gripper
-                grip = None if gripper is None else GripperFollower(gripper).send
-                own = arm.files.description.robot
-                followers[name] = Follower(name, arm.arm, own, current, way.reach, way.give_up, grip)
-        return followers
-
-    def _leaders(self) -> dict[str, tuple[str, ...]]:
-        """Return the joints of the leaders that are arms of this server, by name."""
-        arms = {} if self._arms is None else self._arms.arms
-        return {name: arm.files.joint_names for name, arm in arms.items() if arm.files.settings.role is ArmRole.LEADER}
-
-    async def _ask_planners(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
-        return await self._pool.ask(question, self._moveit.scene.scene)
-
     def _running_of(self, arm: str) -> RunningGoal | None:
         return self._goals_of[arm].running
 
@@ -463,9 +427,6 @@ class App:
         for name, arm in {} if self._arms is None else self._arms.arms.items():
             self._goals_of[name].take_state(arm.arm.state)
         self._take_state(state)
-
-    def _on_leader(self, name: str, state: ArmState) -> None:
-        self._teleoperation.take_leader(name, state)
 
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)

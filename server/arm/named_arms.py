@@ -27,9 +27,6 @@ from server.graph.topics import Graph
 # Name of the robot that several arms are together, which is in the names of the files that the server keeps of it.
 SEVERAL = "arms"
 
-# Rate of a leader's states, where nobody has set another [Hz].
-LEADER_RATE_HZ = 100.0
-
 
 @dataclass(frozen=True)
 class ArmFiles:
@@ -61,11 +58,7 @@ def read_arms(settings: Settings) -> dict[str, ArmFiles]:
     for name, own in settings.arms.items():
         if own.role is ArmRole.LEADER:
             # It is moved by hand, and gets torque on request alone.
-            update: dict[str, object] = {"start_enabled": False}
-            if "joint_state_rate_hz" not in own.model_fields_set:
-                # A follower is told of every tick.
-                update["joint_state_rate_hz"] = LEADER_RATE_HZ
-            own = own.model_copy(update=update)
+            own = own.model_copy(update={"start_enabled": False})
         try:
             arms[name] = _read(name, own, settings)
         except (ConfigurationError, RobotError) as error:
@@ -234,7 +227,6 @@ class NamedArms:
             alone that are read at present.
         on_health: called with the condition of all arms as one.
         observed: returns False when nobody sees the states at the moment.
-        on_leader: called with the name of a leader and every state of it.
 
     Attributes:
         arms: each by its name.
@@ -248,13 +240,11 @@ class NamedArms:
         on_state: Callable[[ArmState, ArmState], None],
         on_health: Callable[[ArmHealth], None],
         observed: Callable[[], bool],
-        on_leader: Callable[[str, ArmState], None] = lambda _name, _state: None,
     ) -> None:
         self._on_state = on_state
         self._on_health = on_health
-        self._on_leader = on_leader
         self._leaders = frozenset(name for name, each in files.items() if each.settings.role is ArmRole.LEADER)
-        period_s = 1.0 / min(each.settings.joint_state_rate_hz for each in files.values())
+        period_s = 1.0 / max(each.settings.joint_state_rate_hz for each in files.values())
         self._beat = JoinedBeat(frozenset(files), period_s)
         self._health: dict[str, ArmHealth] = {}
         self.arms = {name: self._made(graph, name, each, observed) for name, each in files.items()}
@@ -263,9 +253,7 @@ class NamedArms:
         )
 
     def _made(self, graph: Graph, name: str, files: ArmFiles, observed: Callable[[], bool]) -> NamedArm:
-        def on_state(state: ArmState) -> None:
-            if name in self._leaders:
-                self._on_leader(name, state)
+        def on_state(_state: ArmState) -> None:
             self._take_state(name)
 
         def on_health(health: ArmHealth) -> None:

@@ -156,11 +156,6 @@ class ArmGoals:
             self._status.publish_answer(goal, answer, logged=True)
 
     @property
-    def gripper(self) -> Gripper | None:
-        """The arm's gripper; None for an arm without one."""
-        return self._gripper
-
-    @property
     def running(self) -> RunningGoal | None:
         """The goal that occupies the arm or its gripper; None when there is none."""
         remaining_s = None if self._gripper is None else self._gripper.remaining_s

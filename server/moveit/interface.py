@@ -236,11 +236,6 @@ class MoveItInterface:
         self.teaching.take_state(state)
 
     @property
-    def gripper(self) -> Gripper | None:
-        """The gripper, of several arms that of the first; None for an arm without one."""
-        return self._gripper
-
-    @property
     def running(self) -> RunningGoal | None:
         """The goal that occupies the arm or its gripper; None when there is none."""
         remaining_s = None if self._gripper is None else self._gripper.remaining_s

@@ -1,1 +1,0 @@
-"""Leader and follower: one arm is moved by hand, another follows."""

@@ -131,6 +131,16 @@ class Following:
             self._ramp()
         return Act.NOTHING
 
+    def interrupt(self, now_s: float, reason: str) -> Act:
+        """Brake, and ramp again as soon as that can be: the follower came to rest by itself.
+
+        Args:
+            now_s: monotonic time [s].
+            reason: the cause.
+        """
+        self.phase, self.message, self._stale_since_s = Phase.BRAKING, reason, now_s
+        return Act.BRAKE
+
     def end(self, reason: str) -> Act:
         """End the following for a reason."""
         if self.ended:

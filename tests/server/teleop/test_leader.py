@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -50,7 +51,7 @@ def test_samples_that_come_in_bursts_are_followed_evenly() -> None:
                 buffer.add(LeaderSample(k / 100 + OFFSET_S, {"a": k / 100}), now_s)
         if tick > 20:
             seen.append(position(buffer, now_s))
-    assert [later - before for before, later in zip(seen, seen[1:], strict=False)] == pytest.approx(
+    assert [later - before for before, later in itertools.pairwise(seen)] == pytest.approx(
         [0.01] * (len(seen) - 1), abs=1e-6
     )
 

@@ -32,7 +32,7 @@ from server.arm.services import ArmPace, ArmServices
 from server.arm.setup import Description, arm_config, check_parameters
 from server.arm.topics import ArmStateTopics, JointStates, states_are_observed
 from server.arm.verifying import VerificationProcedure
-from server.config import RecordingSettings, Settings
+from server.config import ArmRole, RecordingSettings, Settings
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.execution.parking import LastClient, Parking
@@ -181,7 +181,7 @@ class App:
         self._bridge = bridge_of(settings.zenoh, graph, access, settings.server.limits.max_message_bytes)
 
         def observed() -> bool:
-            return states_are_observed(graph) or self._moveit.teaching.recording
+            return states_are_observed(graph) or self._moveit.teaching.recording or self._moveit.teleoperation.active
 
         # One arm by itself, or several by name.
         self._arms: NamedArms | None = None
@@ -236,7 +236,8 @@ class App:
         self._goals_of: dict[str, ArmGoals] = {}
         for name, arm in {} if self._arms is None else self._arms.arms.items():
             limit = arm.files.settings.guards.gripper_torque_limit
-            goals = self._moveit.add_arm(arm.graph, name, arm.files.description.robot, arm.arm, limit)
+            leads = arm.files.settings.role is ArmRole.LEADER
+            goals = self._moveit.add_arm(arm.graph, name, arm.files.description.robot, arm.arm, limit, leads=leads)
             arm.open(goals.stop, access.leases_of_arms[name])
             self._goals_of[name] = goals
         ArmPace(graph, self._arm)
@@ -426,6 +427,7 @@ class App:
         self._joint_states.publish(read)
         for name, arm in {} if self._arms is None else self._arms.arms.items():
             self._goals_of[name].take_state(arm.arm.state)
+            self._moveit.teleoperation.take_leader_state(name, arm.arm.state)
         self._take_state(state)
 
     def _on_state(self, state: ArmState) -> None:

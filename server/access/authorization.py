@@ -203,6 +203,9 @@ SERVICES: Mapping[str, Rule] = {
     "/teach/rename": CONFIGURING,
     "/teach/save": CONFIGURING,
     "/teach/trim": CONFIGURING,
+    "/teleop/clutch": SWITCHING,
+    "/teleop/start": SWITCHING,
+    "/teleop/stop": STOPPING,
 }
 
 # Rules of publishing; to subscribe needs LOOKING alone.

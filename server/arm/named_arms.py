@@ -27,6 +27,9 @@ from server.graph.topics import Graph
 # Name of the robot that several arms are together, which is in the names of the files that the server keeps of it.
 SEVERAL = "arms"
 
+# A reading with every tick of the arm process.
+LEADER_RATE_HZ = 100.0
+
 
 @dataclass(frozen=True)
 class ArmFiles:
@@ -58,7 +61,11 @@ def read_arms(settings: Settings) -> dict[str, ArmFiles]:
     for name, own in settings.arms.items():
         if own.role is ArmRole.LEADER:
             # It is moved by hand, and gets torque on request alone.
-            own = own.model_copy(update={"start_enabled": False})
+            update: dict[str, object] = {"start_enabled": False}
+            if "joint_state_rate_hz" not in own.model_fields_set:
+                # Those who follow it need every reading.
+                update["joint_state_rate_hz"] = LEADER_RATE_HZ
+            own = own.model_copy(update=update)
         try:
             arms[name] = _read(name, own, settings)
         except (ConfigurationError, RobotError) as error:

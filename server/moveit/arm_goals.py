@@ -25,7 +25,8 @@ from server.moveit.gripper import FETCH_ACTION, GRIPPER_ACTION, PARALLEL_ACTION,
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.servo.servo_node import ServoNode
+from server.moveit.servo.servo_node import ServoNode, servo_setup
+from server.teleop.session import Follower
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class ArmGoals:
 
     Attributes:
         actions: names of its actions.
+        follower: the arm as one that can follow another.
     """
 
     def __init__(
@@ -110,6 +112,8 @@ class ArmGoals:
             )
             GripperActions(graph, self._gripper)
             actions += [GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION]
+        setup = servo_setup(context.robot, parameters)
+        self.follower = Follower(name, only.prefix, own, arm, setup, self._gripper)
         self._controllers = []
         self._controller_states = []
         for group in own.groups.values():

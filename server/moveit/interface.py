@@ -42,10 +42,12 @@ from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
 from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.moveit.services.move_group_services import offer_services
-from server.moveit.servo.servo_node import ServoNode
+from server.moveit.servo.servo_node import ServoNode, servo_setup
 from server.teaching.motion_files import MotionFiles
 from server.teaching.replay import ReplayAction
 from server.teaching.services import Teaching
+from server.teleop.session import Follower
+from server.teleop.teleoperation import Teleoperation
 
 # The queue waits so long for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0
@@ -67,6 +69,7 @@ class MoveItInterface:
         queue: of goals.
         scene: the planning scene.
         teaching: recording of motions.
+        teleoperation: following of a leader.
     """
 
     def __init__(
@@ -189,12 +192,37 @@ class MoveItInterface:
         self.teaching = Teaching(graph, robot, motions, pool, self.scene, self._current)
         self._replay = ReplayAction(graph, robot, motions, self.queue, moveit)
 
+        # One arm follows another, of this server or elsewhere.
+        self.teleoperation = Teleoperation(graph, self._context, self.queue, self.go_to)
+        if not settings.arms:
+            self.teleoperation.add_follower(Follower("arm", "", robot, arm, servo_setup(robot, moveit), self._gripper))
+
     def add_arm(
-        self, graph: Graph, name: str, own: RobotModel, arm: ArmInterface, gripper_torque_limit: float
+        self,
+        graph: Graph,
+        name: str,
+        own: RobotModel,
+        arm: ArmInterface,
+        gripper_torque_limit: float,
+        *,
+        leads: bool = False,
     ) -> ArmGoals:
-        """Add the goals of one of several arms, before the start; arguments as of :class:`ArmGoals`."""
+        """Add the goals of one of several arms, before the start.
+
+        Args:
+            graph: as of :class:`ArmGoals`, and so the arguments up to its torque limit.
+            name: likewise.
+            own: likewise.
+            arm: likewise.
+            gripper_torque_limit: likewise.
+            leads: True for an arm that others follow.
+        """
         goals = ArmGoals(graph, name, own, arm, gripper_torque_limit, self._shared)
         self._arms.append(goals)
+        if leads:
+            self.teleoperation.add_leader(name)
+        else:
+            self.teleoperation.add_follower(goals.follower)
         return goals
 
     async def restore_scene(self) -> None:
@@ -223,6 +251,7 @@ class MoveItInterface:
         offer_services(self._graph, self._context)
         self.teaching.open()
         self._replay.open()
+        self.teleoperation.open()
         gripper_actions = () if self._gripper is None else (GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION)
         for arm in self._arms:
             arm.open()
@@ -268,6 +297,7 @@ class MoveItInterface:
     async def close(self) -> None:
         """Answer every goal, and bring the arm to rest."""
         self._scene_interface.close()
+        await self.teleoperation.close()
         await asyncio.gather(self._servo.close(), *(arm.close() for arm in self._arms))
         await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
         await self.teaching.close()

@@ -265,6 +265,13 @@ class CommandTimeouts:
         return min(self._chosen_s.get(client, self._longest_s), self._longest_s)
 
 
+def servo_setup(robot: RobotModel, parameters: MoveItParameters) -> ServoSetup:
+    """Return the setup of a servo loop of the configured group."""
+    group, servo = planning_group(robot, "", parameters), parameters.servo
+    link = tip_link(robot, group, parameters)
+    return ServoSetup(group.name, group.joints, link, servo.limits, 1.0 / servo.rate_hz, servo.incoming_command_timeout)
+
+
 class ServoNode:
     """MoveIt Servo's node.
 
@@ -292,10 +299,7 @@ class ServoNode:
         busy: Callable[[], str],
         current: CurrentState | None = None,
     ) -> None:
-        group, servo = planning_group(robot, "", parameters), parameters.servo
-        timeout_s = servo.incoming_command_timeout
-        link = tip_link(robot, group, parameters)
-        setup = ServoSetup(group.name, group.joints, link, servo.limits, 1.0 / servo.rate_hz, timeout_s)
+        servo, setup = parameters.servo, servo_setup(robot, parameters)
 
         def unavailable() -> str:
             try:
@@ -308,13 +312,13 @@ class ServoNode:
             return pool.ask(question, scene.scene)
 
         self._graph = graph
-        self._joints = group.joints
+        self._joints = setup.joints
         self._parameters = servo
         self._resolve = resolve
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
-        self._timeouts = CommandTimeouts(timeout_s)
-        self._gate = CommandGate(self._present, timeout_s, unavailable)
+        self._timeouts = CommandTimeouts(setup.timeout_s)
+        self._gate = CommandGate(self._present, setup.timeout_s, unavailable)
         self._session = ServoSession(
             arm, setup, ask, resolve, self._status.publish, self._gate.interrupt, current=current
         )

@@ -1,0 +1,1 @@
+"""Teleoperation: one arm follows another that is led by hand."""

@@ -1,0 +1,211 @@
+"""Following: when a follower moves, and how fast; pure logic, time is an argument."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+# Samples come every 10 to 20 ms; a wireless network has pauses of a tenth of a second.
+STALE_S = 0.2
+
+# Someone who sees the follower stand for longer has let go of the leader.
+RETURN_S = 2.0
+
+# An error shrinks to a third in this time, five times the delay from the leader's reading to the follower's servo [s].
+TRACKING_TIME_S = 0.2
+
+# Share of the acceleration limit with which an error is closed: the arm process rounds the corners with the rest.
+ACCELERATION_SHARE = 0.5
+
+
+class Phase(StrEnum):
+    """Phases of teleoperation."""
+
+    IDLE = "idle"
+    RAMPING = "ramping"
+    FOLLOWING = "following"
+    BRAKING = "braking"
+    HOLDING = "holding"
+
+
+class Act(StrEnum):
+    """Act that a tick asks for."""
+
+    NOTHING = "nothing"
+    RAMP = "ramp"
+    FOLLOW = "follow"
+    BRAKE = "brake"
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Observations of a tick.
+
+    Attributes:
+        age_s: time since the leader's last sample [s].
+        jump: jump of the leader in words; empty if there was none.
+        obstacle: reason for which the follower cannot go on; empty if there is none.
+    """
+
+    age_s: float
+    jump: str = ""
+    obstacle: str = ""
+
+
+class Following:
+    """State machine of one follower.
+
+    It begins with a ramp, a planned motion to where the leader is, and so goes on after every hold.
+
+    Attributes:
+        phase: the present phase.
+        message: the phase in words.
+    """
+
+    def __init__(self) -> None:
+        self.phase = Phase.RAMPING
+        self.message = "the follower goes to where the leader is"
+        self._asked = False
+        self._stale_since_s = math.inf
+
+    @property
+    def ended(self) -> bool:
+        """True when the follower follows no more, and will not again."""
+        return self.phase is Phase.IDLE
+
+    def tick(self, now_s: float, observed: Observed) -> Act:
+        """Decide on the present moment.
+
+        Args:
+            now_s: monotonic time [s].
+            observed: what is known of leader and follower.
+
+        Returns:
+            RAMP once for each ramp, BRAKE once for each end of a motion.
+        """
+        if self.ended:
+            return Act.NOTHING
+        if observed.obstacle:
+            return self.end(observed.obstacle)
+        stale = observed.age_s > STALE_S
+        match self.phase:
+            case Phase.RAMPING:
+                if not self._asked and not stale:
+                    self._asked = True
+                    return Act.RAMP
+                if stale:
+                    return self._wait_for_leader(now_s)
+            case Phase.FOLLOWING:
+                if observed.jump:
+                    return self._hold(f"{observed.jump}: close the clutch to go on")
+                return self._wait_for_leader(now_s) if stale else Act.FOLLOW
+            case Phase.BRAKING:
+                if not stale:
+                    self._ramp()
+                elif now_s - self._stale_since_s > RETURN_S:
+                    return self.end(f"the leader has sent nothing for {RETURN_S:g} s")
+        return Act.NOTHING
+
+    def take_ramp_end(self, failure: str) -> None:
+        """Take the end of the ramp.
+
+        Args:
+            failure: reason for which it did not arrive; empty when it did.
+        """
+        if self.phase is not Phase.RAMPING:
+            return
+        if failure:
+            self.end(f"the follower does not reach the leader: {failure}")
+        else:
+            self.phase, self.message = Phase.FOLLOWING, ""
+
+    def set_clutch(self, *, closed: bool) -> Act:
+        """Open the clutch, so that the follower holds, or close it, so that it goes to the leader and follows."""
+        if self.ended:
+            return Act.NOTHING
+        if not closed:
+            return self._hold("the clutch is open")
+        if self.phase is Phase.HOLDING:
+            self._ramp()
+        return Act.NOTHING
+
+    def interrupt(self, now_s: float, reason: str) -> Act:
+        """Brake, and ramp again as soon as that can be: the follower came to rest by itself.
+
+        Args:
+            now_s: monotonic time [s].
+            reason: the cause.
+        """
+        self.phase, self.message, self._stale_since_s = Phase.BRAKING, reason, now_s
+        return Act.BRAKE
+
+    def end(self, reason: str) -> Act:
+        """End the following for a reason."""
+        if self.ended:
+            return Act.NOTHING
+        self.phase, self.message = Phase.IDLE, reason
+        return Act.BRAKE
+
+    def _ramp(self) -> None:
+        self.phase, self.message = Phase.RAMPING, "the follower goes to where the leader is"
+        self._asked = False
+
+    def _hold(self, message: str) -> Act:
+        self.phase, self.message = Phase.HOLDING, message
+        return Act.BRAKE
+
+    def _wait_for_leader(self, now_s: float) -> Act:
+        self.phase, self.message = Phase.BRAKING, f"the leader has sent nothing for {STALE_S:g} s"
+        self._stale_since_s = now_s
+        return Act.BRAKE
+
+
+@dataclass(frozen=True)
+class TrackingLimits:
+    """Limits of a joint that follows.
+
+    Attributes:
+        velocity_rad_s: greatest velocity [rad/s].
+        acceleration_rad_s2: greatest acceleration [rad/s^2].
+    """
+
+    velocity_rad_s: float
+    acceleration_rad_s2: float
+
+
+def tracking_velocity(error_rad: float, leader_rad_s: float, limits: TrackingLimits) -> float:
+    """Return the velocity with which a joint follows [rad/s].
+
+    It is that of the leader and a part that closes the error, never faster than the joint can brake within it.
+
+    Args:
+        error_rad: from the joint's goal to its target [rad].
+        leader_rad_s: velocity of the target [rad/s].
+        limits: of the joint.
+    """
+    braking = math.sqrt(2.0 * ACCELERATION_SHARE * limits.acceleration_rad_s2 * abs(error_rad))
+    closing = math.copysign(min(abs(error_rad) / TRACKING_TIME_S, braking), error_rad)
+    velocity = leader_rad_s + closing
+    return min(max(velocity, -limits.velocity_rad_s), limits.velocity_rad_s)
+
+
+def tracking_velocities(
+    goals_rad: Mapping[str, float],
+    targets_rad: Mapping[str, float],
+    leader_rad_s: Mapping[str, float],
+    limits: Mapping[str, TrackingLimits],
+) -> dict[str, float]:
+    """Return the velocity of each joint that has a target [rad/s].
+
+    Args:
+        goals_rad: commanded positions [rad].
+        targets_rad: targets [rad].
+        leader_rad_s: velocities of the targets, 0 where they are not named [rad/s].
+        limits: of each joint.
+    """
+    return {
+        name: tracking_velocity(target - goals_rad[name], leader_rad_s.get(name, 0.0), limits[name])
+        for name, target in targets_rad.items()
+    }

@@ -1,0 +1,319 @@
+"""Following in progress: from a leader's samples to a follower's ramp, joints and gripper, tick by tick."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.servo.question import JointVelocities, ServoAnswer, ServoQuestion, ServoStatus
+from robot.arm_interface import ArmInterface
+from robot.description.model import RobotModel
+from server.errors import RefusedError
+from server.execution.monitors import CurrentState, check_ready
+from server.execution.motions import Motion, Positions
+from server.execution.queue import Answer, GoalQueue
+from server.moveit.gripper import Gripper, GripperCommand
+from server.moveit.servo.servo_loop import Ask, Resolve, ServoSession, ServoSetup
+from server.teleop.following import STALE_S, Act, Following, Observed, Phase, TrackingLimits, tracking_velocities
+from server.teleop.joint_map import JointMap
+from server.teleop.leader import JitterBuffer, LeaderPose
+
+log = logging.getLogger("armbridge.teleop")
+
+# Share of the limits on the way to the leader: somebody holds the leader and watches.
+RAMP_SCALING = 0.3
+
+# The gripper follows in motions of this length at least, each of which ends before the next [rad].
+GRIPPER_STEP_RAD = 0.02
+
+# States are published as often as people read them [s].
+SHOWN_EVERY_S = 0.2
+
+# Queues a goal for joints: returns its number and its answer to come; raises RefusedError.
+GoTo: TypeAlias = Callable[[Positions, float], tuple[str, "asyncio.Future[Answer]"]]
+
+
+@dataclass(frozen=True)
+class Follower:
+    """Arm that can follow.
+
+    Attributes:
+        name: of the arm.
+        prefix: with which names of its joints begin; empty for an arm that is alone.
+        robot: its own description.
+        arm: the arm.
+        setup: of its servo loop.
+        gripper: its gripper; None without one.
+    """
+
+    name: str
+    prefix: str
+    robot: RobotModel
+    arm: ArmInterface
+    setup: ServoSetup
+    gripper: Gripper | None
+
+    @property
+    def joints(self) -> frozenset[str]:
+        """All of its joints."""
+        return frozenset(joint.name for joint in self.robot.movable_joints)
+
+    @property
+    def limits(self) -> dict[str, TrackingLimits]:
+        """Limits of the joints that are steered."""
+        scaling = self.setup.limits.velocity_scaling
+        joints = [self.robot.joints[name] for name in self.setup.joints]
+        return {joint.name: TrackingLimits(scaling * joint.max_velocity, joint.max_acceleration) for joint in joints}
+
+
+@dataclass(frozen=True)
+class FollowingState:
+    """State of a following.
+
+    Attributes:
+        phase: the present phase.
+        message: the phase in words.
+        latency_s: from the leader's reading to the follower's setpoint [s].
+        lag_rad: greatest distance of a joint's goal from its target [rad].
+        speed_scale: share of the wanted speed that limits and obstacles leave, 0 to 1.
+    """
+
+    phase: Phase
+    message: str
+    latency_s: float
+    lag_rad: float
+    speed_scale: float
+
+
+class FollowingSession:
+    """Following of one follower, until it ends.
+
+    Args:
+        follower: the arm that follows.
+        joints: its joints and those that they follow.
+        samples: of the leader.
+        queue: takes the ramps.
+        go_to: likewise.
+        ask: the planners.
+        resolve: look-up of frames.
+        current: positions of all joints.
+        show: called with the state, when it changes and some times a second.
+        show_targets: called with the targets at every tick of following [rad].
+        clock: monotonic time [s].
+
+    Attributes:
+        following: its state machine.
+    """
+
+    def __init__(
+        self,
+        follower: Follower,
+        joints: JointMap,
+        samples: JitterBuffer,
+        queue: GoalQueue[Motion],
+        go_to: GoTo,
+        ask: Ask,
+        resolve: Resolve,
+        current: CurrentState,
+        show: Callable[[FollowingState], None],
+        show_targets: Callable[[Mapping[str, float]], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.following = Following()
+        self._follower, self._joints, self._samples = follower, joints, samples
+        self._queue, self._go_to, self._ask = queue, go_to, ask
+        self._show, self._show_targets, self._clock = show, show_targets, clock
+        self._servo = ServoSession(
+            follower.arm,
+            follower.setup,
+            self._asked,
+            resolve,
+            self._take_status,
+            self._take_interruption,
+            clock,
+            current,
+        )
+        self._limits = follower.limits
+        self._stops = follower.arm.stops
+        self._interrupted = ""
+        self._warning = ""
+        self._ramp: tuple[str, asyncio.Future[Answer]] | None = None
+        self._gripper: asyncio.Task[None] | None = None
+        self._gripper_claim = 0
+        self._gripper_target_rad: float | None = None
+        self._latency_s = self._lag_rad = 0.0
+        self._speed_scale = 1.0
+        self._shown: tuple[Phase, str] | None = None
+        self._shown_at_s = 0.0
+        self._task: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        """Begin with the ramp."""
+        self._task = asyncio.create_task(self._run(), name="teleoperation")
+
+    def set_clutch(self, *, closed: bool) -> None:
+        """Open or close the clutch."""
+        self._carry_out(self.following.set_clutch(closed=closed), self._clock())
+        self._tell()
+
+    def end(self, reason: str) -> None:
+        """Brake softly and follow no more."""
+        self._carry_out(self.following.end(reason), self._clock())
+        self._tell()
+
+    async def close(self) -> None:
+        """End at once; the arm comes to rest by itself."""
+        self.end("the server is ending")
+        for task in (self._task, self._gripper):
+            if task is not None:
+                task.cancel()
+                with contextlib.suppress(asyncio.CancelledError):
+                    await task
+        await self._servo.close()
+
+    async def _run(self) -> None:
+        try:
+            while not self.following.ended:
+                due_s = self._clock() + self._follower.setup.period_s
+                self._tick()
+                await asyncio.sleep(max(due_s - self._clock(), 0.0))
+        except Exception:  # a bug must not leave the arm steered by a following that has ended
+            log.exception("teleoperation failed")
+            self.end("teleoperation failed inside the server")
+
+    def _tick(self) -> None:
+        now_s = self._clock()
+        obstacle = self._obstacle()
+        if self._interrupted and not obstacle and self.following.phase is Phase.FOLLOWING:
+            # The planners were late: the arm has come to rest by itself.
+            self._carry_out(self.following.interrupt(now_s, self._interrupted), now_s)
+        self._interrupted = ""
+        observed = Observed(self._samples.age_s(now_s), self._samples.take_jump(), obstacle)
+        self._carry_out(self.following.tick(now_s, observed), now_s)
+        if (self.following.phase, self._message) != self._shown or now_s - self._shown_at_s >= SHOWN_EVERY_S:
+            self._tell()
+
+    def _obstacle(self) -> str:
+        """Return the reason for which the follower cannot go on; empty if there is none."""
+        follower = self._follower
+        if follower.arm.stops != self._stops:
+            return "the arm was stopped"
+        try:
+            check_ready(follower.arm)
+        except RefusedError as error:
+            return str(error)
+        if self.following.phase is Phase.FOLLOWING and (busy := self._queue.busy_with(follower.joints)):
+            return f"the arm is in use: {busy}"
+        return ""
+
+    def _carry_out(self, act: Act, now_s: float) -> None:
+        match act:
+            case Act.RAMP:
+                self._begin_ramp(now_s)
+            case Act.FOLLOW:
+                self._follow(now_s)
+            case Act.BRAKE:
+                self._brake()
+
+    def _begin_ramp(self, now_s: float) -> None:
+        pose = self._samples.pose(now_s)
+        if pose is None:
+            return
+        targets = self._joints.targets_rad(pose.positions_rad)
+        steered = {name: target for name, target in targets.items() if name in self._limits}
+        if not steered:
+            self.following.take_ramp_end("")
+            return
+        try:
+            number, answered = self._ramp = self._go_to(steered, RAMP_SCALING)
+        except RefusedError as error:
+            self.following.take_ramp_end(str(error))
+            return
+
+        def take(answer: asyncio.Future[Answer]) -> None:
+            # A ramp that was given up tells nothing on the one after it.
+            if self._ramp is not None and self._ramp[0] == number:
+                self._ramp = None
+                reached = answer.result().code is MoveItErrorCode.SUCCESS
+                self.following.take_ramp_end("" if reached else answer.result().message)
+
+        answered.add_done_callback(take)
+
+    def _follow(self, now_s: float) -> None:
+        pose = self._samples.pose(now_s)
+        if pose is None:
+            return
+        targets = self._joints.targets_rad(pose.positions_rad)
+        steered = {name: target for name, target in targets.items() if name in self._limits}
+        goals = self._servo.positions_rad()
+        if not goals:
+            return
+        velocities = tracking_velocities(goals, steered, self._velocities(pose), self._limits)
+        self._servo.set_command(JointVelocities(velocities), STALE_S)
+        self._follow_with_gripper(targets)
+        self._latency_s = pose.latency_s
+        self._lag_rad = max((abs(target - goals[name]) for name, target in steered.items()), default=0.0)
+        self._show_targets(targets)
+
+    def _velocities(self, pose: LeaderPose) -> dict[str, float]:
+        """Return the velocities of the targets [rad/s]; a target that a limit holds has none."""
+        found = {}
+        for link in self._joints.links:
+            velocity = link.scale * pose.velocity_rad_s.get(link.leader, 0.0)
+            target = link.scale * pose.positions_rad.get(link.leader, 0.0)
+            found[link.follower] = velocity if link.lower_rad < target < link.upper_rad else 0.0
+        return found
+
+    def _follow_with_gripper(self, targets: Mapping[str, float]) -> None:
+        gripper = self._follower.gripper
+        target_rad = None if gripper is None else targets.get(gripper.joints[0].name)
+        if gripper is None or target_rad is None or (self._gripper is not None and not self._gripper.done()):
+            return
+        last_rad = self._gripper_target_rad
+        if last_rad is not None and abs(target_rad - last_rad) < GRIPPER_STEP_RAD:
+            return
+        self._gripper_target_rad = target_rad
+        self._gripper_claim = gripper.claim()
+        self._gripper = asyncio.create_task(self._move(gripper, target_rad), name="the gripper's following")
+
+    async def _move(self, gripper: Gripper, target_rad: float) -> None:
+        # A refusal is one of the whole arm, which the next tick finds.
+        with contextlib.suppress(RefusedError):
+            await gripper.move(self._gripper_claim, GripperCommand(target_rad), lambda _reading: None)
+
+    def _brake(self) -> None:
+        self._servo.release()
+        if self._ramp is not None:
+            (number, _), self._ramp = self._ramp, None
+            self._queue.cancel(number, self.following.message)
+        if self._follower.gripper is not None and self._gripper is not None and not self._gripper.done():
+            self._follower.gripper.give_up(self._gripper_claim)
+        self._gripper_target_rad = None
+        self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""
+
+    async def _asked(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
+        answer = await self._ask(question)
+        self._speed_scale = 0.0 if isinstance(answer, PlanningFailure) else answer.share
+        return answer
+
+    def _take_status(self, status: ServoStatus, message: str) -> None:
+        self._warning = "" if status is ServoStatus.NO_WARNING else message
+
+    def _take_interruption(self, reason: str) -> None:
+        self._interrupted = reason
+
+    @property
+    def _message(self) -> str:
+        return self.following.message or self._warning
+
+    def _tell(self) -> None:
+        self._shown, self._shown_at_s = (self.following.phase, self._message), self._clock()
+        self._show(
+            FollowingState(self.following.phase, self._message, self._latency_s, self._lag_rad, self._speed_scale)
+        )

@@ -1,0 +1,233 @@
+"""A follower on its emulated bus follows an arm that a hand leads, and a client's topic, and ends well."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.robots import so101
+from tests.helpers.server import EmulatorControl, RunningServer
+
+pytestmark = pytest.mark.real_time
+
+JOINTS = tuple(joint.name for joint in so101().movable_joints)
+TIMEOUT_S = 60.0
+STATE, TOPIC = "/teleop/state", "/glove/joint_states"
+MIDDLE_TICK, TICKS_PER_RAD = 2048, 652
+
+CONFIG = """
+[server]
+port = 0
+[moveit]
+max_velocity_scaling = 1.0
+max_acceleration_scaling = 1.0
+[arms.follower]
+base_xyz_m = [0.0, 0.4, 0.0]
+emulator.control = "{folder}/follower"
+[arms.leader]
+role = "leader"
+base_xyz_m = [0.0, -0.4, 0.0]
+emulator.control = "{folder}/leader"
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("teleop")
+
+
+@pytest.fixture(scope="module")
+def server(folder: Path) -> Iterator[RunningServer]:
+    config = folder / "arms.toml"
+    config.write_text(CONFIG.format(folder=folder))
+    with RunningServer(f"--config {config}") as running:
+        yield running
+
+
+@pytest.fixture
+def hand(folder: Path) -> Iterator[EmulatorControl]:
+    """The hand that leads; it holds the leader straight when it is let go of."""
+    one = EmulatorControl(folder / "leader")
+    one.command(hand={"1": MIDDLE_TICK, "5": MIDDLE_TICK})
+    yield one
+    one.command(hand={"1": MIDDLE_TICK, "5": MIDDLE_TICK})
+
+
+@pytest.fixture
+async def client(server: RunningServer, hand: EmulatorControl) -> AsyncIterator[ArmClient]:
+    async with arm_client(server.url) as one:
+        await one.say("subscribe", topic="/joint_states", type="sensor_msgs/JointState")
+        await one.say("subscribe", topic="/follower/arm/state", type="diagnostic_msgs/DiagnosticStatus")
+        await one.say("subscribe", topic=STATE, type="armbridge_msgs/TeleopState")
+        yield one
+        await one.call("/teleop/stop")
+        await one.call("/follower/arm/reset_fault")
+        await one.call("/follower/arm/enable")
+        await one.until("/follower/arm/state", lambda states: values_of(states[-1])["mode"] == "holding", TIMEOUT_S)
+        await one.call("/arm/release_control")
+
+
+async def positions(client: ArmClient) -> dict[str, float]:
+    client.topics.pop("/joint_states", None)
+    latest = (await client.until("/joint_states", bool))[-1]
+    return dict(zip(latest["name"], latest["position"], strict=True))
+
+
+async def phase_is(client: ArmClient, phase: str) -> dict[str, Any]:
+    return (await client.until(STATE, lambda states: states[-1]["phase"] == phase, TIMEOUT_S))[-1]
+
+
+async def follows(client: ArmClient, joint: str, least_rad: float) -> None:
+    """Wait until a joint of the follower is where the leader's is, that far from the middle."""
+    async with asyncio.timeout(TIMEOUT_S):
+        while True:
+            now = await positions(client)
+            if abs(now[f"leader_{joint}"]) >= least_rad and (
+                abs(now[f"follower_{joint}"] - now[f"leader_{joint}"]) < 0.06
+            ):
+                return
+
+
+async def start(client: ArmClient, **request: Any) -> None:
+    answer = await client.call("/teleop/start", follower="follower", **request)
+    assert answer["success"], answer
+    await phase_is(client, "following")
+
+
+@asynccontextmanager
+async def glove(client: ArmClient, places: dict[str, float]) -> AsyncIterator[asyncio.Task[None]]:
+    """Samples of a leader elsewhere, whose places [rad] the test changes."""
+    await client.say("advertise", topic=TOPIC, type="sensor_msgs/JointState")
+
+    async def send() -> None:
+        while True:
+            now_s = time.time()
+            stamp = {"sec": int(now_s), "nanosec": int(now_s % 1.0 * 1e9)}
+            msg = {"header": {"stamp": stamp}, "name": list(places), "position": list(places.values())}
+            await client.say("publish", topic=TOPIC, msg=msg)
+            await asyncio.sleep(0.01)
+
+    sending = asyncio.create_task(send())
+    try:
+        yield sending
+    finally:
+        sending.cancel()
+        with suppress(asyncio.CancelledError):
+            await sending
+
+
+async def test_the_follower_goes_where_a_hand_leads_the_leader(client: ArmClient, hand: EmulatorControl) -> None:
+    await start(client, leader="leader")
+    await client.say("subscribe", topic="/teleop/leader_joint_states", type="sensor_msgs/JointState")
+    for ticks in (300, -300):
+        hand.command(hand={"1": MIDDLE_TICK + ticks})
+        await follows(client, "shoulder_pan", 0.3)
+    targets = (await client.until("/teleop/leader_joint_states", bool))[-1]
+    assert set(targets["name"]) == {f"follower_{name}" for name in JOINTS}
+
+
+async def test_the_follower_ramps_to_a_leader_that_stands_elsewhere(client: ArmClient, hand: EmulatorControl) -> None:
+    hand.command(hand={"1": MIDDLE_TICK + 400})
+    await client.until(
+        "/joint_states",
+        lambda states: abs(states[-1]["position"][states[-1]["name"].index("leader_shoulder_pan")]) > 0.5,
+        TIMEOUT_S,
+    )
+    await start(client, leader="leader")
+    assert "ramping" in [state["phase"] for state in client.topics[STATE]]
+    await follows(client, "shoulder_pan", 0.5)
+
+
+async def test_an_open_clutch_holds_the_follower_and_a_closed_one_brings_it_back(
+    client: ArmClient, hand: EmulatorControl
+) -> None:
+    await start(client, leader="leader")
+    assert (await client.call("/teleop/clutch", data=False))["success"]
+    await phase_is(client, "holding")
+    held = (await positions(client))["follower_wrist_roll"]
+    hand.command(hand={"5": MIDDLE_TICK + 400})
+    async with asyncio.timeout(TIMEOUT_S):
+        while abs((await positions(client))["leader_wrist_roll"]) < 0.5:
+            pass
+    assert (await positions(client))["follower_wrist_roll"] == pytest.approx(held, abs=0.03)
+    assert (await client.call("/teleop/clutch", data=True))["success"]
+    await follows(client, "wrist_roll", 0.5)
+
+
+async def test_a_leader_by_topic_is_followed_and_its_silence_ends_it(client: ArmClient) -> None:
+    places = dict.fromkeys(JOINTS, 0.0)
+    async with glove(client, places):
+        await start(client, leader=TOPIC)
+        async with asyncio.timeout(TIMEOUT_S):
+            while (await positions(client))["follower_wrist_roll"] < 0.4:
+                places["wrist_roll"] = min(places["wrist_roll"] + 0.01, 0.5)
+    ended = await phase_is(client, "idle")
+    assert ended["message"] == "the leader has sent nothing for 2 s"
+    assert "braking" in [state["phase"] for state in client.topics[STATE]]
+    resting = (await positions(client))["follower_wrist_roll"]
+    assert (await positions(client))["follower_wrist_roll"] == pytest.approx(resting, abs=0.02)
+
+
+async def test_a_leader_that_jumps_is_not_followed_there(client: ArmClient) -> None:
+    places = dict.fromkeys(JOINTS, 0.0)
+    async with glove(client, places):
+        await start(client, leader=TOPIC)
+        places["wrist_roll"] = 1.5
+        held = await phase_is(client, "holding")
+        assert "wrist_roll of the leader jumped by 1.50 rad" in held["message"]
+        assert abs((await positions(client))["follower_wrist_roll"]) < 0.3
+
+
+@pytest.mark.parametrize("service", ["/arm/stop", "/follower/arm/stop", "/teleop/stop"])
+async def test_every_stop_ends_the_following(client: ArmClient, service: str) -> None:
+    await start(client, leader="leader")
+    assert (await client.call(service))["success"]
+    assert "stopped" in (await phase_is(client, "idle"))["message"]
+    assert (await client.call("/teleop/stop"))["message"] == "nothing follows: /teleop/start begins"
+
+
+async def test_a_fault_of_the_follower_ends_the_following_with_its_cause(client: ArmClient, folder: Path) -> None:
+    await start(client, leader="leader")
+    servos = EmulatorControl(folder / "follower")
+    servos.command(offline=[3])
+    ended = await phase_is(client, "idle")
+    servos.command(online=[3])
+    assert "elbow_flex" in ended["message"]
+
+
+async def test_a_goal_from_elsewhere_ends_the_following(client: ArmClient) -> None:
+    await start(client, leader="leader")
+    await client.goal("/follower/moveit_goal_named", "std_msgs/String", {"data": "ready"})
+    assert (await phase_is(client, "idle"))["message"]
+
+
+async def test_a_relaxed_follower_does_not_begin(client: ArmClient) -> None:
+    assert (await client.call("/follower/arm/relax"))["success"]
+    await client.until("/follower/arm/state", lambda states: values_of(states[-1])["mode"] == "relaxed", TIMEOUT_S)
+    refused = await client.call("/teleop/start", follower="follower", leader="leader")
+    assert refused["message"].startswith("follower cannot follow: the arm is relaxed")
+
+
+@pytest.mark.parametrize(
+    ("request_", "said"),
+    [
+        ({"follower": "other", "leader": "leader"}, "follower: must be one of follower, not 'other'"),
+        ({"follower": "", "leader": "follower"}, "leader: must be an arm that leads (leader) or a topic"),
+        ({"follower": "", "leader": "/silent"}, "leader: /silent has sent nothing for 1 s"),
+        ({"follower": "", "leader": "/joint_states"}, "leader: must not be /joint_states"),
+        ({"follower": "", "leader": "leader", "scale": -1.0}, "scale: must be above 0"),
+    ],
+)
+async def test_a_following_that_cannot_be_is_refused_in_one_sentence(
+    client: ArmClient, request_: dict[str, Any], said: str
+) -> None:
+    refused = await client.call("/teleop/start", **request_)
+    assert not refused["success"]
+    assert refused["message"].startswith(said)

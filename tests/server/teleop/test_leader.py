@@ -1,0 +1,99 @@
+"""Samples of leaders: jitter, order, gaps, and jumps."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from server.teleop.leader import MAX_DELAY_S, JitterBuffer, LeaderSample
+
+# The leader's clock is elsewhere.
+OFFSET_S = 1e6
+
+
+def buffer_of(*samples: tuple[float, float, float], velocity: float = 2.0) -> JitterBuffer:
+    """A buffer that took a position [rad] read at a time, which came at another [s]."""
+    buffer = JitterBuffer({"a": velocity})
+    for read_s, arrived_s, position_rad in samples:
+        buffer.add(LeaderSample(read_s + OFFSET_S, {"a": position_rad}), arrived_s)
+    return buffer
+
+
+def position(buffer: JitterBuffer, now_s: float) -> float:
+    pose = buffer.pose(now_s)
+    assert pose is not None
+    return pose.positions_rad["a"]
+
+
+def test_an_empty_buffer_has_no_pose_and_no_end_of_age() -> None:
+    buffer = JitterBuffer({})
+    assert buffer.pose(1.0) is None
+    assert buffer.age_s(1.0) == math.inf
+
+
+def test_samples_without_jitter_are_followed_without_delay() -> None:
+    buffer = buffer_of(*((k / 100, k / 100, k / 100) for k in range(20)))
+    assert buffer.delay_s == pytest.approx(0.0, abs=1e-9)
+    assert position(buffer, 0.19) == pytest.approx(0.19)
+
+
+def test_samples_that_come_in_bursts_are_followed_evenly() -> None:
+    buffer = JitterBuffer({"a": 2.0})
+    seen = []
+    for tick in range(100):
+        now_s = tick / 100
+        if tick % 4 == 3:
+            for k in range(tick - 3, tick + 1):
+                buffer.add(LeaderSample(k / 100 + OFFSET_S, {"a": k / 100}), now_s)
+        if tick > 20:
+            seen.append(position(buffer, now_s))
+    assert [later - before for before, later in itertools.pairwise(seen)] == pytest.approx(
+        [0.01] * (len(seen) - 1), abs=1e-6
+    )
+
+
+def test_the_delay_has_a_bound() -> None:
+    buffer = buffer_of((0.0, 0.0, 0.0), (0.01, 1.0, 0.0))
+    assert buffer.delay_s == MAX_DELAY_S
+
+
+def test_a_sample_that_is_overtaken_is_dropped() -> None:
+    buffer = buffer_of((0.0, 0.0, 0.0), (0.02, 0.02, 0.2), (0.01, 0.03, 0.1))
+    assert position(buffer, 1.0) == 0.2
+
+
+def test_beyond_the_last_sample_the_leader_rests() -> None:
+    buffer = buffer_of((0.0, 0.0, 0.0), (0.01, 0.01, 0.01))
+    pose = buffer.pose(0.1)
+    assert pose is not None
+    assert pose.positions_rad == {"a": 0.01}
+    assert pose.velocity_rad_s == {"a": 0.0}
+    assert pose.latency_s == pytest.approx(0.09)
+
+
+def test_a_jump_is_told_once_with_its_joint() -> None:
+    buffer = buffer_of((0.0, 0.0, 0.0), (0.01, 0.01, 1.0), (0.02, 0.02, 1.0))
+    assert "a of the leader jumped by 1.00 rad within 0.010 s" in buffer.take_jump()
+    assert buffer.take_jump() == ""
+
+
+def test_a_fast_hand_and_a_lost_sample_are_no_jump() -> None:
+    assert buffer_of((0.0, 0.0, 0.0), (0.05, 0.05, 0.2)).take_jump() == ""
+    assert buffer_of((0.0, 0.0, 0.0), (0.5, 0.5, 1.9)).take_jump() == ""
+
+
+@given(st.lists(st.tuples(st.floats(0.001, 0.05), st.floats(0.0, 0.2), st.floats(-1.0, 1.0)), min_size=1, max_size=80))
+def test_a_pose_is_always_between_samples(steps: list[tuple[float, float, float]]) -> None:
+    buffer, read_s, arrived_s = JitterBuffer({}), 0.0, 0.0
+    for step_s, late_s, angle in steps:
+        read_s += step_s
+        arrived_s = max(arrived_s, read_s + late_s)
+        buffer.add(LeaderSample(read_s + OFFSET_S, {"a": angle}), arrived_s)
+        pose = buffer.pose(arrived_s)
+        assert pose is not None
+        assert -1.0 - 1e-6 <= pose.positions_rad["a"] <= 1.0 + 1e-6
+        assert pose.latency_s >= 0.0

@@ -17,6 +17,7 @@ from server.commands.calibrate import add_calibrate_parser
 from server.commands.certificate import add_certificate_parser
 from server.commands.classroom import add_classroom_parser
 from server.commands.config import add_config_parser, add_systemd_unit_parser
+from server.commands.leader import add_leader_parser
 from server.commands.plan import add_plan_parser
 from server.commands.report import add_report_parser
 from server.commands.robot import add_robot_parser
@@ -38,6 +39,7 @@ COMMANDS = (
     add_robot_parser,
     add_plan_parser,
     add_classroom_parser,
+    add_leader_parser,
     add_replay_parser,
     add_emulate_parser,
     add_certificate_parser,

@@ -1,0 +1,170 @@
+"""A leader at another machine: what it sends on a slow network, and a follower of it over a real socket."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Awaitable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot.messages import ArmState, Mode
+from server.teleop.leader_client import IN_FLIGHT, LeaderClient, LeaderOptions, NewestSample
+from server.teleop.teleoperation import START, STATE_TOPIC, STOP
+from tests.helpers.clients import ArmClient, arm_client
+from tests.helpers.robots import nominal_calibration
+from tests.helpers.server import FAST, ROOT, EmulatorControl, ServerOnBus, free_port, server_on_bus
+
+JOINTS = {joint.joint: joint for joint in nominal_calibration().joints}
+TIMEOUT_S = 60.0
+TOPIC = "/leader/joint_states"
+
+
+class SlowServer:
+    """A server that takes frames, and answers pings when a test says so."""
+
+    def __init__(self) -> None:
+        self.sent: list[dict[str, Any]] = []
+        self.pings: list[asyncio.Future[float]] = []
+
+    async def send(self, message: str) -> None:
+        self.sent.append(json.loads(message))
+
+    async def ping(self) -> Awaitable[float]:
+        self.pings.append(asyncio.get_running_loop().create_future())
+        return self.pings[-1]
+
+    @property
+    def positions(self) -> list[float]:
+        return [each["msg"]["position"][0] for each in self.sent if each["op"] == "publish"]
+
+
+def reading(position_rad: float) -> ArmState:
+    at = np.array([position_rad])
+    return ArmState(position_rad, Mode.RELAXED, ("elbow_flex",), position_rad=at, velocity_rad_s=at)
+
+
+@dataclass
+class Publishing:
+    server: SlowServer
+    samples: NewestSample
+
+    async def show(self, *positions_rad: float) -> None:
+        for position_rad in positions_rad:
+            self.samples.put(reading(position_rad))
+            for _ in range(5):
+                await asyncio.sleep(0)
+
+
+@pytest.fixture
+async def publishing() -> AsyncIterator[Publishing]:
+    server, samples = SlowServer(), NewestSample()
+    client = LeaderClient(LeaderOptions("ws://nowhere", TOPIC, "secret-of-sixteen"), lambda _sentence: None)
+    task = asyncio.create_task(client.publish(server, samples))
+    yield Publishing(server, samples)
+    task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await task
+
+
+async def test_it_shows_its_token_and_advertises_before_the_first_sample(publishing: Publishing) -> None:
+    await publishing.show(0.5)
+    assert [each["op"] for each in publishing.server.sent] == ["auth", "advertise", "publish"]
+    assert publishing.server.sent[-1]["msg"]["name"] == ["elbow_flex"]
+    assert publishing.server.sent[-1]["msg"]["header"]["stamp"] == {"sec": 0, "nanosec": 500_000_000}
+
+
+async def test_on_a_slow_network_old_samples_are_left_out(publishing: Publishing) -> None:
+    await publishing.show(*(float(number) for number in range(50)))
+    assert len(publishing.server.positions) <= IN_FLIGHT + 2
+    publishing.server.pings[0].set_result(0.1)
+    await publishing.show(100.0)
+    # Those that were on their way, at most one that was waited with, and the newest.
+    assert publishing.server.positions[-1] == 100.0
+    assert len(publishing.server.positions) <= IN_FLIGHT + 4
+
+
+async def test_an_arm_that_is_not_read_publishes_nothing(publishing: Publishing) -> None:
+    publishing.samples.put(ArmState(1.0, Mode.DISCONNECTED, ("elbow_flex",)))
+    await publishing.show()
+    assert publishing.server.positions == []
+
+
+# Over a real socket.
+
+
+@pytest.fixture
+def follower() -> Iterator[ServerOnBus]:
+    with server_on_bus(**{key.removeprefix("ARMBRIDGE_"): value for key, value in FAST.items()}) as running:
+        yield running
+
+
+@contextlib.contextmanager
+def leader(url: str, control: Path) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "server.cli", "leader", "--connect", url, "--emulator-control", str(control)]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as process:
+        yield process
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            process.wait(TIMEOUT_S)
+
+
+async def elbow_at(client: ArmClient, position_rad: float) -> None:
+    def there(states: list[dict[str, Any]]) -> bool:
+        return abs(states[-1]["position"][states[-1]["name"].index("elbow_flex")] - position_rad) < 0.1
+
+    await client.until("/joint_states", there, TIMEOUT_S)
+
+
+@pytest.mark.real_time
+async def test_an_arm_follows_a_leader_at_another_machine_and_holds_when_it_is_gone(
+    follower: ServerOnBus, tmp_path: Path
+) -> None:
+    control = tmp_path / "control"
+    elbow = JOINTS["elbow_flex"]
+    async with arm_client(follower.server.url) as client:
+        await client.say("subscribe", topic="/joint_states", type="sensor_msgs/JointState")
+        await client.say("subscribe", topic=STATE_TOPIC, type="armbridge_msgs/TeleopState")
+        await client.say("subscribe", topic=TOPIC, type="sensor_msgs/JointState")
+        with leader(f"ws://127.0.0.1:{follower.server.port}", control) as process:
+            hand = EmulatorControl(control)
+            await client.until(TOPIC, bool, TIMEOUT_S)
+            await asyncio.to_thread(hand.command, hand={str(elbow.servo_id): elbow.ticks_from_rad(0.4)})
+            answer = await client.call(START, follower="", leader=TOPIC)
+            assert answer["success"], answer
+            await elbow_at(client, 0.4)
+            await asyncio.to_thread(hand.command, hand={str(elbow.servo_id): elbow.ticks_from_rad(-0.2)})
+            await elbow_at(client, -0.2)
+            process.kill()
+            process.wait(TIMEOUT_S)
+        ended = await client.until(STATE_TOPIC, lambda told: told[-1]["phase"] == "idle", TIMEOUT_S)
+        assert ended[-1]["message"]
+        await client.until_mode("holding")
+        await client.call(STOP)
+
+
+def test_a_real_leader_without_a_calibration_is_refused_in_one_sentence() -> None:
+    command = [sys.executable, "-m", "server.cli", "leader", "--serial", "/dev/nothing"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("armbridge: --calibration: without one nobody knows where the joints")
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.real_time
+def test_without_a_server_it_says_so_tries_again_and_ends_with_ctrl_c(tmp_path: Path) -> None:
+    with leader(f"ws://127.0.0.1:{free_port()}", tmp_path / "control") as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if "trying again in" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        assert process.wait(TIMEOUT_S) == 0

@@ -17,6 +17,7 @@ from server.commands.calibrate import add_calibrate_parser
 from server.commands.certificate import add_certificate_parser
 from server.commands.classroom import add_classroom_parser
 from server.commands.config import add_config_parser, add_systemd_unit_parser
+from server.commands.export import add_export_parser
 from server.commands.plan import add_plan_parser
 from server.commands.report import add_report_parser
 from server.commands.robot import add_robot_parser
@@ -39,6 +40,7 @@ COMMANDS = (
     add_plan_parser,
     add_classroom_parser,
     add_replay_parser,
+    add_export_parser,
     add_emulate_parser,
     add_certificate_parser,
     add_config_parser,

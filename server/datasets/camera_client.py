@@ -150,8 +150,10 @@ class CameraClient:
             if captured is None:
                 if ended:
                     return
+                # Not wait_for: Python 3.11's loses a cancellation that comes together with what it waits for.
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._arrived.wait(), LOOK_PERIOD_S)
+                    async with asyncio.timeout(LOOK_PERIOD_S):
+                        await self._arrived.wait()
                 continue
             due_s = max(due_s + 1.0 / options.fps, loop.time())
             jpeg = await asyncio.to_thread(to_jpeg, captured.pixels, options.width, options.quality)

@@ -26,6 +26,7 @@ from server.datasets.samples import (
     Samples,
     Times,
     image_data,
+    merged,
     messages,
     read_samples,
     series,
@@ -228,10 +229,25 @@ def _actions(samples: Samples, joints: Sequence[str], topic: str | None) -> tupl
         return topic, samples.joints[topic]
     if samples.joints.get(LEADER_TOPIC):
         return LEADER_TOPIC, samples.joints[LEADER_TOPIC]
-    for name, type_name in sorted(samples.types.items()):
-        if type_name == CONTROLLER_STATE and set(joints) <= set(samples.joints[name][0].names):
-            return name, samples.joints[name]
+    if controllers := _controllers(samples, joints):
+        return " and ".join(controllers), merged([samples.joints[name] for name in controllers])
     return "", ()
+
+
+def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
+    """Return the topics of as few controllers as have the commanded positions of all joints; none without those."""
+    commanded = {
+        name: set(samples.joints[name][0].names) & set(joints)
+        for name, type_name in sorted(samples.types.items())
+        if type_name == CONTROLLER_STATE
+    }
+    chosen: list[str] = []
+    left = set(joints)
+    for name in sorted(commanded, key=lambda each: -len(commanded[each])):
+        if commanded[name] & left:
+            chosen.append(name)
+            left -= commanded[name]
+    return [] if left else chosen
 
 
 def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> Frames:

@@ -148,17 +148,22 @@ def in_lerobot_units(
 
 
 def _begun(name: str, times: Times, episode: Episode) -> float:
-    """Return the time from which on there is something.
+    """Return the time in the episode from which on there is something.
+
+    A sample from before the episode counts unless a gap follows it: some topics are silent between episodes.
 
     Raises:
         LeftOutError: there is nothing in the episode, or too late.
     """
-    if not times.size or times[0] > episode.end_s:
+    after = int(np.searchsorted(times, episode.start_s - TIME_TOLERANCE_S))
+    following_s = float(times[after]) if after < times.size else episode.end_s
+    if after > 0 and following_s - times[after - 1] <= MAX_GAP_S:
+        return episode.start_s
+    if after == times.size or following_s > episode.end_s:
         raise LeftOutError(f"{name} are missing")
-    begun_s = max(episode.start_s, float(times[0]))
-    if begun_s - episode.start_s > MAX_GAP_S:
-        raise LeftOutError(f"{name} begin {begun_s - episode.start_s:.1f} s after it does")
-    return begun_s
+    if following_s - episode.start_s > MAX_GAP_S:
+        raise LeftOutError(f"{name} begin {following_s - episode.start_s:.1f} s after it does")
+    return max(episode.start_s, following_s)
 
 
 def _check_gaps(name: str, times: Times, at_s: Times, start_s: float, *, interpolated: bool) -> None:

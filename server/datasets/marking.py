@@ -31,11 +31,17 @@ DISCARD_SERVICE = "/dataset/discard_episode"
 # What this server knows of the episodes is for its answers alone; the recording has them all.
 MAX_KEPT = 10_000
 
+# Published while somebody subscribes, and the arm's states are read at their full rate then.
+STATE_TOPIC, COMMANDED_TOPICS = "/joint_states", "_controller/controller_state"
+
 NOT_RECORDED = "this server records nothing (armbridge serve --record FILE.mcap)"
 
 
 class EpisodeServices:
     """Offers the services, which publish their marks on ``/dataset/episode``; clients may publish there as well.
+
+    While an episode is recorded, the arm's states come at their full rate, and the controllers tell what they command,
+    which nobody else may have asked for.
 
     Args:
         graph: where they are.
@@ -48,11 +54,10 @@ class EpisodeServices:
         self._recording = recording
         self._clock = clock or asyncio.get_running_loop().time
         self._node = Node("dataset")
-        # A second node: the graph gives no node its own messages back.
-        self._listener = Node("dataset marks")
+        self._observer = Node("dataset observer")
         self._marks = EpisodeMarks()
         graph.advertise(self._node, EPISODE_TOPIC, EPISODE_TYPE)
-        graph.subscribe(self._listener, EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take))
+        graph.subscribe(self._node, EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take))
         graph.services.offer(self._node, START_SERVICE, START_TYPE, self._start)
         graph.services.offer(self._node, STOP_SERVICE, "std_srvs/Trigger", self._stop)
         graph.services.offer(self._node, DISCARD_SERVICE, "std_srvs/Trigger", self._discard)
@@ -67,6 +72,17 @@ class EpisodeServices:
         self._marks.take(mark, self._clock())
         self._marks.notes.clear()
         del self._marks.ended[:-MAX_KEPT]
+        self._observe(wanted=self._marks.open is not None and self._recording())
+
+    def _observe(self, *, wanted: bool) -> None:
+        """Subscribe to what is published for subscribers alone, or no longer; the recording has it then."""
+        for topic in self._graph.subscribed_by(self._observer):
+            self._graph.unsubscribe(self._observer, topic)
+        if not wanted:
+            return
+        for topic, type_name in self._graph.topic_types().items():
+            if topic == STATE_TOPIC or topic.endswith(COMMANDED_TOPICS):
+                self._graph.subscribe(self._observer, topic, type_name, Subscriber(lambda _published: None))
 
     def _start(self, request: dict[str, Any]) -> dict[str, Any]:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -188,6 +189,26 @@ def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
     if np.max(np.abs(late - offset_s)) > MAX_CLOCK_ERROR_S:
         return logged
     return stamped + offset_s
+
+
+def merged(topics: Sequence[Sequence[JointSample]]) -> list[JointSample]:
+    """Return the messages of several topics as those of one, each with the last known position of every joint.
+
+    Args:
+        topics: messages of each, in the order of the recording; those of one stamp are of one moment.
+    """
+    known: dict[str, float] = {}
+    result: list[JointSample] = []
+    for sample in heapq.merge(*topics, key=lambda each: each.log_s):
+        if len(sample.names) != len(sample.positions):
+            continue
+        known.update(zip(sample.names, sample.positions, strict=True))
+        row = sample._replace(names=tuple(known), positions=tuple(known.values()))
+        if result and sample.stamp_s and result[-1].stamp_s == sample.stamp_s:
+            result[-1] = row
+        else:
+            result.append(row)
+    return result
 
 
 def series(samples: Sequence[JointSample], names: Sequence[str]) -> tuple[Times, Positions]:

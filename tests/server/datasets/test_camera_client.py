@@ -9,6 +9,7 @@ import sys
 from collections.abc import Awaitable
 from typing import Any
 
+import pytest
 from websockets.asyncio.server import ServerConnection, serve
 
 from server.datasets import camera_client
@@ -88,6 +89,21 @@ async def test_an_image_has_stamp_frame_and_format() -> None:
     assert advertised == {"op": "advertise", "topic": TOPIC, "type": "sensor_msgs/CompressedImage"}
     assert image["msg"]["header"] == {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": "wrist"}
     assert image["msg"]["format"] == "jpeg"
+
+
+@pytest.mark.parametrize("turns", range(4))
+async def test_an_end_that_comes_together_with_an_image_is_not_lost(turns: int) -> None:
+    client = CameraClient(options(), lambda _: None)
+    images = NewestImage(Scripted(), 0.0, lambda: None)
+    publishing = asyncio.create_task(client.publish(HeldConnection(), images))
+    for _ in range(10):
+        await asyncio.sleep(0)
+    client._arrived.set()
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    publishing.cancel()
+    await asyncio.wait([publishing], timeout=10.0)
+    assert publishing.cancelled()
 
 
 async def test_it_connects_again_and_tells_complaints_once(monkeypatch: Any) -> None:

@@ -12,7 +12,7 @@ import pytest
 from server.cli import main
 from server.datasets import export as export_module
 from server.datasets.export import Exported, ExportError, ExportOptions, camera_keys, export
-from tests.server.datasets.conftest import JOINTS, Record, image, mark, state, states
+from tests.server.datasets.conftest import JOINTS, Record, image, mark, stamp, state, states
 from tests.server.recordings import REGISTRY, entry
 
 pa = pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed: no pyarrow")
@@ -188,14 +188,26 @@ def test_several_recordings_make_one_dataset(recorded: Record, tmp_path: Path) -
     assert reds == pytest.approx([100, 200], abs=3)
 
 
-def test_a_controllers_commanded_positions_are_the_actions_without_a_leader(recorded: Record, tmp_path: Path) -> None:
-    def commanded(n: int) -> Any:
-        msg = {"joint_names": list(JOINTS), "reference": {"positions": [9.0, 0.1 * n]}}
-        return entry("/arm_controller/controller_state", "control_msgs/JointTrajectoryControllerState", msg, n / 10)
+def commanded(joint: str, at_s: float, position: float) -> Any:
+    """A controller's state with the commanded position of one joint."""
+    msg = {"header": stamp(at_s), "joint_names": [joint], "reference": {"positions": [position]}}
+    return entry(f"/{joint}_controller/controller_state", "control_msgs/JointTrajectoryControllerState", msg, at_s)
 
-    done = exported(tmp_path / "data", recorded([*states(1.0), *map(commanded, range(11))]))
-    assert done.actions == "/arm_controller/controller_state"
-    assert column(tmp_path / "data", "action")[:, 1] == pytest.approx(0.1 * np.arange(11))
+
+def test_without_a_leader_the_positions_that_the_controllers_command_are_the_actions(
+    recorded: Record, tmp_path: Path
+) -> None:
+    pan = [commanded(JOINTS[0], n / 10, 0.3) for n in range(11)]
+    gripper = [commanded(JOINTS[1], n / 10, 0.1 * n) for n in range(11)]
+    done = exported(tmp_path / "data", recorded([*states(1.0), *pan, *gripper]))
+    assert done.actions == "/gripper_controller/controller_state and /shoulder_pan_controller/controller_state"
+    expected = np.column_stack([np.full(11, 0.3), 0.1 * np.arange(11)])
+    assert column(tmp_path / "data", "action") == pytest.approx(expected)
+
+
+def test_controllers_that_command_only_some_of_the_joints_are_no_actions(recorded: Record, tmp_path: Path) -> None:
+    pan = [commanded(JOINTS[0], n / 10, 0.3) for n in range(11)]
+    assert exported(tmp_path / "data", recorded([*states(1.0), *pan])).actions == "the next state"
 
 
 def test_units_of_lerobot_need_the_grippers_range_and_use_it(recorded: Record, tmp_path: Path) -> None:

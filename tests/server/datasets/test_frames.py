@@ -77,6 +77,13 @@ def test_an_episode_with_something_missing_is_left_out_with_the_place(tracks: Tr
     assert left_out(tracks) == sentence
 
 
+def test_a_topic_that_is_silent_between_episodes_begins_again_in_each() -> None:
+    spoken_s = TIMES_S[(TIMES_S < 0.2) | (TIMES_S > 1.11)]
+    frames = frames_of(EPISODE, replace(TRACKS, action_times_s=spoken_s, actions=spoken_s[:, None]), 10)
+    assert frames.start_s == pytest.approx(1.12)
+    assert frames.actions[:, 0] == pytest.approx(1.12 + np.arange(9) / 10)
+
+
 def test_an_episode_of_one_frame_is_left_out() -> None:
     assert left_out(TRACKS, Episode(1.0, 1.15, "")) == "it has 1 frames at 10 a second, and needs 2"
 

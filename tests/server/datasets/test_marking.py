@@ -75,3 +75,23 @@ async def test_the_answer_says_that_nothing_is_recorded() -> None:
     done, sentence = await marked.call(START_SERVICE, task="")
     assert done
     assert sentence == "episode 1 has begun, but this server records nothing (armbridge serve --record FILE.mcap)"
+
+
+async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorded() -> None:
+    marked, arm = Marked(), Node("arm")
+    commanded = "/arm_controller/controller_state"
+    marked.graph.advertise(arm, "/joint_states", "sensor_msgs/JointState")
+    marked.graph.advertise(arm, commanded, "control_msgs/JointTrajectoryControllerState")
+    marked.graph.advertise(arm, "/other", "std_msgs/String")
+
+    def subscribed() -> list[str]:
+        return [name for name in ("/joint_states", commanded, "/other") if marked.graph.subscribers(name)]
+
+    assert subscribed() == []
+    await marked.call(START_SERVICE, task="")
+    assert subscribed() == ["/joint_states", commanded]
+    await marked.call(STOP_SERVICE)
+    assert subscribed() == []
+    marked.recording = False
+    await marked.call(START_SERVICE, task="")
+    assert subscribed() == []

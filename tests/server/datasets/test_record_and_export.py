@@ -19,7 +19,9 @@ pytest.importorskip("av", reason="the extra [datasets] is not installed: no av")
 STATES = 40
 
 
-async def test_what_a_server_records_of_arm_camera_and_marks_becomes_a_dataset(tmp_path: Path) -> None:
+async def test_what_a_server_records_of_arm_camera_and_marks_becomes_a_dataset(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     recording, output = tmp_path / "run.mcap", tmp_path / "data"
     with server_on_bus(f"--port 0 --record {recording}") as running:
         async with arm_client(running.server.url) as client:
@@ -38,6 +40,8 @@ async def test_what_a_server_records_of_arm_camera_and_marks_becomes_a_dataset(t
                 assert (await client.call("/dataset/stop_episode"))["success"]
             assert (await client.call("/dataset/discard_episode"))["success"]
     assert main(["export", str(recording), "--output", str(output), "--fps", "10", "--units", "lerobot"]) == 0
+    done = capsys.readouterr().out
+    assert "actions: /arm_controller/controller_state and /gripper_controller/controller_state" in done
     told = json.loads((output / "meta/info.json").read_text())
     assert told["total_episodes"] == 1
     assert told["robot_type"] == "so101"

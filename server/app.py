@@ -33,6 +33,7 @@ from server.arm.setup import Description, arm_config, check_parameters
 from server.arm.topics import ArmStateTopics, JointStates, states_are_observed
 from server.arm.verifying import VerificationProcedure
 from server.config import ArmRole, RecordingSettings, Settings
+from server.datasets.marking import EpisodeServices
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.execution.parking import LastClient, Parking
@@ -204,6 +205,7 @@ class App:
         # Behind all that may refuse, so that no file is begun in vain; ahead of the parts that latch messages.
         self._log_ring = LogRing()
         self._recorder = open_recorder(settings.recording, graph, robot.name)
+        EpisodeServices(graph, lambda: self._recorder is not None and not self._recorder.ended)
         self._joint_states = JointStates(graph)
         self._arm_state = ArmStateTopics(graph, robot, self._arm.state)
         diagnostics = settings.diagnostics

@@ -169,6 +169,9 @@ SERVICES: Mapping[str, Rule] = {
     "/compute_cartesian_path": PLANNING,
     "/compute_fk": LOOKING,
     "/compute_ik": PLANNING,
+    "/dataset/discard_episode": WORKING,
+    "/dataset/start_episode": WORKING,
+    "/dataset/stop_episode": WORKING,
     "/delete_robot_state": CONFIGURING,
     "/file_server/get_file": LOOKING,
     "/get_planner_params": LOOKING,
@@ -213,6 +216,7 @@ TOPICS: Mapping[str, Rule] = {
     "/arm/speed_factor": SWITCHING,
     "/attached_collision_object": WORKING,
     "/collision_object": WORKING,
+    "/dataset/episode": WORKING,
     "/emergency_stop": STOPPING,
     "/moveit_goal_cancel": CANCELLING,
     # The client that confirms may be another than the one that drives.

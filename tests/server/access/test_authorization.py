@@ -95,6 +95,8 @@ NEEDS = [
     (Role.OPERATE, "send_action_goal", ACTION),
     (Role.OPERATE, "call_service", {"service": "/arm/relax"}),
     (Role.OPERATE, "call_service", {"service": "/arm/park"}),
+    (Role.OPERATE, "call_service", {"service": "/dataset/start_episode"}),
+    (Role.OPERATE, "publish", {"topic": "/dataset/episode"}),
     (Role.OPERATE, "call_service", {"service": "/apply_planning_scene"}),
     (Role.OPERATE, "call_service", {"service": "/of_a_client"}),
     (Role.ADMIN, "call_service", {"service": "/rosapi/set_param"}),

@@ -1,0 +1,246 @@
+"""Cameras: devices and video files by OpenCV, a test pattern, and the thread that keeps their newest image."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from server.errors import ServerError
+
+TEST_DEVICE = "test"
+TEST_WIDTH, TEST_HEIGHT = 640, 480
+
+# Colour bars of SMPTE's pattern, left to right, as red, green and blue.
+_BARS = np.array(
+    [(235, 235, 235), (235, 235, 16), (16, 235, 235), (16, 235, 16), (235, 16, 235), (235, 16, 16), (16, 16, 235)],
+    dtype=np.uint8,
+)
+
+# The square crosses the picture in so many images.
+_SQUARE_STEPS = 60
+_SQUARE_SHARE = 8
+
+# A driver gives the image that it is asked for within a period, or has lost the device.
+CLOSE_TIMEOUT_S = 2.0
+
+Pixels = NDArray[np.uint8]
+
+
+class CameraError(ServerError):
+    """A camera that cannot be used; the text is one sentence."""
+
+
+class Captured(NamedTuple):
+    """Image of a camera.
+
+    Attributes:
+        stamp_ns: time at which it was read [ns since the epoch].
+        pixels: red, green and blue, shape (height, width, 3).
+    """
+
+    stamp_ns: int
+    pixels: Pixels
+
+
+class ImageSource(Protocol):
+    """Something that gives images.
+
+    Attributes:
+        paced: True if it gives them at its own rate, False if whoever reads has to wait between them.
+        finite: True if it ends of itself, as a file does.
+    """
+
+    paced: bool
+    finite: bool
+
+    def read(self) -> Pixels | None:
+        """Return the next image, shape (height, width, 3); None after the last one."""
+
+    def close(self) -> None:
+        """Give the device back."""
+
+
+class TestPattern:
+    """Colour bars with a white square that moves.
+
+    Args:
+        width: of the images [pixels]; None for 640.
+    """
+
+    __test__ = False
+    paced = False
+    finite = False
+
+    def __init__(self, width: int | None = None) -> None:
+        self._width = width or TEST_WIDTH
+        self._height = even(self._width * TEST_HEIGHT // TEST_WIDTH)
+        columns = np.arange(self._width) * len(_BARS) // self._width
+        self._bars = np.broadcast_to(_BARS[columns], (self._height, self._width, 3))
+        self._number = 0
+
+    def read(self) -> Pixels | None:
+        """Return the next image."""
+        image = self._bars.copy()
+        side = max(2, self._height // _SQUARE_SHARE)
+        left = (self._width - side) * (self._number % _SQUARE_STEPS) // _SQUARE_STEPS
+        top = (self._height - side) // 2
+        image[top : top + side, left : left + side] = 255
+        self._number += 1
+        return image
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class OpenCvSource:
+    """Camera or video file that OpenCV reads.
+
+    Args:
+        device: number of a camera, or path of a device or file.
+        width: wanted of a camera [pixels]; None for its own.
+
+    Raises:
+        CameraError: OpenCV is not installed, or cannot open the device.
+    """
+
+    def __init__(self, device: str, width: int | None) -> None:
+        try:
+            # An extra, without which mypy does not know it either.
+            self._cv2: Any = importlib.import_module("cv2")
+        except ImportError as error:
+            raise CameraError("a camera needs OpenCV: pip install 'armbridge[camera]'") from error
+        self.finite = Path(device).is_file()
+        self.paced = not self.finite
+        self._capture = self._cv2.VideoCapture(int(device) if device.isdecimal() else device)
+        if not self._capture.isOpened():
+            raise CameraError(f"{device}: OpenCV cannot open it; is it a camera or a video, and free?")
+        if self.paced:
+            # The newest image, not the oldest of four; not every driver does it.
+            self._capture.set(self._cv2.CAP_PROP_BUFFERSIZE, 1)
+            if width is not None:
+                self._capture.set(self._cv2.CAP_PROP_FRAME_WIDTH, width)
+
+    def read(self) -> Pixels | None:
+        """Return the next image; None at the end of a file, or when the camera is gone."""
+        read, image = self._capture.read()
+        if not read:
+            return None
+        pixels: Pixels = self._cv2.cvtColor(image, self._cv2.COLOR_BGR2RGB)
+        return pixels
+
+    def close(self) -> None:
+        """Give the device back."""
+        self._capture.release()
+
+
+def open_source(device: str, width: int | None) -> ImageSource:
+    """Open a camera.
+
+    Args:
+        device: number or path of a camera, path of a video file, or ``test``.
+        width: wanted [pixels]; None for its own.
+
+    Raises:
+        CameraError: it cannot be opened.
+    """
+    return TestPattern(width) if device == TEST_DEVICE else OpenCvSource(device, width)
+
+
+def even(pixels: int) -> int:
+    """Return the even number below: H.264 in yuv420p, as datasets have it, knows no others."""
+    return pixels // 2 * 2
+
+
+def to_jpeg(pixels: Pixels, width: int | None, quality: int) -> bytes:
+    """Return an image as JPEG, with even width and height.
+
+    Args:
+        pixels: shape (height, width, 3).
+        width: to scale it to [pixels]; None for its own.
+        quality: of JPEG, 1 to 95.
+    """
+    image = Image.fromarray(pixels)
+    if width is not None and width != image.width:
+        image = image.resize((width, max(2, round(image.height * width / image.width))))
+    if (image.width % 2, image.height % 2) != (0, 0):
+        image = image.crop((0, 0, even(image.width), even(image.height)))
+    packed = io.BytesIO()
+    image.save(packed, "JPEG", quality=quality)
+    return packed.getvalue()
+
+
+class NewestImage:
+    """Thread that reads a camera and keeps its newest image alone: whoever is late gets no old ones.
+
+    Args:
+        source: the camera; closed at the end.
+        period_s: time between two images of a source that is not paced [s].
+        arrived: called, in the thread, after each image and at the end.
+        clock: monotonic time [s].
+        wall_clock_ns: time since the epoch [ns].
+
+    Attributes:
+        captured: number of images so far.
+    """
+
+    def __init__(
+        self,
+        source: ImageSource,
+        period_s: float,
+        arrived: Callable[[], None],
+        clock: Callable[[], float] = time.monotonic,
+        wall_clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.captured = 0
+        self._source = source
+        self._period_s = period_s
+        self._arrived = arrived
+        self._clock = clock
+        self._wall_clock_ns = wall_clock_ns
+        self._newest: Captured | None = None
+        self._ending = threading.Event()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+
+    @property
+    def ended(self) -> bool:
+        """True once there are no more images."""
+        return self._ended.is_set()
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def take(self) -> Captured | None:
+        """Return the newest image, once; None while there is no new one."""
+        newest, self._newest = self._newest, None
+        return newest
+
+    def close(self) -> None:
+        """Stop reading; a driver that does not come back is left to the end of the process."""
+        self._ending.set()
+        self._thread.join(CLOSE_TIMEOUT_S)
+
+    def _run(self) -> None:
+        due_s = self._clock()
+        try:
+            while not self._ending.is_set() and (pixels := self._source.read()) is not None:
+                self._newest = Captured(self._wall_clock_ns(), pixels)
+                self.captured += 1
+                self._arrived()
+                if not self._source.paced:
+                    due_s = max(due_s + self._period_s, self._clock())
+                    self._ending.wait(due_s - self._clock())
+        finally:
+            self._source.close()
+            self._ended.set()
+            self._arrived()

@@ -1,0 +1,349 @@
+"""Export of recordings: what was recorded, made into the frames and videos of one dataset."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from protocol.errors import ProtocolError
+from protocol.registry import Registry
+from server.datasets import lerobot
+from server.datasets.episodes import checked_task, episodes_of
+from server.datasets.frames import Frames, LeftOutError, Tracks, frames_of, in_lerobot_units, is_gripper
+from server.datasets.samples import (
+    CONTROLLER_STATE,
+    IMAGE,
+    LEADER_TOPIC,
+    STATE_TOPIC,
+    JointSample,
+    Samples,
+    Times,
+    image_data,
+    merged,
+    messages,
+    read_samples,
+    series,
+    times_s,
+)
+from server.datasets.statistics import ImageStatistics
+from server.datasets.video import VideoError, VideoWriter, decode
+from server.errors import ServerError
+
+# The end of an image topic's name says how it is sent, not which camera it is.
+_TRANSPORT = frozenset({"image", "image_raw", "image_color", "image_rect", "compressed", "color", "rgb"})
+
+NO_TASK = "no task named"
+
+Tell = Callable[[str], None]
+
+
+class ExportError(ServerError):
+    """Recordings that make no dataset; the text is one sentence."""
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Options of an export.
+
+    Attributes:
+        recordings: the files.
+        output: folder to make.
+        fps: frames a second.
+        task: task of episodes whose marks name none; None for none.
+        action_topic: topic of the actions; None for the leader's, else a controller's state, else the next state.
+        units: radians, or lerobot's degrees and percent of the gripper.
+        video: True to export what cameras saw.
+    """
+
+    recordings: Sequence[Path]
+    output: Path
+    fps: int = 30
+    task: str | None = None
+    action_topic: str | None = None
+    units: Literal["rad", "lerobot"] = "rad"
+    video: bool = True
+
+
+@dataclass(frozen=True)
+class Exported:
+    """Outcome of an export.
+
+    Attributes:
+        episodes: number of episodes.
+        frames: number of frames.
+        cameras: keys of the videos.
+        actions: what the actions are, in words.
+        problems: sentences about what was left out.
+    """
+
+    episodes: int
+    frames: int
+    cameras: tuple[str, ...]
+    actions: str
+    problems: tuple[str, ...]
+
+
+@dataclass
+class _Source:
+    """Recording with its episodes.
+
+    Attributes:
+        samples: what was recorded.
+        actions: what the actions are, in words.
+        cameras: key of each video -> topic.
+        episodes: frames of each episode.
+    """
+
+    samples: Samples
+    actions: str
+    cameras: dict[str, str]
+    episodes: list[Frames] = field(default_factory=list)
+
+
+def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
+    """Write a dataset of recordings.
+
+    Args:
+        options: of the export.
+        registry: types.
+        tell: takes sentences about the progress.
+
+    Raises:
+        ExportError: the recordings make no dataset, or an extra is not installed.
+        RecordingError: a recording cannot be read.
+        OSError: the dataset cannot be written.
+    """
+    _check(options)
+    problems: list[str] = []
+    joints: tuple[str, ...] = ()
+    sources: list[_Source] = []
+    for path in options.recordings:
+        samples = read_samples(path, registry)
+        if not samples.joints.get(STATE_TOPIC):
+            raise ExportError(f"{path}: has no messages of sensor_msgs/JointState on {STATE_TOPIC}")
+        joints = joints or samples.joints[STATE_TOPIC][0].names
+        source = _source(samples, joints, options, problems)
+        if sources and (source.actions, source.cameras) != (sources[0].actions, sources[0].cameras):
+            wanted = _told(sources[0])
+            raise ExportError(f"{path}: must have what the first recording has, {wanted}, not {_told(source)}")
+        sources.append(source)
+        tell(f"{path}: {len(source.episodes)} episodes, {sum(each.count for each in source.episodes)} frames")
+    episodes = [each for source in sources for each in source.episodes]
+    if not episodes:
+        raise ExportError("no episode can be exported: " + ("; ".join(problems) or "none is left"))
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=options.output.parent, prefix=f".{options.output.name}-") as folder:
+        # A dataset is there whole or not at all.
+        root = Path(folder) / "dataset"
+        root.mkdir()
+        cameras = _write_videos(root, sources, options, registry, tell)
+        robot = next((source.samples.robot for source in sources if source.samples.robot), None)
+        lerobot.write(root, lerobot.Dataset(options.fps, joints, robot, episodes, cameras))
+        root.rename(options.output)
+    count = sum(each.count for each in episodes)
+    return Exported(len(episodes), count, tuple(cameras), sources[0].actions, tuple(problems))
+
+
+def _check(options: ExportOptions) -> None:
+    """Refuse what cannot succeed.
+
+    Raises:
+        ExportError: the folder exists, the task is too long, or an extra is not installed.
+    """
+    if options.output.exists():
+        raise ExportError(f"{options.output} exists already: name another folder (--output)")
+    if find_spec("pyarrow") is None:
+        raise ExportError("an export needs pyarrow: pip install 'armbridge[datasets]'")
+    try:
+        checked_task(options.task or "")
+    except ValueError as error:
+        raise ExportError(str(error)) from error
+
+
+def _told(source: _Source) -> str:
+    return f"actions: {source.actions}, cameras: {', '.join(source.cameras.values()) or 'none'}"
+
+
+def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, problems: list[str]) -> _Source:
+    """Return a recording with its episodes; what is left out is added to the problems.
+
+    Raises:
+        ExportError: it lacks joints, the topic of the actions, or the range of the gripper.
+    """
+    path = samples.path
+    states_s, states = series(samples.joints[STATE_TOPIC], joints)
+    if not states_s.size:
+        raise ExportError(f"{path}: {STATE_TOPIC} must have the joints {', '.join(joints)}")
+    action_name, action_samples = _actions(samples, joints, options.action_topic)
+    action_s, actions = series(action_samples, joints) if action_name else (None, None)
+    cameras = camera_keys(samples.images) if options.video else {}
+    if cameras and find_spec("av") is None:
+        raise ExportError("videos need av: pip install 'armbridge[datasets]', or --no-video")
+    # From the first state on: times since then are short, and exact.
+    zero_s = float(states_s[0])
+    tracks = Tracks(
+        states_s - zero_s,
+        states,
+        None if action_s is None else action_s - zero_s,
+        actions,
+        {key: _image_times_s(samples.images[topic]) - zero_s for key, topic in cameras.items()},
+        action_name,
+    )
+    marks = [(at_s - zero_s, text) for at_s, text in samples.marks]
+    episodes, notes = episodes_of(marks, 0.0, float(states_s[-1]) - zero_s)
+    problems += [f"{path}: {note}" for note in notes]
+    if samples.unreadable:
+        problems.append(f"{path}: {samples.unreadable} messages do not fit their types and are left out")
+    source = _Source(samples, action_name or "the next state", cameras)
+    for number, episode in enumerate(episodes, 1):
+        try:
+            frames = frames_of(replace(episode, task=episode.task or options.task or NO_TASK), tracks, options.fps)
+        except LeftOutError as error:
+            where = f"episode {number} ({episode.start_s:.1f} to {episode.end_s:.1f} s)"
+            problems.append(f"{path}: {where} is left out: {error}")
+        else:
+            source.episodes.append(_in_units(frames, joints, samples, options))
+    return source
+
+
+def _actions(samples: Samples, joints: Sequence[str], topic: str | None) -> tuple[str, Sequence[JointSample]]:
+    """Return name and messages of the actions; an empty name for the next state.
+
+    Raises:
+        ExportError: the topic that was named is not in the recording, or lacks joints.
+    """
+    if topic is not None:
+        if topic not in samples.joints:
+            known = ", ".join(sorted(samples.joints))
+            raise ExportError(f"{samples.path}: --action-topic must be one of {known}, not {topic}")
+        missing = sorted(set(joints) - {name for sample in samples.joints[topic] for name in sample.names})
+        if missing:
+            raise ExportError(f"{samples.path}: --action-topic {topic} has no {', '.join(missing)}")
+        return topic, samples.joints[topic]
+    if samples.joints.get(LEADER_TOPIC):
+        return LEADER_TOPIC, samples.joints[LEADER_TOPIC]
+    if controllers := _controllers(samples, joints):
+        return " and ".join(controllers), merged([samples.joints[name] for name in controllers])
+    return "", ()
+
+
+def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
+    """Return the topics of as few controllers as have the commanded positions of all joints; none without those."""
+    commanded = {
+        name: set(samples.joints[name][0].names) & set(joints)
+        for name, type_name in sorted(samples.types.items())
+        if type_name == CONTROLLER_STATE
+    }
+    chosen: list[str] = []
+    left = set(joints)
+    for name in sorted(commanded, key=lambda each: -len(commanded[each])):
+        if commanded[name] & left:
+            chosen.append(name)
+            left -= commanded[name]
+    return [] if left else chosen
+
+
+def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> Frames:
+    """Return frames in the units of the dataset.
+
+    Raises:
+        ExportError: the range of a gripper was not recorded.
+    """
+    if options.units == "rad":
+        return frames
+    missing = [name for name in joints if is_gripper(name) and name not in samples.limits]
+    if missing:
+        told = f"the range of {', '.join(missing)}, as on /arm/joint_limits, which was not recorded"
+        raise ExportError(f"{samples.path}: --units lerobot needs {told}")
+    states = in_lerobot_units(frames.states, joints, samples.limits)
+    return replace(frames, states=states, actions=in_lerobot_units(frames.actions, joints, samples.limits))
+
+
+def _image_times_s(images: Sequence[tuple[float, float]]) -> Times:
+    """Return the times of a camera's images in the order of the file [s], not decreasing."""
+    return np.maximum.accumulate(times_s([log_s for log_s, _ in images], [stamp_s for _, stamp_s in images]))
+
+
+def camera_keys(topics: Iterable[str]) -> dict[str, str]:
+    """Return the key of each camera's video -> its topic: ``/wrist/image_raw/compressed`` is the camera ``wrist``.
+
+    Args:
+        topics: names of image topics.
+    """
+    keys: dict[str, str] = {}
+    for topic in sorted(topics):
+        whole = [part for part in topic.split("/") if part]
+        parts = [part for part in whole if part not in _TRANSPORT]
+        key = lerobot.CAMERA_PREFIX + ("_".join(parts) or "camera")
+        keys[lerobot.CAMERA_PREFIX + "_".join(whole) if key in keys else key] = topic
+    return keys
+
+
+def _write_videos(
+    root: Path, sources: Sequence[_Source], options: ExportOptions, registry: Registry, tell: Tell
+) -> dict[str, lerobot.Camera]:
+    """Write the videos of all cameras.
+
+    Raises:
+        ExportError: an image cannot be used.
+    """
+    cameras: dict[str, lerobot.Camera] = {}
+    with ExitStack() as stack:
+        writers = {
+            key: stack.enter_context(VideoWriter(lerobot.video_file(root, key), options.fps))
+            for key in sources[0].cameras
+        }
+        statistics: dict[str, list[ImageStatistics]] = {key: [] for key in writers}
+        for source in sources if writers else ():
+            tell(f"{source.samples.path}: writing {len(writers)} videos ...")
+            _add_images(source, writers, statistics, registry)
+        for key, writer in writers.items():
+            cameras[key] = lerobot.Camera(*writer.shape, statistics[key])
+    return cameras
+
+
+def _add_images(
+    source: _Source, writers: dict[str, VideoWriter], statistics: dict[str, list[ImageStatistics]], registry: Registry
+) -> None:
+    """Append the images of a recording's episodes to the videos; one image at a time is in memory.
+
+    Raises:
+        ExportError: an image cannot be used.
+    """
+    keys = {topic: key for key, topic in source.cameras.items()}
+    # Camera -> image -> episodes that show it, each with the number of its frames.
+    shown: dict[str, dict[int, list[tuple[int, int]]]] = {key: {} for key in writers}
+    for number, episode in enumerate(source.episodes):
+        for key, indices in episode.images.items():
+            for index, times in zip(*np.unique(indices, return_counts=True), strict=True):
+                shown[key].setdefault(int(index), []).append((number, int(times)))
+    first = {key: len(each) for key, each in statistics.items()}
+    for each in statistics.values():
+        each += [ImageStatistics() for _ in source.episodes]
+    seen = dict.fromkeys(keys, 0)
+    for message in messages(source.samples.path):
+        if message.type_name != IMAGE or message.topic not in keys:
+            continue
+        try:
+            data = image_data(message, registry)
+        except ProtocolError:
+            # It was not counted when the recording was read either.
+            continue
+        key, index = keys[message.topic], seen[message.topic]
+        seen[message.topic] += 1
+        if not (uses := shown[key].get(index)):
+            continue
+        try:
+            image = decode(data)
+            for number, times in uses:
+                writers[key].add(image, times)
+                statistics[key][first[key] + number].add(image, times)
+        except VideoError as error:
+            raise ExportError(f"{source.samples.path}: image {index + 1} of {message.topic}: {error}") from error

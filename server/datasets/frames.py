@@ -1,0 +1,193 @@
+"""Frames of an episode: states, actions and images at a fixed rate, or the reason why there are none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from server.datasets.episodes import Episode
+from server.datasets.samples import Positions, Times
+
+# 25 periods of the states: what is missing for longer is no jitter of a network, and nobody knows what was there.
+MAX_GAP_S = 0.5
+
+# One frame has no motion.
+MIN_FRAMES = 2
+
+# Seconds since the epoch are exact to 0.2 us as float64; a frame at the very end counts.
+TIME_TOLERANCE_S = 1e-6
+
+
+class LeftOutError(Exception):
+    """An episode that cannot be exported; the text is one sentence with the reason."""
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Everything of a recording that becomes frames, by time.
+
+    Attributes:
+        state_times_s: times of the states [s], increasing.
+        states: positions of the joints, shape (n, joints).
+        action_times_s: times of the actions [s], increasing; None for the next state as the action.
+        actions: positions that were asked for, shape (m, joints); None for the next state.
+        image_times_s: camera -> times of its images [s], not decreasing.
+        action_name: topic of the actions, for sentences.
+    """
+
+    state_times_s: Times
+    states: Positions
+    action_times_s: Times | None
+    actions: Positions | None
+    image_times_s: Mapping[str, Times]
+    action_name: str = ""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames of an episode.
+
+    Attributes:
+        task: what the arm does.
+        start_s: time of the first frame [s].
+        states: positions of the joints, shape (frames, joints).
+        actions: shape (frames, joints).
+        images: camera -> index of the image of each frame, not decreasing, shape (frames,).
+    """
+
+    task: str
+    start_s: float
+    states: Positions
+    actions: Positions
+    images: Mapping[str, NDArray[np.int64]]
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self.states)
+
+
+def frames_of(episode: Episode, tracks: Tracks, fps: int) -> Frames:
+    """Return the frames of an episode: the first one where everything has begun, the others at a fixed rate after it.
+
+    A state is interpolated between the two that were measured around the frame. Action and image are the last ones
+    before it: what comes later nobody knew then.
+
+    Args:
+        episode: span of the recording.
+        tracks: what was recorded.
+        fps: frames a second.
+
+    Raises:
+        LeftOutError: something is missing for longer than `MAX_GAP_S`, or there are fewer than `MIN_FRAMES` frames.
+    """
+    names = {"the states": tracks.state_times_s}
+    if tracks.action_times_s is not None:
+        names[f"the actions on {tracks.action_name}"] = tracks.action_times_s
+    names |= {f"the images on {topic}": times for topic, times in tracks.image_times_s.items()}
+    start_s = max(_begun(name, times, episode) for name, times in names.items())
+    within = tracks.state_times_s[tracks.state_times_s <= episode.end_s + TIME_TOLERANCE_S]
+    end_s = min(episode.end_s, float(within[-1])) if within.size else start_s
+    count = math.floor((end_s - start_s + TIME_TOLERANCE_S) * fps) + 1 if end_s >= start_s else 0
+    # The last frame has no next state.
+    usable = count - (tracks.actions is None)
+    if usable < MIN_FRAMES:
+        raise LeftOutError(f"it has {max(0, usable)} frames at {fps} a second, and needs {MIN_FRAMES}")
+    at_s = start_s + np.arange(count) / fps
+    for name, times in names.items():
+        _check_gaps(name, times, at_s, episode.start_s, interpolated=times is tracks.state_times_s)
+    if episode.end_s - end_s > MAX_GAP_S:
+        raise LeftOutError(f"the states end {episode.end_s - end_s:.1f} s before it does")
+    states = np.column_stack([np.interp(at_s, tracks.state_times_s, column) for column in tracks.states.T])
+    if tracks.actions is None or tracks.action_times_s is None:
+        states, actions = states[:-1], states[1:]
+    else:
+        actions = tracks.actions[_last_before(tracks.action_times_s, at_s)]
+    images = {topic: _last_before(times, at_s[:usable]) for topic, times in tracks.image_times_s.items()}
+    return Frames(episode.task, start_s, states, actions, images)
+
+
+def gripper_percent(positions: Positions, limits: tuple[float, float]) -> Positions:
+    """Return positions of a gripper as lerobot has them: 0 at the lower limit, 100 at the upper.
+
+    Args:
+        positions: of the joint [rad, m].
+        limits: of the joint [rad, m].
+    """
+    lower, upper = limits
+    return (positions - lower) / (upper - lower) * 100.0
+
+
+def is_gripper(joint: str) -> bool:
+    """Return True if a joint is a gripper by its name, also with an arm's name ahead of it."""
+    return joint == "gripper" or joint.endswith("_gripper")
+
+
+def in_lerobot_units(
+    positions: Positions, joints: Sequence[str], limits: Mapping[str, tuple[float, float]]
+) -> Positions:
+    """Return positions in degrees, and those of grippers in percent of their range.
+
+    Args:
+        positions: shape (n, joints) [rad].
+        joints: names.
+        limits: of the grippers at least [rad].
+
+    Raises:
+        KeyError: the limits of a gripper are not among them.
+    """
+    columns = [
+        gripper_percent(column, limits[name]) if is_gripper(name) else np.degrees(column)
+        for name, column in zip(joints, positions.T, strict=True)
+    ]
+    return np.column_stack(columns)
+
+
+def _begun(name: str, times: Times, episode: Episode) -> float:
+    """Return the time in the episode from which on there is something.
+
+    A sample from before the episode counts unless a gap follows it: some topics are silent between episodes.
+
+    Raises:
+        LeftOutError: there is nothing in the episode, or too late.
+    """
+    after = int(np.searchsorted(times, episode.start_s - TIME_TOLERANCE_S))
+    following_s = float(times[after]) if after < times.size else episode.end_s
+    if after > 0 and following_s - times[after - 1] <= MAX_GAP_S:
+        return episode.start_s
+    if after == times.size or following_s > episode.end_s:
+        raise LeftOutError(f"{name} are missing")
+    if following_s - episode.start_s > MAX_GAP_S:
+        raise LeftOutError(f"{name} begin {following_s - episode.start_s:.1f} s after it does")
+    return max(episode.start_s, following_s)
+
+
+def _check_gaps(name: str, times: Times, at_s: Times, start_s: float, *, interpolated: bool) -> None:
+    """Refuse frames with a gap between the samples that they are made of.
+
+    Args:
+        name: of the samples.
+        times: of the samples [s], not decreasing.
+        at_s: of the frames [s].
+        start_s: beginning of the episode [s].
+        interpolated: True if the sample after the last frame counts as well.
+
+    Raises:
+        LeftOutError: there is a gap.
+    """
+    first, last = _last_before(times, at_s[[0, -1]])
+    after = min(int(np.searchsorted(times, at_s[-1] - TIME_TOLERANCE_S)), times.size - 1)
+    span = np.append(times[first : last + 1], times[after] if interpolated else at_s[-1])
+    gaps = np.diff(span)
+    worst = int(np.argmax(gaps))
+    if gaps[worst] > MAX_GAP_S:
+        raise LeftOutError(f"{name} have a gap of {gaps[worst]:.1f} s, {span[worst] - start_s:.1f} s after it begins")
+
+
+def _last_before(times: Times, at_s: Times) -> NDArray[np.int64]:
+    """Return the index of the last sample at or before each time; the first one where there is none."""
+    return np.maximum(np.searchsorted(times, at_s + TIME_TOLERANCE_S, side="right") - 1, 0)

@@ -1,0 +1,121 @@
+"""Services that mark episodes while the server records: start, stop and discard."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from protocol.publication import PublishedMessage
+from server.datasets.episodes import (
+    DISCARD,
+    EPISODE_TOPIC,
+    EPISODE_TYPE,
+    START,
+    STOP,
+    EpisodeMarks,
+    Mark,
+    checked_task,
+    parse_mark,
+)
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
+
+log = logging.getLogger("armbridge.datasets")
+
+START_SERVICE, START_TYPE = "/dataset/start_episode", "armbridge_msgs/srv/StartEpisode"
+STOP_SERVICE = "/dataset/stop_episode"
+DISCARD_SERVICE = "/dataset/discard_episode"
+
+# What this server knows of the episodes is for its answers alone; the recording has them all.
+MAX_KEPT = 10_000
+
+# Published while somebody subscribes, and the arm's states are read at their full rate then.
+STATE_TOPIC, COMMANDED_TOPICS = "/joint_states", "_controller/controller_state"
+
+NOT_RECORDED = "this server records nothing (armbridge serve --record FILE.mcap)"
+
+
+class EpisodeServices:
+    """Offers the services, which publish their marks on ``/dataset/episode``; clients may publish there as well.
+
+    While an episode is recorded, the arm's states come at their full rate, and the controllers tell what they command,
+    which nobody else may have asked for.
+
+    Args:
+        graph: where they are.
+        recording: tells if the server records.
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, graph: Graph, recording: Callable[[], bool], clock: Callable[[], float] | None = None) -> None:
+        self._graph = graph
+        self._recording = recording
+        self._clock = clock or asyncio.get_running_loop().time
+        self._node = Node("dataset")
+        self._observer = Node("dataset observer")
+        self._marks = EpisodeMarks()
+        graph.advertise(self._node, EPISODE_TOPIC, EPISODE_TYPE)
+        graph.subscribe(self._node, EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take))
+        graph.services.offer(self._node, START_SERVICE, START_TYPE, self._start)
+        graph.services.offer(self._node, STOP_SERVICE, "std_srvs/Trigger", self._stop)
+        graph.services.offer(self._node, DISCARD_SERVICE, "std_srvs/Trigger", self._discard)
+
+    def _take(self, published: PublishedMessage) -> None:
+        """Take a mark of anybody."""
+        try:
+            mark = parse_mark(published.msg["data"])
+        except ValueError as error:
+            log.warning("%s: %s", EPISODE_TOPIC, error)
+            return
+        self._marks.take(mark, self._clock())
+        self._marks.notes.clear()
+        del self._marks.ended[:-MAX_KEPT]
+        self._observe(wanted=self._marks.open is not None and self._recording())
+
+    def _observe(self, *, wanted: bool) -> None:
+        """Subscribe to what is published for subscribers alone, or no longer; the recording has it then."""
+        for topic in self._graph.subscribed_by(self._observer):
+            self._graph.unsubscribe(self._observer, topic)
+        if not wanted:
+            return
+        for topic, type_name in self._graph.topic_types().items():
+            if topic == STATE_TOPIC or topic.endswith(COMMANDED_TOPICS):
+                self._graph.subscribe(self._observer, topic, type_name, Subscriber(lambda _published: None))
+
+    def _start(self, request: dict[str, Any]) -> dict[str, Any]:
+        try:
+            mark = Mark(START, checked_task(request["task"]))
+        except ValueError as error:
+            return _refused(str(error))
+        if self._marks.open is not None:
+            return _refused(f"an episode is in progress: end it first ({STOP_SERVICE} or {DISCARD_SERVICE})")
+        self._publish(mark)
+        return self._answer(f"episode {len(self._marks.ended) + 1} has begun")
+
+    def _stop(self, _request: dict[str, Any]) -> dict[str, Any]:
+        if self._marks.open is None:
+            return _refused(f"no episode is in progress: {START_SERVICE} begins one")
+        begun_s = self._marks.open.start_s
+        self._publish(Mark(STOP))
+        return self._answer(f"episode {len(self._marks.ended)} has ended after {self._clock() - begun_s:.1f} s")
+
+    def _discard(self, _request: dict[str, Any]) -> dict[str, Any]:
+        if self._marks.open is None and not self._marks.ended:
+            return _refused("there is no episode to discard")
+        which = "the episode in progress" if self._marks.open is not None else "the last episode"
+        self._publish(Mark(DISCARD))
+        return self._answer(f"{which} is discarded; {len(self._marks.ended)} are left")
+
+    def _publish(self, mark: Mark) -> None:
+        self._graph.publish(self._node, EPISODE_TOPIC, {"data": mark.text})
+
+    def _answer(self, message: str) -> dict[str, Any]:
+        if not self._recording():
+            message = f"{message}, but {NOT_RECORDED}"
+        return {"success": True, "message": message}
+
+
+def _refused(message: str) -> dict[str, Any]:
+    return {"success": False, "message": message}

@@ -1,0 +1,242 @@
+"""Samples of a recording: positions of joints, stamps of images and marks of episodes, on one axis of time."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import pybase64
+from numpy.typing import NDArray
+
+from protocol.codecs import cdr
+from protocol.errors import ProtocolError
+from protocol.registry import Registry
+from server.datasets.episodes import EPISODE_TOPIC
+from server.errors import RecordingError
+from server.recording.files import RecordedMessage
+from server.recording.replay import Recording
+
+Times: TypeAlias = NDArray[np.float64]
+Positions: TypeAlias = NDArray[np.float64]
+
+STATE_TOPIC = "/joint_states"
+LEADER_TOPIC = "/teleop/leader_joint_states"
+ARM_STATE_TOPIC = "/arm/state"
+LIMITS_TOPIC = "/arm/joint_limits"
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
+IMAGE = "sensor_msgs/msg/CompressedImage"
+
+# A day of the arm's states at 50 Hz; they are held in memory, at most 40 bytes a joint.
+MAX_SAMPLES = 4_500_000
+
+# Stamps of a client whose clock was set meanwhile are no axis of time; then the time of recording counts.
+MAX_CLOCK_ERROR_S = 0.5
+
+
+class JointSample(NamedTuple):
+    """Message with positions of joints.
+
+    Attributes:
+        log_s: time of recording [s since the epoch].
+        stamp_s: stamp of its header [s]; 0 for none.
+        names: joints.
+        positions: their positions [rad, m].
+    """
+
+    log_s: float
+    stamp_s: float
+    names: tuple[str, ...]
+    positions: tuple[float, ...]
+
+
+@dataclass
+class Samples:
+    """Samples of a recording.
+
+    Attributes:
+        path: the recording.
+        joints: samples of each topic with positions of joints.
+        types: type of each of these topics.
+        images: topic of each camera -> time of recording [s since the epoch] and stamp [s] of each image, in the order
+            of the file.
+        marks: time of recording [s since the epoch] and text of each mark of an episode.
+        robot: name of the arm; empty when it was not recorded.
+        limits: joint -> its limits [rad, m], where they were recorded.
+        unreadable: number of messages that do not fit their type.
+    """
+
+    path: Path
+    joints: dict[str, list[JointSample]] = field(default_factory=dict)
+    types: dict[str, str] = field(default_factory=dict)
+    images: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    marks: list[tuple[float, str]] = field(default_factory=list)
+    robot: str = ""
+    limits: dict[str, tuple[float, float]] = field(default_factory=dict)
+    unreadable: int = 0
+
+
+def read_samples(path: Path, registry: Registry) -> Samples:
+    """Read a recording; of images only their times.
+
+    Args:
+        path: the recording.
+        registry: types.
+
+    Raises:
+        RecordingError: it cannot be read, or has more samples than fit into memory.
+    """
+    samples = Samples(path)
+    count = 0
+    for message in messages(path):
+        try:
+            count += _take(samples, message, registry)
+        except ProtocolError:
+            samples.unreadable += 1
+        if count > MAX_SAMPLES:
+            raise RecordingError(path, f"must have at most {MAX_SAMPLES} states, goals and images; it has more")
+    return samples
+
+
+def messages(path: Path) -> Iterator[RecordedMessage]:
+    """Yield the messages of a recording in the order of the file.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    for chunk in Recording(path).chunks():
+        yield from chunk
+
+
+def image_data(message: RecordedMessage, registry: Registry) -> bytes:
+    """Return the compressed image of a message.
+
+    Raises:
+        ProtocolError: it does not fit its type.
+    """
+    # uint8[] is base64 text in the server's messages, as in rosbridge's JSON.
+    return pybase64.b64decode(cdr.deserialize(registry, message.type_name, message.octets)["data"])
+
+
+def _take(samples: Samples, message: RecordedMessage, registry: Registry) -> int:
+    """Take a message; return 1 if it was a sample, else 0.
+
+    Raises:
+        ProtocolError: it does not fit its type.
+    """
+    topic, type_name, log_s = message.topic, message.type_name, message.log_time_ns / 1e9
+    if type_name not in (JOINT_STATE, CONTROLLER_STATE, IMAGE) and topic not in (
+        EPISODE_TOPIC,
+        ARM_STATE_TOPIC,
+        LIMITS_TOPIC,
+    ):
+        return 0
+    values = cdr.deserialize(registry, type_name, message.octets)
+    if type_name in (JOINT_STATE, CONTROLLER_STATE):
+        samples.types[topic] = type_name
+        samples.joints.setdefault(topic, []).append(_joint_sample(values, type_name, log_s))
+        return 1
+    if type_name == IMAGE:
+        samples.images.setdefault(topic, []).append((log_s, _stamp_s(values)))
+        return 1
+    if topic == EPISODE_TOPIC and "data" in values:
+        samples.marks.append((log_s, str(values["data"])))
+        return 1
+    if topic == ARM_STATE_TOPIC:
+        samples.robot = str(values.get("hardware_id", ""))
+    elif topic == LIMITS_TOPIC:
+        for limit in values.get("limits", ()):
+            samples.limits[limit["joint_name"]] = limit["min_position"], limit["max_position"]
+    return 0
+
+
+def _joint_sample(values: dict[str, Any], type_name: str, log_s: float) -> JointSample:
+    if type_name == JOINT_STATE:
+        names, positions = values["name"], values["position"]
+    else:
+        names, positions = values["joint_names"], values["reference"]["positions"]
+    return JointSample(log_s, _stamp_s(values), tuple(names), tuple(positions))
+
+
+def _stamp_s(values: dict[str, Any]) -> float:
+    stamp = values["header"]["stamp"]
+    return float(stamp["sec"] + stamp["nanosec"] / 1e9)
+
+
+def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
+    """Return the times of a topic's messages on the axis of the recording.
+
+    Stamps are even where the time of recording has the jitter of a network and of an event loop. The clock of who
+    stamps may be another one: its difference, the median over the topic, is taken off.
+
+    Args:
+        log_s: times of recording [s].
+        stamp_s: stamps [s]; 0 for none.
+
+    Returns:
+        Times [s], those of recording where there are no stamps that could be used.
+    """
+    logged, stamped = np.asarray(log_s, dtype=np.float64), np.asarray(stamp_s, dtype=np.float64)
+    if not logged.size or np.any(stamped == 0.0):
+        return logged
+    late = logged - stamped
+    offset_s = float(np.median(late))
+    if np.max(np.abs(late - offset_s)) > MAX_CLOCK_ERROR_S:
+        return logged
+    return stamped + offset_s
+
+
+def merged(topics: Sequence[Sequence[JointSample]]) -> list[JointSample]:
+    """Return the messages of several topics as those of one, each with the last known position of every joint.
+
+    Args:
+        topics: messages of each, in the order of the recording; those of one stamp are of one moment.
+    """
+    known: dict[str, float] = {}
+    result: list[JointSample] = []
+    for sample in heapq.merge(*topics, key=lambda each: each.log_s):
+        if len(sample.names) != len(sample.positions):
+            continue
+        known.update(zip(sample.names, sample.positions, strict=True))
+        row = sample._replace(names=tuple(known), positions=tuple(known.values()))
+        if result and sample.stamp_s and result[-1].stamp_s == sample.stamp_s:
+            result[-1] = row
+        else:
+            result.append(row)
+    return result
+
+
+def series(samples: Sequence[JointSample], names: Sequence[str]) -> tuple[Times, Positions]:
+    """Return a topic's positions of joints, in the order of time.
+
+    Args:
+        samples: messages of the topic; those that lack a joint or a position are left out.
+        names: joints.
+
+    Returns:
+        Times [s], increasing, shape (n,); positions [rad, m], shape (n, joints).
+    """
+    wanted = list(names)
+    columns: dict[tuple[str, ...], list[int] | None] = {}
+    chosen: list[JointSample] = []
+    rows: list[list[float]] = []
+    for sample in samples:
+        if sample.names not in columns:
+            known = set(wanted) <= set(sample.names)
+            columns[sample.names] = [sample.names.index(name) for name in wanted] if known else None
+        indices = columns[sample.names]
+        if indices is None or len(sample.positions) != len(sample.names):
+            continue
+        chosen.append(sample)
+        rows.append([sample.positions[index] for index in indices])
+    times = times_s([sample.log_s for sample in chosen], [sample.stamp_s for sample in chosen])
+    positions = np.asarray(rows, dtype=np.float64).reshape(len(rows), len(wanted))
+    # Two messages of one time are one sample; interpolation needs increasing times.
+    times, order = np.unique(times, return_index=True)
+    finite = np.isfinite(positions[order]).all(axis=1)
+    return times[finite], positions[order][finite]

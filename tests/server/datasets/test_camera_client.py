@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Awaitable
+from typing import Any
+
+import pytest
+from websockets.asyncio.server import ServerConnection, serve
+
+from server.datasets import camera_client
+from server.datasets.camera import NewestImage, TestPattern
+from server.datasets.camera_client import CameraClient, CameraOptions
+from tests.helpers.clients import arm_client
+from tests.helpers.server import ROOT, ServerOnBus, free_port
+from tests.helpers.waiting import until
+from tests.server.datasets.test_camera import Scripted, opened
+
+TOPIC = "/camera/image/compressed"
+
+
+def options(url: str = "ws://127.0.0.1:1", token: str | None = None) -> CameraOptions:
+    return CameraOptions(url, TOPIC, token, 1000.0, None, 80, "wrist")
+
+
+class HeldConnection:
+    """A connection whose pongs the test gives."""
+
+    def __init__(self) -> None:
+        self.sent: list[dict[str, Any]] = []
+        self.pongs: list[asyncio.Future[float]] = []
+
+    async def send(self, message: str) -> None:
+        self.sent.append(json.loads(message))
+
+    async def ping(self) -> Awaitable[float]:
+        self.pongs.append(asyncio.get_running_loop().create_future())
+        return self.pongs[-1]
+
+    @property
+    def numbers(self) -> list[int]:
+        """The value of the pixels of each image that was sent."""
+        images = [each["msg"]["data"] for each in self.sent if each["op"] == "publish"]
+        return [int(opened(base64.b64decode(data)).getpixel((0, 0))[0]) for data in images]  # type: ignore[index]
+
+
+async def test_no_image_leaves_before_the_server_has_taken_the_last_and_then_the_newest_does() -> None:
+    source, connection = Scripted(count=40), HeldConnection()
+    client = CameraClient(options(token="secret"), lambda _: None)
+    images = NewestImage(source, 0.0, client._arrived.set)
+    images.start()
+    source.allowed.release()
+    publishing = asyncio.create_task(client.publish(connection, images))
+    await until(lambda: connection.pongs)
+    assert [each["op"] for each in connection.sent] == ["auth", "advertise", "publish"]
+    source.allowed.release(20)
+    await until(lambda: images.captured == 21)
+    assert (connection.numbers, client.published) == ([1], 0)
+    connection.pongs[0].set_result(0.0)
+    await until(lambda: len(connection.pongs) == 2)
+    assert connection.numbers == [1, 21]
+    connection.pongs[1].set_result(0.0)
+    source.allowed.release(20)
+    await until(lambda: images.ended)
+    while not publishing.done():
+        for pong in connection.pongs:
+            if not pong.done():
+                pong.set_result(0.0)
+        await asyncio.sleep(0.001)
+    assert connection.numbers[-1] == 40
+    assert client.published == len(connection.numbers)
+
+
+async def test_an_image_has_stamp_frame_and_format() -> None:
+    source, connection = Scripted(count=1), HeldConnection()
+    client = CameraClient(options(), lambda _: None)
+    images = NewestImage(source, 0.0, client._arrived.set, wall_clock_ns=lambda: 5_000_000_007)
+    images.start()
+    source.allowed.release(2)
+    publishing = asyncio.create_task(client.publish(connection, images))
+    await until(lambda: connection.pongs)
+    connection.pongs[0].set_result(0.0)
+    await asyncio.wait_for(publishing, 30.0)
+    advertised, image = connection.sent
+    assert advertised == {"op": "advertise", "topic": TOPIC, "type": "sensor_msgs/CompressedImage"}
+    assert image["msg"]["header"] == {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": "wrist"}
+    assert image["msg"]["format"] == "jpeg"
+
+
+@pytest.mark.parametrize("turns", range(4))
+async def test_an_end_that_comes_together_with_an_image_is_not_lost(turns: int) -> None:
+    client = CameraClient(options(), lambda _: None)
+    images = NewestImage(Scripted(), 0.0, lambda: None)
+    publishing = asyncio.create_task(client.publish(HeldConnection(), images))
+    for _ in range(10):
+        await asyncio.sleep(0)
+    client._arrived.set()
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    publishing.cancel()
+    await asyncio.wait([publishing], timeout=10.0)
+    assert publishing.cancelled()
+
+
+async def test_it_connects_again_and_tells_complaints_once(monkeypatch: Any) -> None:
+    monkeypatch.setattr(camera_client, "FIRST_DELAY_S", 0.01)
+    told: list[str] = []
+    connections: list[int] = []
+
+    async def talk(websocket: ServerConnection) -> None:
+        connections.append(0)
+        async for frame in websocket:
+            if json.loads(frame)["op"] == "publish":
+                connections[-1] += 1
+                await websocket.send(json.dumps({"op": "status", "level": "error", "msg": "not so"}))
+            if connections[-1] == 3:
+                return
+
+    async with serve(talk, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        client = CameraClient(options(f"ws://127.0.0.1:{port}"), told.append)
+        running = asyncio.create_task(client.run(TestPattern(32)))
+        await until(lambda: len(connections) >= 3)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+    assert sum("not so" in sentence for sentence in told) == 1
+    assert any("trying again in 0.01 s" in sentence for sentence in told)
+
+
+async def test_it_waits_longer_each_time_for_a_server_that_is_not_there(monkeypatch: Any) -> None:
+    monkeypatch.setattr(camera_client, "FIRST_DELAY_S", 0.01)
+    monkeypatch.setattr(camera_client, "LAST_DELAY_S", 0.04)
+    told: list[str] = []
+    client = CameraClient(options(f"ws://127.0.0.1:{free_port()}"), told.append)
+    running = asyncio.create_task(client.run(TestPattern(32)))
+    await until(lambda: len(told) >= 4)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+    assert [sentence.rpartition(" in ")[2] for sentence in told[:4]] == ["0.01 s", "0.02 s", "0.04 s", "0.04 s"]
+
+
+async def test_the_command_publishes_the_test_pattern_until_sigint(served: ServerOnBus) -> None:
+    arguments = ["camera", "test", "--connect", served.server.url, "--width", "64", "--fps", "30"]
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "server.cli", *arguments, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    try:
+        async with arm_client(served.server.url) as client:
+            await client.say("subscribe", topic=TOPIC, type="sensor_msgs/CompressedImage")
+            images = await client.until(TOPIC, lambda all_: len(all_) >= 3, 60.0)
+        process.send_signal(signal.SIGINT)
+        out, err = await asyncio.wait_for(process.communicate(), 60.0)
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+    assert process.returncode == 0, err
+    assert out.decode().endswith(f"images published on {TOPIC}\n")
+    assert opened(base64.b64decode(images[0]["data"])).size == (64, 48)
+    assert images[0]["header"]["frame_id"] == "test"

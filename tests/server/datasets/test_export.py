@@ -1,0 +1,303 @@
+"""Recordings exported as a LeRobotDataset, and the dataset read back: by its documented schema, and by lerobot."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from server.cli import main
+from server.datasets import export as export_module
+from server.datasets.export import Exported, ExportError, ExportOptions, camera_keys, export
+from tests.server.datasets.conftest import JOINTS, Record, image, mark, stamp, state, states
+from tests.server.recordings import REGISTRY, entry
+
+pa = pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed: no pyarrow")
+parquet = pytest.importorskip("pyarrow.parquet")
+av = pytest.importorskip("av", reason="the extra [datasets] is not installed: no av")
+
+FPS = 10
+KEY = "observation.images.camera"
+
+
+def exported(output: Path, *recordings: Path, **options: Any) -> Exported:
+    return export(ExportOptions(recordings, output, **{"fps": FPS, **options}), REGISTRY, lambda _: None)
+
+
+def rows(output: Path, path: str = "data/chunk-000/file-000.parquet") -> list[dict[str, Any]]:
+    table: list[dict[str, Any]] = parquet.read_table(output / path).to_pylist()
+    return table
+
+
+def column(output: Path, name: str) -> np.ndarray[Any, Any]:
+    return np.array([row[name] for row in rows(output)])
+
+
+def info(output: Path) -> dict[str, Any]:
+    contents: dict[str, Any] = json.loads((output / "meta/info.json").read_text())
+    return contents
+
+
+# Two episodes with tasks, a leader that is 0.2 rad ahead, and a camera whose red rises by 5 an image.
+MARKED = [
+    *states(6.0),
+    *states(6.0, topic="/teleop/leader_joint_states", offset=0.2, late_s=0.003),
+    *(image(n / 10, 5 * n) for n in range(51)),
+    mark("start pick the cube", 1.0),
+    mark("stop", 2.0),
+    mark("start drop it", 3.0),
+    mark("stop", 4.5),
+]
+
+
+@pytest.fixture
+def dataset(recorded: Record, tmp_path: Path) -> Path:
+    """A dataset of two episodes."""
+    output = tmp_path / "data"
+    done = exported(output, recorded(MARKED))
+    assert done == Exported(2, 27, (KEY,), "/teleop/leader_joint_states", ())
+    return output
+
+
+def test_info_describes_the_dataset_as_lerobot_v3_has_it(dataset: Path) -> None:
+    told = info(dataset)
+    vector = {"dtype": "float32", "shape": [2], "names": ["shoulder_pan.pos", "gripper.pos"]}
+    assert told["features"].pop(KEY)["shape"] == [24, 32, 3]
+    index = {"shape": [1], "names": None}
+    assert told["features"] == {
+        "action": vector,
+        "observation.state": vector,
+        "timestamp": {"dtype": "float32", **index},
+        **{name: {"dtype": "int64", **index} for name in ("frame_index", "episode_index", "index", "task_index")},
+    }
+    assert {key: value for key, value in told.items() if key != "features"} == {
+        "codebase_version": "v3.0",
+        "robot_type": None,
+        "total_episodes": 2,
+        "total_frames": 27,
+        "total_tasks": 2,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": FPS,
+        "splits": {"train": "0:2"},
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
+    }
+
+
+def test_frames_have_state_and_action_at_a_fixed_rate(dataset: Path) -> None:
+    at_s = np.concatenate([1.0 + np.arange(11) / FPS, 3.0 + np.arange(16) / FPS])
+    assert column(dataset, "observation.state")[:, 0] == pytest.approx(0.1 * at_s, abs=1e-6)
+    # The leader's last message before the frame is up to one period of 20 ms old, here by the 3 ms of the network.
+    assert column(dataset, "action")[:, 0] == pytest.approx(0.1 * at_s + 0.2, abs=0.0021)
+    assert column(dataset, "timestamp") == pytest.approx([*np.arange(11) / FPS, *np.arange(16) / FPS])
+    assert column(dataset, "index").tolist() == list(range(27))
+    assert column(dataset, "frame_index").tolist() == [*range(11), *range(16)]
+    assert column(dataset, "episode_index").tolist() == [0] * 11 + [1] * 16
+    assert column(dataset, "task_index").tolist() == [0] * 11 + [1] * 16
+
+
+def test_columns_have_the_types_of_the_features(dataset: Path) -> None:
+    schema = parquet.read_schema(dataset / "data/chunk-000/file-000.parquet")
+    vector = pa.list_(pa.float32(), 2)
+    assert schema.field("action").type == schema.field("observation.state").type == vector
+    assert schema.field("timestamp").type == pa.float32()
+    assert {schema.field(name).type for name in ("frame_index", "episode_index", "index", "task_index")} == {pa.int64()}
+    assert parquet.ParquetFile(dataset / "data/chunk-000/file-000.parquet").num_row_groups == 2
+
+
+def test_episodes_say_where_their_frames_are(dataset: Path) -> None:
+    first, second = rows(dataset, "meta/episodes/chunk-000/file-000.parquet")
+    places = {
+        "episode_index": 1,
+        "tasks": ["drop it"],
+        "length": 16,
+        "data/chunk_index": 0,
+        "data/file_index": 0,
+        "dataset_from_index": 11,
+        "dataset_to_index": 27,
+        f"videos/{KEY}/chunk_index": 0,
+        f"videos/{KEY}/file_index": 0,
+        f"videos/{KEY}/from_timestamp": 1.1,
+        f"videos/{KEY}/to_timestamp": 2.7,
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+    }
+    assert {name: second[name] for name in places} == places
+    assert first["dataset_to_index"] == 11
+    assert second["stats/observation.state/max"] == pytest.approx([0.45, 0.5])
+    assert second["stats/observation.state/count"] == [16]
+    assert np.shape(second[f"stats/{KEY}/mean"]) == (3, 1, 1)
+
+
+def test_tasks_are_found_by_the_index_that_pandas_has_written(dataset: Path) -> None:
+    table = parquet.read_table(dataset / "meta/tasks.parquet")
+    assert table.to_pydict() == {"task_index": [0, 1], "task": ["pick the cube", "drop it"]}
+    assert json.loads(table.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+
+
+def test_statistics_are_of_all_frames(dataset: Path) -> None:
+    told = json.loads((dataset / "meta/stats.json").read_text())
+    states_ = column(dataset, "observation.state")
+    assert told["observation.state"]["mean"] == pytest.approx(states_.mean(axis=0))
+    assert told["observation.state"]["std"] == pytest.approx(states_.std(axis=0))
+    assert told["observation.state"]["q90"] == pytest.approx(np.quantile(states_, 0.9, axis=0))
+    assert [told["index"][name] for name in ("min", "max", "mean", "count")] == [[0], [26], [13], [27]]
+    reds = np.array([5 * n for n in (*range(10, 21), *range(30, 46))]) / 255
+    assert told[KEY]["mean"][0][0][0] == pytest.approx(reds.mean(), abs=0.01)
+    assert told[KEY]["count"] == [27]
+
+
+def test_the_video_shows_at_each_frame_what_the_camera_saw_then(dataset: Path) -> None:
+    with av.open(str(dataset / f"videos/{KEY}/chunk-000/file-000.mp4")) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.average_rate) == ("h264", FPS)
+        frames = [(float(each.time), each.to_ndarray(format="rgb24")) for each in container.decode(stream)]
+    assert [at_s for at_s, _ in frames] == pytest.approx(np.arange(27) / FPS, abs=1e-4)
+    reds = [pixels[:, :, 0].mean() for _, pixels in frames]
+    assert reds == pytest.approx([5 * n for n in (*range(10, 21), *range(30, 46))], abs=4)
+
+
+def test_lerobot_opens_the_dataset(dataset: Path) -> None:
+    lerobot = pytest.importorskip("lerobot.datasets.lerobot_dataset", reason="lerobot is not installed")
+    opened = lerobot.LeRobotDataset("local/test", root=dataset)
+    assert (opened.num_episodes, opened.num_frames) == (2, 27)
+    assert opened[11]["task"] == "drop it"
+
+
+def test_a_recording_without_marks_is_one_episode_with_the_task_of_the_option(recorded: Record, tmp_path: Path) -> None:
+    done = exported(tmp_path / "data", recorded(states(2.0)), task="wave")
+    assert done == Exported(1, 20, (), "the next state", ())
+    assert (
+        column(tmp_path / "data", "action")[:-1].tolist() == column(tmp_path / "data", "observation.state")[1:].tolist()
+    )
+    assert info(tmp_path / "data")["video_path"] is None
+    assert rows(tmp_path / "data", "meta/tasks.parquet")[0]["task"] == "wave"
+
+
+def test_several_recordings_make_one_dataset(recorded: Record, tmp_path: Path) -> None:
+    first = [*states(1.0), *(image(n / 10, 100) for n in range(11))]
+    second = [*states(2.0), *(image(n / 10, 200) for n in range(21))]
+    assert exported(tmp_path / "data", recorded(first), recorded(second)).episodes == 2
+    told = rows(tmp_path / "data", "meta/episodes/chunk-000/file-000.parquet")
+    reds = [np.ravel(each[f"stats/{KEY}/mean"])[0] * 255 for each in told]
+    assert reds == pytest.approx([100, 200], abs=3)
+
+
+def commanded(joint: str, at_s: float, position: float) -> Any:
+    """A controller's state with the commanded position of one joint."""
+    msg = {"header": stamp(at_s), "joint_names": [joint], "reference": {"positions": [position]}}
+    return entry(f"/{joint}_controller/controller_state", "control_msgs/JointTrajectoryControllerState", msg, at_s)
+
+
+def test_without_a_leader_the_positions_that_the_controllers_command_are_the_actions(
+    recorded: Record, tmp_path: Path
+) -> None:
+    pan = [commanded(JOINTS[0], n / 10, 0.3) for n in range(11)]
+    gripper = [commanded(JOINTS[1], n / 10, 0.1 * n) for n in range(11)]
+    done = exported(tmp_path / "data", recorded([*states(1.0), *pan, *gripper]))
+    assert done.actions == "/gripper_controller/controller_state and /shoulder_pan_controller/controller_state"
+    expected = np.column_stack([np.full(11, 0.3), 0.1 * np.arange(11)])
+    assert column(tmp_path / "data", "action") == pytest.approx(expected)
+
+
+def test_controllers_that_command_only_some_of_the_joints_are_no_actions(recorded: Record, tmp_path: Path) -> None:
+    pan = [commanded(JOINTS[0], n / 10, 0.3) for n in range(11)]
+    assert exported(tmp_path / "data", recorded([*states(1.0), *pan])).actions == "the next state"
+
+
+def test_units_of_lerobot_need_the_grippers_range_and_use_it(recorded: Record, tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="--units lerobot needs the range of gripper"):
+        exported(tmp_path / "data", recorded(states(1.0)), units="lerobot")
+    limit = {"joint_name": "gripper", "min_position": 0.0, "max_position": 2.0}
+    limits = entry(
+        "/arm/joint_limits", "moveit_msgs/KinematicSolverInfo", {"joint_names": ["gripper"], "limits": [limit]}
+    )
+    exported(tmp_path / "data", recorded([limits, *states(1.0)]), units="lerobot")
+    assert column(tmp_path / "data", "observation.state")[-1] == pytest.approx([np.degrees(0.09), 25.0])
+
+
+def test_an_episode_with_a_gap_is_left_out_and_said(recorded: Record, tmp_path: Path) -> None:
+    marks = [mark("start", 0.0), mark("stop", 1.0), mark("start", 1.2), mark("stop", 3.0)]
+    done = exported(tmp_path / "data", recorded([*states(1.5), *states(3.0, 2.3), *marks]))
+    assert done.episodes == 1
+    (problem,) = done.problems
+    assert problem.endswith(
+        "episode 2 (1.2 to 3.0 s) is left out: the states have a gap of 0.8 s, 0.3 s after it begins"
+    )
+
+
+REFUSED = {
+    "no state": ([mark("start", 0.0)], {}, "has no messages of sensor_msgs/JointState on /joint_states"),
+    "one state": ([state(0.0)], {}, "no episode can be exported: .* it has 0 frames at 10 a second, and needs 2"),
+    "another topic": (states(1.0), {"action_topic": "/x"}, "--action-topic must be one of /joint_states, not /x"),
+    "an odd size": (
+        [*states(1.0), *(image(n / 10, 9, width=31) for n in range(11))],
+        {},
+        "image 1 of /camera/image/compressed: images must have even width and height for yuv420p, not 31x24",
+    ),
+    "another size": (
+        [*states(1.0), *(image(n / 10, 9, width=32 + 2 * (n == 5)) for n in range(11))],
+        {},
+        "image 6 of /camera/image/compressed: all images must have the size of the first one, 32x24, not 34x24",
+    ),
+    "no picture": (
+        [*states(1.0), *(entry("/c", "sensor_msgs/CompressedImage", {"data": "AAAA"}, n / 10) for n in range(11))],
+        {},
+        "image 1 of /c: an image cannot be read",
+    ),
+}
+
+
+@pytest.mark.parametrize(("entries", "options", "sentence"), REFUSED.values(), ids=REFUSED.keys())
+def test_what_makes_no_dataset_is_refused_and_nothing_is_left_behind(
+    entries: list[Any], options: dict[str, Any], sentence: str, recorded: Record, tmp_path: Path
+) -> None:
+    recording = recorded(entries)
+    with pytest.raises(ExportError, match=sentence):
+        exported(tmp_path / "data", recording, **options)
+    assert list(tmp_path.iterdir()) == [recording]
+
+
+def test_a_folder_that_exists_is_left_alone(recorded: Record, tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="exists already: name another folder"):
+        exported(tmp_path, recorded(states(1.0)))
+
+
+@pytest.mark.parametrize("missing", ["pyarrow", "av"])
+def test_a_missing_extra_is_named(
+    missing: str, recorded: Record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    find = export_module.find_spec
+    monkeypatch.setattr(export_module, "find_spec", lambda name: None if name == missing else find(name))
+    with pytest.raises(ExportError, match=rf"{missing}: pip install 'armbridge\[datasets\]'"):
+        exported(tmp_path / "data", recorded([*states(1.0), image(0.0, 9)]))
+
+
+def test_cameras_are_named_after_what_is_theirs_in_the_topic() -> None:
+    topics = ["/camera/image/compressed", "/left/wrist/image_raw/compressed", "/image", "/camera/compressed"]
+    assert camera_keys(topics) == {
+        "observation.images.camera": "/camera/compressed",
+        "observation.images.camera_image_compressed": "/camera/image/compressed",
+        "observation.images.image": "/image",
+        "observation.images.left_wrist": "/left/wrist/image_raw/compressed",
+    }
+
+
+def test_the_command_tells_what_it_wrote_and_what_it_left_out(
+    recorded: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "data"
+    recording = recorded([*states(2.0), mark("start", 0.0), mark("stop", 1.0), mark("stop", 1.5)])
+    arguments = ["export", str(recording), "--format", "lerobot", "--output", str(output), "--fps", "10"]
+    assert main(arguments) == 3
+    told = capsys.readouterr()
+    assert told.out == f"{output}: 1 episodes, 10 frames at 10 a second, no camera; actions: the next state\n"
+    assert "* " in told.err
+    assert "the stop at 1.5 s has no start" in told.err
+    assert main(arguments) == 1
+    assert "exists already" in capsys.readouterr().err

@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from protocol.publication import PublishedMessage
+from server.datasets.episodes import EPISODE_TOPIC, EPISODE_TYPE
+from server.datasets.marking import DISCARD_SERVICE, START_SERVICE, STOP_SERVICE, EpisodeServices
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
+from tests.server.recordings import REGISTRY
+
+
+class Marked:
+    """The services on a graph of their own, with a listener to the topic."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.recording = True
+        self.graph = Graph(REGISTRY)
+        self.texts: list[str] = []
+        EpisodeServices(self.graph, lambda: self.recording, lambda: self.now_s)
+        self.graph.subscribe(Node("recorder"), EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take))
+
+    def _take(self, published: PublishedMessage) -> None:
+        self.texts.append(published.msg["data"])
+
+    async def call(self, service: str, **request: Any) -> tuple[bool, str]:
+        answered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self.graph.services.call(Node("client"), service, request, answered.set_result)
+        values = (await asyncio.wait_for(answered, 20.0)).values
+        return values["success"], values["message"]
+
+
+async def test_the_services_publish_marks_and_say_what_they_have_done() -> None:
+    marked = Marked()
+    assert await marked.call(START_SERVICE, task="pick the  cube") == (True, "episode 1 has begun")
+    marked.now_s += 2.5
+    assert await marked.call(STOP_SERVICE) == (True, "episode 1 has ended after 2.5 s")
+    assert await marked.call(DISCARD_SERVICE) == (True, "the last episode is discarded; 0 are left")
+    assert marked.texts == ["start pick the cube", "stop", "discard"]
+
+
+async def test_a_mark_that_does_not_fit_is_refused_and_not_published() -> None:
+    marked = Marked()
+    assert await marked.call(STOP_SERVICE) == (False, f"no episode is in progress: {START_SERVICE} begins one")
+    assert await marked.call(DISCARD_SERVICE) == (False, "there is no episode to discard")
+    assert await marked.call(START_SERVICE, task="x" * 301) == (
+        False,
+        "task: must have at most 300 characters, not 301",
+    )
+    assert marked.texts == []
+    await marked.call(START_SERVICE, task="")
+    done, sentence = await marked.call(START_SERVICE, task="")
+    assert not done
+    assert "an episode is in progress" in sentence
+    assert marked.texts == ["start"]
+
+
+async def test_the_services_know_the_marks_of_clients(caplog: pytest.LogCaptureFixture) -> None:
+    marked = Marked()
+    client = Node("client", remote=True)
+    marked.graph.advertise(client, EPISODE_TOPIC, EPISODE_TYPE)
+    marked.graph.publish(client, EPISODE_TOPIC, {"data": "start"})
+    assert (await marked.call(STOP_SERVICE))[0]
+    marked.graph.publish(client, EPISODE_TOPIC, {"data": "go"})
+    assert "must be 'start', 'start TASK', 'stop' or 'discard', not 'go'" in caplog.text
+
+
+async def test_the_answer_says_that_nothing_is_recorded() -> None:
+    marked = Marked()
+    marked.recording = False
+    done, sentence = await marked.call(START_SERVICE, task="")
+    assert done
+    assert sentence == "episode 1 has begun, but this server records nothing (armbridge serve --record FILE.mcap)"
+
+
+async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorded() -> None:
+    marked, arm = Marked(), Node("arm")
+    commanded = "/arm_controller/controller_state"
+    marked.graph.advertise(arm, "/joint_states", "sensor_msgs/JointState")
+    marked.graph.advertise(arm, commanded, "control_msgs/JointTrajectoryControllerState")
+    marked.graph.advertise(arm, "/other", "std_msgs/String")
+
+    def subscribed() -> list[str]:
+        return [name for name in ("/joint_states", commanded, "/other") if marked.graph.subscribers(name)]
+
+    assert subscribed() == []
+    await marked.call(START_SERVICE, task="")
+    assert subscribed() == ["/joint_states", commanded]
+    await marked.call(STOP_SERVICE)
+    assert subscribed() == []
+    marked.recording = False
+    await marked.call(START_SERVICE, task="")
+    assert subscribed() == []

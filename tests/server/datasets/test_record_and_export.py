@@ -1,0 +1,52 @@
+"""From a running server with its arm, a camera of a client and marked episodes to a dataset."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+
+import pytest
+
+from server.cli import main
+from tests.helpers.clients import arm_client
+from tests.helpers.server import server_on_bus
+from tests.server.datasets.conftest import jpeg
+
+parquet = pytest.importorskip("pyarrow.parquet", reason="the extra [datasets] is not installed: no pyarrow")
+pytest.importorskip("av", reason="the extra [datasets] is not installed: no av")
+
+STATES = 40
+
+
+async def test_what_a_server_records_of_arm_camera_and_marks_becomes_a_dataset(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording, output = tmp_path / "run.mcap", tmp_path / "data"
+    with server_on_bus(f"--port 0 --record {recording}") as running:
+        async with arm_client(running.server.url) as client:
+            await client.until_mode("holding")
+            await client.say("advertise", topic="/camera/image/compressed", type="sensor_msgs/CompressedImage")
+            picture = base64.b64encode(jpeg(100)).decode()
+            for episode in range(2):
+                answer = await client.call("/dataset/start_episode", task="rest")
+                assert answer == {"success": True, "message": f"episode {episode + 1} has begun"}
+                # An image with every fifth state, so that a busy machine has none without the other.
+                for _ in range(STATES // 5):
+                    msg = {"format": "jpeg", "data": picture}
+                    await client.say("publish", topic="/camera/image/compressed", msg=msg)
+                    seen = len(client.topics.get("/joint_states", ()))
+                    await client.until("/joint_states", lambda states, least=seen + 5: len(states) >= least)
+                assert (await client.call("/dataset/stop_episode"))["success"]
+            assert (await client.call("/dataset/discard_episode"))["success"]
+    assert main(["export", str(recording), "--output", str(output), "--fps", "10", "--units", "lerobot"]) == 0
+    done = capsys.readouterr().out
+    assert "actions: /arm_controller/controller_state and /gripper_controller/controller_state" in done
+    told = json.loads((output / "meta/info.json").read_text())
+    assert told["total_episodes"] == 1
+    assert told["robot_type"] == "so101"
+    assert told["features"]["observation.state"]["names"][-1] == "gripper.pos"
+    rows = parquet.read_table(output / "data/chunk-000/file-000.parquet").to_pylist()
+    assert len(rows) == told["total_frames"] >= 2
+    assert all(0.0 <= row["observation.state"][-1] <= 100.0 for row in rows)
+    assert (output / "videos/observation.images.camera/chunk-000/file-000.mp4").stat().st_size > 0

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from server.datasets import samples as samples_module
+from server.datasets.samples import JointSample, read_samples, series, times_s
+from server.errors import RecordingError
+from tests.server.datasets.conftest import JOINTS, Record, image, mark, state, states
+from tests.server.recordings import REGISTRY, entry
+
+
+def test_states_images_marks_and_limits_of_a_recording_are_read(recorded: Record) -> None:
+    limits = {"joint_names": ["gripper"], "limits": [{"joint_name": "gripper", "min_position": -1, "max_position": 2}]}
+    arm = entry("/arm/state", "diagnostic_msgs/DiagnosticStatus", {"hardware_id": "so101"})
+    more = [entry("/arm/joint_limits", "moveit_msgs/KinematicSolverInfo", limits), arm]
+    read = read_samples(recorded([*states(1.0), mark("start", 0.5), image(0.2, 9), *more]), REGISTRY)
+    assert len(read.joints["/joint_states"]) == 51
+    assert [text for _, text in read.marks] == ["start"]
+    assert len(read.images["/camera/image/compressed"]) == 1
+    assert (read.limits, read.robot, read.unreadable) == ({"gripper": (-1.0, 2.0)}, "so101", 0)
+
+
+def test_a_recording_with_more_samples_than_fit_is_refused(recorded: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(samples_module, "MAX_SAMPLES", 20)
+    with pytest.raises(RecordingError, match="must have at most 20 states, goals and images"):
+        read_samples(recorded(states(1.0)), REGISTRY)
+
+
+def test_a_message_that_does_not_fit_its_type_is_counted(recorded: Record) -> None:
+    broken = state(0.5)._replace(octets=b"\0\1\0\0\7")
+    assert read_samples(recorded([state(0.0), broken]), REGISTRY).unreadable == 1
+
+
+def test_stamps_take_the_jitter_off_and_the_difference_of_clocks() -> None:
+    stamps = np.arange(100.0, 101.0, 0.02)
+    late = np.tile([0.0, 0.004], 25)
+    times = times_s(stamps + 5000.0 + late, stamps)
+    assert np.diff(times) == pytest.approx(0.02)
+    assert times[0] == pytest.approx(5100.002)
+
+
+@pytest.mark.parametrize("stamps", [[0.0, 0.0, 0.0], [1.0, 0.0, 3.0], [1.0, 2.0, 4.2]], ids=["none", "one", "set"])
+def test_without_stamps_that_can_be_used_the_time_of_recording_counts(stamps: list[float]) -> None:
+    assert times_s([11.0, 12.0, 13.0], stamps).tolist() == [11.0, 12.0, 13.0]
+
+
+def test_joints_are_found_by_name_in_any_order_and_increasing_times() -> None:
+    rows = [
+        JointSample(3.0, 0.0, ("gripper", "shoulder_pan"), (0.5, 0.3)),
+        JointSample(1.0, 0.0, JOINTS, (0.1, 0.5)),
+        JointSample(1.0, 0.0, JOINTS, (0.7, 0.5)),
+        JointSample(2.0, 0.0, ("shoulder_pan",), (0.2,)),
+        JointSample(2.5, 0.0, JOINTS, (float("nan"), 0.5)),
+    ]
+    times, positions = series(rows, JOINTS)
+    assert times.tolist() == [1.0, 3.0]
+    assert positions.tolist() == [[0.1, 0.5], [0.3, 0.5]]

@@ -57,10 +57,13 @@ COMMANDS = sorted({line for page in ("README.md", *(f"docs/{page.name}" for page
 PROGRAMS = [(page.name, block) for page in PAGES for block in blocks(page, "python")]
 # A file of tokens is no configuration; it is read by the tests of tokens.
 SETTINGS = [block for page in PAGES for block in blocks(page, "toml") if "_tokens]" not in block]
-# It needs two arms; tests/examples runs it with them.
-TWO_ARMS = "python examples/two_hands.py"
+# They need two arms; tests/examples runs them with those.
+TWO_ARMS = (
+    "python examples/two_hands.py",
+    "python examples/leader_follower.py --leader /leader/joint_states",
+)
 OF_EXAMPLES = [line for line in COMMANDS if "examples/" in line and not line.startswith((*FOREIGN, "armbridge "))]
-EXAMPLES = [line for line in OF_EXAMPLES if line != TWO_ARMS]
+EXAMPLES = [line for line in OF_EXAMPLES if line not in TWO_ARMS]
 
 
 def run_python(arguments: list[str]) -> subprocess.CompletedProcess[str]:

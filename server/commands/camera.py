@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from server.commands.options import Subparsers
+from server.commands.options import Subparsers, websocket_url
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.commands.verify import DEFAULT_URL, TOKEN_VARIABLE
 from server.errors import ServerError
@@ -36,7 +36,7 @@ def add_camera_parser(subparsers: Subparsers) -> None:
         "device", metavar="DEVICE", help="number or path of a camera, a video file, or test for a test pattern"
     )
     parser.add_argument(
-        "--connect", type=_url, default=DEFAULT_URL, metavar="URL", help=f"of the server ({DEFAULT_URL})"
+        "--connect", type=websocket_url, default=DEFAULT_URL, metavar="URL", help=f"of the server ({DEFAULT_URL})"
     )
     parser.add_argument("--topic", default=DEFAULT_TOPIC, help=f"of the images ({DEFAULT_TOPIC})")
     parser.add_argument(
@@ -59,12 +59,6 @@ def add_camera_parser(subparsers: Subparsers) -> None:
         help=f"file with one of access.operate_tokens and nothing else; else it comes from {TOKEN_VARIABLE}",
     )
     parser.set_defaults(run=run_camera)
-
-
-def _url(text: str) -> str:
-    if not text.startswith(("ws://", "wss://")):
-        raise argparse.ArgumentTypeError(f"must begin with ws:// or wss://, not {text!r}")
-    return text
 
 
 def _whole(least: int, greatest: int) -> Callable[[str], int]:

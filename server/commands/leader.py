@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from robot import logs
-from server.commands.options import CALIBRATION_HELP, SERIAL_HELP, Subparsers, add_robot
+from server.commands.options import CALIBRATION_HELP, SERIAL_HELP, Subparsers, add_robot, websocket_url
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.commands.verify import DEFAULT_URL, TOKEN_VARIABLE
 from server.errors import ConfigurationError
@@ -29,7 +29,7 @@ def add_leader_parser(subparsers: Subparsers) -> None:
         epilog=EXIT_CODES,
     )
     parser.add_argument(
-        "--connect", type=_url, default=DEFAULT_URL, metavar="URL", help=f"of the server ({DEFAULT_URL})"
+        "--connect", type=websocket_url, default=DEFAULT_URL, metavar="URL", help=f"of the server ({DEFAULT_URL})"
     )
     parser.add_argument("--serial", metavar="PORT", help=SERIAL_HELP)
     add_robot(parser, None)
@@ -48,12 +48,6 @@ def add_leader_parser(subparsers: Subparsers) -> None:
         help=f"file with one of access.operate_tokens and nothing else; else it comes from {TOKEN_VARIABLE}",
     )
     parser.set_defaults(run=run_leader)
-
-
-def _url(text: str) -> str:
-    if not text.startswith(("ws://", "wss://")):
-        raise argparse.ArgumentTypeError(f"must begin with ws:// or wss://, not {text!r}")
-    return text
 
 
 def _rate(text: str) -> int:

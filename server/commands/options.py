@@ -63,6 +63,13 @@ def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROB
     )
 
 
+def websocket_url(text: str) -> str:
+    """Read an option's URL of a server."""
+    if not text.startswith(("ws://", "wss://")):
+        raise argparse.ArgumentTypeError(f"must begin with ws:// or wss://, not {text!r}")
+    return text
+
+
 def read_hardware(options: argparse.Namespace) -> HardwareTable:
     """Read the hardware of the robot that the options name, which has Feetech servos.
 

@@ -96,7 +96,8 @@ class Leader:
 
     def take_state(self, state: ArmState) -> None:
         """Take the state of an arm of this server."""
-        if state.position_rad is not None:
+        # What an arm with a fault reads may be old.
+        if state.position_rad is not None and state.fault is None:
             self._take(
                 LeaderSample(state.stamp_s, dict(zip(state.joint_names, state.position_rad.tolist(), strict=True)))
             )

@@ -142,6 +142,25 @@ def test_two_arms_are_moved_each_by_its_name_and_then_together(run_example: RunE
     assert both == "both: 1 the arm is there"
 
 
+def test_an_arm_follows_its_leader_until_ctrl_c() -> None:
+    with RunningServer(f"--port 0 --config {EXAMPLES / 'leader_follower.toml'}", FAST) as arms:
+        command = [sys.executable, str(EXAMPLES / "leader_follower.py"), "--port", str(arms.port)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as following:
+            assert following.stdout is not None
+            for line in following.stdout:
+                if line.startswith("following"):
+                    break
+            following.send_signal(signal.SIGINT)
+            assert "idle: " in following.stdout.read()
+            assert following.wait(EXAMPLE_TIMEOUT_S) == 0
+
+
+def test_a_leader_that_does_not_exist_is_said(run_example: RunExample, server: RunningServer) -> None:
+    done = run_example("leader_follower.py", "--leader", "nobody", "--port", str(server.port))
+    assert done.returncode == 1
+    assert "leader: must be an arm that leads (none) or a topic" in done.stdout
+
+
 def test_two_hands_need_two_arms(run_example: RunExample, server: RunningServer) -> None:
     done = run_example("two_hands.py", "--port", str(server.port))
     assert done.returncode == 1

@@ -68,10 +68,17 @@ async def client(server: RunningServer, hand: EmulatorControl) -> AsyncIterator[
         await one.say("subscribe", topic=STATE, type="armbridge_msgs/TeleopState")
         yield one
         await one.call("/teleop/stop")
-        await one.call("/follower/arm/reset_fault")
-        await one.call("/follower/arm/enable")
-        await one.until("/follower/arm/state", lambda states: values_of(states[-1])["mode"] == "holding", TIMEOUT_S)
+        await recovers(one)
         await one.call("/arm/release_control")
+
+
+async def recovers(client: ArmClient) -> None:
+    """Bring the follower back to holding; a bus that was lost is found again a little later."""
+    async with asyncio.timeout(TIMEOUT_S):
+        while values_of(client.topics["/follower/arm/state"][-1])["mode"] not in ("holding", "moving"):
+            await client.call("/follower/arm/reset_fault")
+            await client.call("/follower/arm/enable")
+            await asyncio.sleep(0.1)
 
 
 async def positions(client: ArmClient) -> dict[str, float]:

@@ -1,0 +1,90 @@
+"""Samples from a topic: read, refused with the field, and taken from one client at a time."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from protocol.publication import PublishedMessage
+from server.errors import ServiceError
+from server.graph.node import Node
+from server.interfaces import load_registry
+from server.teleop.following import STALE_S
+from server.teleop.teleoperation import MAX_JOINTS, Leader, read_sample
+
+REGISTRY = load_registry(())
+
+
+def message(stamp_s: float, **positions_rad: float) -> dict[str, Any]:
+    stamp = {"sec": int(stamp_s), "nanosec": round(stamp_s % 1.0 * 1e9)}
+    header = {"stamp": stamp, "frame_id": ""}
+    return {
+        "header": header,
+        "name": list(positions_rad),
+        "position": list(positions_rad.values()),
+        "velocity": [],
+        "effort": [],
+    }
+
+
+class Clock:
+    """Time that passes when it is told to [s]."""
+
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def send(leader: Leader, publisher: Node, msg: dict[str, Any], now_s: float) -> None:
+    leader.take_message(
+        PublishedMessage("/glove", "sensor_msgs/msg/JointState", msg, REGISTRY, now_s, publisher=publisher)
+    )
+
+
+def test_a_sample_has_the_leaders_stamp() -> None:
+    sample = read_sample(message(7.25, elbow=0.5), 99.0)
+    assert (sample.stamp_s, dict(sample.positions_rad)) == (pytest.approx(7.25), {"elbow": 0.5})
+
+
+def test_a_message_without_a_stamp_is_taken_as_read_when_it_came() -> None:
+    assert read_sample(message(0.0, elbow=0.5), 99.0).stamp_s == 99.0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"position": []}, "name: must have 1 to 32 joints, as many as position has values, 0, not 1"),
+        ({"name": [], "position": []}, "name: must have 1 to 32 joints"),
+        ({"name": ["j"] * (MAX_JOINTS + 1), "position": [0.0] * (MAX_JOINTS + 1)}, "name: must have 1 to 32 joints"),
+        ({"position": [math.nan]}, "position of elbow: must be a finite number, not nan"),
+    ],
+)
+def test_a_message_that_cannot_be_followed_is_refused_with_its_field(change: dict[str, Any], said: str) -> None:
+    with pytest.raises(ServiceError, match=said):
+        read_sample(message(1.0, elbow=0.5) | change, 99.0)
+
+
+def test_a_message_that_cannot_be_followed_leaves_the_samples_as_they_are() -> None:
+    clock, one = Clock(), Node("one")
+    leader = Leader("/glove", {}, clock)
+    send(leader, one, message(1.0, elbow=0.5) | {"position": [math.inf]}, clock.now_s)
+    assert leader.joint_names == ()
+
+
+def test_while_one_client_leads_another_is_not_followed_and_takes_over_after_a_silence() -> None:
+    clock, one, other = Clock(), Node("one"), Node("other")
+    leader = Leader("/glove", {}, clock)
+    send(leader, one, message(50.0, elbow=0.1), clock.now_s)
+    send(leader, other, message(60.0, elbow=0.9), clock.now_s)
+    pose = leader.samples.pose(clock.now_s)
+    assert pose is not None
+    assert pose.positions_rad == {"elbow": 0.1}
+    clock.now_s += STALE_S + 0.01
+    # Its clock is far behind that of the first.
+    send(leader, other, message(10.0, elbow=0.9), clock.now_s)
+    pose = leader.samples.pose(clock.now_s)
+    assert pose is not None
+    assert pose.positions_rad == {"elbow": 0.9}

@@ -35,11 +35,12 @@ def main() -> int:
     arguments = parser.parse_args()
     client = connect(arguments.host, arguments.port)
 
-    started, ended = threading.Event(), threading.Event()
+    ended = threading.Event()
     phases: list[str] = []
 
     def take_state(state: dict[str, Any]) -> None:
-        if state["phase"] == "idle" and not started.is_set():
+        # What is told first is the end of the following before.
+        if state["phase"] == "idle" and not phases:
             return
         if not phases or phases[-1] != state["phase"]:
             phases.append(state["phase"])
@@ -50,7 +51,6 @@ def main() -> int:
     roslibpy.Topic(client, "/teleop/state", "armbridge_msgs/TeleopState").subscribe(take_state)
     request = {"follower": arguments.follower, "leader": arguments.leader, "mirror": arguments.mirror}
     start = roslibpy.Service(client, "/teleop/start", "armbridge_msgs/StartTeleop")
-    started.set()
     answer = start.call(roslibpy.ServiceRequest(request), timeout=CALL_TIMEOUT_S)
     print(answer["message"], flush=True)
     if not answer["success"]:

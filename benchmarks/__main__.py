@@ -34,6 +34,7 @@ from benchmarks import (
     several_arms,
     soak,
     start,
+    teleop,
 )
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
@@ -61,6 +62,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "one_frame": one_frame.run,
     "classroom": classroom.run,
     "several_arms": several_arms.run,
+    "teleop": teleop.run,
     "soak": soak.run,
     "planning_scene_services": planning_scene_services.run,
 }

@@ -60,9 +60,11 @@ class JitterBuffer:
 
     Args:
         max_velocity_rad_s: greatest velocity of each joint that is watched for jumps [rad/s].
+        max_delay_s: greatest delay; 0 to follow the latest sample, as of an arm of this server [s].
     """
 
-    def __init__(self, max_velocity_rad_s: Mapping[str, float]) -> None:
+    def __init__(self, max_velocity_rad_s: Mapping[str, float], max_delay_s: float = MAX_DELAY_S) -> None:
+        self._max_delay_s = max_delay_s
         self._max_velocity_rad_s = max_velocity_rad_s
         self._samples: deque[LeaderSample] = deque(maxlen=MAX_SAMPLES)
         # Arrival and transit of each sample: time of its arrival less its stamp [s].
@@ -98,7 +100,7 @@ class JitterBuffer:
         if not self._transits:
             return 0.0
         transits = [transit for _, transit in self._transits]
-        return min(max(transits) - min(transits), MAX_DELAY_S)
+        return min(max(transits) - min(transits), self._max_delay_s)
 
     def take_jump(self) -> str:
         """Return in words how the leader has jumped since the last call; empty if it has not."""

@@ -7,7 +7,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
@@ -25,6 +25,9 @@ from server.teleop.joint_map import JointMap
 from server.teleop.leader import JitterBuffer, LeaderPose
 
 log = logging.getLogger("armbridge.teleop")
+
+# A step for each tick of the arm process, whose goals the next one sets [s].
+PERIOD_S = 0.01
 
 # Share of the limits on the way to the leader: somebody holds the leader and watches.
 RAMP_SCALING = 0.3
@@ -131,7 +134,7 @@ class FollowingSession:
         self._show, self._show_targets, self._clock = show, show_targets, clock
         self._servo = ServoSession(
             follower.arm,
-            follower.setup,
+            replace(follower.setup, period_s=PERIOD_S),
             self._asked,
             resolve,
             self._take_status,
@@ -180,7 +183,7 @@ class FollowingSession:
     async def _run(self) -> None:
         try:
             while not self.following.ended:
-                due_s = self._clock() + self._follower.setup.period_s
+                due_s = self._clock() + PERIOD_S
                 self._tick()
                 await asyncio.sleep(max(due_s - self._clock(), 0.0))
         except Exception:  # a bug must not leave the arm steered by a following that has ended

@@ -25,7 +25,7 @@ from server.moveit.poses import Message
 from server.moveit.requests.planning_context import PlanningContext
 from server.teleop.following import STALE_S, Phase
 from server.teleop.joint_map import joint_map
-from server.teleop.leader import JitterBuffer, LeaderSample
+from server.teleop.leader import MAX_DELAY_S, JitterBuffer, LeaderSample
 from server.teleop.session import Follower, FollowingSession, FollowingState, GoTo
 
 log = logging.getLogger("armbridge.teleop")
@@ -88,7 +88,7 @@ class Leader:
 
     def __init__(self, name: str, max_velocity_rad_s: Mapping[str, float], clock: Callable[[], float]) -> None:
         self.name = name
-        self.samples = JitterBuffer(max_velocity_rad_s)
+        self.samples = JitterBuffer(max_velocity_rad_s, MAX_DELAY_S if name.startswith("/") else 0.0)
         self.joint_names: tuple[str, ...] = ()
         self._clock = clock
         self._publisher: object = None

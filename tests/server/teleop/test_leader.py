@@ -29,6 +29,16 @@ def position(buffer: JitterBuffer, now_s: float) -> float:
     return pose.positions_rad["a"]
 
 
+def test_an_arm_of_this_server_is_followed_without_a_delay() -> None:
+    buffer = JitterBuffer({}, max_delay_s=0.0)
+    for number, late_s in enumerate((0.0, 0.03, 0.0, 0.05)):
+        buffer.add(LeaderSample(number * 0.1, {"pan": float(number)}), number * 0.1 + late_s)
+    assert buffer.delay_s == 0.0
+    pose = buffer.pose(0.35)
+    assert pose is not None
+    assert pose.positions_rad == {"pan": 3.0}
+
+
 def test_an_empty_buffer_has_no_pose_and_no_end_of_age() -> None:
     buffer = JitterBuffer({})
     assert buffer.pose(1.0) is None

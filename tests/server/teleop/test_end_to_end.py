@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.moveit import box, pose
 from tests.helpers.robots import so101
 from tests.helpers.server import EmulatorControl, RunningServer
 
@@ -238,3 +239,44 @@ async def test_a_following_that_cannot_be_is_refused_in_one_sentence(
     refused = await client.call("/teleop/start", **request_)
     assert not refused["success"]
     assert refused["message"].startswith(said)
+
+
+async def test_the_follower_stops_before_what_stands_in_the_way_of_its_joints(
+    client: ArmClient, hand: EmulatorControl
+) -> None:
+    await start(client, leader="leader")
+    # A wall beside the follower's gripper, which reaches 0.39 m forward from its foot at y = 0.4 m.
+    wall = box("wall", at=pose(0.3, 0.55, 0.15), frame="world")
+    wall["primitives"][0]["dimensions"] = [0.3, 0.02, 0.3]
+    await change_scene(client, wall)
+    try:
+        hand.command(hand={"1": MIDDLE_TICK - 700})
+        await client.until(
+            STATE, lambda told: told[-1]["phase"] == "following" and told[-1]["speed_scale"] < 0.5, TIMEOUT_S
+        )
+        async with asyncio.timeout(TIMEOUT_S):
+            while abs((now := await positions(client))["leader_shoulder_pan"]) < 0.9:
+                pass
+        assert abs(now["follower_shoulder_pan"]) < 0.5
+        hand.command(hand={"1": MIDDLE_TICK + 400})
+        await follows(client, "shoulder_pan", 0.5)
+    finally:
+        await change_scene(client, {"id": "wall", "operation": 1})
+
+
+async def change_scene(client: ArmClient, collision_object: dict[str, Any]) -> None:
+    scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [collision_object]}}
+    assert (await client.call("/apply_planning_scene", scene=scene))["success"]
+
+
+async def test_the_gripper_follows_in_motions_of_its_own(client: ArmClient, hand: EmulatorControl) -> None:
+    await start(client, leader="leader")
+    for ticks in (MIDDLE_TICK + 300, MIDDLE_TICK - 300):
+        hand.command(hand={"6": ticks})
+        async with asyncio.timeout(TIMEOUT_S):
+            while True:
+                now = await positions(client)
+                moved = abs(now["leader_gripper"] - now["follower_gripper"])
+                if moved < 0.08 and now["leader_gripper"] != pytest.approx(0.0, abs=0.05):
+                    break
+    hand.command(hand={"6": None})

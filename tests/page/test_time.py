@@ -77,6 +77,9 @@ def test_plots_show_several_joints_and_save_them_as_csv(page: OpenPage, server: 
 def test_plots_stand_still_are_zoomed_and_go_on_live(page: OpenPage) -> None:
     page.part("tab-plots").click()
     page.until(f"Number({plot('samples')}) > 20")
+    # There is something to go back to: more than a fifth of what the plots show.
+    first_s = page.state("joints")["stamp"]
+    page.until_state(f"s.joints.stamp > {first_s} + 5")
     page.part("plot-pause").click()
     page.until(f"{plot('endS')} !== ''")
     end_s, span_s = (page.page.evaluate(plot(name)) for name in ("endS", "spanS"))
@@ -161,6 +164,8 @@ def test_the_log_is_filtered_and_stands_still_while_it_is_halted(page: OpenPage,
 
 def test_health_of_bus_and_loop_is_in_words(page: OpenPage) -> None:
     page.part("tab-arm").click()
+    # Loaded anew, the panel is shown before the first report comes.
+    page.page.reload()
     page.until_text("health-loop", "ms late")
     page.until_text("health-bus", "simulated")
     page.until_text("health-latency", "ms")

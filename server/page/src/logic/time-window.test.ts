@@ -13,6 +13,10 @@ describe("a live window", () => {
 });
 
 describe("a halted window", () => {
+  it("is never moved forwards on the way back, however little there is to see", () => {
+    const short = { oldest_s: 199, newest_s: 200 };
+    expect(panned({ span_s: 20, end_s: 199.5 }, -2, short)).toEqual({ span_s: 20, end_s: 199.5 });
+  });
   it("keeps the time under the pointer in its place", () => {
     const { span_s, end_s } = zoomed(HALTED, 0.5, 165, EXTENT);
     expect([span_s, end_s]).toEqual([10, 172.5]);

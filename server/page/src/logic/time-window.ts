@@ -46,7 +46,10 @@ export function zoomed(window: TimeWindow, factor: number, about_s: number, exte
 
 /** Return the window moved by a time [s], halted, and not beyond the samples. */
 export function panned(window: TimeWindow, by_s: number, extent: Extent): TimeWindow {
-  return within({ ...window, end_s: bounds(window, extent)[1] + by_s }, extent);
+  const [, end_s] = bounds(window, extent);
+  const moved = within({ ...window, end_s: end_s + by_s }, extent);
+  // A window of which little has samples stays: back to where more has would be the other way.
+  return by_s < 0 ? { ...moved, end_s: Math.min(moved.end_s ?? end_s, end_s) } : moved;
 }
 
 function within({ span_s, end_s }: { span_s: number; end_s: number }, { oldest_s, newest_s }: Extent): TimeWindow {

@@ -15,7 +15,8 @@ export function healthSection({ store }: PanelContext): HTMLElement {
   const empty = el("p", { class: "hint", testid: "health-empty", text: t("health.empty") });
   const box = section("health", t("health.title"), true, empty, message, rows);
   const show = throttle<State>(UPDATE_PERIOD_MS, ({ arm_health, link }) => {
-    if (!isShown(rows)) return;
+    // Not its rows: those are hidden until the first report, which may come after the panel was opened.
+    if (!isShown(box)) return;
     empty.hidden = arm_health !== null;
     message.hidden = rows.hidden = arm_health === null;
     if (arm_health === null) return;
@@ -27,6 +28,6 @@ export function healthSection({ store }: PanelContext): HTMLElement {
     rows.replaceChildren(...items);
   });
   for (const part of ["arm_health", "link"] as const) store.subscribe((state) => state[part], (_, state) => show(state));
-  whenShown(rows, () => show(store.state));
+  whenShown(box, () => show(store.state));
   return box;
 }

@@ -4,6 +4,7 @@ The leader is an arm of the server with the role "leader", or a topic of joint s
 """
 
 import argparse
+import signal
 import sys
 import threading
 from typing import Any
@@ -35,7 +36,7 @@ def main() -> int:
     arguments = parser.parse_args()
     client = connect(arguments.host, arguments.port)
 
-    ended = threading.Event()
+    ended, asked_to_end = threading.Event(), threading.Event()
     phases: list[str] = []
 
     def take_state(state: dict[str, Any]) -> None:
@@ -48,6 +49,9 @@ def main() -> int:
         if state["phase"] == "idle":
             ended.set()
 
+    # Also where Ctrl+C is ignored at first, as in a script's background. Registered before anything moves.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: asked_to_end.set())
     roslibpy.Topic(client, "/teleop/state", "armbridge_msgs/TeleopState").subscribe(take_state)
     request = {"follower": arguments.follower, "leader": arguments.leader, "mirror": arguments.mirror}
     start = roslibpy.Service(client, "/teleop/start", "armbridge_msgs/StartTeleop")
@@ -56,10 +60,9 @@ def main() -> int:
     if not answer["success"]:
         client.terminate()
         return 1
-    try:
-        while not ended.wait(0.5):
-            pass
-    except KeyboardInterrupt:
+    while not ended.wait(0.2) and not asked_to_end.is_set():
+        pass
+    if not ended.is_set():
         roslibpy.Service(client, "/teleop/stop", "std_srvs/Trigger").call(
             roslibpy.ServiceRequest(), timeout=CALL_TIMEOUT_S
         )

@@ -188,7 +188,7 @@ class App:
         self._arms: NamedArms | None = None
         self._arm: Arm | ArmGroup
         if files:
-            self._arms = NamedArms(graph, files, self._on_states, self._on_health, observed)
+            self._arms = NamedArms(graph, files, self._on_arm_state, self._on_states, self._on_health, observed)
             self._arm = self._arms.group
         else:
             config = arm_config(settings, self._description)
@@ -427,10 +427,12 @@ class App:
             read: of those that are read at present.
         """
         self._joint_states.publish(read)
-        for name, arm in {} if self._arms is None else self._arms.arms.items():
-            self._goals_of[name].take_state(arm.arm.state)
-            self._moveit.teleoperation.take_leader_state(name, arm.arm.state)
         self._take_state(state)
+
+    def _on_arm_state(self, name: str, state: ArmState) -> None:
+        """Take the state of one of several arms; a leader's is followed without waiting for those of the others."""
+        self._goals_of[name].take_state(state)
+        self._moveit.teleoperation.take_leader_state(name, state)
 
     def _on_state(self, state: ArmState) -> None:
         self._joint_states.publish(state)

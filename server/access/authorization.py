@@ -198,6 +198,7 @@ SERVICES: Mapping[str, Rule] = {
     "/set_planner_params": CONFIGURING,
     # To record moves nothing; the client that teaches is one that may also drive.
     "/teach/begin": WORKING,
+    "/teach/check": PLANNING,
     "/teach/delete": CONFIGURING,
     "/teach/discard": WORKING,
     "/teach/end": WORKING,

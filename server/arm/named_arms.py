@@ -230,6 +230,7 @@ class NamedArms:
     Args:
         graph: the graph.
         files: each arm by its name.
+        on_arm_state: called with the name of an arm and its state, as soon as it comes.
         on_state: called with the state of all arms as one, as often as the arms send theirs, and with that of those
             alone that are read at present.
         on_health: called with the condition of all arms as one.
@@ -244,11 +245,12 @@ class NamedArms:
         self,
         graph: Graph,
         files: Mapping[str, ArmFiles],
+        on_arm_state: Callable[[str, ArmState], None],
         on_state: Callable[[ArmState, ArmState], None],
         on_health: Callable[[ArmHealth], None],
         observed: Callable[[], bool],
     ) -> None:
-        self._on_state = on_state
+        self._on_arm_state, self._on_state = on_arm_state, on_state
         self._on_health = on_health
         self._leaders = frozenset(name for name, each in files.items() if each.settings.role is ArmRole.LEADER)
         period_s = 1.0 / max(each.settings.joint_state_rate_hz for each in files.values())
@@ -260,7 +262,8 @@ class NamedArms:
         )
 
     def _made(self, graph: Graph, name: str, files: ArmFiles, observed: Callable[[], bool]) -> NamedArm:
-        def on_state(_state: ArmState) -> None:
+        def on_state(state: ArmState) -> None:
+            self._on_arm_state(name, state)
             self._take_state(name)
 
         def on_health(health: ArmHealth) -> None:

@@ -7,7 +7,6 @@ taught, as fast as it was taught or slower where limits demand it, checked in th
 from __future__ import annotations
 
 import asyncio
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,13 +26,10 @@ from server.moveit.poses import Message
 from server.moveit.requests.error_codes import invalid
 from server.teaching.motion_files import MotionFiles
 from server.teaching.services import CHECK_TIME_S
-from server.teaching.taught_motion import TaughtMotion
+from server.teaching.taught_motion import TaughtMotion, read_speed
 
 NAME = "/replay_motion"
 TYPE = "armbridge_msgs/action/ReplayMotion"
-
-# Twice as fast as a hand: beyond, nobody has seen the motion.
-MAX_SPEED = 2.0
 
 # Each replay is planned before the first begins, and their durations together have a limit of their own.
 MAX_REPEAT = 100
@@ -57,14 +53,12 @@ class Replay:
 
     @classmethod
     def of(cls, message: Message) -> Replay:
-        """Read a goal message; a speed of 0, as when it is left out, is 1.
+        """Read a goal message.
 
         Raises:
             RefusedError: a field that is out of its range.
         """
-        speed, repeat = message["speed"] or 1.0, message["repeat"]
-        if not (math.isfinite(speed) and 0.0 < speed <= MAX_SPEED):
-            raise invalid(f"speed: must be above 0 and at most {MAX_SPEED:g}, not {speed:g}", speed=str(speed))
+        speed, repeat = read_speed(message["speed"]), message["repeat"]
         if repeat > MAX_REPEAT:
             raise invalid(f"repeat: must be 0 to {MAX_REPEAT}, not {repeat}", repeat=repeat)
         return cls(message["name"], speed, message["reverse"], repeat)

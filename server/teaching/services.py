@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, TypeAlias
 
 from planners.pool import PlannerPool
-from planners.problem import PlanningFailure
+from planners.problem import Plan, PlanningFailure
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.errors import RefusedError, ServiceError
@@ -19,7 +19,14 @@ from server.moveit.poses import Message
 from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
 from server.teaching.motion_files import MotionFiles
 from server.teaching.recorder import TeachingRecorder, joints_to_teach
-from server.teaching.taught_motion import MAX_DURATION_S, TaughtMotion, from_message, of_recording, to_message
+from server.teaching.taught_motion import (
+    MAX_DURATION_S,
+    TaughtMotion,
+    from_message,
+    of_recording,
+    read_speed,
+    to_message,
+)
 
 log = logging.getLogger("armbridge.teaching")
 
@@ -88,6 +95,7 @@ class Teaching:
         self._offer(END, "armbridge_msgs/srv/EndTeaching", self._end)
         self._offer(DISCARD, "std_srvs/srv/Trigger", self._discard)
         self._offer("/teach/get", "armbridge_msgs/srv/GetMotion", self._get)
+        self._offer("/teach/check", "armbridge_msgs/srv/CheckMotion", self._check)
         self._offer("/teach/save", "armbridge_msgs/srv/SaveMotion", self._save)
         self._offer("/teach/delete", "armbridge_msgs/srv/DeleteMotion", self._delete)
         self._offer("/teach/rename", "armbridge_msgs/srv/RenameMotion", self._rename)
@@ -206,6 +214,17 @@ class Teaching:
         message = f"{motion.duration_s:.2f} s, {len(motion.time_s)} points"
         return {"success": True, "message": message, "trajectory": to_message(motion)}
 
+    async def _check(self, request: Message) -> dict[str, Any]:
+        try:
+            speed = read_speed(request["speed"])
+        except RefusedError as error:
+            raise ServiceError(str(error)) from error
+        answer = await self._planned(await self._motions.load(request["name"]), speed)
+        if isinstance(answer, str):
+            raise ServiceError(answer)
+        duration_s = answer.trajectory.duration_s
+        return {"success": True, "message": _touches_nothing(duration_s), "duration_s": duration_s}
+
     async def _save(self, request: Message) -> dict[str, Any]:
         name = request["name"]
         try:
@@ -233,15 +252,20 @@ class Teaching:
 
     async def _checked(self, motion: TaughtMotion) -> str:
         """Return a sentence on the motion in the present scene."""
+        answer = await self._planned(motion, 1.0)
+        return answer if isinstance(answer, str) else _touches_nothing(answer.trajectory.duration_s)
+
+    async def _planned(self, motion: TaughtMotion, speed: float) -> Plan | str:
+        """Return the plan of a replay in the present scene, or why there is none."""
         if self._closing:
             return "it was not checked: the server is ending"
         held_rad = self._current.positions_rad()
         if held_rad is None:
             return "it was not checked: where the arm is is not known"
-        answer = await self._pool.ask(motion.problem(held_rad, 1.0, CHECK_TIME_S), self._scene.scene)
+        answer = await self._pool.ask(motion.problem(held_rad, speed, CHECK_TIME_S), self._scene.scene)
         if isinstance(answer, PlanningFailure):
             return f"it cannot be replayed as it is: {answer.message}"
-        return f"it touches nothing, and a replay takes {answer.trajectory.duration_s:.2f} s"
+        return answer
 
     # Messages.
 
@@ -268,3 +292,7 @@ class Teaching:
                 "message": self._told,
             },
         )
+
+
+def _touches_nothing(duration_s: float) -> str:
+    return f"it touches nothing, and a replay takes {duration_s:.2f} s"

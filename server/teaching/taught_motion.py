@@ -17,6 +17,7 @@ from robot.trajectory import Vector
 from server.errors import ServiceError
 from server.execution.motions import Positions
 from server.moveit.poses import Message
+from server.moveit.requests.error_codes import invalid
 from server.moveit.requests.trajectories import MAX_POINTS, read_joint_trajectory
 
 # A joint that has moved by less rests: a hand trembles, and gears have play.
@@ -27,6 +28,9 @@ KEPT_REST_S = 0.2
 
 # As long as the longest motion that is played unless goals.max_trajectory_duration_s says otherwise.
 MAX_DURATION_S = 600.0
+
+# Twice as fast as a hand: beyond, nobody has seen the motion.
+MAX_SPEED = 2.0
 
 # Shorter motions are a slip of a finger.
 MIN_DURATION_S = 0.1
@@ -107,6 +111,18 @@ class TaughtMotion:
         return JointPathProblem(
             before_rad, self.joint_names, self.time_s, self.positions_rad, speed, allowed_time_s=allowed_time_s
         )
+
+
+def read_speed(value: float) -> float:
+    """Return the share of a motion's own speed that a client asks for; 1 for 0, as when it is left out.
+
+    Raises:
+        RefusedError: a share that is out of its range.
+    """
+    speed = value or 1.0
+    if not (math.isfinite(speed) and 0.0 < speed <= MAX_SPEED):
+        raise invalid(f"speed: must be above 0 and at most {MAX_SPEED:g}, not {speed:g}", speed=str(speed))
+    return speed
 
 
 def rounded(motion: TaughtMotion) -> TaughtMotion:

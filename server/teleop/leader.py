@@ -95,6 +95,11 @@ class JitterBuffer:
         return now_s - self._arrived_s
 
     @property
+    def at_once(self) -> bool:
+        """True where each sample is to be followed as soon as it comes."""
+        return self._max_delay_s == 0.0
+
+    @property
     def delay_s(self) -> float:
         """Delay that evens the jitter out [s]."""
         if not self._transits:

@@ -19,7 +19,7 @@ from server.execution.monitors import CurrentState, check_ready
 from server.execution.motions import Motion, Positions
 from server.execution.queue import Answer, GoalQueue
 from server.moveit.gripper import Gripper, GripperCommand
-from server.moveit.servo.servo_loop import Ask, Resolve, ServoSession, ServoSetup
+from server.moveit.servo.servo_loop import LATE, Ask, Resolve, ServoSession, ServoSetup
 from server.teleop.following import STALE_S, Act, Following, Observed, Phase, TrackingLimits, tracking_velocities
 from server.teleop.joint_map import JointMap
 from server.teleop.leader import JitterBuffer, LeaderPose
@@ -82,7 +82,8 @@ class FollowingState:
     Attributes:
         phase: the present phase.
         message: the phase in words.
-        latency_s: from the leader's reading to the follower's setpoint [s].
+        latency_s: from the leader's reading until the arm process has the velocities that follow from it, which its
+            next tick carries out [s].
         lag_rad: greatest distance of a joint's goal from its target [rad].
         speed_scale: share of the wanted speed that limits and obstacles leave, 0 to 1.
     """
@@ -134,7 +135,7 @@ class FollowingSession:
         self._show, self._show_targets, self._clock = show, show_targets, clock
         self._servo = ServoSession(
             follower.arm,
-            replace(follower.setup, period_s=PERIOD_S),
+            replace(follower.setup, period_s=PERIOD_S, at_once=True),
             self._asked,
             resolve,
             self._take_status,
@@ -150,7 +151,11 @@ class FollowingSession:
         self._gripper: asyncio.Task[None] | None = None
         self._gripper_claim = 0
         self._gripper_target_rad: float | None = None
+        self._read_at_s = clock()
         self._latency_s = self._lag_rad = 0.0
+        # Set by a sample that is followed at once.
+        self._came = asyncio.Event()
+        self._period_s = (LATE if samples.at_once else 1.0) * PERIOD_S
         self._speed_scale = 1.0
         self._shown: tuple[Phase, str] | None = None
         self._shown_at_s = 0.0
@@ -159,6 +164,10 @@ class FollowingSession:
     def start(self) -> None:
         """Begin with the ramp."""
         self._task = asyncio.create_task(self._run(), name="teleoperation")
+
+    def take_sample(self) -> None:
+        """Follow the leader's latest sample now, not with the next period."""
+        self._came.set()
 
     def set_clutch(self, *, closed: bool) -> None:
         """Open or close the clutch."""
@@ -183,9 +192,12 @@ class FollowingSession:
     async def _run(self) -> None:
         try:
             while not self.following.ended:
-                due_s = self._clock() + PERIOD_S
+                due_s = self._clock() + self._period_s
+                self._came.clear()
                 self._tick()
-                await asyncio.sleep(max(due_s - self._clock(), 0.0))
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(max(due_s - self._clock(), 0.0)):
+                        await self._came.wait()
         except Exception:  # a bug must not leave the arm steered by a following that has ended
             log.exception("teleoperation failed")
             self.end("teleoperation failed inside the server")
@@ -260,7 +272,7 @@ class FollowingSession:
         velocities = tracking_velocities(goals, steered, self._velocities(pose), self._limits)
         self._servo.set_command(JointVelocities(velocities), STALE_S)
         self._follow_with_gripper(targets)
-        self._latency_s = pose.latency_s
+        self._read_at_s = now_s - pose.latency_s
         self._lag_rad = max((abs(target - goals[name]) for name, target in steered.items()), default=0.0)
         self._show_targets(targets)
 
@@ -301,7 +313,9 @@ class FollowingSession:
         self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""
 
     async def _asked(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
+        read_at_s = self._read_at_s
         answer = await self._ask(question)
+        self._latency_s = self._clock() - read_at_s
         self._speed_scale = 0.0 if isinstance(answer, PlanningFailure) else answer.share
         return answer
 

@@ -186,6 +186,8 @@ class Teleoperation:
         """Take the latest state of an arm of this server."""
         if self._leader is not None and self._leader.name == name:
             self._leader.take_state(state)
+            if self._session is not None:
+                self._session.take_sample()
 
     async def close(self) -> None:
         """End the following; the arm comes to rest by itself."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 
 import pytest
@@ -147,12 +149,14 @@ def test_an_arm_follows_its_leader_until_ctrl_c() -> None:
         command = [sys.executable, str(EXAMPLES / "leader_follower.py"), "--port", str(arms.port)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as following:
             assert following.stdout is not None
-            for line in following.stdout:
-                if line.startswith("following"):
-                    break
+            overdue = threading.Timer(EXAMPLE_TIMEOUT_S, following.kill)
+            overdue.start()
+            lines = list(itertools.takewhile(lambda line: not line.startswith("following"), following.stdout))
             following.send_signal(signal.SIGINT)
-            assert "idle: " in following.stdout.read()
-            assert following.wait(EXAMPLE_TIMEOUT_S) == 0
+            rest, _ = following.communicate(timeout=EXAMPLE_TIMEOUT_S)
+            overdue.cancel()
+    assert "idle: " in rest, (lines, rest)
+    assert following.returncode == 0
 
 
 def test_a_leader_that_does_not_exist_is_said(run_example: RunExample, server: RunningServer) -> None:

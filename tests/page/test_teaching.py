@@ -83,6 +83,36 @@ def test_a_motion_is_recorded_and_replayed_backwards_and_forwards(page: OpenPage
     page.shot("teaching")
 
 
+def test_a_motion_is_a_row_of_a_sequence_and_is_replayed_with_it(page: OpenPage, arm: ServerOnBus) -> None:
+    show(page, arm, "row")
+    hold(page, arm)
+    page.part("add-motion-row").click()
+    page.until_text("teach-told", "“row” is in the sequence")
+    page.part("add-here").click()
+    page.until_state("s.sequence.checks.length === 2 && s.sequence.checks.every(c => c.verdict === 'possible')")
+    rows = page.state("sequence.waypoints")
+    assert [row["motion"] and row["motion"]["name"] for row in rows] == ["row", None]
+    assert rows[0]["motion"]["start_rad"]["elbow_flex"] == pytest.approx(0.0, abs=ARRIVED)
+    page.part("play-sequence").click()
+    page.until_state("s.sequence.playing !== null && s.sequence.playing.doing === 'motion'")
+    page.until_state("s.sequence.playing === null && s.sequence.result !== ''")
+    assert "2" in page.state("sequence.result")
+    assert page.joints()["elbow_flex"] == pytest.approx(rows[1]["joints_rad"]["elbow_flex"], abs=ARRIVED)
+
+
+def test_a_motion_becomes_waypoints_that_can_be_edited(page: OpenPage, arm: ServerOnBus) -> None:
+    show(page, arm, "points")
+    hold(page, arm)
+    page.part("waypoints-of-points").click()
+    page.until_state("s.sequence.waypoints.length >= 3")
+    elbow = [row["joints_rad"]["elbow_flex"] for row in page.state("sequence.waypoints")]
+    assert elbow[0] == pytest.approx(0.0, abs=ARRIVED)
+    assert max(elbow) == pytest.approx(0.6, abs=ARRIVED)
+    assert elbow[-1] == pytest.approx(0.2, abs=ARRIVED)
+    page.part("waypoint-2-remove").click()
+    page.until_state(f"s.sequence.waypoints.length === {len(elbow) - 1}")
+
+
 def test_a_motion_is_cut_renamed_and_deleted(page: OpenPage, arm: ServerOnBus) -> None:
     show(page, arm, "long")
     page.part("edit-motion-long").click()

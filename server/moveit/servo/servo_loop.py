@@ -55,6 +55,9 @@ UNITLESS_TOLERANCE = 1e-3
 # Two ticks of the arm, from reading its setpoint to the planners' answer reaching it.
 LEAD_S = 0.02
 
+# Periods after which a step is made without a command, where commands are followed when they come.
+LATE = 1.5
+
 # An arm at rest is released after this time, which is longer than a stick takes to pass its center.
 REST_S = 0.3
 RESTING_RAD_S = 0.02
@@ -84,6 +87,7 @@ class ServoSetup:
         limits: limits of the motion.
         period_s: time between two setpoints [s].
         timeout_s: time after which a command expires [s].
+        at_once: whether a new command is followed when it comes, and not at the next period.
     """
 
     group: str
@@ -92,6 +96,7 @@ class ServoSetup:
     limits: ServoLimits
     period_s: float
     timeout_s: float
+    at_once: bool = False
 
 
 def read_twist(message: Message, parameters: ServoParameters) -> TwistCommand:
@@ -226,6 +231,9 @@ class ServoSession:
         self._task: asyncio.Task[None] | None = None
         self._stream: StreamInterface | None = None
         self._released = False
+        # Set by what the next step does not wait for: the end of the stream, and a command that is followed at once.
+        self._due = asyncio.Event()
+        self._longest_s = (LATE if setup.at_once else 1.0) * setup.period_s
 
     def positions_rad(self) -> dict[str, float]:
         """Return the commanded position of every movable joint [rad]."""
@@ -249,6 +257,8 @@ class ServoSession:
         """
         self._input = command
         self._expires_at_s = self._clock() + min(timeout_s, self._setup.timeout_s)
+        if self._setup.at_once:
+            self._due.set()
         if self._task is None:
             self._task = asyncio.create_task(self._run(), name="servo")
 
@@ -269,6 +279,7 @@ class ServoSession:
     async def _run(self) -> None:
         self._released = False
         self._stream = self._arm.stream(self._setup.joints)
+        self._stream.ended.add_done_callback(lambda _ended: self._due.set())
         try:
             await self._follow_commands(self._stream)
             ended = self._stream.ended.result()
@@ -291,7 +302,8 @@ class ServoSession:
         kind: type[ServoCommand] | None = None
         rested_s = 0.0
         while not stream.ended.done():
-            due_s = self._clock() + self._setup.period_s
+            due_s = self._clock() + self._longest_s
+            self._due.clear()
             positions_rad = self.positions_rad()
             error = ""
             try:
@@ -311,7 +323,9 @@ class ServoSession:
             rested_s = rested_s + self._setup.period_s if resting else 0.0
             if rested_s > REST_S:
                 self.release()
-            await asyncio.wait([stream.ended], timeout=max(due_s - self._clock(), 0.0))
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(max(due_s - self._clock(), 0.0)):
+                    await self._due.wait()
 
     def _command(self, positions_rad: Positions) -> ServoCommand:
         """Return the command to follow now, in the root link; a halt if the last command has expired."""

@@ -69,6 +69,16 @@ async def refused(lesson: Lesson, service: str, **request: Any) -> str:
     return str(answer["message"])
 
 
+async def put_crate_at_the_end(lesson: Lesson, name: str) -> None:
+    """Put a crate where the tip is at the end of a motion."""
+    end = (await lesson.call("/teach/get", name=name))["trajectory"]["points"][-1]["positions"]
+    state = {"joint_state": {"name": list(JOINTS), "position": end}}
+    tip = await lesson.call("/compute_fk", fk_link_names=["gripper_frame_link"], robot_state=state)
+    at = tip["pose_stamped"][0]["pose"]["position"]
+    crate = box("crate", at=pose(at["x"], at["y"], at["z"]))
+    lesson.scene_state.apply_diff(diff(world={"collision_objects": [crate]}), BENT)
+
+
 async def test_a_taught_motion_is_saved_with_its_gripper_and_found_by_its_name(lesson: Lesson) -> None:
     ended = await lesson.teach("wave")
     assert ended["success"]
@@ -79,6 +89,23 @@ async def test_a_taught_motion_is_saved_with_its_gripper_and_found_by_its_name(l
     assert got["trajectory"]["joint_names"] == list(JOINTS)
     assert len(got["trajectory"]["points"]) == ended["points"]
     assert got["trajectory"]["points"][-1]["positions"][0] == pytest.approx(0.7, abs=0.02)
+
+
+async def test_a_check_tells_how_long_a_replay_would_take_at_a_speed(lesson: Lesson) -> None:
+    await lesson.teach("wave")
+    whole, half = [await lesson.call("/teach/check", name="wave", speed=speed) for speed in (0.0, 0.5)]
+    assert whole["success"]
+    assert half["success"]
+    assert half["duration_s"] == pytest.approx(2.0 * whole["duration_s"], rel=0.05)
+
+
+async def test_a_check_refuses_a_motion_that_would_touch_something_and_a_speed_out_of_range(lesson: Lesson) -> None:
+    await lesson.teach("wave")
+    assert "speed: must be above 0 and at most 2, not 3" in await refused(lesson, "check", name="wave", speed=3.0)
+    await put_crate_at_the_end(lesson, "wave")
+    said = await refused(lesson, "check", name="wave")
+    assert "s of the motion would touch" in said
+    assert "crate" in said
 
 
 async def test_the_state_tells_of_the_recording_and_how_it_ended(lesson: Lesson) -> None:
@@ -152,12 +179,7 @@ async def test_a_server_that_ends_saves_what_is_being_recorded(lesson: Lesson) -
 
 async def test_a_recording_that_would_collide_is_kept_and_says_where(lesson: Lesson) -> None:
     await lesson.teach("free")
-    middle = (await lesson.call("/teach/get", name="free"))["trajectory"]["points"][-1]["positions"]
-    state = {"joint_state": {"name": list(JOINTS), "position": middle}}
-    tip = await lesson.call("/compute_fk", fk_link_names=["gripper_frame_link"], robot_state=state)
-    at = tip["pose_stamped"][0]["pose"]["position"]
-    crate = box("crate", at=pose(at["x"], at["y"], at["z"]))
-    lesson.scene_state.apply_diff(diff(world={"collision_objects": [crate]}), BENT)
+    await put_crate_at_the_end(lesson, "free")
     lesson.state = replace(RELAXED, clock_s=lesson.state.clock_s + 1.0)
     ended = await lesson.teach("blocked")
     assert ended["success"]

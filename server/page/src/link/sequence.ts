@@ -156,16 +156,18 @@ export class SequencePlayer {
 
   /** Return the answer that is known for a leg, or ask for it, which `onAsk` is told first. */
   private async checkLeg(waypoint: Waypoint, start_rad: JointValues, is_first: boolean, onAsk: () => void): Promise<LegCheck> {
-    const { joints_rad, group, straight, speed } = waypoint;
+    const { joints_rad, motion, group, straight, speed } = waypoint;
     const steps = Object.values(start_rad).map((value) => Math.round(value / START_STEP));
-    const key = JSON.stringify([joints_rad, group, straight, speed, steps, is_first]);
+    const key = JSON.stringify([joints_rad, motion, group, straight, speed, steps, is_first]);
     const known = this.answers.get(key);
     if (known) return known;
     onAsk();
     try {
-      const request = { motion_plan_request: legRequest(waypoint, start_rad) };
+      const to_start = { ...waypoint, joints_rad: motion?.start_rad ?? joints_rad, straight: motion === null && straight };
+      const request = { motion_plan_request: legRequest(to_start, start_rad) };
       const response = await this.connection.call<PlanResponse>("/plan_kinematic_path", request, PLAN_TIMEOUT_S);
-      const check = readCheck(response.motion_plan_response, is_first);
+      let check = readCheck(response.motion_plan_response, is_first);
+      if (motion !== null && check.verdict === "possible") check = await this.checkReplay(waypoint, motion.name, check.duration_s);
       // Edits of an hour must not be kept for ever.
       if (this.answers.size >= MAX_ANSWERS) this.answers.clear();
       this.answers.set(key, check);
@@ -174,6 +176,20 @@ export class SequencePlayer {
       return { verdict: "unknown", message: (error as Error).message, duration_s: 0, end_rad: null };
     }
   }
+
+  /** Ask for the replay of a taught motion, once the arm has reached its start. */
+  private async checkReplay({ speed, joints_rad }: Waypoint, name: string, before_s: number): Promise<LegCheck> {
+    const { success, message, duration_s } = await this.connection.call<MotionCheck>("/teach/check", { name, speed }, PLAN_TIMEOUT_S);
+    if (!success) return { verdict: "refused", message, duration_s: 0, end_rad: null };
+    return { verdict: "possible", message: "", duration_s: before_s + duration_s, end_rad: joints_rad };
+  }
+}
+
+/** armbridge_msgs/srv/CheckMotion, the response. */
+interface MotionCheck {
+  success: boolean;
+  message: string;
+  duration_s: number;
 }
 
 /** Largest number of answers that are kept, a few edits of the longest sequence. */

@@ -1,7 +1,13 @@
+import { armGripper, armJoints } from "../logic/joints";
+import { planningGroup } from "../logic/robot-info";
+import { asWaypoints, MAX_WAYPOINTS, taughtWaypoint, type Waypoint } from "../logic/sequence";
+import { duration_s } from "../logic/trajectory";
+import type { Plan } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Connection, GoalHandle } from "./connection";
-import type { MoveItErrorCodes, TriggerResponse } from "./messages";
+import { readPlan, type MoveItErrorCodes, type RobotTrajectory, type TriggerResponse } from "./messages";
+import { setWaypoints } from "./sequence";
 
 /** Time for making a motion of a recording, or for checking an edited one [s]: minutes of motion take seconds. */
 const WORK_TIMEOUT_S = 30;
@@ -16,7 +22,7 @@ interface TeachState {
 
 /** armbridge_msgs/srv/GetMotion, the response. */
 interface MotionResponse extends TriggerResponse {
-  trajectory: { points: { time_from_start: { sec: number; nanosec: number } }[] };
+  trajectory: RobotTrajectory["joint_trajectory"];
 }
 
 interface ReplayResult {
@@ -81,13 +87,48 @@ export class Teaching {
   async edit(name: string | null): Promise<void> {
     this.store.patch("teaching", { edited: null });
     if (name === null) return;
+    const motion = await this.get(name);
+    if (motion) this.store.patch("teaching", { edited: { name, duration_s: duration_s(motion) } });
+  }
+
+  /** Add a motion to the sequence, as a row in which it is replayed. */
+  async addToSequence(name: string): Promise<void> {
+    const motion = await this.get(name);
+    if (motion === null) return;
+    const { state } = this.store;
+    const group = planningGroup(state)?.name ?? "";
+    this.extend([taughtWaypoint(state.sequence.waypoints, group, name, motion, armJoints(state))], name);
+  }
+
+  /** Add a motion to the sequence, as waypoints by which it can be edited. */
+  async addAsWaypoints(name: string): Promise<void> {
+    const motion = await this.get(name);
+    if (motion === null) return;
+    const { state } = this.store;
+    const { sequence, settings } = state;
+    const gripper = armGripper(state)?.joints[0] ?? null;
+    const group = planningGroup(state)?.name ?? "";
+    this.extend(asWaypoints(sequence.waypoints, group, name, motion, armJoints(state), gripper, settings.speed), name);
+  }
+
+  private extend(added: Waypoint[], name: string): void {
+    const { waypoints, playing } = this.store.state.sequence;
+    const full = playing !== null || waypoints.length + added.length > MAX_WAYPOINTS;
+    if (!full) setWaypoints(this.store, [...waypoints, ...added]);
+    const values = { name, count: added.length, limit: MAX_WAYPOINTS };
+    this.store.patch("teaching", { told: t(full ? "teaching.sequence_full" : "teaching.added", values) });
+  }
+
+  /** Ask for a motion; null when there is none, of which the answer is told. */
+  private async get(name: string): Promise<Plan | null> {
     try {
       const { success, message, trajectory } = await this.connection.call<MotionResponse>("/teach/get", { name }, WORK_TIMEOUT_S);
-      const last = trajectory?.points.at(-1)?.time_from_start;
-      if (!success || last === undefined) this.store.patch("teaching", { told: message });
-      else this.store.patch("teaching", { edited: { name, duration_s: last.sec + last.nanosec / 1e9 } });
+      const motion = success ? readPlan({ joint_trajectory: trajectory }) : null;
+      if (motion === null) this.store.patch("teaching", { told: message });
+      return motion;
     } catch (error) {
       this.store.patch("teaching", { told: (error as Error).message });
+      return null;
     }
   }
 

@@ -1,5 +1,17 @@
 import { expect, it } from "vitest";
-import { edited, legRequest, MAX_WAYPOINTS, moved, newWaypoint, readSequence, sequenceSteps, sequenceText, type Waypoint } from "./sequence";
+import {
+  asWaypoints,
+  edited,
+  legRequest,
+  MAX_WAYPOINTS,
+  moved,
+  newWaypoint,
+  readSequence,
+  sequenceSteps,
+  sequenceText,
+  taughtWaypoint,
+  type Waypoint,
+} from "./sequence";
 import { sequenceProgram } from "./sequence-program";
 
 const FIRST = newWaypoint([], "arm", { pan: 0.1234567, lift: -0.5 }, 0.3);
@@ -68,7 +80,7 @@ it.each([
 it("writes values as Python does, and names with quotes as texts", () => {
   const { file, text } = sequenceProgram("python", [{ ...SECOND, name: 'a "b"\n' }, FIRST], "ws://host:1/", "/grip");
   expect(file).toBe("sequence.py");
-  expect(text).toContain('{"name": "a \\"b\\"\\n", "group": "arm", "joints_rad": {"pan": 0.2, "lift": 0}, "straight": True,');
+  expect(text).toContain('{"name": "a \\"b\\"\\n", "group": "arm", "joints_rad": {"pan": 0.2, "lift": 0}, "motion": None, "straight": True,');
   expect(text).toContain('"gripper": None');
   expect(text).toContain('else "ws://host:1/"');
   expect(text).not.toMatch(/<<|>>|true|null/);
@@ -79,4 +91,43 @@ it("writes values as JavaScript does", () => {
   expect(file).toBe("sequence.mjs");
   expect(text).toContain("const GRIPPER_ACTION = null;");
   expect(text).toContain('"straight":false');
+});
+
+const TAUGHT = {
+  names: ["pan", "grip", "lift"],
+  points: [
+    { time_s: 0, position_rad: [0, 0.5, 0] },
+    { time_s: 1, position_rad: [0.5, 0.5, 0] },
+    { time_s: 2, position_rad: [0.5, 0.1, 1] },
+  ],
+};
+
+it("replays a taught motion as one row, from its start to its end", () => {
+  const row = taughtWaypoint(ALL, "arm", "wave", TAUGHT, ["pan", "lift"]);
+  expect(row).toMatchObject({ id: 4, name: "wave", joints_rad: { pan: 0.5, lift: 1 }, motion: { name: "wave", start_rad: { pan: 0, lift: 0 } } });
+  expect(sequenceSteps([{ ...row, speed: 0.5 }], null)).toEqual([
+    {
+      doing: "motion",
+      index: 0,
+      action: "/replay_motion",
+      type: "armbridge_msgs/action/ReplayMotion",
+      goal: { name: "wave", speed: 0.5, reverse: false, repeat: 0 },
+    },
+  ]);
+  expect(readSequence(sequenceText([row]))).toEqual([{ ...row, id: 1 }]);
+});
+
+it("makes a taught motion waypoints, which move the gripper where it was moved", () => {
+  const rows = asWaypoints([FIRST], "arm", "wave", TAUGHT, ["pan", "lift"], "grip", 0.3);
+  expect(rows.map(({ id, name, joints_rad, gripper, motion, speed }) => [id, name, joints_rad, gripper, motion, speed])).toEqual([
+    [2, "wave 1", { pan: 0, lift: 0 }, 0.5, null, 0.3],
+    [3, "wave 2", { pan: 0.5, lift: 0 }, null, null, 0.3],
+    [4, "wave 3", { pan: 0.5, lift: 1 }, 0.1, null, 0.3],
+  ]);
+});
+
+it("refuses a file whose taught motion has no start", () => {
+  const row = taughtWaypoint([], "arm", "wave", TAUGHT, ["pan"]);
+  const text = JSON.stringify({ waypoints: [{ ...row, motion: { name: "wave" } }] });
+  expect(readSequence(text)).toBeNull();
 });

@@ -117,7 +117,8 @@ function waypointRow(store: PageStore, id: number): WaypointRow {
   const check = el("p", { class: "leg-check", testid: `${own}-check` });
 
   const way = select(`${own}-way`, t("sequence.way"), (value) => edit({ straight: value === "straight" }));
-  way.append(option("free", t("sequence.way.free")), option("straight", t("sequence.way.straight")));
+  const taught = option("taught", "");
+  way.append(option("free", t("sequence.way.free")), option("straight", t("sequence.way.straight")), taught);
   const percent = { name: t("sequence.speed"), lower: MIN_SPEED * 100, upper: 100, unit: " %", digits: 0 };
   const speed = numberField(`${own}-speed`, t("sequence.speed"), () => percent, (value) => edit({ speed: value / 100 }));
   const seconds = { name: t("sequence.pause"), lower: 0, upper: MAX_PAUSE_S, unit: " s", digits: 1 };
@@ -137,7 +138,11 @@ function waypointRow(store: PageStore, id: number): WaypointRow {
 
   const show: WaypointRow["show"] = (waypoint, answer, state, at) => {
     if (document.activeElement !== name) name.value = waypoint.name;
-    way.value = waypoint.straight ? "straight" : "free";
+    // A taught motion ends where it ends: it is replaced by removing its row.
+    way.disabled = waypoint.motion !== null;
+    taught.hidden = waypoint.motion === null;
+    taught.textContent = t("sequence.way.taught", { name: waypoint.motion?.name ?? "" });
+    way.value = waypoint.motion ? "taught" : waypoint.straight ? "straight" : "free";
     speed.show(String(Math.round(waypoint.speed * 100)));
     pause.show(String(waypoint.pause_s));
     gripper_field.hidden = armGripper(state) === null;

@@ -82,7 +82,11 @@ function motionItem(context: PanelContext, name: string, { edited, replaying }: 
   const edit = button(t("teaching.edit"), `edit-motion-${name}`, () => void teaching.edit(open ? null : name));
   edit.setAttribute("aria-label", `${t("teaching.edit")}: ${name}`);
   edit.setAttribute("aria-pressed", String(open));
-  const item = el("li", {}, el("b", { text: name }), permissionFieldset(context, "drive", play), permissionFieldset(context, "configure", edit));
+  const add = button(t("teaching.add"), `add-motion-${name}`, () => void teaching.addToSequence(name), t("teaching.add.title"));
+  add.setAttribute("aria-label", `${t("teaching.add")}: ${name}`);
+  const points = button(t("teaching.as_waypoints"), `waypoints-of-${name}`, () => void teaching.addAsWaypoints(name), t("teaching.as_waypoints.title"));
+  points.setAttribute("aria-label", `${t("teaching.as_waypoints")}: ${name}`);
+  const item = el("li", {}, el("b", { text: name }), permissionFieldset(context, "drive", play), add, points, permissionFieldset(context, "configure", edit));
   if (open) item.append(motionEditor(context, name, edited.duration_s));
   return item;
 }

@@ -155,7 +155,7 @@ KEPT = Anchor(Pose((0.3, 0.0, 0.2)))
 class Rig:
     """A session whose planners move every joint while anything is wanted; each answer takes a period."""
 
-    def __init__(self) -> None:
+    def __init__(self, period_s: float = PERIOD_S, *, at_once: bool = False) -> None:
         self.arm, self.clock = FakeArm(), FakeClock()
         self.questions: list[ServoQuestion] = []
         self.told: list[tuple[ServoStatus, str]] = []
@@ -165,7 +165,7 @@ class Rig:
         )
         self.session = ServoSession(
             self.arm.as_arm,
-            ServoSetup("arm", JOINTS, "gripper_frame_link", ServoLimits(), PERIOD_S, TIMEOUT_S),
+            ServoSetup("arm", JOINTS, "gripper_frame_link", ServoLimits(), period_s, TIMEOUT_S, at_once),
             self._ask,
             self._resolve,
             lambda status, message: self.told.append((status, message)),
@@ -206,6 +206,25 @@ async def test_a_command_starts_the_loop_and_moves_the_joints(rig: Rig) -> None:
     assert rig.questions[0].command == TipTwist((0.1, 0.0, 0.0))
     assert rig.arm.setpoints[0].velocity_rad_s.tolist() == [MOVING[name] for name in JOINTS]
     await rig.session.close()
+
+
+async def test_a_command_is_followed_at_once_where_the_loop_is_made_for_that() -> None:
+    rig = Rig(period_s=1000.0, at_once=True)
+    rig.session.set_command(NORTH)
+    await rig.until_asked(1)
+    rig.session.set_command(JointVelocities({"elbow_flex": 0.2}))
+    await rig.until_asked(2)
+    assert rig.questions[1].command == JointVelocities({"elbow_flex": 0.2})
+    await rig.session.close()
+
+
+async def test_the_end_of_the_stream_ends_a_loop_whose_next_step_is_far_away() -> None:
+    rig = Rig(period_s=1000.0)
+    rig.session.set_command(NORTH)
+    await rig.until_asked(1)
+    rig.arm.stop()
+    await rig.until_let_go()
+    assert rig.interruptions == ["steering was ended: stopped"]
 
 
 async def test_a_command_expires_and_then_the_arm_is_released(rig: Rig) -> None:

@@ -1,0 +1,123 @@
+"""A following in progress: when it steps, and what it tells of its latency."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from typing import cast
+
+import pytest
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.scene import Pose
+from planners.servo.question import JointVelocities, ServoAnswer, ServoLimits, ServoQuestion
+from server.execution.monitors import CurrentState
+from server.execution.motions import Motion, Positions
+from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalRunners
+from server.moveit.servo.servo_loop import ServoSetup
+from server.teleop import session as sessions
+from server.teleop.following import Phase
+from server.teleop.joint_map import joint_map
+from server.teleop.leader import JitterBuffer, LeaderSample
+from server.teleop.session import Follower, FollowingSession, FollowingState
+from tests.helpers.clock import FakeClock
+from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
+
+STEERED = ROBOT.groups["arm"].joints
+PLANNING_S = 0.002
+
+
+def idle_queue() -> GoalQueue[Motion]:
+    """A queue that is never started: ramps are played by the rig."""
+    return GoalQueue(cast("GoalRunners[Motion]", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None)
+
+
+class Rig:
+    """A following whose ramps arrive at once and whose planners take 2 ms for an answer."""
+
+    def __init__(self, max_delay_s: float = 0.0) -> None:
+        self.clock = FakeClock()
+        self.samples = JitterBuffer({}, max_delay_s)
+        self.questions: list[ServoQuestion] = []
+        self.told: list[FollowingState] = []
+        self.arm = arm = FakeArm()
+        setup = ServoSetup("arm", STEERED, "gripper_frame_link", ServoLimits(), 0.02, 1000.0)
+        self.session = FollowingSession(
+            Follower("right", "", ROBOT, arm.as_arm, setup, None),
+            joint_map(ROBOT, "", JOINTS),
+            self.samples,
+            idle_queue(),
+            self._go_to,
+            self._ask,
+            lambda _frame, _positions: Pose(),
+            CurrentState(arm, ROBOT),
+            self.told.append,
+            lambda _targets: None,
+            self.clock,
+        )
+
+    def read(self, elbow_rad: float, late_s: float = 0.0) -> None:
+        """Have the leader read and its sample come."""
+        stamp_s = self.clock()
+        self.clock.advance(late_s)
+        self.samples.add(LeaderSample(stamp_s, dict.fromkeys(JOINTS, 0.0) | {"elbow_flex": elbow_rad}), self.clock())
+        self.session.take_sample()
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        async with asyncio.timeout(30.0):
+            while not condition():
+                await asyncio.sleep(0)
+
+    def _go_to(self, _positions: Positions, _scaling: float) -> tuple[str, asyncio.Future[Answer]]:
+        arrived: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        arrived.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
+        return "1", arrived
+
+    async def _ask(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
+        self.questions.append(question)
+        self.clock.advance(PLANNING_S)
+        await asyncio.sleep(0)
+        velocities: Mapping[str, float] = dict.fromkeys(STEERED, 0.0)
+        return ServoAnswer(dict(velocities))
+
+    @property
+    def following(self) -> bool:
+        return self.session.following.phase is Phase.FOLLOWING
+
+
+@pytest.fixture
+def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
+    """One whose period passes for no test: it steps with its samples alone."""
+    monkeypatch.setattr(sessions, "PERIOD_S", 1000.0)
+    return Rig()
+
+
+async def begin(rig: Rig) -> None:
+    """Start the following and wait until the first answer has reached the arm."""
+    rig.read(0.1)
+    rig.session.start()
+    await rig.until(lambda: rig.session.following.phase is not Phase.RAMPING)
+    rig.read(0.1)
+    await rig.until(lambda: len(rig.arm.setpoints) == 1)
+
+
+async def test_a_sample_of_a_leader_of_this_server_is_followed_when_it_comes(rig: Rig) -> None:
+    await begin(rig)
+    rig.clock.advance(0.01)
+    rig.read(0.2)
+    await rig.until(lambda: len(rig.questions) == 2)
+    command = rig.questions[1].command
+    assert isinstance(command, JointVelocities)
+    assert command.velocity_rad_s["elbow_flex"] > 0.0
+    await rig.session.close()
+
+
+async def test_the_latency_counts_from_the_reading_to_the_planners_answer(rig: Rig) -> None:
+    await begin(rig)
+    rig.clock.advance(0.01)
+    rig.read(0.2, late_s=0.004)
+    await rig.until(lambda: len(rig.questions) == 2)
+    await rig.until(lambda: len(rig.arm.setpoints) == 2)
+    rig.session._tell()
+    assert rig.told[-1].latency_s == pytest.approx(0.004 + PLANNING_S)
+    await rig.session.close()

@@ -23,7 +23,7 @@ def run() -> None:
     latencies_s = asyncio.run(_measure())
     p50, p99 = (float(each) for each in percentiles(latencies_s, 50, 99))
     print_table(
-        "Leader and follower, both simulated: from the leader's reading to the velocities in the follower's process [ms]",
+        "Leader and follower, simulated: from the leader's reading to the velocities in the follower's process [ms]",
         ["samples", "p50", "p99", "p99 and the tick that makes them goals, at most"],
         [[str(len(latencies_s)), f"{p50:.2f}", f"{p99:.2f}", f"{p99 + TICK_MS:.2f}"]],
     )

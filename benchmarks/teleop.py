@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from typing import Any
+
+import numpy as np
 
 from benchmarks.figures import percentiles, print_table
 from tests.helpers.clients import arm_client
@@ -20,16 +23,23 @@ MIDDLE_TICK, SWING_TICKS, PERIOD_S = 2048, 250, 4.0
 
 def run() -> None:
     """Measure two simulated arms in one server."""
-    latencies_s = asyncio.run(_measure())
+    told = asyncio.run(_measure())
+    latencies_s, lags_rad = ([each[field] for each in told] for field in ("latency_s", "lag_rad"))
     p50, p99 = (float(each) for each in percentiles(latencies_s, 50, 99))
     print_table(
         "Leader and follower, simulated: from the leader's reading to the velocities in the follower's process [ms]",
         ["samples", "p50", "p99", "p99 and the tick that makes them goals, at most"],
         [[str(len(latencies_s)), f"{p50:.2f}", f"{p99:.2f}", f"{p99 + TICK_MS:.2f}"]],
     )
+    p50, p95, most = np.percentile(lags_rad, (50, 95, 100)).tolist()
+    print_table(
+        "From the follower's goals to the leader, of the joint that is furthest behind [rad]",
+        ["p50", "p95", "max"],
+        [[f"{p50:.3f}", f"{p95:.3f}", f"{most:.3f}"]],
+    )
 
 
-async def _measure() -> list[float]:
+async def _measure() -> list[dict[str, Any]]:
     control = ROOT / "build" / "leader_control"
     control.parent.mkdir(exist_ok=True)
     settings = {**FAST, "ARMBRIDGE_ARMS__LEADER__EMULATOR__CONTROL": str(control)}
@@ -47,7 +57,7 @@ async def _measure() -> list[float]:
                 await asyncio.to_thread(hand.command, hand={"1": at})
                 await asyncio.sleep(0.02)
             told = client.topics["/teleop/state"]
-            return [each["latency_s"] for each in told if each["phase"] == "following"]
+            return [each for each in told if each["phase"] == "following"]
 
 
 if __name__ == "__main__":

@@ -92,9 +92,13 @@ SILENT_HOLDING_S = 0.8
 CLOSE_LIMIT_S = 60.0
 
 
-def start_arm_process() -> StartedChild:
-    """Start an arm process; it loads its modules, then waits for its configuration."""
-    return StartedChild("robot.control.loop")
+def start_arm_process(name: str = "") -> StartedChild:
+    """Start an arm process; it loads its modules, then waits for its configuration.
+
+    Args:
+        name: of the arm, for its log lines; empty for an arm that is alone.
+    """
+    return StartedChild("robot.control.loop", name)
 
 
 class ClockedArm(Protocol):
@@ -131,6 +135,7 @@ class Arm:
         started: its process, if it was started ahead.
         restart_delay: delay before each start of a process in place of one that has ended.
         observed: returns False when nobody sees the arm's states at the moment.
+        name: as for :func:`start_arm_process`.
 
     Attributes:
         state: latest state.
@@ -146,12 +151,13 @@ class Arm:
         started: StartedChild | None = None,
         restart_delay: RestartDelay | None = None,
         observed: Callable[[], bool] = lambda: True,
+        name: str = "",
     ) -> None:
         self._config = config
         self._observed = observed
         self._on_state = on_state
         self._on_health = on_health
-        self._process = ArmProcess(self._received, self._exited, started)
+        self._process = ArmProcess(self._received, self._exited, started, name)
         self._motions: dict[int, asyncio.Future[MotionEnded]] = {}
         self._streams: dict[int, ArmStream] = {}
         self._orders: dict[int, asyncio.Future[CommandDone]] = {}
@@ -562,6 +568,7 @@ class ArmProcess:
         on_message: called in the event loop with every message of the process.
         on_exit: called in the event loop when a process has ended.
         started: first process, if it was started ahead.
+        name: of the arm, as for :func:`start_arm_process`.
 
     Attributes:
         ended: future of the end of the latest process; None before the first launch.
@@ -572,8 +579,9 @@ class ArmProcess:
         on_message: Callable[[Any], None],
         on_exit: Callable[[], None],
         started: StartedChild | None = None,
+        name: str = "",
     ) -> None:
-        self._started = started
+        self._started, self._name = started, name
         self._reserve = DescriptorReserve()
         self._on_message = on_message
         self._on_exit = on_exit
@@ -604,7 +612,7 @@ class ArmProcess:
             OSError: the system has no descriptor, process or memory left for it.
         """
         with self._reserve.lent():
-            started, self._started = self._started or start_arm_process(), None
+            started, self._started = self._started or start_arm_process(self._name), None
             self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
             self.ended = asyncio.get_running_loop().create_future()
         await self._child.connect()

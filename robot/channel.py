@@ -192,8 +192,10 @@ def channel_of_child(arguments: list[str] | None = None) -> Channel:
     parser.add_argument("--log-level", type=int, default=logging.INFO)
     parser.add_argument("--log-format", choices=("plain", "json"), default="plain")
     parser.add_argument("--name", default="child")
+    parser.add_argument("--arm", default="")
     options = parser.parse_args(arguments)
-    logs.configure(options.log_level, options.log_format, options.name)
+    process = f"{options.name} of {options.arm}" if options.arm else options.name
+    logs.configure(options.log_level, options.log_format, process, options.arm)
     channel = Channel(socket.socket(fileno=options.fd))
-    send_log(channel, options.name)
+    send_log(channel, process)
     return channel

@@ -44,16 +44,17 @@ LINES_PER_S = 10.0
 MAX_CHANGED_LOGGERS = 100
 
 
-def configure(level: int | str, log_format: LogFormat, process: str = "server") -> None:
+def configure(level: int | str, log_format: LogFormat, process: str = "server", arm: str = "") -> None:
     """Log to standard error; to be called once in each process.
 
     Args:
         level: least level, by number or name.
         log_format: plain lines or JSON.
         process: name of the process in JSON lines.
+        arm: name of the arm that plain lines begin their messages with; empty for an arm that is alone.
     """
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(JsonFormatter(process) if log_format == "json" else PlainFormatter())
+    handler.setFormatter(JsonFormatter(process) if log_format == "json" else PlainFormatter(arm))
     handler.addFilter(FloodFilter())
     logging.basicConfig(level=level, handlers=[handler])
     if log_format == "json":
@@ -72,14 +73,19 @@ def _log_exception(kind: type[BaseException], error: BaseException, traceback: T
 
 
 class PlainFormatter(logging.Formatter):
-    """Formatter of lines for people."""
+    """Formatter of lines for people.
 
-    def __init__(self) -> None:
+    Args:
+        arm: as for :func:`configure`.
+    """
+
+    def __init__(self, arm: str = "") -> None:
         super().__init__(PLAIN)
+        self._arm = f"{arm}: " if arm else ""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - as logging calls it
         """Format the line without its traceback; line breaks and terminal control characters are escaped."""
-        message = message_of(record)
+        message = f"{self._arm}{message_of(record)}"
         record.message = message if message.isprintable() else repr(message)[1:-1]
         return super().formatMessage(record)
 

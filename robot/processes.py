@@ -207,6 +207,7 @@ class StartedChild:
 
     Args:
         module: name of the module to run with ``python -m``.
+        arm: name of the arm that its log lines are about; empty for an arm that is alone, and for other children.
 
     Attributes:
         process: the child.
@@ -217,13 +218,13 @@ class StartedChild:
         OSError: the system has no descriptor, process or memory left for it.
     """
 
-    def __init__(self, module: str) -> None:
+    def __init__(self, module: str, arm: str = "") -> None:
         self.adopted = False
         self.process: Process
         self.socket, theirs = socket.socketpair()
         with theirs:
             level = str(logging.getLogger().getEffectiveLevel())
-            logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module]
+            logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module, "--arm", arm]
             try:
                 self.process = start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
             except BaseException:

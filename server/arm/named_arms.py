@@ -151,7 +151,7 @@ class NamedArm:
         self.files = files
         self._on_state = on_state
         self._on_health = on_health
-        self.arm = Arm(files.config, self._take_state, self._take_health, observed=observed)
+        self.arm = Arm(files.config, self._take_state, self._take_health, observed=observed, name=name)
         self._joint_states = JointStates(self.graph)
         self._topics = ArmStateTopics(self.graph, files.description.robot, self.arm.state)
         self._control: ControlServices | None = None

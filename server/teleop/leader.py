@@ -15,6 +15,9 @@ MAX_SAMPLES = 50
 # A following that is later than this is felt by the hand that leads.
 MAX_DELAY_S = 0.1
 
+# Time over which velocities are taken: one tick of an encoder between two readings at 100 Hz is 0.15 rad/s [s].
+VELOCITY_TIME_S = 0.05
+
 # Lateness is forgotten after this time, so that one late sample does not delay the following for ever.
 REMEMBERED_S = 2.0
 
@@ -137,23 +140,26 @@ class JitterBuffer:
             )
         for earlier in list(self._samples)[-2::-1]:
             if earlier.stamp_s <= shown_s:
-                share = (shown_s - earlier.stamp_s) / (later.stamp_s - earlier.stamp_s)
-                velocity = _velocity(earlier, later)
-                span_s = later.stamp_s - earlier.stamp_s
-                positions = {name: earlier.positions_rad[name] + share * span_s * velocity[name] for name in velocity}
-                return LeaderPose(positions, velocity, self.delay_s)
+                passed_s, slope = shown_s - earlier.stamp_s, _velocity(earlier, later)
+                positions = {name: earlier.positions_rad[name] + passed_s * slope[name] for name in slope}
+                return LeaderPose(positions, self._velocity_until(later), self.delay_s)
             later = earlier
         return LeaderPose(later.positions_rad, dict.fromkeys(later.positions_rad, 0.0), self.delay_s)
 
     def _latest_velocity(self, shown_s: float) -> dict[str, float]:
         """Return the velocity at the last sample, zero once the next one is overdue."""
         last = self._samples[-1]
-        if len(self._samples) < 2:
+        if len(self._samples) > 1 and shown_s - last.stamp_s > 2.0 * (last.stamp_s - self._samples[-2].stamp_s):
             return dict.fromkeys(last.positions_rad, 0.0)
-        before = self._samples[-2]
-        if shown_s - last.stamp_s > 2.0 * (last.stamp_s - before.stamp_s):
-            return dict.fromkeys(last.positions_rad, 0.0)
-        return _velocity(before, last)
+        return self._velocity_until(last)
+
+    def _velocity_until(self, last: LeaderSample) -> dict[str, float]:
+        """Return the velocity in the time before a sample; zero for the first."""
+        before = next(
+            (each for each in reversed(self._samples) if last.stamp_s - each.stamp_s >= VELOCITY_TIME_S), None
+        )
+        before = before or self._samples[0]
+        return dict.fromkeys(last.positions_rad, 0.0) if before is last else _velocity(before, last)
 
     def _jump_between(self, before: LeaderSample, after: LeaderSample) -> str:
         span_s = after.stamp_s - before.stamp_s

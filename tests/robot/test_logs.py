@@ -53,6 +53,10 @@ def test_a_plain_line_is_for_people() -> None:
     assert PlainFormatter().format(record("hot")).endswith("WARNING armbridge.arm: hot")
 
 
+def test_a_plain_line_of_one_of_several_arms_names_it() -> None:
+    assert PlainFormatter("left").format(record("hot")).endswith("WARNING armbridge.arm: left: hot")
+
+
 SECRETS = {
     "query": "GET /?ros=1&token=s3cret-s3cret HTTP/1.1",
     "first in a query": "ws://host/?token=s3cret-s3cret&ros=1",

@@ -39,6 +39,20 @@ def test_an_arm_of_this_server_is_followed_without_a_delay() -> None:
     assert pose.positions_rad == {"pan": 3.0}
 
 
+def test_a_velocity_is_not_that_of_the_single_ticks_of_an_encoder() -> None:
+    # 0.1 rad/s, read at 100 Hz in steps of 1.5 mrad: two readings in a row differ by nothing or by 0.15 rad/s.
+    buffer = JitterBuffer({}, max_delay_s=0.0)
+    velocities = []
+    for number in range(100):
+        read_s = number / 100
+        buffer.add(LeaderSample(read_s, {"pan": 0.0015 * round(0.1 * read_s / 0.0015)}), read_s)
+        pose = buffer.pose(read_s)
+        assert pose is not None
+        velocities.append(pose.velocity_rad_s["pan"])
+    assert velocities[0] == 0.0
+    assert velocities[10:] == pytest.approx([0.1] * 90, abs=0.035)
+
+
 def test_an_empty_buffer_has_no_pose_and_no_end_of_age() -> None:
     buffer = JitterBuffer({})
     assert buffer.pose(1.0) is None

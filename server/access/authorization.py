@@ -281,6 +281,9 @@ OF_EACH_ARM = frozenset(
         "/servo_node/switch_command_type",
         "/servo_node/unpause_servo",
         "/stop",
+        "/teleop/clutch",
+        "/teleop/start",
+        "/teleop/stop",
         "/trajectory_execution_event",
     )
 )

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import math
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from planners.problem import PlanningFailure
@@ -131,8 +133,27 @@ class Leader:
         self.joint_names = tuple(sample.positions_rad)
 
 
+@dataclass
+class _Following:
+    """One follower and its leader, from the call that starts it to its end.
+
+    Attributes:
+        leader: the leader.
+        node: subscribes to its topic.
+        session: None while the first sample is waited for.
+        phase: phase that was told last.
+        targets_rad: what the follower is asked to follow at present [rad].
+    """
+
+    leader: Leader
+    node: Node
+    session: FollowingSession | None = None
+    phase: Phase = Phase.IDLE
+    targets_rad: Mapping[str, float] = field(default_factory=dict)
+
+
 class Teleoperation:
-    """Has one arm follow a leader.
+    """Has arms follow leaders, each follower one.
 
     Args:
         graph: where the services and topics are.
@@ -155,10 +176,7 @@ class Teleoperation:
         self._node = Node("teleop")
         self._followers: dict[str, Follower] = {}
         self._leaders: set[str] = set()
-        self._leader: Leader | None = None
-        self._session: FollowingSession | None = None
-        self._follower_name = ""
-        self._phase = Phase.IDLE
+        self._followings: dict[str, _Following] = {}
 
     def add_follower(self, follower: Follower) -> None:
         """Add an arm that can follow, before the start."""
@@ -169,37 +187,63 @@ class Teleoperation:
         self._leaders.add(name)
 
     def open(self) -> None:
-        """Offer the services, and publish the state."""
-        self._graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/TeleopState", latch=True)
+        """Offer the services, of all followers and of each by its name, and publish the states."""
         self._graph.advertise(self._node, TARGETS_TOPIC, JOINT_STATE)
-        self._offer(START, "armbridge_msgs/srv/StartTeleop", self._start)
-        self._offer(STOP, "std_srvs/srv/Trigger", self._stop)
-        self._offer(CLUTCH, "std_srvs/srv/SetBool", self._set_clutch)
-        self._show(FollowingState(Phase.IDLE, f"nothing follows: {START} begins", 0.0, 0.0, 1.0))
+        self._offer_below("", list(self._followers))
+        for follower in self._followers.values():
+            if follower.prefix:
+                self._offer_below(f"/{follower.name}", [follower.name])
+
+    def _offer_below(self, below: str, names: Sequence[str]) -> None:
+        """Offer the services for some followers, and advertise their state."""
+
+        async def start(request: Message) -> dict[str, Any]:
+            return await self._start(request, names)
+
+        async def stop(_request: Message) -> dict[str, Any]:
+            followings = self._running(names)
+            for following in followings.values():
+                following.end("stopped by a client")
+            return {"success": True, "message": f"{_and(followings)} {_verb(followings, 'follow')} no more"}
+
+        async def set_clutch(request: Message) -> dict[str, Any]:
+            followings = self._running(names)
+            for following in followings.values():
+                following.set_clutch(closed=request["data"])
+            does = f"{_verb(followings, 'go')} to where the leader is" if request["data"] else _verb(followings, "hold")
+            return {"success": True, "message": f"{_and(followings)} {does}"}
+
+        self._graph.advertise(self._node, below + STATE_TOPIC, "armbridge_msgs/TeleopState", latch=True)
+        self._offer(below + START, "armbridge_msgs/srv/StartTeleop", start)
+        self._offer(below + STOP, "std_srvs/srv/Trigger", stop)
+        self._offer(below + CLUTCH, "std_srvs/srv/SetBool", set_clutch)
+        state = FollowingState(Phase.IDLE, f"nothing follows: {below}{START} begins", 0.0, 0.0, 1.0)
+        self._graph.publish(self._node, below + STATE_TOPIC, _state_message("", "", state))
 
     @property
     def active(self) -> bool:
         """True while a leader is listened to, whose states are needed at their full rate."""
-        return self._leader is not None
+        return bool(self._followings)
 
     def take_leader_state(self, name: str, state: ArmState) -> None:
         """Take the latest state of an arm of this server."""
-        if self._leader is not None and self._leader.name == name:
-            self._leader.take_state(state)
-            if self._session is not None:
-                self._session.take_sample()
+        for following in self._followings.values():
+            if following.leader.name == name:
+                following.leader.take_state(state)
+                if following.session is not None:
+                    following.session.take_sample()
 
     async def close(self) -> None:
-        """End the following; the arm comes to rest by itself."""
-        if self._session is not None:
-            await self._session.close()
+        """End every following; the arms come to rest by themselves."""
+        sessions = [each.session for each in self._followings.values() if each.session is not None]
+        await asyncio.gather(*(session.close() for session in sessions))
 
     # Services.
 
-    async def _start(self, request: Message) -> dict[str, Any]:
-        if self._leader is not None:
-            raise ServiceError(f"{self._follower_name} follows {self._leader.name}: call {STOP} first")
-        follower = self._chosen_follower(request["follower"])
+    async def _start(self, request: Message, names: Sequence[str]) -> dict[str, Any]:
+        follower = self._chosen_follower(request["follower"], names)
+        if (other := self._followings.get(follower.name)) is not None:
+            raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
         try:
             check_ready(follower.arm)
         except RefusedError as error:
@@ -214,10 +258,10 @@ class Teleoperation:
             )
         if name.startswith("/") and self._own_topic(name):
             raise ServiceError(f"leader: must not be {name}, which tells where this server's arms are")
-        self._leader = leader = Leader(name, self._watched(follower, name), self._clock)
-        self._follower_name = follower.name
+        leader = Leader(name, self._watched(follower, name), self._clock)
+        following = self._followings[follower.name] = _Following(leader, Node(f"teleop of {follower.name}"))
         try:
-            self._listen(leader)
+            self._listen(following)
             await self._first_sample(leader)
             joints = joint_map(
                 follower.robot,
@@ -229,9 +273,9 @@ class Teleoperation:
                 pairs=(request["leader_joints"], request["follower_joints"]),
             )
         except BaseException:
-            self._forget_leader()
+            self._forget(follower, following)
             raise
-        self._session = FollowingSession(
+        following.session = FollowingSession(
             follower,
             joints,
             leader.samples,
@@ -240,35 +284,29 @@ class Teleoperation:
             self._ask,
             self._context.frames.resolve,
             self._context.current,
-            self._show,
-            self._show_targets,
+            functools.partial(self._show, follower, following),
+            functools.partial(self._show_targets, following),
             self._clock,
         )
-        self._session.start()
+        following.session.start()
         followed = ", ".join(f"{link.follower} follows {link.leader}" for link in joints.links)
         log.info("%s follows %s", follower.name, name)
         return {"success": True, "message": f"{follower.name} goes to where {name} is, then {followed}"}
 
-    async def _stop(self, _request: Message) -> dict[str, Any]:
-        self._running().end("stopped by a client")
-        return {"success": True, "message": f"{self._follower_name} follows no more"}
-
-    async def _set_clutch(self, request: Message) -> dict[str, Any]:
-        self._running().set_clutch(closed=request["data"])
-        message = "the follower goes to where the leader is" if request["data"] else "the follower holds"
-        return {"success": True, "message": message}
-
-    def _running(self) -> FollowingSession:
-        if self._session is None:
+    def _running(self, names: Sequence[str]) -> dict[str, FollowingSession]:
+        """Return those followings of some followers that have begun."""
+        found = {name: each.session for name, each in self._followings.items() if name in names}
+        running = {name: session for name, session in found.items() if session is not None}
+        if not running:
             raise ServiceError(f"nothing follows: {START} begins")
-        return self._session
+        return running
 
-    def _chosen_follower(self, name: str) -> Follower:
-        if name in self._followers:
+    def _chosen_follower(self, name: str, names: Sequence[str]) -> Follower:
+        if name in names:
             return self._followers[name]
-        if not name and len(self._followers) == 1:
-            return next(iter(self._followers.values()))
-        raise ServiceError(f"follower: must be one of {', '.join(self._followers) or 'none'}, not {name[:80]!r}")
+        if not name and len(names) == 1:
+            return self._followers[names[0]]
+        raise ServiceError(f"follower: must be one of {', '.join(names) or 'none'}, not {name[:80]!r}")
 
     def _own_topic(self, name: str) -> bool:
         """Return True for a topic by which an arm would follow itself."""
@@ -285,7 +323,8 @@ class Teleoperation:
 
     # Leaders.
 
-    def _listen(self, leader: Leader) -> None:
+    def _listen(self, following: _Following) -> None:
+        leader = following.leader
         if not leader.name.startswith("/"):
             return
 
@@ -293,7 +332,7 @@ class Teleoperation:
             leader.complain(str(error))
 
         try:
-            self._graph.subscribe(self._node, leader.name, JOINT_STATE, Subscriber(leader.take_message, refused))
+            self._graph.subscribe(following.node, leader.name, JOINT_STATE, Subscriber(leader.take_message, refused))
         except MessageError as error:
             raise ServiceError(f"leader: {error}") from error
 
@@ -304,44 +343,40 @@ class Teleoperation:
                 raise ServiceError(f"leader: {leader.name} has sent nothing for {FIRST_SAMPLE_S:g} s")
             await asyncio.sleep(POLL_S)
 
-    def _forget_leader(self) -> None:
-        if self._leader is not None and self._leader.name.startswith("/"):
-            self._graph.unsubscribe(self._node, self._leader.name)
-        self._leader = self._session = None
+    def _forget(self, follower: Follower, following: _Following) -> None:
+        if self._followings.get(follower.name) is not following:
+            return
+        del self._followings[follower.name]
+        if following.leader.name.startswith("/"):
+            self._graph.unsubscribe(following.node, following.leader.name)
 
     # Messages.
 
     def _ask(self, question: ServoQuestion) -> Coroutine[Any, Any, ServoAnswer | PlanningFailure]:
         return self._context.pool.ask(question, self._context.scene_state.scene)
 
-    def _show(self, state: FollowingState) -> None:
-        if state.phase is not self._phase:
-            self._phase = state.phase
-            log.info("teleoperation of %s: %s", self._follower_name, state.message or state.phase.value)
-        self._graph.publish(
-            self._node,
-            STATE_TOPIC,
-            {
-                "follower": self._follower_name,
-                "leader": "" if self._leader is None else self._leader.name,
-                "phase": state.phase.value,
-                "message": state.message,
-                "latency_s": state.latency_s,
-                "lag_rad": state.lag_rad,
-                "speed_scale": state.speed_scale,
-            },
-        )
+    def _show(self, follower: Follower, following: _Following, state: FollowingState) -> None:
+        if state.phase is not following.phase:
+            following.phase = state.phase
+            log.info("teleoperation of %s: %s", follower.name, state.message or state.phase.value)
+        message = _state_message(follower.name, following.leader.name, state)
+        self._graph.publish(self._node, STATE_TOPIC, message)
+        if follower.prefix:
+            self._graph.publish(self._node, f"/{follower.name}{STATE_TOPIC}", message)
         if state.phase is Phase.IDLE:
-            self._forget_leader()
+            self._forget(follower, following)
 
-    def _show_targets(self, targets_rad: Mapping[str, float]) -> None:
+    def _show_targets(self, following: _Following, targets_rad: Mapping[str, float]) -> None:
+        """Publish the targets of all followers in one message, as ``/joint_states`` has all joints."""
+        following.targets_rad = targets_rad
+        present = {name: target for each in self._followings.values() for name, target in each.targets_rad.items()}
         self._graph.publish(
             self._node,
             TARGETS_TOPIC,
             {
                 "header": {"stamp": Stamp.from_seconds(time.time()).as_message(), "frame_id": ""},
-                "name": list(targets_rad),
-                "position": list(targets_rad.values()),
+                "name": list(present),
+                "position": list(present.values()),
                 "velocity": [],
                 "effort": [],
             },
@@ -356,3 +391,25 @@ class Teleoperation:
                 return {"success": False, "message": str(error)}
 
         self._graph.services.offer(self._node, name, type_name, serve)
+
+
+def _state_message(follower: str, leader: str, state: FollowingState) -> dict[str, Any]:
+    return {
+        "follower": follower,
+        "leader": leader,
+        "phase": state.phase.value,
+        "message": state.message,
+        "latency_s": state.latency_s,
+        "lag_rad": state.lag_rad,
+        "speed_scale": state.speed_scale,
+    }
+
+
+def _and(names: Collection[str]) -> str:
+    return " and ".join(names)
+
+
+def _verb(names: Collection[str], verb: str) -> str:
+    """Return a verb as it is with so many followers."""
+    one = f"{verb}es" if verb.endswith("o") else f"{verb}s"
+    return one if len(names) == 1 else verb

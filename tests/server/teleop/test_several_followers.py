@@ -1,0 +1,120 @@
+"""Two followers of one leader: each has its own beginning, clutch and end."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.clients import ArmClient, arm_client
+from tests.helpers.server import FAST, EmulatorControl, RunningServer
+
+pytestmark = pytest.mark.real_time
+
+CONFIG = """
+[arms.left]
+base_xyz_m = [0.0, 0.7, 0.0]
+[arms.right]
+base_xyz_m = [0.0, -0.7, 0.0]
+[arms.leader]
+role = "leader"
+emulator.control = "{folder}/leader"
+"""
+TIMEOUT_S = 60.0
+MIDDLE_TICK = 2048
+TARGETS = "/teleop/leader_joint_states"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("followers")
+
+
+@pytest.fixture(scope="module")
+def server(folder: Path) -> Iterator[RunningServer]:
+    config = folder / "arms.toml"
+    config.write_text(CONFIG.format(folder=folder))
+    with RunningServer(f"--port 0 --config {config}", FAST) as running:
+        yield running
+
+
+@pytest.fixture
+async def client(server: RunningServer, folder: Path) -> AsyncIterator[ArmClient]:
+    EmulatorControl(folder / "leader").command(hand={"1": MIDDLE_TICK, "5": MIDDLE_TICK})
+    async with arm_client(server.url) as one:
+        await one.say("subscribe", topic="/joint_states", type="sensor_msgs/JointState")
+        await one.say("subscribe", topic=TARGETS, type="sensor_msgs/JointState")
+        for arm in ("left", "right"):
+            await one.say("subscribe", topic=f"/{arm}/teleop/state", type="armbridge_msgs/TeleopState")
+        yield one
+        await one.call("/teleop/stop")
+        for arm in ("left", "right"):
+            await phase_is(one, arm, "idle")
+
+
+async def phase_is(client: ArmClient, arm: str, phase: str) -> str:
+    """Wait for a phase of one follower; returns its message."""
+    states = await client.until(f"/{arm}/teleop/state", lambda states: states[-1]["phase"] == phase, TIMEOUT_S)
+    return str(states[-1]["message"])
+
+
+async def both_follow(client: ArmClient) -> None:
+    for arm in ("left", "right"):
+        answer = await client.call("/teleop/start", follower=arm, leader="leader")
+        assert answer["success"], answer
+    for arm in ("left", "right"):
+        await phase_is(client, arm, "following")
+
+
+async def rolled(client: ArmClient, *arms: str, least_rad: float) -> None:
+    """Wait until the wrists of some arms are turned so far."""
+    async with asyncio.timeout(TIMEOUT_S):
+        while True:
+            client.topics.pop("/joint_states", None)
+            latest = (await client.until("/joint_states", bool))[-1]
+            now = dict(zip(latest["name"], latest["position"], strict=True))
+            if all(now[f"{arm}_wrist_roll"] >= least_rad for arm in arms):
+                return
+
+
+async def test_two_arms_follow_one_leader_at_the_same_time(client: ArmClient, folder: Path) -> None:
+    await both_follow(client)
+    EmulatorControl(folder / "leader").command(hand={"5": MIDDLE_TICK + 300})
+    await rolled(client, "left", "right", least_rad=0.4)
+    targets = await client.until(TARGETS, lambda told: len(told[-1]["name"]) == 12, TIMEOUT_S)
+    assert {name.split("_")[0] for name in targets[-1]["name"]} == {"left", "right"}
+
+
+async def test_an_end_of_one_following_lets_the_other_go_on(client: ArmClient, folder: Path) -> None:
+    await both_follow(client)
+    ended = await client.call("/left/teleop/stop")
+    assert ended["message"] == "left follows no more"
+    assert await phase_is(client, "left", "idle") == "stopped by a client"
+    EmulatorControl(folder / "leader").command(hand={"5": MIDDLE_TICK + 300})
+    await rolled(client, "right", least_rad=0.4)
+    assert client.topics["/right/teleop/state"][-1]["phase"] == "following"
+    assert not (await client.call("/left/teleop/stop"))["success"]
+
+
+async def test_a_clutch_is_that_of_one_follower_or_of_all(client: ArmClient) -> None:
+    await both_follow(client)
+    assert (await client.call("/right/teleop/clutch", data=False))["message"] == "right holds"
+    assert await phase_is(client, "right", "holding") == "the clutch is open"
+    assert client.topics["/left/teleop/state"][-1]["phase"] == "following"
+    assert (await client.call("/teleop/clutch", data=False))["message"] == "left and right hold"
+    await phase_is(client, "left", "holding")
+    assert (await client.call("/teleop/clutch", data=True))["message"] == "left and right go to where the leader is"
+    for arm in ("left", "right"):
+        await phase_is(client, arm, "following")
+
+
+async def test_a_follower_follows_one_leader_and_an_arm_is_started_by_its_own_name_alone(client: ArmClient) -> None:
+    assert (await client.call("/left/teleop/start", leader="leader"))["success"]
+    again = await client.call("/teleop/start", follower="left", leader="leader")
+    assert again["message"] == "left follows leader: call /teleop/stop first"
+    other = await client.call("/left/teleop/start", follower="right", leader="leader")
+    assert other["message"] == "follower: must be one of left, not 'right'"
+    unnamed = await client.call("/teleop/start", leader="leader")
+    assert unnamed["message"] == "follower: must be one of left, right, not ''"

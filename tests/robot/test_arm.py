@@ -261,11 +261,11 @@ class FailingStarts:
         self._errors = list(errors)
         self.failed = 0
 
-    def __call__(self) -> StartedChild:
+    def __call__(self, name: str) -> StartedChild:
         if self.failed < len(self._errors):
             self.failed += 1
             raise self._errors[self.failed - 1]
-        return start_arm_process()
+        return start_arm_process(name)
 
 
 async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import re
@@ -15,6 +16,7 @@ from tests.helpers.clients import tip
 from tests.helpers.page import LOOK_MS, PATIENCE_MS, SHARED, OpenPage, opened
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.helpers.server import ROOT, RunningServer
+from tests.page.test_drive import hold, press_until
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, WebSocketRoute
@@ -145,6 +147,22 @@ def test_two_arms_are_shown_and_each_is_moved_by_its_group(browser: Browser, set
         assert after["right_shoulder_lift"] == pytest.approx(-0.5, abs=ON_SERVOS)
         assert after["left_shoulder_lift"] == pytest.approx(before["left_shoulder_lift"], abs=ON_SERVOS)
         page.shot("two_arms")
+        # Driven by hand, too.
+        page.part("tab-drive").click()
+        page.part("drive-mode").select_option("hold")
+        for control, moved in (
+            ("jog-right_wrist_roll-plus", "right_wrist_roll"),
+            ("jog-z-plus", "right_shoulder_lift"),
+            ("jog-gripper-plus", "right_gripper"),
+        ):
+            before = page.joints()
+            at = f"s.joints.position_rad[s.joints.names.indexOf('{moved}')]"
+            moves = f"Math.abs({at} - {before[moved]}) > 0.05"
+            press_until(page, moves, functools.partial(hold, page, control), page.page.mouse.up)
+            page.page.mouse.up()
+            after = page.joints()
+            for joint in (name for name in before if name.startswith("left_")):
+                assert after[joint] == pytest.approx(before[joint], abs=ON_SERVOS)
         assert page.errors == []
 
 

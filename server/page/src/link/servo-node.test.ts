@@ -2,7 +2,7 @@ import { afterEach, beforeEach, expect, test, vi } from "vitest";
 import { JogStep, type JogCommand } from "../logic/jog";
 import { emptyState, type State } from "../state/state";
 import { Store } from "../state/store";
-import { JogSender, PERIOD_MS } from "./servo-node";
+import { JogSender, PERIOD_MS, subscribeServoNode } from "./servo-node";
 
 interface Sent {
   topic: string;
@@ -132,4 +132,40 @@ test("commands expire early, and the page takes no control before it moves", () 
   expect(timeouts).toEqual([]);
   jog.hold("key", X);
   expect(timeouts).toEqual([{ data: 0.08 }]);
+});
+
+const TWO_ARMS: Partial<State> = {
+  limits: { left_a: [0, 1], right_a: [0, 1] },
+  urdf: `<robot><link name="world"/><link name="left"/><link name="right"/>
+    <joint name="left_a" type="revolute"><parent link="world"/><child link="left"/><limit lower="0" upper="1"/></joint>
+    <joint name="right_a" type="revolute"><parent link="world"/><child link="right"/><limit lower="0" upper="1"/></joint></robot>`,
+  srdf: `<robot><group name="left_arm"><joint name="left_a"/></group><group name="right_arm"><joint name="right_a"/></group></robot>`,
+  actions: ["/left/moveit_goal", "/right/moveit_goal"],
+  group: "left_arm",
+};
+
+test("of several arms that of the planning group is steered, and a change of the group halts it", () => {
+  const { jog, sent, store } = sender(TWO_ARMS);
+  jog.hold("joint", { kind: "joints", velocity: { left_a: 1 } });
+  expect(sent.at(-1)).toMatchObject({ topic: "/left/servo_node/delta_joint_cmds", message: { velocities: [1] } });
+  store.set({ group: "right_arm" });
+  expect(sent.at(-1)).toMatchObject({ topic: "/left/servo_node/delta_joint_cmds", message: { velocities: [0] } });
+  expect(jog.active).toBe(false);
+  jog.hold("joint", { kind: "joints", velocity: { right_a: 1 } });
+  expect(sent.at(-1)?.topic).toBe("/right/servo_node/delta_joint_cmds");
+});
+
+test("status and parameters are those of the arm that is steered", () => {
+  const { store } = sender(TWO_ARMS);
+  const listeners = new Map<string, (message: never) => void>();
+  const subscribe = ((topic: string, _type: string, listener: (message: never) => void) => listeners.set(topic, listener)) as never;
+  subscribeServoNode({ subscribe }, store);
+  listeners.get("/left/servo_node/parameters")?.({ data: '{"linear_scale": 0.3}' } as never);
+  store.set({ group: "right_arm" });
+  listeners.get("/right/servo_node/parameters")?.({ data: '{"linear_scale": 0.1}' } as never);
+  listeners.get("/left/servo_node/status")?.({ code: 3, message: "slower" } as never);
+  expect(store.state.servo_node).toMatchObject({ linear_scale: 0.1, code: 0 });
+  store.set({ group: "left_arm" });
+  expect(store.state.servo_node.linear_scale).toBe(0.3);
+  expect([...listeners.keys()].filter((topic) => topic.endsWith("status"))).toHaveLength(2);
 });

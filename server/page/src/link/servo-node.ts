@@ -1,4 +1,4 @@
-import { armGripper, armJoints, currentPositions } from "../logic/joints";
+import { armGripper, armJoints, armNamespace, currentPositions } from "../logic/joints";
 import { summed, type JogCommand, type JogStep } from "../logic/jog";
 import { denialReason } from "../logic/permissions";
 import { planningGroup } from "../logic/robot-info";
@@ -24,13 +24,38 @@ const COMMAND_TYPES = { joints: 0, tip: 1 } as const;
 
 type ArmKind = keyof typeof COMMAND_TYPES;
 
-/** Subscribe to the servo node's status and its parameters. */
-export function subscribeServoNode(connection: Connection, store: PageStore): void {
-  connection.subscribe<ServoStatusMessage>("/servo_node/status", "moveit_msgs/ServoStatus", ({ code, message }) => {
-    store.patch("servo_node", { code, message });
-  }, 100);
-  connection.subscribe<StringMessage>("/servo_node/parameters", "std_msgs/String", ({ data }) => {
-    store.patch("servo_node", JSON.parse(data) as Partial<State["servo_node"]>);
+/** Parts of the state that decide which arm the planning group belongs to. */
+const DESCRIPTION = ["limits", "urdf", "srdf", "group", "actions"] as const;
+
+/** Call back with the namespace of the planning group's arm, now and whenever it is another. */
+function onArm(store: PageStore, listener: (namespace: string) => void): void {
+  let known: string | null = null;
+  const update = (state: State): void => {
+    const namespace = armNamespace(state);
+    if (namespace === known) return;
+    known = namespace;
+    listener(namespace);
+  };
+  for (const part of DESCRIPTION) store.subscribe((state) => state[part], (_, state) => update(state));
+}
+
+/** Subscribe to status and parameters of the servo node of the planning group's arm. */
+export function subscribeServoNode(connection: Pick<Connection, "subscribe">, store: PageStore): void {
+  // By the namespace of each arm that was steered since the page was opened.
+  const parameters = new Map<string, Partial<State["servo_node"]>>();
+  onArm(store, (namespace) => {
+    store.patch("servo_node", { code: 0, message: "", ...parameters.get(namespace) });
+    if (parameters.has(namespace)) return;
+    parameters.set(namespace, {});
+    const isPresent = (): boolean => armNamespace(store.state) === namespace;
+    connection.subscribe<ServoStatusMessage>(`${namespace}/servo_node/status`, "moveit_msgs/ServoStatus", ({ code, message }) => {
+      if (isPresent()) store.patch("servo_node", { code, message });
+    }, 100);
+    connection.subscribe<StringMessage>(`${namespace}/servo_node/parameters`, "std_msgs/String", ({ data }) => {
+      const told = JSON.parse(data) as Partial<State["servo_node"]>;
+      parameters.set(namespace, told);
+      if (isPresent()) store.patch("servo_node", told);
+    });
   });
   store.subscribe(
     (state) => state.link.connected,
@@ -54,6 +79,8 @@ export class JogSender {
   private timer: ReturnType<typeof setInterval> | undefined;
   private sent_ms = 0;
   private arm_kind: ArmKind | null = null;
+  /** What the topics begin with of the arm that is steered. */
+  private namespace = "";
   /** Joints of the last command, which the halt names. */
   private jogged: string[] = [];
   private gripper: { position: number; sent_ms: number } | null = null;
@@ -67,7 +94,14 @@ export class JogSender {
     private readonly connection: Pick<Connection, "publish" | "call">,
     private readonly store: PageStore,
     private readonly moveGripper: (position: number) => void,
-  ) {}
+  ) {
+    // What was begun with one arm does not go on with another.
+    onArm(store, (namespace) => {
+      this.releaseAll();
+      this.namespace = namespace;
+      this.jogged = [];
+    });
+  }
 
   /** True while any input is held, or a step is made. */
   get active(): boolean {
@@ -167,9 +201,10 @@ export class JogSender {
     if (this.arm_kind === kind) return;
     this.arm_kind = kind;
     // With every press, and not once a connection: it takes the control lease, which opening the page must not.
-    this.connection.publish("/servo_node/command_timeout", "std_msgs/Float64", { data: COMMAND_TIMEOUT_S });
+    this.connection.publish(`${this.namespace}/servo_node/command_timeout`, "std_msgs/Float64", { data: COMMAND_TIMEOUT_S });
     // Not waited for: the topic already decides, and the first command should not be later for it.
-    this.connection.call("/servo_node/switch_command_type", { command_type: COMMAND_TYPES[kind] }).catch((error: unknown) => {
+    const request = { command_type: COMMAND_TYPES[kind] };
+    this.connection.call(`${this.namespace}/servo_node/switch_command_type`, request).catch((error: unknown) => {
       setNotice(this.store, "link", (error as Error).message);
     });
   }
@@ -181,13 +216,13 @@ export class JogSender {
       if (kind === "tip") {
         const frame_id = this.frame === "tool" ? (planningGroup(this.store.state)?.tip ?? "") : "";
         const message = twistStamped(frame_id, shares, unitless ? [1, 1] : [linear_scale, rotational_scale]);
-        return this.connection.publish("/servo_node/delta_twist_cmds", "geometry_msgs/TwistStamped", message);
+        return this.connection.publish(`${this.namespace}/servo_node/delta_twist_cmds`, "geometry_msgs/TwistStamped", message);
       }
       const named = Object.keys(shares).length > 0 ? Object.keys(shares) : this.jogged;
       this.jogged = named.length > 0 ? named : armJoints(this.store.state).slice(0, 1);
       const factor = unitless ? 1 : joint_scale;
       const velocities = Object.fromEntries(this.jogged.map((name) => [name, (shares[name] ?? 0) * factor]));
-      this.connection.publish("/servo_node/delta_joint_cmds", "control_msgs/JointJog", jointJog(velocities));
+      this.connection.publish(`${this.namespace}/servo_node/delta_joint_cmds`, "control_msgs/JointJog", jointJog(velocities));
     } catch (error) {
       this.held.clear();
       this.steps.clear();

@@ -3,6 +3,7 @@ import { emptyState } from "../state/state";
 import {
   armGripper,
   armJoints,
+  armName,
   currentPositions,
   displayedPositions,
   gripperAction,
@@ -55,6 +56,22 @@ test("a gripper is moved by its own controller, else by that of the only gripper
   expect(gripperAction(gripper, ["/gripper_controller/gripper_cmd"])).toBe("/gripper_controller/gripper_cmd");
   expect(gripperAction(gripper, null)).toBe("/gripper_controller/gripper_cmd");
   expect(gripperAction(gripper, ["/other"])).toBeNull();
+});
+
+test("an arm among several is that of whose name all joints begin with", () => {
+  const actions = ["/left/moveit_goal", "/left_hand/moveit_goal", "/execute_trajectory"];
+  expect(armName(["left_a", "left_b"], actions)).toBe("left");
+  expect(armName(["left_hand_a"], actions)).toBe("left_hand");
+  expect(armName(["left_a", "right_a"], actions)).toBe("");
+  expect(armName(["left_a"], ["/moveit_goal"])).toBe("");
+  expect(armName([], actions)).toBe("");
+  expect(armName(["left_a"], null)).toBe("");
+});
+
+test("the gripper of one of several arms is moved below the arm's name", () => {
+  const gripper = { group: "left_gripper", joints: ["left_claw"], open: 1, closed: 0 };
+  const own = "/left/gripper_controller/gripper_cmd";
+  expect(gripperAction(gripper, ["/gripper_controller/gripper_cmd", "/left/moveit_goal", own])).toBe(own);
 });
 
 test("a saved pose says something of all joints, of which the group takes its own", () => {

@@ -45,12 +45,31 @@ function gripperOf(limits: Record<string, [number, number]>, in_groups: readonly
   return joints.length > 0 && joints.length <= MAX_FINGERS ? { group: "", joints, open, closed } : null;
 }
 
+/** Action of each of several arms, below its name. */
+const ARM_ACTION = /^\/([^/]+)\/moveit_goal$/;
+
+/** Return the name of the arm that all of some joints belong to; empty on a server with one arm, and for joints of several. */
+export function armName(joints: readonly string[], offered: State["actions"]): string {
+  const names = (offered ?? []).flatMap((action) => ARM_ACTION.exec(action)?.[1] ?? []);
+  const own = names.filter((name) => joints.length > 0 && joints.every((joint) => joint.startsWith(`${name}_`)));
+  // Of left and left_hand the longer one, whose joints have the other's name as well.
+  return own.sort((a, b) => b.length - a.length)[0] ?? "";
+}
+
+/** Return what the names of the topics and services begin with by which the arm of the planning group is steered. */
+export function armNamespace(known: KnownJoints): string {
+  const name = armName(armJoints(known), known.actions);
+  return name === "" ? "" : `/${name}`;
+}
+
 /** Controller of the gripper of an arm that has one. */
 const GRIPPER_CONTROLLER = "/gripper_controller";
 
 /** Return the action that moves a gripper; null when the server offers none. */
 export function gripperAction(gripper: GripperInfo, offered: State["actions"]): string | null {
-  const controllers = [`/${gripper.group}_controller`, GRIPPER_CONTROLLER];
+  const arm = armName(gripper.joints, offered);
+  const below = arm === "" ? [] : [`/${arm}/${gripper.group.slice(arm.length + 1)}_controller`, `/${arm}${GRIPPER_CONTROLLER}`];
+  const controllers = [...below, `/${gripper.group}_controller`, GRIPPER_CONTROLLER];
   const names = controllers.flatMap((controller) => ["gripper_cmd", "gripper_action"].map((name) => `${controller}/${name}`));
   // Before the server has answered, or where it tells nobody, the usual one.
   if (offered === null) return `${GRIPPER_CONTROLLER}/gripper_cmd`;

@@ -6,6 +6,7 @@ motion that is being executed when the scene has changed.
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Mapping, Sequence
 
@@ -22,6 +23,7 @@ from planners.ik.goal_refusals import start_violates
 from planners.ik.goal_states import GoalQuery, GoalState, GoalStates
 from planners.joint_path import plan_joint_path
 from planners.motions.motion import MotionTask, find_motion
+from planners.nearest_goal import nearest_goal
 from planners.problem import (
     Answer,
     CartesianProblem,
@@ -30,6 +32,7 @@ from planners.problem import (
     IkQuestion,
     JointPathProblem,
     MoveItErrorCode,
+    NearestGoalQuestion,
     Plan,
     PlanningFailure,
     PlanningProblem,
@@ -120,6 +123,10 @@ class Planner:
             case IkQuestion():
                 budget = Budget(self._clock, request.allowed_time_s, should_stop)
                 return answer_ik(request, robot, self._states, collision, budget)
+            case NearestGoalQuestion():
+                budget = Budget(self._clock, request.allowed_time_s, should_stop)
+                plan = functools.partial(self.plan, should_stop=should_stop)
+                return nearest_goal(request, robot, self._states, collision, plan, budget)
             case StateQuestion():
                 return answer_state(request, robot, self._states, collision)
             case RecheckQuestion():

@@ -35,6 +35,8 @@ from planners.problem import (
     IkQuestion,
     JointPathProblem,
     MoveItErrorCode,
+    NearestGoalAnswer,
+    NearestGoalQuestion,
     Plan,
     PlanningFailure,
     PlanningProblem,
@@ -84,6 +86,7 @@ ANSWER_TO: Mapping[type[Request], type[Answer]] = {
     CartesianProblem: CartesianPlan,
     JointPathProblem: Plan,
     IkQuestion: IkAnswer,
+    NearestGoalQuestion: NearestGoalAnswer,
     StateQuestion: StateAnswer,
     RecheckQuestion: RecheckAnswer,
     ConcurrencyQuestion: RecheckAnswer,
@@ -395,6 +398,8 @@ class PlannerPool:
     @overload
     async def ask(self, request: IkQuestion, scene: Scene = ...) -> IkAnswer | PlanningFailure: ...
     @overload
+    async def ask(self, request: NearestGoalQuestion, scene: Scene = ...) -> NearestGoalAnswer | PlanningFailure: ...
+    @overload
     async def ask(self, request: StateQuestion, scene: Scene = ...) -> StateAnswer | PlanningFailure: ...
     @overload
     async def ask(
@@ -411,7 +416,7 @@ class PlannerPool:
         if self.waiting_count >= self._max_waiting:
             message = f"{self.waiting_count} requests wait for a planner already (limit {self._max_waiting})"
             return PlanningFailure(MoveItErrorCode.FAILURE, message)
-        motion = isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem)
+        motion = isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | NearestGoalQuestion)
         turns = self._motion_turns if motion else self._question_turns
         self.waiting_count += 1
         try:

@@ -22,6 +22,7 @@ from planners.problem import (
     IkQuestion,
     JointPathProblem,
     MoveItErrorCode,
+    NearestGoalQuestion,
     PlanningFailure,
     PlanningProblem,
     Request,
@@ -163,6 +164,6 @@ class _Connection:
 
 def bounded(request: Request) -> Request:
     """Return the request with no more planning time than others can wait for."""
-    if isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | IkQuestion):
+    if isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | IkQuestion | NearestGoalQuestion):
         return dataclasses.replace(request, allowed_time_s=min(request.allowed_time_s, LONGEST_PLANNING_S))
     return request

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
-from planners.goals import Constraints, Goal
+from planners.goals import Constraints, Goal, JointGoal, PoseGoal, PositionGoal
 from planners.scene import Pose
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.trajectory import Trajectory, Vector
@@ -225,6 +225,19 @@ class IkQuestion:
 
 
 @dataclass(frozen=True)
+class NearestGoalQuestion:
+    """Question for a goal to which there is a motion, in place of one to which there is none.
+
+    Attributes:
+        problem: the problem that has no plan; its goal is of joints, of a position or of a pose.
+        allowed_time_s: time after which none is looked for [s].
+    """
+
+    problem: PlanningProblem
+    allowed_time_s: float = 0.3
+
+
+@dataclass(frozen=True)
 class StateQuestion:
     """Question if a state is free, within limits, and meets constraints; answered by :class:`StateAnswer`."""
 
@@ -272,6 +285,7 @@ Request = (
     | CartesianProblem
     | JointPathProblem
     | IkQuestion
+    | NearestGoalQuestion
     | StateQuestion
     | RecheckQuestion
     | ConcurrencyQuestion
@@ -353,6 +367,17 @@ class IkAnswer:
 
 
 @dataclass(frozen=True)
+class NearestGoalAnswer:
+    """Goal near one that has no plan.
+
+    Attributes:
+        goal: as near as was found, of the same kind, verified by a plan; None when none was found.
+    """
+
+    goal: JointGoal | PositionGoal | PoseGoal | None
+
+
+@dataclass(frozen=True)
 class StateAnswer:
     """Facts about a state.
 
@@ -373,4 +398,6 @@ class RecheckAnswer:
     contact_s: float | None = None
 
 
-Answer = Plan | CartesianPlan | IkAnswer | StateAnswer | RecheckAnswer | ServoAnswer | PlanningFailure
+Answer = (
+    Plan | CartesianPlan | IkAnswer | NearestGoalAnswer | StateAnswer | RecheckAnswer | ServoAnswer | PlanningFailure
+)

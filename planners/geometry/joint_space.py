@@ -70,6 +70,12 @@ class JointSpace:
         part: Vector = q[self._columns]
         return part
 
+    def configuration(self, point: Vector) -> Vector:
+        """Return the configuration of all joints at a point."""
+        q = self._q.copy()
+        q[self._columns] = point
+        return q
+
     def free(self, point: Vector | Sequence[float]) -> bool:
         """Tell whether the robot touches nothing there, and the condition holds."""
         self._q[self._columns] = point

@@ -388,6 +388,17 @@ class GoalStates:
             return failures[0] if len(failures) == 1 else none_of(failures)
         return sorted(states, key=lambda state: self._search.move_time_s(query.start_q, state.q))
 
+    def point_m(self, goal: TaskGoal, q: Vector) -> list[float]:
+        """Return the point of a goal's link [m]; the root link's origin for a goal of constraints."""
+        self.forward.place(q)
+        point_m = np.zeros(3)
+        if isinstance(goal, PositionGoal):
+            placement = self.forward.placement(goal.link)
+            point_m = placement.translation + placement.rotation @ np.array(goal.offset_m)
+        elif isinstance(goal, AxisGoal | PoseGoal):
+            point_m = self.forward.placement(goal.link).translation
+        return [float(value) for value in point_m]
+
     def _single(self, goal: SingleGoal, query: GoalQuery, index: int) -> Sequence[GoalState] | PlanningFailure:
         if isinstance(goal, JointGoal):
             return self._joint_goal(goal, query, index)
@@ -430,7 +441,7 @@ class GoalStates:
     ) -> PlanningFailure:
         """Return the reason for which nothing was found."""
         if query.budget.used_up():
-            nearest_m = self._point_m(goal, found.nearest_q)
+            nearest_m = self.point_m(goal, found.nearest_q)
             failure = out_of_time(goal, query.budget.failure(), nearest_m, found.nearest)
             return self._with_configuration(failure, found.nearest_q, query.group)
         if found.colliding:
@@ -454,7 +465,7 @@ class GoalStates:
             q = found.solutions[0] if found.solutions else found.nearest_q
         goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
         nearest = goal_set.deviation(q)
-        failure = out_of_reach(goal, self._point_m(goal, q), nearest, goal_set.violations(q))
+        failure = out_of_reach(goal, self.point_m(goal, q), nearest, goal_set.violations(q))
         return self._with_configuration(failure, q, query.group)
 
     def _with_configuration(self, failure: PlanningFailure, q: Vector, group: Group) -> PlanningFailure:
@@ -463,14 +474,3 @@ class GoalStates:
             return failure
         nearest_rad = {name: float(q[self._joints.names.index(name)]) for name in group.joints}
         return replace(failure, details={**failure.details, "nearest_rad": nearest_rad})
-
-    def _point_m(self, goal: TaskGoal, q: Vector) -> list[float]:
-        """Return the point of a goal's link [m]; the root link's origin for a goal of constraints."""
-        self.forward.place(q)
-        point_m = np.zeros(3)
-        if isinstance(goal, PositionGoal):
-            placement = self.forward.placement(goal.link)
-            point_m = placement.translation + placement.rotation @ np.array(goal.offset_m)
-        elif isinstance(goal, AxisGoal | PoseGoal):
-            point_m = self.forward.placement(goal.link).translation
-        return [float(value) for value in point_m]

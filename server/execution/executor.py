@@ -24,7 +24,7 @@ from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
-from server.execution.failures import Alternatives, FailedGoals
+from server.execution.failures import FailedGoals, with_nearest_goal
 from server.execution.monitors import (
     ARM_START_TIMEOUT_S,
     CurrentState,
@@ -151,7 +151,6 @@ class GoalExecutor:
         self._show = show
         self._confirm = confirm
         self._current = current or CurrentState(arm, robot)
-        self._alternatives = Alternatives(robot, pool)
         self._scene_monitor = SceneMonitor(pool, scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
         self._time_limits = time_limits or TimeLimits()
@@ -333,7 +332,7 @@ class GoalExecutor:
     async def _with_alternative(
         self, planned: PlannedSequence, failure: PlanningFailure, scene: Scene
     ) -> PlannedSequence:
-        added = await self._unless_cancelled(self._alternatives.add_to(failure, planned.problem, scene))
+        added = await self._unless_cancelled(with_nearest_goal(failure, planned.problem, scene, self._pool))
         return planned if added is None else replace(planned, failure=added)
 
     async def _save(self, planned: PlannedSequence, scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""Goals that cannot be planned: files for ``armbridge plan``, and free places on the way to them."""
+"""Goals that cannot be planned: files for ``armbridge plan``, and the nearest ones that can."""
 
 from __future__ import annotations
 
@@ -14,20 +14,16 @@ from planners.files import problem_file
 from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.pool import PlannerPool
 from planners.problem import (
-    CartesianProblem,
-    IkAnswer,
-    IkQuestion,
-    JointPathProblem,
     MoveItErrorCode,
+    NearestGoalAnswer,
+    NearestGoalQuestion,
     PlanningFailure,
     PlanningProblem,
-    StateAnswer,
-    StateQuestion,
 )
 from planners.scene import Scene
-from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.files import FileSeries
+from server.execution.motions import Problem
 
 log = logging.getLogger("armbridge.failed_goals")
 
@@ -35,12 +31,6 @@ log = logging.getLogger("armbridge.failed_goals")
 WRITING_TIMEOUT_S = 2.0
 
 PREFIX = "goal-"
-
-# Checked shares of the way, the farthest first: a place nearer to the start than the last is no help.
-SHARES = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.3)
-
-# For each point of the tip: a rejection is to wait for its alternative no longer than a tenth of a second.
-CHECK_TIMEOUT_S = 0.01
 
 
 class FailedGoals:
@@ -78,67 +68,30 @@ class FailedGoals:
             log.info("the failed goal is saved: armbridge plan --all %s", path)
 
 
-class Alternatives:
-    """Search for free places on the way to a goal in collision.
+# Goals that have no plan for a reason that another goal nearby may not have.
+SUGGESTED_FOR = (MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.NO_IK_SOLUTION)
+
+
+async def with_nearest_goal(
+    failure: PlanningFailure, problem: Problem | None, scene: Scene, pool: PlannerPool
+) -> PlanningFailure:
+    """Add the nearest goal that works to a failure, if one was found: its detail ``free_rad`` or ``free_m``.
 
     Args:
-        robot: the arm.
+        failure: the reason why a problem has no plan.
+        problem: the problem.
+        scene: in which it was planned.
         pool: the planners.
     """
-
-    def __init__(self, robot: RobotModel, pool: PlannerPool) -> None:
-        self._robot = robot
-        self._forward = ForwardPlacements(robot)
-        self._pool = pool
-
-    async def add_to(
-        self,
-        failure: PlanningFailure,
-        problem: PlanningProblem | CartesianProblem | JointPathProblem | None,
-        scene: Scene,
-    ) -> PlanningFailure:
-        """Add the last free place before the goal to a failure, if there is one: its detail ``free_rad`` or ``free_m``.
-
-        Args:
-            failure: the reason why a problem has no plan.
-            problem: the problem.
-            scene: in which it was planned.
-        """
-        if failure.code is not MoveItErrorCode.GOAL_IN_COLLISION or not isinstance(problem, PlanningProblem):
-            return failure
-        found: dict[str, Any] = {}
-        if isinstance(problem.goal, JointGoal):
-            found = await self._joints(problem, problem.goal, scene)
-        elif isinstance(problem.goal, PositionGoal | PoseGoal):
-            found = await self._point(problem, problem.goal, scene)
-        return replace(failure, details={**failure.details, **found})
-
-    async def _joints(self, problem: PlanningProblem, goal: JointGoal, scene: Scene) -> dict[str, Any]:
-        start_rad = problem.start_rad
-        for share in SHARES:
-            free_rad = {
-                name: start_rad[name] + share * (end_rad - start_rad[name])
-                for name, end_rad in goal.positions_rad.items()
-            }
-            answer = await self._pool.ask(StateQuestion(problem.group, {**start_rad, **free_rad}), scene)
-            if isinstance(answer, StateAnswer) and answer.valid:
-                return {"free_rad": {name: round(value, 4) for name, value in free_rad.items()}}
-        return {}
-
-    async def _point(self, problem: PlanningProblem, goal: PositionGoal | PoseGoal, scene: Scene) -> dict[str, Any]:
-        goal_m = goal.position_m if isinstance(goal, PositionGoal) else goal.pose.position_m
-        tip_m = self._forward.transforms(problem.start_rad)[goal.link][:3, 3].tolist()
-        for share in SHARES:
-            x, y, z = (tip + share * (end - tip) for tip, end in zip(tip_m, goal_m, strict=True))
-            nearer = _at(goal, (x, y, z))
-            question = IkQuestion(problem.group, problem.start_rad, nearer, allowed_time_s=CHECK_TIMEOUT_S)
-            if isinstance(await self._pool.ask(question, scene), IkAnswer):
-                return {"free_m": [round(x, 4), round(y, 4), round(z, 4)]}
-        return {}
-
-
-def _at(goal: PositionGoal | PoseGoal, position_m: tuple[float, float, float]) -> PositionGoal | PoseGoal:
-    """Return a goal at another point [m]."""
-    if isinstance(goal, PositionGoal):
-        return replace(goal, position_m=position_m)
-    return replace(goal, pose=replace(goal.pose, position_m=position_m))
+    if failure.code not in SUGGESTED_FOR or not isinstance(problem, PlanningProblem):
+        return failure
+    answer = await pool.ask(NearestGoalQuestion(problem), scene)
+    found: dict[str, Any] = {}
+    match answer:
+        case NearestGoalAnswer(JointGoal(positions_rad)):
+            found = {"free_rad": dict(positions_rad)}
+        case NearestGoalAnswer(PositionGoal() as goal):
+            found = {"free_m": list(goal.position_m)}
+        case NearestGoalAnswer(PoseGoal() as goal):
+            found = {"free_m": list(goal.pose.position_m)}
+    return replace(failure, details={**failure.details, **found})

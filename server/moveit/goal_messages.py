@@ -350,9 +350,9 @@ def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) 
         name = details["nearest_name"]
         return Suggestion(NAMED_TOPIC, NAMED_TYPE, {"data": name}, f"the named target {name!r}")
     if "free_rad" in details:
-        return _joints(details["free_rad"], robot, "the last free configuration on the way there")
+        return _joints(details["free_rad"], robot, "the nearest configuration that was found")
     if "free_m" in details:
-        return _point(details["free_m"], message, robot.root_link, "the last free point on the way there")
+        return _point(details["free_m"], message, robot.root_link, "the nearest point that was found")
     if "nearest_m" in details:
         return _point(details["nearest_m"], message, robot.root_link, "the nearest point")
     if {"joint", "lower_rad", "upper_rad"} <= details.keys() and details["joint"] in message.get("name", ()):

@@ -17,6 +17,8 @@ from planners.pool import PlannerPool
 from planners.problem import (
     ConcurrencyQuestion,
     MoveItErrorCode,
+    NearestGoalAnswer,
+    NearestGoalQuestion,
     Plan,
     PlanningFailure,
     PlanningProblem,
@@ -205,6 +207,8 @@ class Stage:
             self.meetings.append(request)
             await self.meetings_answer.wait()
             return RecheckAnswer(self.meeting)
+        if isinstance(request, NearestGoalQuestion):
+            return NearestGoalAnswer(None)
         self.problems.append(request)
         self.scenes.append(scene.version)
         await self.planners_answer.wait()

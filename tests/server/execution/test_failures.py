@@ -11,10 +11,10 @@ from planners.files import problem_file
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Box, Pose, Scene, SceneObject
-from server.execution.failures import Alternatives, FailedGoals
+from server.execution.failures import FailedGoals, with_nearest_goal
 from tests.helpers.fake_arm import HOME
 from tests.helpers.motions import EASY
-from tests.helpers.moveit import ROBOT, DirectPool
+from tests.helpers.moveit import DirectPool
 from tests.helpers.robots import so101
 
 IN_THE_WAY = Scene(1, (SceneObject("box", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.2, 0.0, 0.1))),))
@@ -80,7 +80,7 @@ async def found(goal: Goal) -> tuple[PlanningProblem, PlanningFailure]:
     pool = DirectPool()
     failure = await pool.ask(problem, WALL)
     assert isinstance(failure, PlanningFailure)
-    return problem, await Alternatives(ROBOT, pool).add_to(failure, problem, WALL)  # type: ignore[arg-type]
+    return problem, await with_nearest_goal(failure, problem, WALL, pool)  # type: ignore[arg-type]
 
 
 async def planned(goal: Goal) -> Any:
@@ -102,7 +102,15 @@ async def test_a_point_in_collision_gets_a_free_one_that_can_be_planned() -> Non
 
 async def test_other_failures_are_unchanged() -> None:
     failure = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
-    alternatives = Alternatives(ROBOT, DirectPool())  # type: ignore[arg-type]
-    assert await alternatives.add_to(failure, PlanningProblem("arm", HOME, JointGoal({})), WALL) is failure
+    pool = DirectPool()
+    problem = PlanningProblem("arm", HOME, JointGoal({}))
+    assert await with_nearest_goal(failure, problem, WALL, pool) is failure  # type: ignore[arg-type]
     in_collision = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "touches")
-    assert await alternatives.add_to(in_collision, None, WALL) is in_collision
+    assert await with_nearest_goal(in_collision, None, WALL, pool) is in_collision  # type: ignore[arg-type]
+    assert pool.requests == []
+
+
+async def test_a_point_out_of_reach_gets_the_nearest_that_can_be_planned() -> None:
+    _, failure = await found(PositionGoal(TIP, (0.6, 0.0, 0.2), 0.01))
+    assert failure.code is MoveItErrorCode.NO_IK_SOLUTION
+    assert isinstance(await planned(PositionGoal(TIP, tuple(failure.details["free_m"]), 0.01)), Plan)

@@ -41,6 +41,9 @@ JOINT_STATE = "sensor_msgs/JointState"
 FIRST_SAMPLE_S = 1.0
 POLL_S = 0.02
 
+# A way to the leader that is broken off takes this time to brake; goals of others are not waited for longer [s].
+BRAKING_S = 1.0
+
 # Two arms of seven joints with fingers have less.
 MAX_JOINTS = 32
 
@@ -242,14 +245,10 @@ class Teleoperation:
 
     async def _start(self, request: Message, names: Sequence[str]) -> dict[str, Any]:
         follower = self._chosen_follower(request["follower"], names)
-        if (other := self._followings.get(follower.name)) is not None:
-            raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
-        try:
-            check_ready(follower.arm)
-        except RefusedError as error:
-            raise ServiceError(f"{follower.name} cannot follow: {error}") from error
-        if busy := self._queue.busy_with(follower.joints):
-            raise ServiceError(f"{follower.name} cannot follow: it is in use: {busy}")
+        self._check_idle(follower)
+        await self._until_unused(follower)
+        # Another client may have started it meanwhile.
+        self._check_idle(follower)
         name = request["leader"]
         if not name.startswith("/") and name not in self._leaders:
             known = ", ".join(sorted(self._leaders)) or "none"
@@ -292,6 +291,31 @@ class Teleoperation:
         followed = ", ".join(f"{link.follower} follows {link.leader}" for link in joints.links)
         log.info("%s follows %s", follower.name, name)
         return {"success": True, "message": f"{follower.name} goes to where {name} is, then {followed}"}
+
+    def _check_idle(self, follower: Follower) -> None:
+        """Refuse a follower that follows, or cannot.
+
+        Raises:
+            ServiceError: the reason.
+        """
+        if (other := self._followings.get(follower.name)) is not None:
+            raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
+        try:
+            check_ready(follower.arm)
+        except RefusedError as error:
+            raise ServiceError(f"{follower.name} cannot follow: {error}") from error
+
+    async def _until_unused(self, follower: Follower) -> None:
+        """Wait until no goal moves a follower: the way to the leader of a following that has just ended may brake.
+
+        Raises:
+            ServiceError: a goal goes on.
+        """
+        until_s = self._clock() + BRAKING_S
+        while busy := self._queue.busy_with(follower.joints):
+            if self._clock() > until_s:
+                raise ServiceError(f"{follower.name} cannot follow: it is in use: {busy}")
+            await asyncio.sleep(POLL_S)
 
     def _running(self, names: Sequence[str]) -> dict[str, FollowingSession]:
         """Return those followings of some followers that have begun."""

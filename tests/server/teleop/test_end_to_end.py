@@ -104,8 +104,10 @@ async def follows(client: ArmClient, joint: str, least_rad: float) -> None:
 
 
 async def start(client: ArmClient, **request: Any) -> None:
-    answer = await client.call("/teleop/start", follower="follower", **request)
-    assert answer["success"], answer
+    async with asyncio.timeout(TIMEOUT_S):
+        # On a busy machine the way to the leader of the test before may still be braking.
+        while not (answer := await client.call("/teleop/start", follower="follower", **request))["success"]:
+            assert "it is in use" in answer["message"]
     await phase_is(client, "following")
 
 

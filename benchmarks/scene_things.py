@@ -169,3 +169,15 @@ def _torus(radius_m: float, tube_m: float, around: int, across: int) -> tuple[li
             c, d = (a + across) % len(vertices), (b + across) % len(vertices)
             triangles += [[a, c, b], [b, c, d]]
     return [[round(float(value), 6) for value in vertex] for vertex in vertices], triangles
+
+
+def near_contacts() -> list[Fields]:
+    """Return things close around the arm: pillars to reach between, a low roof and the table."""
+    pillars = [
+        _thing(f"pillar{i}", "cylinder", (0.3, 0.012), (0.2 * math.cos(angle), 0.2 * math.sin(angle), 0.15))
+        for i, angle in enumerate(np.linspace(-1.6, 1.6, 7).tolist())
+    ]
+    posts = [
+        box(f"post{i}", (x, y, 0.0), (x + 0.03, y + 0.03, 0.25)) for i, (x, y) in enumerate(((0.3, 0.1), (0.3, -0.13)))
+    ]
+    return [TABLE, *pillars, *posts, box("roof", (0.05, -0.15, 0.36), (0.25, 0.15, 0.38))]

@@ -16,7 +16,7 @@ from planners.assistant.errors import AssistantError
 from planners.assistant.surface import ConvexPart, Deviation, Surface, merged
 from planners.geometry.contacts import Parts, parts_of
 from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import convex, link_name, outline, urdf_shapes
+from planners.geometry.shapes import convex, corners, link_name, urdf_shapes
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
@@ -143,9 +143,9 @@ def primitive_points(shape: coal.CollisionGeometry) -> Vector:
         ends = np.vstack([ball + np.array([0.0, 0.0, end]) for end in (-half_m, half_m)])
         return ConvexPart(ends).within(evenly_spread(SPHERE_DIRECTIONS)).vertices_m
     if isinstance(shape, coal.Box):
-        corners: Vector = np.array(list(product((-1.0, 1.0), repeat=3))) * shape.halfSide
-        return corners
-    return outline(pin.GeometryObject("shape", 0, 0, pin.SE3.Identity(), shape))
+        of_box: Vector = np.array(list(product((-1.0, 1.0), repeat=3))) * shape.halfSide
+        return of_box
+    return corners(shape)
 
 
 def parts_in_link(link: str, parts: LinkParts) -> Parts:

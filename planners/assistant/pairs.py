@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from planners.geometry.contacts import CONTACT_M, GJK_TOLERANCE, Parts, nearer_than
 from planners.geometry.kinematics import ForwardKinematics
-from planners.geometry.shapes import enclosing, outline
+from planners.geometry.shapes import enclosing
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
@@ -57,7 +57,7 @@ class SelfContacts:
         shaped = [link for link in robot.links if link in parts]
         self.adjacent = _adjacent(robot, frozenset(parts))
         self.pairs: list[Pair] = [pair for pair in combinations(shaped, 2) if frozenset(pair) not in self.adjacent]
-        points = {link: np.vstack([outline(shape) for shape in each.shapes]) for link, each in parts.items()}
+        points = {link: each.outline() for link, each in parts.items()}
         self._middles = {link: 0.5 * (each.min(axis=0) + each.max(axis=0)) for link, each in points.items()}
         self._radii_m = {
             link: float(np.linalg.norm(each - self._middles[link], axis=1).max()) for link, each in points.items()

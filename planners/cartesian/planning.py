@@ -133,7 +133,7 @@ class _PointCheck:
 
     def __call__(self, point: Vector) -> PathEnd | None:
         if self.avoid_collisions:
-            free = self.space.free(point) or (self.space.use_meshes_at(point) and self.space.free(point))
+            free = self.space.free(point) or (self.space.look_closer_at(point) and self.space.free(point))
             return None if free else self.ended(self.space.contacts(point), point)
         q = self._configuration(point)
         return None if self.constraints.holds(q) else self.ended((), point)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.geometry.collision import CollidingPair
+from planners.geometry.collision import Closeness, CollidingPair
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.sweep import FINEST_STEP_M, Cubics, first_contact
 from robot.trajectory import Trajectory
@@ -25,12 +25,13 @@ class Contact:
     pairs: tuple[CollidingPair, ...]
 
 
-def certify(space: JointSpace, trajectory: Trajectory) -> Contact | None:
+def certify(space: JointSpace, trajectory: Trajectory, closest: Closeness = Closeness.SURFACES) -> Contact | None:
     """Make sure that nothing touches on a motion, also between its samples, as :meth:`Trajectory.sample` joins them.
 
     Args:
         space: the joints of the motion in their order, and what they must not touch.
         trajectory: the motion.
+        closest: the closest shapes that may excuse a contact of the hulls.
 
     Returns:
         The first contact, or None: then no point between two samples is in contact, or by at most half of
@@ -38,7 +39,7 @@ def certify(space: JointSpace, trajectory: Trajectory) -> Contact | None:
     """
     time_s = _first_contact_s(space, trajectory)
     # Hulls are wider than links: where only they touch, what they enclose has the last word. Each turn adds a pair.
-    while time_s is not None and space.use_meshes_at(trajectory.sample(time_s)[0]):
+    while time_s is not None and space.look_closer_at(trajectory.sample(time_s)[0], closest):
         time_s = _first_contact_s(space, trajectory)
     return None if time_s is None else Contact(time_s, space.contacts(trajectory.sample(time_s)[0]))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from planners.geometry.contacts import (
     MESH_EXCUSE_M,
+    MESH_MARGIN_M,
     Broadphase,
     ExactShapes,
     Parts,
@@ -20,6 +22,7 @@ from planners.geometry.contacts import (
     nearest,
     overlap_m,
     parts_of,
+    surfaces_nearer_than,
 )
 from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.nearness import Nearest, NearPair
@@ -39,7 +42,18 @@ DEPTH_ACCURACY_M = 0.0002
 HULL_EXCESS_M = 0.02
 
 NO_CONTACT: Mapping[frozenset[str], float] = {}
-NO_PAIRS: frozenset[frozenset[str]] = frozenset()
+
+
+class Closeness(IntEnum):
+    """How closely a pair of names is checked beyond its hulls."""
+
+    PARTS = 1
+    SURFACES = 2
+
+
+# Pairs of names that are checked by closer shapes than their hulls.
+Closer = Mapping[frozenset[str], Closeness]
+NONE_CLOSER: Closer = {}
 
 
 @dataclass(frozen=True)
@@ -189,8 +203,8 @@ class CollisionModel:
 
     A configuration ``q`` is the position of every movable joint in the order of ``joint_names``, shape (n,) [rad].
     Checks use the robot's hulls, which are larger than its links. Two kinds of pairs of names can be excepted:
-    ``allowed`` ones may overlap, and how deep is said, as :meth:`overlaps_m` tells it [m]; for pairs ``by_mesh`` the
-    hulls' contact does not count, only that of the meshes they enclose.
+    ``allowed`` ones may overlap, and how deep is said, as :meth:`overlaps_m` tells it [m]; for ``closer`` ones the
+    hulls' contact does not count, only that of their parts or of their surfaces.
 
     Args:
         robot: its hulls are used, or else the collision shapes of its URDF.
@@ -242,21 +256,21 @@ class CollisionModel:
         self,
         q: Vector,
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
-        by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
+        closer: Closer = NONE_CLOSER,
     ) -> bool:
         """Tell whether a checked pair touches.
 
         Args:
             q: configuration.
             allowed: pairs of names that may overlap, and how deep [m].
-            by_mesh: pairs of names of which only the meshes count.
+            closer: pairs of names of which closer shapes than the hulls count.
         """
         if not self._broadphase.touches(q):
             return False
-        if not allowed and not by_mesh:
+        if not allowed and not closer:
             return True
         self._broadphase.place(q)
-        return not all(self._excused(pair, 0.0, allowed, by_mesh) for pair in self._broadphase.touching())
+        return not all(self._excused(pair, 0.0, allowed, closer) for pair in self._broadphase.touching())
 
     def margins_m(self, joint_travel: Vector) -> Vector:
         """Return by how much the shapes of each pair can approach when the joints move so far [m].
@@ -276,7 +290,7 @@ class CollisionModel:
         margin_m: Vector,
         among: Sequence[int] | None = None,
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
-        by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
+        closer: Closer = NONE_CLOSER,
     ) -> tuple[int, ...]:
         """Return the pairs of shapes that are nearer than their clearance and a margin.
 
@@ -285,13 +299,13 @@ class CollisionModel:
             margin_m: of each pair, shape (pairs,) [m].
             among: indices of the pairs to check; None for all.
             allowed: as for :meth:`in_collision`.
-            by_mesh: as for :meth:`in_collision`.
+            closer: as for :meth:`in_collision`.
         """
         broadphase = self._broadphase
         near = broadphase.near(q, margin_m) if among is None else broadphase.near_among(q, among, margin_m)
-        if near and (allowed or by_mesh):
+        if near and (allowed or closer):
             broadphase.place(q)
-            near = [pair for pair in near if not self._excused(pair, float(margin_m[pair]), allowed, by_mesh)]
+            near = [pair for pair in near if not self._excused(pair, float(margin_m[pair]), allowed, closer)]
         return tuple(near)
 
     def touch_among(
@@ -299,19 +313,19 @@ class CollisionModel:
         q: Vector,
         among: Sequence[int],
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
-        by_mesh: frozenset[frozenset[str]] = NO_PAIRS,
+        closer: Closer = NONE_CLOSER,
     ) -> bool:
         """As :meth:`in_collision`, of the pairs of shapes with some indices only."""
         self._broadphase.place(q)
         touching = self._broadphase.touching_among(among)
-        return not all(self._excused(pair, 0.0, allowed, by_mesh) for pair in touching)
+        return not all(self._excused(pair, 0.0, allowed, closer) for pair in touching)
 
-    def colliding_pairs(self, q: Vector, by_mesh: frozenset[frozenset[str]] | None = None) -> list[CollidingPair]:
+    def colliding_pairs(self, q: Vector, closer: Closer | None = None) -> list[CollidingPair]:
         """Every pair of links or objects that overlaps, deepest first.
 
         Args:
             q: configuration.
-            by_mesh: pairs of names whose hulls' overlap does not count, but that of what they enclose; None for all.
+            closer: as for :meth:`in_collision`; None for all pairs by their closest shapes.
         """
         self._broadphase.place(q)
         deepest: dict[frozenset[str], CollidingPair] = {}
@@ -321,7 +335,8 @@ class CollisionModel:
             known = deepest.get(pair.links)
             if known is not None and known.depth_m >= pair.depth_m:
                 continue
-            if (by_mesh is None or pair.links in by_mesh) and self._apart_by_mesh(index, 0.0):
+            closeness = Closeness.SURFACES if closer is None else closer.get(pair.links)
+            if closeness is not None and self._apart(index, 0.0, closeness):
                 continue
             point_m, normal = map(_point, self._broadphase.contact(index))
             deepest[pair.links] = replace(pair, point_m=point_m, normal=normal)
@@ -334,24 +349,36 @@ class CollisionModel:
         self._broadphase.place(q)
         deepest_m: dict[frozenset[str], float] = {}
         for pair in self._broadphase.touching():
-            if not self._apart_by_mesh(pair, 0.0):
+            if not self._apart(pair, 0.0, Closeness.SURFACES):
                 names = self._names(pair)
                 deepest_m[names] = max(deepest_m.get(names, 0.0), self._overlap_m(pair))
         return deepest_m
 
-    def collides(self, q: Vector) -> bool:
-        """Tell whether anything overlaps by the closest shapes that are known, whatever the hulls do."""
+    def collides(self, q: Vector, closeness: Closeness = Closeness.SURFACES) -> bool:
+        """Tell whether anything overlaps by closer shapes than the hulls, where these are known."""
         if not self._broadphase.touches(q):
             return False
         self._broadphase.place(q)
-        return any(not self._apart_by_mesh(pair, 0.0) for pair in self._broadphase.touching())
+        return any(not self._apart(pair, 0.0, closeness) for pair in self._broadphase.touching())
 
-    def tight_pairs(self, q: Vector) -> frozenset[frozenset[str]]:
-        """Pairs of names of which only the hulls overlap and not the meshes: to be passed on as ``by_mesh``."""
+    def tight_pairs(self, q: Vector, closest: Closeness = Closeness.SURFACES) -> dict[frozenset[str], Closeness]:
+        """Pairs of names that overlap in their hulls but not in closer shapes: to be passed on as ``closer``.
+
+        Args:
+            q: configuration.
+            closest: the closest shapes that are asked.
+        """
         if not self._exact.available or not self._broadphase.touches(q):
-            return NO_PAIRS
+            return {}
         self._broadphase.place(q)
-        return frozenset(self._names(pair) for pair in self._broadphase.touching() if self._apart_by_mesh(pair, 0.0))
+        tight: dict[frozenset[str], Closeness] = {}
+        for pair in self._broadphase.touching():
+            names = self._names(pair)
+            asked = (closeness for closeness in Closeness if closeness <= closest)
+            apart = (closeness for closeness in asked if self._apart(pair, 0.0, closeness))
+            if (closeness := next(apart, None)) is not None:
+                tight[names] = max(closeness, tight.get(names, closeness))
+        return tight
 
     def near_pairs(self, q: Vector, within_m: float) -> list[NearPair]:
         """Pairs that are nearer than a distance, and how that changes: by their hulls while these are apart.
@@ -395,9 +422,7 @@ class CollisionModel:
     def _names(self, pair: int) -> frozenset[str]:
         return frozenset(self._bodies[i].name for i in self._pairs[pair])
 
-    def _excused(
-        self, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float], by_mesh: frozenset[frozenset[str]]
-    ) -> bool:
+    def _excused(self, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float], closer: Closer) -> bool:
         """Tell whether a pair is as far apart as it must be, a margin included, although its hulls are not."""
         names = self._names(pair)
         depth_m = allowed[names] + DEPTH_ACCURACY_M - margin_m if names in allowed else -margin_m
@@ -406,7 +431,7 @@ class CollisionModel:
         by_parts = names in allowed and self._exact.solid and not names & self._scaled
         if by_parts and not deeper_than(*self._parts_of_pair(pair), depth_m - float(self._apart_m[pair])):
             return True
-        return names in by_mesh and self._apart_by_mesh(pair, margin_m)
+        return names in closer and self._apart(pair, margin_m, closer[names])
 
     def _overlap_m(self, pair: int) -> float:
         """Return an upper bound of a pair's overlap, negative for hulls beyond their required clearance [m]."""
@@ -433,8 +458,8 @@ class CollisionModel:
             self._broadphase.slope_m_per_rad(pair, nearest),
         )
 
-    def _apart_by_mesh(self, pair: int, margin_m: float) -> bool:
-        """Tell whether the meshes behind a pair's hulls are known and further apart than a margin [m]."""
+    def _apart(self, pair: int, margin_m: float, closeness: Closeness) -> bool:
+        """Tell whether closer shapes of a pair than its hulls are known and further apart than a margin [m]."""
         names = self._names(pair)
         if not self._exact.available or names & self._scaled:
             return False
@@ -442,9 +467,11 @@ class CollisionModel:
         parts = self._parts_of_pair(pair)
         if not nearer_than(*parts, margin_m):
             return True
-        if not self._exact.meshes or deeper_than(*parts, MESH_EXCUSE_M):
+        if closeness is Closeness.PARTS or not self._exact.meshes or margin_m > MESH_MARGIN_M:
             return False
-        return not nearer_than(*self._meshes_of_pair(pair), margin_m)
+        if deeper_than(*parts, MESH_EXCUSE_M):
+            return False
+        return not surfaces_nearer_than(*self._meshes_of_pair(pair), margin_m + self._exact.mesh_accuracy_m)
 
     def _meshes_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
         first, second = self._pairs[pair].tolist()

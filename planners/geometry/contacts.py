@@ -15,9 +15,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.errors import ShapeError
+from planners.geometry import surfaces
 from planners.geometry.kinematics import JointMap
 from planners.geometry.nearness import BoundingSpheres, Nearest, slope_m_per_rad
-from planners.geometry.shapes import convex, link_name, on_link, outline, urdf_shapes
+from planners.geometry.shapes import convex, corners, link_name, on_link, outline, urdf_shapes
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
@@ -34,6 +35,9 @@ CONTACT_M = 1e-6
 # wholly inside one. Two links' parts within 3 mm of their meshes overlap by 6 mm at most where the meshes are apart,
 # but for grooves that another link reaches into [m].
 MESH_EXCUSE_M = 0.01
+
+# Whether something is further away than this is told by parts alone: there is time to look again nearer by [m].
+MESH_MARGIN_M = 0.004
 
 
 class Broadphase:
@@ -197,11 +201,17 @@ class Parts:
         place_of: index of each shape's place.
     """
 
-    shapes: Sequence[pin.GeometryObject]
+    shapes: Sequence[coal.CollisionGeometry]
     middles_m: Vector
     halves_m: Vector
     places: Sequence[pin.SE3]
     place_of: Sequence[int]
+
+    def outline(self) -> Vector:
+        """Points whose hull encloses the shapes, shape (n, 3) [m], in the joint's frame."""
+        places = (self.places[place] for place in self.place_of)
+        placed = zip(self.shapes, places, strict=True)
+        return np.vstack([corners(shape) @ place.rotation.T + place.translation for shape, place in placed])
 
 
 def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
@@ -209,19 +219,28 @@ def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
     points_m = [outline(shape) for shape in shapes]
     lower_m = np.array([points.min(axis=0) for points in points_m]).reshape(-1, 3)
     upper_m = np.array([points.max(axis=0) for points in points_m]).reshape(-1, 3)
-    # Axes first: numpy reduces a last axis of three ten times more slowly.
-    middles_m, halves_m = (np.ascontiguousarray(0.5 * each.T) for each in (lower_m + upper_m, upper_m - lower_m))
     places = {shape.placement.homogeneous.tobytes(): shape.placement for shape in shapes}
     order = list(places)
     place_of = [order.index(shape.placement.homogeneous.tobytes()) for shape in shapes]
-    return Parts(shapes, middles_m, halves_m, list(places.values()), place_of)
+    return Parts([shape.geometry for shape in shapes], *_boxes(lower_m, upper_m), list(places.values()), place_of)
+
+
+def parts_of_surface(pieces: surfaces.Pieces) -> Parts:
+    """The pieces of a surface with the boxes around them."""
+    return Parts(pieces, *_boxes(pieces.lower_m, pieces.upper_m), [pin.SE3.Identity()], [0] * len(pieces))
+
+
+def _boxes(lower_m: Vector, upper_m: Vector) -> tuple[Vector, Vector]:
+    """Return the middles of boxes and half their edges, shape (3, n) each: numpy is slow with a last axis of three."""
+    middles_m, halves_m = (np.ascontiguousarray(0.5 * each.T) for each in (lower_m + upper_m, upper_m - lower_m))
+    return middles_m, halves_m
 
 
 class ExactShapes:
-    """A robot's links closer than their hulls: in convex parts where these are known, and as the URDF's own meshes.
+    """A robot's links closer than their hulls: in convex parts where these are known, and by their surfaces.
 
-    All are made at once: their 0.1 s, with the SO-101's meshes 1.4 s, would come in the middle of a plan otherwise.
-    Meshes are surfaces: what is wholly inside one does not touch it.
+    All are loaded at once: their 0.1 s, with meshes of the URDF a second, would come in the middle of a plan otherwise.
+    What is wholly inside a surface does not touch it.
 
     Args:
         robot: its parts are used, or else the meshes that its URDF names.
@@ -231,8 +250,9 @@ class ExactShapes:
     Attributes:
         available: whether there are any.
         solid: whether they are parts: of these it is known how deep they overlap.
-        meshes: shapes of the URDF of each link, which are closer than its parts; empty for a robot without parts or
-            without meshes.
+        meshes: surface of each link, which is closer than its parts: from the robot's file of them, or else the URDF's
+            shapes; empty for a robot without parts or without both.
+        mesh_accuracy_m: the surfaces are where ``meshes`` has them within so much [m].
     """
 
     def __init__(self, robot: RobotModel, model: pin.Model, exact: Sequence[pin.GeometryObject] | None = None) -> None:
@@ -242,7 +262,12 @@ class ExactShapes:
         self.available = self.solid or (not robot.hulls and has_meshes)
         if exact is None and self.available and has_meshes:
             exact = self._from_urdf()
-        self.meshes = _by_link(model, exact or ()) if self.solid and has_meshes else {}
+        self.meshes, self.mesh_accuracy_m = dict[str, Parts](), 0.0
+        if self.solid and robot.surfaces:
+            self.meshes = {link: parts_of_surface(pieces) for link, pieces in surfaces.load(robot.surfaces, model)}
+            self.mesh_accuracy_m = surfaces.ACCURACY_M
+        elif self.solid and has_meshes:
+            self.meshes = _by_link(model, exact or ())
         self._links = self._load(exact or ()) if self.available else {}
 
     def of_link(self, link: str) -> Parts:
@@ -293,6 +318,50 @@ def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.S
         if coal.collide(*boxes.placed(*pair), request, result):
             return True
     return False
+
+
+def surfaces_nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, margin_m: float) -> bool:
+    """As :func:`nearer_than`, where one of them or both are surfaces: many boxes, of which few are near."""
+    request, result = coal.CollisionRequest(), coal.CollisionResult()
+    request.gjk_tolerance = GJK_TOLERANCE
+    request.security_margin = CONTACT_M + margin_m
+    between = at_first.actInv(at_second)
+    facing_second = _facing(first, second, between, request.security_margin)
+    facing_first = _facing(second, first, between.inverse(), request.security_margin)
+    near = _Boxes(facing_second, facing_first, between)
+    for i, j in near.pairs_within(request.security_margin).tolist():
+        result.clear()
+        if coal.collide(*near.placed(i, j), request, result):
+            return True
+    return False
+
+
+def _facing(of: Parts, other: Parts, between: pin.SE3, margin_m: float) -> Parts:
+    """Return the parts that come near the box around all other ones: of two links' thousand pieces a few."""
+    lower_m = (other.middles_m - other.halves_m).min(axis=1, keepdims=True)
+    upper_m = (other.middles_m + other.halves_m).max(axis=1, keepdims=True)
+    whole = Parts((), 0.5 * (lower_m + upper_m), 0.5 * (upper_m - lower_m), (), ())
+    facing = np.flatnonzero(_Boxes(of, whole, between).apart_m[:, 0] <= margin_m)
+    return Parts(
+        _Chosen(of.shapes, facing.tolist()),
+        of.middles_m[:, facing],
+        of.halves_m[:, facing],
+        of.places,
+        [of.place_of[i] for i in facing],
+    )
+
+
+class _Chosen(Sequence[coal.CollisionGeometry]):
+    """Some of a sequence's shapes, which it may only make when they are asked for."""
+
+    def __init__(self, shapes: Sequence[coal.CollisionGeometry], indices: Sequence[int]) -> None:
+        self._shapes, self._indices = shapes, indices
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __getitem__(self, index: int) -> coal.CollisionGeometry:  # type: ignore[override]
+        return self._shapes[self._indices[index]]
 
 
 def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, depth_m: float) -> bool:
@@ -347,15 +416,38 @@ class _Boxes:
     """
 
     def __init__(self, first: Parts, second: Parts, between: pin.SE3) -> None:
-        self._first, self._second = first, second
+        self._first, self._second, self._between = first, second, between
         self._first_places = [_transform(place) for place in first.places]
         self._second_places = [_transform(between * place) for place in second.places]
-        middles_m = between.rotation @ second.middles_m + between.translation[:, np.newaxis]
-        halves_m = np.abs(between.rotation) @ second.halves_m
-        offset_m = first.middles_m[:, :, np.newaxis] - middles_m[:, np.newaxis]
-        overlap_m = first.halves_m[:, :, np.newaxis] + halves_m[:, np.newaxis] - np.abs(offset_m)
-        self.overlap_m: Vector = overlap_m.min(axis=0)
-        self.apart_m: Vector = np.sqrt((np.minimum(overlap_m, 0.0) ** 2).sum(axis=0))
+        # Along the axes of one joint the boxes of the other are wider than they are: by the whole link, for a table.
+        by_first_m = _overlaps_m(first, second, between)
+        by_second_m = _overlaps_m(second, first, between.inverse()).swapaxes(1, 2)
+        self.overlap_m: Vector = np.minimum(by_first_m.min(axis=0), by_second_m.min(axis=0))
+        self.apart_m: Vector = np.sqrt(
+            np.maximum((np.minimum(by_first_m, 0.0) ** 2).sum(axis=0), (np.minimum(by_second_m, 0.0) ** 2).sum(axis=0))
+        )
+
+    def pairs_within(self, margin_m: float) -> NDArray[np.intp]:
+        """Return the pairs of boxes that no plane separates by more than a margin [m].
+
+        The planes are across the axes of both joints and the products of two of them, as Gottschalk et al. have it
+        in "OBBTree", 1996.
+
+        Returns:
+            Shape (pairs, 2), those that overlap most first.
+        """
+        pairs = np.argwhere(self.apart_m <= margin_m)
+        pairs = pairs[np.argsort(-self.overlap_m[*pairs.T], kind="stable")]
+        rotation, i, j = self._between.rotation, pairs[:, 0], pairs[:, 1]
+        first_halves_m, second_halves_m = self._first.halves_m[:, i], self._second.halves_m[:, j]
+        offset_m = rotation @ self._second.middles_m[:, j] + self._between.translation[:, np.newaxis]
+        offset_m -= self._first.middles_m[:, i]
+        near = np.ones(len(pairs), dtype=bool)
+        for axis in np.cross(np.eye(3)[:, np.newaxis], rotation.T).reshape(-1, 3):
+            reach_m = np.abs(axis) @ first_halves_m + np.abs(axis @ rotation) @ second_halves_m
+            near &= np.abs(axis @ offset_m) - reach_m <= margin_m * float(np.linalg.norm(axis))
+        found: NDArray[np.intp] = pairs[near]
+        return found
 
     def placed(
         self, i: int, j: int
@@ -363,7 +455,16 @@ class _Boxes:
         """One part of each, as coal takes them."""
         first, second = self._first, self._second
         at_first, at_second = self._first_places[first.place_of[i]], self._second_places[second.place_of[j]]
-        return first.shapes[i].geometry, at_first, second.shapes[j].geometry, at_second
+        return first.shapes[i], at_first, second.shapes[j], at_second
+
+
+def _overlaps_m(first: Parts, second: Parts, between: pin.SE3) -> Vector:
+    """Return how far boxes overlap along each axis of the first one's joint, shape (3, first, second) [m]."""
+    middles_m = between.rotation @ second.middles_m + between.translation[:, np.newaxis]
+    halves_m = np.abs(between.rotation) @ second.halves_m
+    offset_m = first.middles_m[:, :, np.newaxis] - middles_m[:, np.newaxis]
+    overlaps_m: Vector = first.halves_m[:, :, np.newaxis] + halves_m[:, np.newaxis] - np.abs(offset_m)
+    return overlaps_m
 
 
 def _transform(place: pin.SE3) -> coal.Transform3s:

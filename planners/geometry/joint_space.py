@@ -7,7 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingPair, CollisionModel
+from planners.geometry.collision import (
+    DEPTH_ACCURACY_M,
+    NO_CONTACT,
+    Closeness,
+    Closer,
+    CollidingPair,
+    CollisionModel,
+)
 from planners.geometry.sweep import ALL_PAIRS, CandidatePairs, Cubics, first_contact, line_is_free
 from robot.description.model import Group
 from robot.trajectory import Vector
@@ -58,7 +65,9 @@ class JointSpace:
         self._q = start_q.copy()
         self._allowed = allowed
         # What overlaps at the start is left in the parts long before it is in the hulls.
-        self._by_mesh = frozenset(allowed).union(*(collision.tight_pairs(q) for q in (start_q, *also_free)))
+        self._closer = dict.fromkeys(allowed, Closeness.PARTS)
+        for q in (start_q, *also_free):
+            self._check_closer(collision.tight_pairs(q))
         self._holds = holds
         self._start = self.point(start_q).copy()
         self.lower_rad = collision.lower_rad[self._columns]
@@ -80,7 +89,7 @@ class JointSpace:
         """Tell whether the robot touches nothing there, and the condition holds."""
         self._q[self._columns] = point
         allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
-        if self._collision.in_collision(self._q, allowed, self._by_mesh):
+        if self._collision.in_collision(self._q, allowed, self._closer):
             return False
         return self._holds is None or self._holds(self._q)
 
@@ -97,7 +106,7 @@ class JointSpace:
         for i, q in enumerate(configurations):
             allowed = self._allowed and self._allowed_near(away[i])
             known = among[i]
-            pairs = self._collision.candidate_pairs(q, margins_m[i], known and _pairs(known), allowed, self._by_mesh)
+            pairs = self._collision.candidate_pairs(q, margins_m[i], known and _pairs(known), allowed, self._closer)
             found.append(pairs if self._holds_around(q, joint_travel[i], among[i]) else (*pairs, CONDITION))
         return found
 
@@ -107,7 +116,7 @@ class JointSpace:
             return not self.free(point)
         self._q[self._columns] = point
         allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
-        if self._collision.touch_among(self._q, _pairs(among), allowed, self._by_mesh):
+        if self._collision.touch_among(self._q, _pairs(among), allowed, self._closer):
             return True
         return self._holds is not None and CONDITION in among and not self._holds(self._q)
 
@@ -133,17 +142,15 @@ class JointSpace:
         lines = Cubics(start + shares * (end - start))
         return self.free(points[-1]) and first_contact(self, lines, step_m, earliest=False) is None
 
-    def use_meshes_at(self, point: Vector) -> bool:
-        """Check pairs whose hulls alone touch at a point by their meshes from now on; return true if any is new."""
+    def look_closer_at(self, point: Vector, closest: Closeness = Closeness.SURFACES) -> bool:
+        """Check pairs of which only wider shapes touch at a point by closer ones from now on; true if any is new."""
         self._q[self._columns] = point
-        known = self._by_mesh
-        self._by_mesh = known | self._collision.tight_pairs(self._q)
-        return self._by_mesh != known
+        return self._check_closer(self._collision.tight_pairs(self._q, closest))
 
     def contacts(self, point: Vector) -> tuple[CollidingPair, ...]:
         """Return the forbidden contacts at a point, deepest first."""
         self._q[self._columns] = point
-        pairs = self._collision.colliding_pairs(self._q, self._by_mesh)
+        pairs = self._collision.colliding_pairs(self._q, self._closer)
         allowed = self._allowed_near(np.abs(point - self._start))
         if not allowed:
             return tuple(pairs)
@@ -153,6 +160,12 @@ class JointSpace:
             for pair in pairs
             if pair.links not in allowed or overlaps_m.get(pair.links, 0.0) > allowed[pair.links] + DEPTH_ACCURACY_M
         )
+
+    def _check_closer(self, pairs: Closer) -> bool:
+        """Check pairs as closely as is said, or as before if that was closer; return true if any changes."""
+        new = {names: closeness for names, closeness in pairs.items() if closeness > self._closer.get(names, 0)}
+        self._closer.update(new)
+        return bool(new)
 
     def _holds_around(self, q: Vector, joint_travel: Vector, among: CandidatePairs) -> bool:
         """Tell whether the condition holds where the joints move by so much at most, shape (n,) [rad]."""

@@ -6,6 +6,7 @@ A link has one convex shape, or the URDF's own shapes with meshes replaced by hu
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import coal
 import numpy as np
@@ -150,12 +151,12 @@ def outline(shape: pin.GeometryObject) -> Vector:
     Returns:
         Shape (n, 3) [m], in the frame of the joint that carries the shape.
     """
-    return _corners(shape.geometry) @ shape.placement.rotation.T + shape.placement.translation
+    return corners(shape.geometry) @ shape.placement.rotation.T + shape.placement.translation
 
 
 def scaled(shape: coal.CollisionGeometry, factor: float) -> coal.Convex:
     """The hull of a shape's outline, larger by a factor as seen from its middle."""
-    points = _corners(shape)
+    points = corners(shape)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     return convex(middle + factor * (points - middle))
 
@@ -175,7 +176,8 @@ def _solid(shape: pin.GeometryObject) -> pin.GeometryObject:
     return pin.GeometryObject(shape.name, shape.parentJoint, shape.parentFrame, shape.placement, hull)
 
 
-def _corners(shape: coal.CollisionGeometry) -> Vector:
+def corners(shape: coal.CollisionGeometry) -> Vector:
+    """Points whose hull encloses a shape, shape (n, 3) [m], in its own frame."""
     if isinstance(shape, coal.Convex):
         return np.asarray(shape.points())
     if isinstance(shape, coal.BVHModelBase):
@@ -210,7 +212,7 @@ def solid(shape: Shape, reach_m: float) -> tuple[coal.CollisionGeometry, pin.SE3
         case Plane():
             return _slab(shape, reach_m)
         case Mesh():
-            return _surface(shape), pin.SE3.Identity()
+            return triangle_tree(np.asarray(shape.vertices_m), np.asarray(shape.triangles)), pin.SE3.Identity()
 
 
 def _slab(plane: Plane, reach_m: float) -> tuple[coal.CollisionGeometry, pin.SE3]:
@@ -221,10 +223,16 @@ def _slab(plane: Plane, reach_m: float) -> tuple[coal.CollisionGeometry, pin.SE3
     return coal.Box(edge_m, edge_m, edge_m), pin.SE3(turn, normal * (plane.offset_m - 0.5 * edge_m))
 
 
-def _surface(mesh: Mesh) -> coal.BVHModelOBBRSS:
+def triangle_tree(vertices_m: Vector, triangles: NDArray[np.integer[Any]]) -> coal.BVHModelOBBRSS:
+    """A surface of triangles.
+
+    Args:
+        vertices_m: shape (n, 3) [m].
+        triangles: shape (m, 3), indices into ``vertices_m``.
+    """
     surface = coal.BVHModelOBBRSS()
-    surface.beginModel(len(mesh.triangles), len(mesh.vertices_m))
-    surface.addVertices(np.asarray(mesh.vertices_m, dtype=np.float64))
-    surface.addTriangles(np.asarray(mesh.triangles, dtype=np.int64))
+    surface.beginModel(len(triangles), len(vertices_m))
+    surface.addVertices(np.asarray(vertices_m, dtype=np.float64))
+    surface.addTriangles(np.asarray(triangles, dtype=np.int64))
     surface.endModel()
     return surface

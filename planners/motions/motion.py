@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, product
 
 import numpy as np
 
 from planners.budget import Budget
 from planners.geometry.certificate import certify
+from planners.geometry.collision import Closeness
 from planners.geometry.joint_space import JointSpace
 from planners.motions.curve import (
     Curve,
@@ -192,12 +193,12 @@ def _standing(task: MotionTask) -> Trajectory:
     return Trajectory(task.joint_names, np.zeros(1), task.start[np.newaxis], rest, rest)
 
 
-def _certified(task: MotionTask, curve: Curve, window: int) -> Trajectory | None:
-    """The curve's samples, their jerk limited, if nothing touches on them."""
+def _certified(task: MotionTask, curve: Curve, window: int, closest: Closeness = Closeness.PARTS) -> Trajectory | None:
+    """The curve's samples, their jerk limited, if nothing touches on them by shapes as close as is said."""
     if not curve.stays_within(task.space.lower_rad, task.space.upper_rad):
         return None
     trajectory = averaged(curve, window, task.joint_names) if window else curve.sampled(task.joint_names)
-    return None if certify(task.space, trajectory) else trajectory
+    return None if certify(task.space, trajectory, closest) else trajectory
 
 
 def _braking(task: MotionTask) -> Curve:
@@ -242,9 +243,10 @@ class _Searching:
         """The shortest in time of the motions found while there is work to be done."""
         while not self._budget.used_up():
             curves = sorted(self._curves(), key=_duration)
-            for curve in curves:
+            # Surfaces take a hundred times as long: only where nothing else is left they decide.
+            for closest, curve in product(Closeness, curves):
                 # The best motion is still of use after the deadline, but not once the request is cancelled.
-                trajectory = None if self._budget.stopped else _certified(self._task, curve, self._window)
+                trajectory = None if self._budget.stopped else _certified(self._task, curve, self._window, closest)
                 if trajectory is not None:
                     return Motion(trajectory, self._name, self._goal_at_end_of(curve))
             if curves:

@@ -85,6 +85,7 @@ def prefixed(robot: RobotModel, name: str) -> RobotModel:
         package_directories=packages,
         hulls={prefix + link: hull for link, hull in robot.hulls.items()},
         parts={prefix + link: shapes for link, shapes in robot.parts.items()},
+        surfaces={prefix + link: surface for link, surface in robot.surfaces.items()},
         limits={prefix + joint.name: _limits(joint) for joint in robot.joints.values() if joint.movable},
         sources=(f"URDF of arm {name}", f"SRDF of arm {name}"),
     )
@@ -131,6 +132,7 @@ def joined(name: str, arms: Mapping[str, PlacedArm]) -> RobotModel:
         package_directories=tuple(dict.fromkeys(folder for robot in robots for folder in robot.package_directories)),
         hulls={link: hull for robot in robots for link, hull in robot.hulls.items()},
         parts={link: shapes for robot in robots for link, shapes in robot.parts.items()},
+        surfaces={link: surface for robot in robots for link, surface in robot.surfaces.items()},
         limits={joint.name: _limits(joint) for robot in robots for joint in robot.joints.values() if joint.movable},
         sources=("URDF of all arms", "SRDF of all arms"),
     )

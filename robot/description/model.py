@@ -63,6 +63,19 @@ class Hull:
 
 
 @dataclass(frozen=True)
+class LinkSurface:
+    """Where the surface of a link is, to the last triangle.
+
+    Attributes:
+        path: file of surfaces, see :mod:`planners.geometry.surfaces`.
+        link: name of the link in the file.
+    """
+
+    path: Path
+    link: str
+
+
+@dataclass(frozen=True)
 class RobotModel:
     """Description of an arm, shared by planners, arm process and server.
 
@@ -79,6 +92,7 @@ class RobotModel:
         hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
         parts: link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in
             the link's frame; for the cases in which a hull is too wide.
+        surfaces: link name -> its surface; for the cases in which its parts are too wide.
         planning_frame: name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
         gripper: the gripper; None for an arm without one.
         default_group: group of goals that name none.
@@ -97,6 +111,7 @@ class RobotModel:
     mesh_directory: Path | None = None
     hulls: Mapping[str, Hull] = field(default_factory=dict)
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
+    surfaces: Mapping[str, LinkSurface] = field(default_factory=dict)
     planning_frame: str = ""
     package_directories: tuple[Path, ...] = ()
     gripper: Gripper | None = None
@@ -124,6 +139,7 @@ def load(
     held: Mapping[str, float] = NONE_HELD,
     hulls: Mapping[str, Hull] | None = None,
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
+    surfaces: Mapping[str, LinkSurface] | None = None,
 ) -> RobotModel:
     """Read a robot from files.
 
@@ -135,6 +151,7 @@ def load(
         held: as of :func:`parse`.
         hulls: see :class:`RobotModel`; with them the meshes need not be there.
         parts: see :class:`RobotModel`.
+        surfaces: see :class:`RobotModel`.
 
     Raises:
         DescriptionError: a file cannot be read or does not describe an arm, or a mesh is not there.
@@ -148,6 +165,7 @@ def load(
         held=held,
         hulls=hulls,
         parts=parts,
+        surfaces=surfaces,
         sources=(f"URDF {urdf_path}", f"SRDF {srdf_path}"),
     )
 
@@ -160,6 +178,7 @@ def parse(
     package_directories: tuple[Path, ...] = (),
     hulls: Mapping[str, Hull] | None = None,
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
+    surfaces: Mapping[str, LinkSurface] | None = None,
     limits: Mapping[str, JointLimits] = NO_LIMITS,
     held: Mapping[str, float] = NONE_HELD,
     sources: tuple[str, str] = ("URDF", "SRDF"),
@@ -173,6 +192,7 @@ def parse(
         package_directories: see :class:`RobotModel`.
         hulls: see :class:`RobotModel`.
         parts: see :class:`RobotModel`.
+        surfaces: see :class:`RobotModel`.
         limits: limits by joint that replace those of the URDF.
         held: joints that are not driven, and the positions at which they stay; they become fixed [rad or m].
         sources: names of the URDF and of the SRDF, for errors.
@@ -203,6 +223,7 @@ def parse(
         package_directories=package_directories,
         hulls=hulls or {},
         parts=parts or {},
+        surfaces=surfaces or {},
         planning_frame=semantics.planning_frame,
         gripper=_gripper(semantics, tree.joints, default_group),
         default_group=default_group,

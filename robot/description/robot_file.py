@@ -44,6 +44,8 @@ class RobotTable(_Table):
     """convex hull of each link, JSON."""
     parts: Path | None = None
     """convex parts of each link, JSON."""
+    surfaces: Path | None = None
+    """triangles of each link's surface, numpy's npz."""
     packages: Annotated[tuple[Path, ...], Field(max_length=MAX_JOINTS)] = ()
     """folders of packages that ``package://`` names."""
     joint_limits: Path | None = None

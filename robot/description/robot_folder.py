@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import robot.arms
 from robot.description import model, robot_file
 from robot.description.example_robots import find_example
-from robot.description.model import Gripper, Hull, JointLimits, RobotModel
+from robot.description.model import Gripper, Hull, JointLimits, LinkSurface, RobotModel
 from robot.description.robot_file import GripperTable, RobotFile, ServoTable
 from robot.description.servo_table import HardwareTable, ProfileSpec, ServoSpec, Zero, ZeroTick
 from robot.errors import DescriptionError, RobotFileError
@@ -134,7 +134,7 @@ def load(
 
     Args:
         folder: the folder.
-        urdf: URDF in place of the folder's, whose hulls and parts then do not apply.
+        urdf: URDF in place of the folder's, whose hulls, parts and surfaces then do not apply.
         srdf: SRDF that goes with it.
         package_directories: folders for ``package://``, ahead of the folder's own.
 
@@ -156,21 +156,28 @@ def load(
     packages = (*package_directories, *((folder / package).resolve() for package in file.robot.packages))
     hulls: dict[str, Hull] = {}
     parts: dict[str, tuple[NDArray[np.float64], ...]] = {}
+    surfaces: dict[str, LinkSurface] = {}
     if own and (hulls_file := file.robot.hulls) is not None:
         hulls = found.of(lambda: _hulls(folder / hulls_file), hulls)
     if own and (parts_file := file.robot.parts) is not None:
         parts = found.of(lambda: _parts(folder / parts_file), parts)
+    if own and (surfaces_file := file.robot.surfaces) is not None:
+        surfaces = found.of(lambda: _surfaces((folder / surfaces_file).resolve()), surfaces)
     arm = None
     if urdf is not None and srdf is not None:
         described = urdf, srdf
-        arm = found.of(lambda: model.load(*described, packages, limits, hulls=hulls, parts=parts), None)
+        arm = found.of(
+            lambda: model.load(*described, packages, limits, hulls=hulls, parts=parts, surfaces=surfaces), None
+        )
     if arm is None:
         raise found.error()
-    found.add(_unknown_names(file, arm, hulls, parts))
+    found.add(_unknown_names(file, arm))
     if found:
         raise found.error()
     if file.held_joints:
-        arm = model.load(*described, packages, limits, held=file.held_joints, hulls=hulls, parts=parts)
+        arm = model.load(
+            *described, packages, limits, held=file.held_joints, hulls=hulls, parts=parts, surfaces=surfaces
+        )
     group = file.planning.group or arm.default_group
     arm = replace(
         arm,
@@ -303,13 +310,21 @@ def _parts(path: Path) -> dict[str, tuple[NDArray[np.float64], ...]]:
         raise DescriptionError(str(path), f"must have a list of vertices for each part: {error}") from error
 
 
+def _surfaces(path: Path) -> dict[str, LinkSurface]:
+    """Return where the surface of each link is; the planners read them."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            names = file.files
+    except (OSError, ValueError) as error:
+        raise DescriptionError(str(path), f"cannot be read: {error}") from error
+    return {link: LinkSurface(path, link) for link in dict.fromkeys(name.rpartition(".")[0] for name in names)}
+
+
 def _points(vertices: object) -> NDArray[np.float64]:
     return np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
 
 
-def _unknown_names(
-    file: RobotFile, arm: RobotModel, hulls: Mapping[str, Hull], parts: Mapping[str, object]
-) -> Iterable[str]:
+def _unknown_names(file: RobotFile, arm: RobotModel) -> Iterable[str]:
     """Yield a sentence for each joint, link or group that the description does not have."""
     movable = {joint.name for joint in arm.movable_joints}
     listed = ", ".join(sorted(movable))
@@ -320,8 +335,13 @@ def _unknown_names(
     for key, name in named:
         if name not in movable:
             yield f"{key}: the URDF has no movable joint {name!r}, but {listed}"
-    for key, shapes in (("robot.hulls", hulls), ("robot.parts", parts)):
-        for link in shapes:
+    described: Mapping[str, Iterable[str]] = {
+        "robot.hulls": arm.hulls,
+        "robot.parts": arm.parts,
+        "robot.surfaces": arm.surfaces,
+    }
+    for key, links in described.items():
+        for link in links:
             if link not in arm.links:
                 yield f"{key}: the URDF has no link {link!r}"
     for name, position in file.held_joints.items():

@@ -443,7 +443,7 @@ def test_the_nearer_an_obstacle_the_less_of_the_path_is_followed(follower, colli
 
 def test_a_contact_within_the_last_step_of_a_path_ends_it_there(follower, scene):
     tip_m = follower.pose(START).translation
-    scene(box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.130078125, 0.3), (0.4, 0.01, 0.6)))
+    scene(box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.1288, 0.3), (0.4, 0.01, 0.6)))
     plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.12, 0.0)))
     assert 0.9 < plan.fraction < 1.0
     assert plan.stopped_by.details["reason"] == "collision"

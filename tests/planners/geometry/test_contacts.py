@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 from planners.geometry import contacts
-from planners.geometry.collision import CollisionModel, PairFilter, link_bodies, object_bodies
+from planners.geometry.collision import Closeness, CollisionModel, PairFilter, link_bodies, object_bodies
 from planners.geometry.contacts import Broadphase, ExactShapes, deeper_than, nearer_than, overlap_m, parts_of
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.plain_urdf import kinematic_urdf
@@ -190,8 +190,8 @@ def test_touching_only_a_hull_is_no_contact(crane):
     assert collision.in_collision(q)
     assert not collision.collides(q)
     assert collision.colliding_pairs(q) == []
-    assert collision.tight_pairs(q) == {BETWEEN}
-    assert not collision.in_collision(q, by_mesh=frozenset((BETWEEN,)))
+    assert collision.tight_pairs(q).keys() == {BETWEEN}
+    assert not collision.in_collision(q, closer=collision.tight_pairs(q))
 
 
 def test_touching_the_mesh_is_a_contact(crane):
@@ -199,8 +199,8 @@ def test_touching_the_mesh_is_a_contact(crane):
     collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.285, 0.005, 0.275)))
     assert collision.collides(q)
     assert [pair.links for pair in collision.colliding_pairs(q)] == [BETWEEN]
-    assert collision.tight_pairs(q) == frozenset()
-    assert collision.in_collision(q, by_mesh=frozenset((BETWEEN,)))
+    assert not collision.tight_pairs(q)
+    assert collision.in_collision(q, closer={BETWEEN: Closeness.SURFACES})
 
 
 def test_padding_counts_between_meshes_too(crane):
@@ -286,7 +286,7 @@ def test_what_touches_a_part_by_little_is_asked_of_the_mesh(crane_with_part):
     assert collision.in_collision(q)
     assert not collision.collides(q)
     assert collision.colliding_pairs(q) == []
-    assert collision.tight_pairs(q) == {BETWEEN}
+    assert collision.tight_pairs(q) == {BETWEEN: Closeness.SURFACES}
 
 
 def test_what_is_deep_in_a_part_is_no_question_for_its_surface(crane_with_part):

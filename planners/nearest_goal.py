@@ -18,7 +18,7 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.ik.goal_states import GoalQuery, GoalStates
-from planners.problem import NearestGoalAnswer, NearestGoalQuestion, Plan, PlanningFailure, PlanningProblem
+from planners.problem import Plan, PlanningFailure, PlanningProblem
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
@@ -46,24 +46,25 @@ DIGITS = 4
 
 
 def nearest_goal(
-    question: NearestGoalQuestion,
+    problem: PlanningProblem,
     robot: RobotModel,
     states: GoalStates,
     collision: CollisionModel,
     plan: Callable[[PlanningProblem], Plan | PlanningFailure],
     budget: Budget,
-) -> NearestGoalAnswer:
-    """Find the goal.
+    allowed_time_s: float,
+) -> JointGoal | PositionGoal | PoseGoal | None:
+    """Find the goal; None where none was found.
 
     Args:
-        question: the problem that has no plan.
+        problem: has no plan.
         robot: the arm.
         states: finds configurations.
         collision: collisions of the arm with itself and the scene.
         plan: verifies a goal.
         budget: ends the search.
+        allowed_time_s: time that the budget allows [s].
     """
-    problem = question.problem
     start_q = np.array([problem.start_rad[name] for name in collision.joint_names])
     start_q = np.clip(start_q, collision.lower_rad, collision.upper_rad)
     space = JointSpace(collision, robot.groups[problem.group], start_q, collision.overlaps_m(start_q))
@@ -74,14 +75,14 @@ def nearest_goal(
         case PositionGoal() | PoseGoal() as goal:
             candidates = search.tip_goals(goal, robot)
         case _:
-            return NearestGoalAnswer(None)
+            return None
     for candidate in islice(candidates, TRIES):
         if budget.used_up():
             break
-        left_s = question.allowed_time_s - budget.spent_s
+        left_s = allowed_time_s - budget.spent_s
         if isinstance(plan(replace(problem, goal=candidate, allowed_time_s=left_s, optimization_time_s=0.0)), Plan):
-            return NearestGoalAnswer(candidate)
-    return NearestGoalAnswer(None)
+            return candidate
+    return None
 
 
 def ways_out(

@@ -9,7 +9,7 @@ import pytest
 
 from planners.files import problem_file
 from planners.goals import Goal, JointGoal, PositionGoal
-from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.problem import CartesianProblem, Line, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Box, Pose, Scene, SceneObject
 from server.execution.failures import FailedGoals, with_nearest_goal
 from tests.helpers.fake_arm import HOME
@@ -98,6 +98,39 @@ async def test_a_point_in_collision_gets_a_free_one_that_can_be_planned() -> Non
     _, failure = await found(PositionGoal(TIP, (0.25, 0.25, 0.2), 0.01))
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
     assert isinstance(await planned(PositionGoal(TIP, tuple(failure.details["free_m"]), 0.01)), Plan)
+
+
+async def test_a_path_of_the_tip_gets_the_end_that_is_reached_and_says_if_its_own_end_is_by_another_way() -> None:
+    pool, problem = DirectPool(), CartesianProblem("arm", HOME, TIP, (Line(Pose((0.3, 0.3, 0.2))),))
+    plan = await pool.ask(problem, WALL)
+    failure = await with_nearest_goal(plan.stopped_by, problem, WALL, pool)  # type: ignore[arg-type, union-attr]
+    assert failure.code is plan.stopped_by.code  # type: ignore[union-attr]
+    details = failure.details
+    assert details["pairs"]
+    assert 0.0 < details["free_fraction"] < 1.0
+    assert details["end_by_other_way"] is False
+    assert "what would work: the same path to (" in failure.message
+    assert "by a motion that does not follow it" not in failure.message
+    end = Pose(tuple(details["free_m"]), tuple(details["free_orientation"]))
+    part = await pool.ask(CartesianProblem("arm", HOME, TIP, (Line(end),)), WALL)
+    assert part.stopped_by is None  # type: ignore[union-attr]
+
+
+async def test_the_end_of_a_path_that_cannot_begin_may_be_had_by_another_way() -> None:
+    pool = DirectPool()
+    problem = CartesianProblem("arm", HOME, TIP, (Line(Pose((0.3, 0.0, 0.2))),), max_joint_step_rad=1e-9)
+    plan = await pool.ask(problem, WALL)
+    failure = await with_nearest_goal(plan.stopped_by, problem, WALL, pool)  # type: ignore[arg-type, union-attr]
+    assert failure.message.endswith("; what would work: its end by a motion that does not follow it")
+    assert failure.details["end_by_other_way"] is True
+    assert "free_m" not in failure.details
+
+
+async def test_a_path_that_is_refused_is_unchanged() -> None:
+    pool, problem = DirectPool(), CartesianProblem("arm", HOME, "tail", (Line(Pose((0.3, 0.0, 0.2))),))
+    refused = await pool.ask(problem, WALL)
+    assert await with_nearest_goal(refused, problem, WALL, pool) is refused  # type: ignore[arg-type, comparison-overlap]
+    assert pool.requests == [problem]
 
 
 async def test_other_failures_are_unchanged() -> None:

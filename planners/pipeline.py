@@ -125,13 +125,13 @@ class Planner:
             case IkQuestion():
                 budget = Budget(self._clock, request.allowed_time_s, should_stop)
                 return answer_ik(request, robot, self._states, collision, budget)
-            case NearestGoalQuestion(problem, allowed_s):
-                budget = Budget(self._clock, allowed_s, should_stop)
+            case NearestGoalQuestion(problem):
+                budget = Budget(self._clock, request.allowed_time_s, should_stop)
                 plan = functools.partial(self.plan, should_stop=should_stop)
                 if isinstance(problem, CartesianProblem):
-                    end = nearest_end(problem, robot, collision, self._states.forward, plan, budget, allowed_s)
-                    return NearestGoalAnswer(end)
-                return NearestGoalAnswer(nearest_goal(problem, robot, self._states, collision, plan, budget, allowed_s))
+                    return NearestGoalAnswer(nearest_end(problem, robot, collision, self._states.forward, plan, budget))
+                found = nearest_goal(problem, request.code, robot, self._states, collision, plan, budget)
+                return NearestGoalAnswer(found)
             case StateQuestion():
                 return answer_state(request, robot, self._states, collision)
             case RecheckQuestion():

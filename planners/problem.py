@@ -231,10 +231,12 @@ class NearestGoalQuestion:
     Attributes:
         problem: the problem that has no plan; its goal is of joints, of a position, of a pose or a path of the tip.
         allowed_time_s: time after which none is looked for [s].
+        code: of its failure, by which it is known where to look.
     """
 
     problem: PlanningProblem | CartesianProblem
     allowed_time_s: float = 0.3
+    code: MoveItErrorCode = MoveItErrorCode.GOAL_IN_COLLISION
 
 
 @dataclass(frozen=True)

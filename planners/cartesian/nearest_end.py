@@ -50,7 +50,6 @@ def nearest_end(
     forward: ForwardKinematics,
     plan: Callable[[PlanningProblem], Plan | PlanningFailure],
     budget: Budget,
-    allowed_time_s: float,
 ) -> PathGoal | None:
     """Find how far a path can be followed, and whether its end can be had by another way.
 
@@ -61,7 +60,6 @@ def nearest_end(
         forward: its kinematics.
         plan: plans a motion that need not follow the path.
         budget: ends the search.
-        allowed_time_s: time that the budget allows [s].
 
     Returns:
         None when neither is found, or the problem is refused.
@@ -87,8 +85,7 @@ def nearest_end(
         if isinstance(found, CartesianPlan) and found.stopped_by is None:
             end, along_m = part.segments[-1].end, part_m
             break
-    left_s = OTHER_WAY_SHARE * (allowed_time_s - budget.spent_s)
-    other_way = left_s > 0.0 and not budget.used_up() and isinstance(plan(end_as_goal(problem, left_s)), Plan)
+    other_way = not budget.used_up() and isinstance(plan(end_as_goal(problem, OTHER_WAY_SHARE * budget.left_s)), Plan)
     if end is None and not other_way:
         return None
     return PathGoal(end, along_m / length_m if length_m > 0.0 else 0.0, length_m, other_way)

@@ -71,7 +71,12 @@ class FailedGoals:
 
 
 # Goals that have no plan for a reason that another goal nearby may not have.
-SUGGESTED_FOR = (MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.NO_IK_SOLUTION)
+SUGGESTED_FOR = (
+    MoveItErrorCode.GOAL_IN_COLLISION,
+    MoveItErrorCode.NO_IK_SOLUTION,
+    MoveItErrorCode.TIMED_OUT,
+    MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS,
+)
 
 # Likewise of paths of the tip: another end may be reached along the same path, or the same end by another way.
 SUGGESTED_FOR_PATHS = (
@@ -98,10 +103,10 @@ async def with_nearest_goal(
         pool: the planners.
     """
     match problem:
-        case PlanningProblem() if failure.code in SUGGESTED_FOR:
-            answer = await pool.ask(NearestGoalQuestion(problem), scene)
+        case PlanningProblem() if failure.code in SUGGESTED_FOR or _beyond_limits(failure, problem):
+            answer = await pool.ask(NearestGoalQuestion(problem, code=failure.code), scene)
         case CartesianProblem() if failure.code in SUGGESTED_FOR_PATHS:
-            answer = await pool.ask(NearestGoalQuestion(problem), scene)
+            answer = await pool.ask(NearestGoalQuestion(problem, code=failure.code), scene)
         case _:
             return failure
     found: dict[str, Any] = {}
@@ -115,6 +120,15 @@ async def with_nearest_goal(
         case NearestGoalAnswer(PoseGoal() as goal):
             found = {"free_m": list(goal.pose.position_m)}
     return replace(failure, details={**failure.details, **found})
+
+
+def _beyond_limits(failure: PlanningFailure, problem: PlanningProblem) -> bool:
+    """Tell if a joint goal was refused because it is beyond the limits of a joint."""
+    goal, details = problem.goal, failure.details
+    if not isinstance(goal, JointGoal) or not {"joint", "lower_rad", "upper_rad"} <= details.keys():
+        return False
+    position_rad = goal.positions_rad.get(details["joint"])
+    return position_rad is not None and not details["lower_rad"] <= position_rad <= details["upper_rad"]
 
 
 def _with_path(failure: PlanningFailure, found: PathGoal) -> PlanningFailure:

@@ -133,8 +133,34 @@ async def test_a_path_that_is_refused_is_unchanged() -> None:
     assert pool.requests == [problem]
 
 
+async def test_a_goal_to_which_no_motion_was_found_gets_the_nearest_that_one_reaches() -> None:
+    late = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late", {"allowed_time_s": 5.0})
+    problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": -1.2}))
+    failure = await with_nearest_goal(late, problem, WALL, DirectPool())  # type: ignore[arg-type]
+    assert (failure.code, failure.message) == (late.code, late.message)
+    assert failure.details["allowed_time_s"] == 5.0
+    assert failure.details["free_rad"]["shoulder_pan"] < 0.0
+    assert isinstance(await planned(JointGoal(failure.details["free_rad"])), Plan)
+
+
+async def test_a_joint_goal_beyond_the_limits_gets_one_within_them() -> None:
+    _, failure = await found(JointGoal({"shoulder_pan": 3.0}))
+    assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert failure.details["free_rad"]["shoulder_pan"] == pytest.approx(failure.details["upper_rad"], abs=1e-4)
+    assert isinstance(await planned(JointGoal(failure.details["free_rad"])), Plan)
+
+
+async def test_a_goal_that_is_not_beyond_limits_is_not_asked_about_for_its_constraints() -> None:
+    details = {"joint": "shoulder_pan", "lower_rad": -1.0, "upper_rad": 1.0}
+    failure = PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "the range of the constraint", details)
+    pool = DirectPool()
+    problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": 0.5}))
+    assert await with_nearest_goal(failure, problem, WALL, pool) is failure  # type: ignore[arg-type]
+    assert pool.requests == []
+
+
 async def test_other_failures_are_unchanged() -> None:
-    failure = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
+    failure = PlanningFailure(MoveItErrorCode.CRASH, "gone")
     pool = DirectPool()
     problem = PlanningProblem("arm", HOME, JointGoal({}))
     assert await with_nearest_goal(failure, problem, WALL, pool) is failure  # type: ignore[arg-type]

@@ -249,7 +249,7 @@ def _stopped_by(ended: PathEnd, along_m: float, length_m: float, reached: Pose) 
             "reason": ended.reason,
             "along_m": along_m,
             "length_m": length_m,
-            "fraction": along_m / length_m if length_m > 0.0 else 0.0,
+            "reached_fraction": along_m / length_m if length_m > 0.0 else 0.0,
             "reached_m": list(reached.position_m),
             "reached_orientation": list(reached.orientation),
             **ended.details,

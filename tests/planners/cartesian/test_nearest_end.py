@@ -134,7 +134,7 @@ def test_the_failure_of_a_path_has_the_place_that_its_motion_reaches(follower, o
     details = plan.stopped_by.details
     reached = follower.pose(plan.trajectory.positions_rad[-1])
     np.testing.assert_allclose(details["reached_m"], reached.translation, atol=2e-4)
-    assert details["fraction"] == plan.fraction
+    assert details["reached_fraction"] == plan.fraction
     assert ", to (" in plan.stopped_by.message
     assert len(details["reached_orientation"]) == 4
 

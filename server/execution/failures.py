@@ -86,6 +86,9 @@ SUGGESTED_FOR_PATHS = (
     MoveItErrorCode.TIMED_OUT,
 )
 
+# The answer takes 0.3 s at most; other motions to plan may come first.
+ASKING_TIMEOUT_S = 2.0
+
 
 async def with_nearest_goal(
     failure: PlanningFailure, problem: Problem | None, scene: Scene, pool: PlannerPool
@@ -104,11 +107,15 @@ async def with_nearest_goal(
     """
     match problem:
         case PlanningProblem() if failure.code in SUGGESTED_FOR or _beyond_limits(failure, problem):
-            answer = await pool.ask(NearestGoalQuestion(problem, code=failure.code), scene)
+            question = NearestGoalQuestion(problem, code=failure.code)
         case CartesianProblem() if failure.code in SUGGESTED_FOR_PATHS:
-            answer = await pool.ask(NearestGoalQuestion(problem, code=failure.code), scene)
+            question = NearestGoalQuestion(problem, code=failure.code)
         case _:
             return failure
+    try:
+        answer = await asyncio.wait_for(pool.ask(question, scene), ASKING_TIMEOUT_S)
+    except TimeoutError:
+        return failure
     found: dict[str, Any] = {}
     match answer:
         case NearestGoalAnswer(PathGoal() as goal):

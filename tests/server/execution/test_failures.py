@@ -11,6 +11,7 @@ from planners.files import problem_file
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.problem import CartesianProblem, Line, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Box, Pose, Scene, SceneObject
+from server.execution import failures
 from server.execution.failures import FailedGoals, with_nearest_goal
 from tests.helpers.fake_arm import HOME
 from tests.helpers.motions import EASY
@@ -157,6 +158,16 @@ async def test_a_goal_that_is_not_beyond_limits_is_not_asked_about_for_its_const
     problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": 0.5}))
     assert await with_nearest_goal(failure, problem, WALL, pool) is failure  # type: ignore[arg-type]
     assert pool.requests == []
+
+
+async def test_a_failure_does_not_wait_for_planners_that_are_busy(monkeypatch: pytest.MonkeyPatch) -> None:
+    class BusyPool:
+        async def ask(self, _request: object, _scene: Scene) -> None:
+            await asyncio.Event().wait()
+
+    monkeypatch.setattr(failures, "ASKING_TIMEOUT_S", 0.01)
+    problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": -1.2}))
+    assert await with_nearest_goal(FAILURE, problem, WALL, BusyPool()) is FAILURE  # type: ignore[arg-type]
 
 
 async def test_other_failures_are_unchanged() -> None:

@@ -102,6 +102,24 @@ def test_the_same_path_can_be_planned_to_the_end_that_is_found(follower, own_pla
     assert again.stopped_by is None
 
 
+def test_the_end_that_is_found_is_planned_again_whole_wherever_the_path_leaves_the_reach(follower, own_planner):
+    for aside_m in np.linspace(-0.2, 0.2, 12):
+        problem = follower.problem(START, line(shifted(follower, 0.5, float(aside_m), 0.0)))
+        goal, _ = found(own_planner, problem)
+        again = own_planner.answer(replace(problem, segments=(Line(goal.end),)))
+        assert again.stopped_by is None
+
+
+@pytest.mark.parametrize("y_m", [0.07897435897435898, 0.08794871794871796, 0.1076923076923077, 0.12])
+def test_the_end_that_is_found_is_planned_again_whole_where_its_rounding_would_touch(follower, own_planner, scene, y_m):
+    scene(beside(follower, y_m=y_m))
+    for down_m in (0.0, -0.02, 0.03):
+        problem = follower.problem(START, line(shifted(follower, 0.0, 0.12, -down_m)))
+        goal, _ = found(own_planner, problem)
+        again = own_planner.answer(replace(problem, segments=(Line(goal.end),)))
+        assert again.stopped_by is None
+
+
 def test_the_end_of_a_path_behind_an_obstacle_is_reached_by_another_way(follower, own_planner, scene):
     tip_m = follower.pose(START).translation
     scene(((float(tip_m[0]), float(tip_m[1]) + 0.08, 0.0), (0.3, 0.01, 2.0 * float(tip_m[2]) + 0.03)))

@@ -145,7 +145,8 @@ def first_part(start: pin.SE3, segments: Sequence[Line | Arc], along_m: float, d
 
 def as_pose(placement: pin.SE3, digits: int) -> Pose:
     """Return a pose as plain data, its position rounded to some decimals."""
-    x, y, z = (round(value, digits) for value in placement.translation.tolist())
+    # Minus 0 is a strange number to read.
+    x, y, z = (round(value, digits) + 0.0 for value in placement.translation.tolist())
     qx, qy, qz, qw = pin.Quaternion(placement.rotation).coeffs().tolist()
     return Pose((x, y, z), (qx, qy, qz, qw))
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from planners.cartesian.nearest_end import end_as_goal
-from planners.cartesian.tip_path import TipPath, apart_m, apart_rad, first_part
+from planners.cartesian.tip_path import TipPath, apart_m, apart_rad, as_pose, first_part
 from planners.pipeline import Planner
 from planners.problem import (
     CartesianPlan,
@@ -155,6 +155,11 @@ def test_the_failure_of_a_path_has_the_place_that_its_motion_reaches(follower, o
     assert details["reached_fraction"] == plan.fraction
     assert ", to (" in plan.stopped_by.message
     assert len(details["reached_orientation"]) == 4
+
+
+def test_no_place_has_a_minus_0():
+    place_m = as_pose(pin.SE3(np.eye(3), np.array([-1e-9, 0.1, -0.2])), 4).position_m
+    assert np.signbit(place_m).tolist() == [False, False, True]
 
 
 def test_a_path_that_does_not_begin_names_no_place(follower, own_planner):

@@ -86,6 +86,15 @@ class Budget:
         return self._clock() - self._start_s
 
     @property
+    def left_s(self) -> float:
+        """Time that is left; 0 or less once it is over [s]."""
+        return self._allowed_time_s - self.spent_s
+
+    def share(self, share: float) -> Budget:
+        """Return the budget of a part of the work, which has a share of the time that is left."""
+        return Budget(self._clock, share * self.left_s, self._should_stop)
+
+    @property
     def stopped(self) -> bool:
         """True once the request is cancelled."""
         return self._should_stop()

@@ -3,23 +3,29 @@
 A joint goal in collision is moved out of the contact in many directions, and the shortest way out is taken. A goal of
 the tip is met in several configurations whose contacts do not count; each of those is moved out of its contacts, and
 the tip's place there that is nearest to the one asked for is taken.
+
+Where no motion leads to any of these or to the goal itself, or the goal violates the constraints of the path, a tree of
+free motions is grown from the start, and the goal is moved to the nearest of its configurations.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 
+from planners import checks
 from planners.budget import Budget
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
-from planners.goals import JointGoal, PoseGoal, PositionGoal
+from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
 from planners.ik.goal_states import GoalQuery, GoalStates
-from planners.problem import NearestGoalAnswer, NearestGoalQuestion, Plan, PlanningFailure, PlanningProblem
-from robot.description.model import RobotModel
+from planners.motions.path import CountedSpace, Project, Query, reachable
+from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 
 # Distances of the ways out of a contact that are tried, in travel of the fastest point [m].
@@ -41,47 +47,71 @@ CONFIGURATIONS = 4
 # Shares of the way from the tip to a goal: places there work where those near the goal do not.
 SHARES = (0.97, 0.9, 0.8, 0.6)
 
+# Codes of goals around which nothing is in the way, or nothing that moving the goal a little would help against: no
+# motion to them was found, or they violate the constraints of the path.
+UNREACHED = (MoveItErrorCode.TIMED_OUT, MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS)
+
+# Shares of the time that is left: for places around a goal, for configurations of a goal, for the tree, and for each
+# plan, so that others follow.
+AROUND_SHARE, FIND_SHARE, TREE_SHARE, TRY_SHARE = 0.6, 0.5, 0.5, 0.5
+
+# A tree of so many checks takes about 0.1 s, which is the same on every machine; and how coarse they are [m].
+TREE_CHECKS = 3000
+TREE_STEP_M = 0.01
+
+# A goal is worth suggesting if it is nearer than the start by this share of the way, and one after it is further off
+# by the other.
+LEAST_GAIN, STEP_SHARE = 0.05, 0.1
+
 # Digits of a suggested goal, which people read: a tenth of a millimetre, and a fifteenth of a servo's tick.
 DIGITS = 4
 
 
 def nearest_goal(
-    question: NearestGoalQuestion,
+    problem: PlanningProblem,
+    code: MoveItErrorCode,
     robot: RobotModel,
     states: GoalStates,
     collision: CollisionModel,
     plan: Callable[[PlanningProblem], Plan | PlanningFailure],
     budget: Budget,
-) -> NearestGoalAnswer:
-    """Find the goal.
+) -> JointGoal | PositionGoal | PoseGoal | None:
+    """Find the goal; None where none was found.
 
     Args:
-        question: the problem that has no plan.
+        problem: has no plan.
+        code: of its failure.
         robot: the arm.
         states: finds configurations.
         collision: collisions of the arm with itself and the scene.
         plan: verifies a goal.
         budget: ends the search.
     """
-    problem = question.problem
+    flaw = checks.check_request(robot, problem)
+    beyond_limits = flaw is not None and "upper_rad" in flaw.details
+    if (flaw is not None and not beyond_limits) or checks.check_start(robot, problem.start_rad) is not None:
+        return None
     start_q = np.array([problem.start_rad[name] for name in collision.joint_names])
     start_q = np.clip(start_q, collision.lower_rad, collision.upper_rad)
-    space = JointSpace(collision, robot.groups[problem.group], start_q, collision.overlaps_m(start_q))
-    search = _Search(problem, states, collision, space, start_q, budget)
-    match problem.goal:
-        case JointGoal() as goal:
-            candidates: Iterator[JointGoal | PositionGoal | PoseGoal] = search.joint_goals(goal, robot)
-        case PositionGoal() | PoseGoal() as goal:
-            candidates = search.tip_goals(goal, robot)
-        case _:
-            return NearestGoalAnswer(None)
-    for candidate in islice(candidates, TRIES):
-        if budget.used_up():
-            break
-        left_s = question.allowed_time_s - budget.spent_s
-        if isinstance(plan(replace(problem, goal=candidate, allowed_time_s=left_s, optimization_time_s=0.0)), Plan):
-            return NearestGoalAnswer(candidate)
-    return NearestGoalAnswer(None)
+    group, constraints = robot.groups[problem.group], problem.path_constraints
+    holds = None if constraints is None or constraints.empty else states.condition_set(constraints).holds
+    space = JointSpace(collision, group, start_q, collision.overlaps_m(start_q), holds)
+    search = _Search(problem, states, group, space, start_q, budget)
+    for candidates, part in search.phases(problem.goal, around=code not in UNREACHED):
+        for candidate in islice(candidates, TRIES):
+            if part.used_up():
+                break
+            # It is to be planned in the time that the problem allows itself, and leaves time for others.
+            allowed_s = min(problem.allowed_time_s, TRY_SHARE * part.left_s)
+            tried = replace(problem, goal=candidate, allowed_time_s=allowed_s, optimization_time_s=0.0)
+            if isinstance(plan(tried), Plan):
+                return candidate
+    return None
+
+
+def _are_numbers(goal: JointGoal) -> bool:
+    """Tell if no position is NaN; the check of a goal ends at the first flaw, which may be another one."""
+    return not any(math.isnan(value) for value in goal.positions_rad.values())
 
 
 def ways_out(
@@ -140,6 +170,9 @@ def _directions(point: Vector, start: Vector, moving: Vector) -> Iterator[Vector
     yield from np.random.default_rng(DIRECTIONS_SEED).normal(size=(DIRECTIONS, len(point))) * moving
 
 
+_TipOrJointGoal = JointGoal | PositionGoal | PoseGoal
+
+
 class _Search:
     """Candidates for one problem, most promising first."""
 
@@ -147,30 +180,111 @@ class _Search:
         self,
         problem: PlanningProblem,
         states: GoalStates,
-        collision: CollisionModel,
+        group: Group,
         space: JointSpace,
         start_q: Vector,
         budget: Budget,
     ) -> None:
-        self._problem, self._states, self._collision = problem, states, collision
+        self._problem, self._states, self._group = problem, states, group
         self._space, self._start_q, self._budget = space, start_q, budget
+        self._start = space.point(start_q).copy()
 
-    def joint_goals(self, goal: JointGoal, robot: RobotModel) -> Iterator[JointGoal]:
-        """Yield joint goals near one."""
-        names = robot.groups[self._problem.group].joints
-        start = self._space.point(self._start_q)
-        point = np.array([goal.positions_rad.get(name, at) for name, at in zip(names, start, strict=True)])
-        moving = np.array([float(name in goal.positions_rad) for name in names])
-        for _, free in ways_out(self._space, point, start, moving, self._budget.used_up):
-            values = dict(zip(names, free.tolist(), strict=True))
-            yield replace(goal, positions_rad={name: round(values[name], DIGITS) for name in goal.positions_rad})
+    def phases(self, goal: Goal, *, around: bool) -> Iterator[tuple[Iterator[_TipOrJointGoal], Budget]]:
+        """Yield the candidates of each way to look for them, and the time for it.
 
-    def tip_goals(self, goal: PositionGoal | PoseGoal, robot: RobotModel) -> Iterator[PositionGoal | PoseGoal]:
-        """Yield goals of the tip near one, those near it first, then those on the way there."""
-        group = robot.groups[self._problem.group]
+        Args:
+            goal: has no plan.
+            around: whether places around the goal may help.
+        """
+        match goal:
+            case JointGoal(positions_rad) if positions_rad.keys() <= set(self._group.joints) and _are_numbers(goal):
+                if around:
+                    part = self._budget.share(AROUND_SHARE)
+                    yield self._joint_goals(goal, part), part
+                yield self._reached_joint_goals(goal), self._budget
+            case PositionGoal() | PoseGoal():
+                if around:
+                    part = self._budget.share(AROUND_SHARE)
+                    yield self._tip_goals(goal, part), part
+                yield self._reached_tip_goals(goal), self._budget
+
+    def _joint_goals(self, goal: JointGoal, budget: Budget) -> Iterator[JointGoal]:
+        """Yield joint goals near one, the first within the limits where one is beyond them."""
+        asked, moving = self._asked(goal)
+        point = np.clip(asked, self._space.lower_rad, self._space.upper_rad)
+        if not np.array_equal(point, asked) and self._space.free(point):
+            yield self._joint_goal(goal, point)
+        for _, free in ways_out(self._space, point, self._start, moving, budget.used_up):
+            yield self._joint_goal(goal, free)
+
+    def _reached_joint_goals(self, goal: JointGoal) -> Iterator[JointGoal]:
+        """Yield joint goals to which there are motions, those near one first, at last the furthest straight ahead."""
+        asked, moving = self._asked(goal)
+        target = np.clip(asked, self._space.lower_rad, self._space.upper_rad)
+        # Joints that are not asked for stay.
+        points = np.where(moving > 0.0, self._reachable([target]), self._start)
+        away_m = np.abs(points - target) @ self._space.travel_m_per_rad
+        for point in points[spread(away_m, TRIES - 1)]:
+            if moving.all() or self._space.free(point):
+                yield self._joint_goal(goal, point)
+        ahead = self._straight_ahead(target)
+        if ahead is not None:
+            yield self._joint_goal(goal, ahead)
+
+    def _reached_tip_goals(self, goal: PositionGoal | PoseGoal) -> Iterator[PositionGoal | PoseGoal]:
+        """Yield goals of the tip at places to which there are motions, those near one first."""
         query = GoalQuery(
-            group, self._start_q, self._problem.path_constraints, self._budget, CONFIGURATIONS, avoid_collisions=False
+            self._group, self._start_q, None, self._budget.share(FIND_SHARE), CONFIGURATIONS, avoid_collisions=False
         )
+        found = self._states.find(goal, query)
+        states = [] if isinstance(found, PlanningFailure) else found
+        points = self._reachable([self._space.point(state.q) for state in states])
+        places_m = np.array([self._states.point_m(goal, self._space.configuration(point)) for point in points])
+        asked_m = np.array(goal.position_m if isinstance(goal, PositionGoal) else goal.pose.position_m)
+        for place_m in places_m[spread(np.linalg.norm(places_m - asked_m, axis=1), TRIES)]:
+            yield moved_to(goal, place_m)
+
+    def _asked(self, goal: JointGoal) -> tuple[Vector, Vector]:
+        """Return the point of a joint goal, and which of its joints are asked for, 1 or 0; shape (n,) each."""
+        joints = zip(self._group.joints, self._start, strict=True)
+        point = np.array([goal.positions_rad.get(name, at) for name, at in joints])
+        return point, np.array([float(name in goal.positions_rad) for name in self._group.joints])
+
+    def _joint_goal(self, goal: JointGoal, point: Vector) -> JointGoal:
+        """Return a joint goal at another point, of the same joints."""
+        rounded = np.clip(np.round(point, DIGITS), self._space.lower_rad, self._space.upper_rad)
+        values = dict(zip(self._group.joints, rounded.tolist(), strict=True))
+        return replace(goal, positions_rad={name: values[name] for name in goal.positions_rad})
+
+    def _reachable(self, goals: Sequence[Vector]) -> Vector:
+        """Return points to which free motions lead, shape (m, n)."""
+        constraints = self._problem.path_constraints
+        project: Project = self._within_limits
+        if constraints is not None and not constraints.empty:
+            project = self._states.projection(self._group, constraints, self._start_q)
+        budget = self._budget.share(TREE_SHARE)
+        space = CountedSpace(self._space, budget.used_up)
+        query = Query(space, self._start, goals, TREE_STEP_M)
+        return reachable(query, project, self._problem.seed, lambda: space.checks >= TREE_CHECKS or budget.used_up())
+
+    def _within_limits(self, point: Vector) -> Vector:
+        return np.clip(point, self._space.lower_rad, self._space.upper_rad)
+
+    def _straight_ahead(self, target: Vector) -> Vector | None:
+        """Return the furthest point that was found on the straight free way to a target; None for none."""
+        reached, blocked = 0.0, 1.0
+        for _ in range(HALVINGS + 2):
+            share = 0.5 * (reached + blocked)
+            if self._space.line_free(self._start, self._start + share * (target - self._start)):
+                reached = share
+            else:
+                blocked = share
+        return self._start + reached * (target - self._start) if reached > 0.0 else None
+
+    def _tip_goals(self, goal: PositionGoal | PoseGoal, budget: Budget) -> Iterator[PositionGoal | PoseGoal]:
+        """Yield goals of the tip near one, those near it first, then those on the way there."""
+        constraints, part = self._problem.path_constraints, budget.share(FIND_SHARE)
+        query = GoalQuery(self._group, self._start_q, constraints, part, CONFIGURATIONS, avoid_collisions=False)
         found = self._states.find(goal, query)
         asked_m = np.array(goal.position_m if isinstance(goal, PositionGoal) else goal.pose.position_m)
         if isinstance(found, PlanningFailure):
@@ -178,7 +292,7 @@ class _Search:
             places_m = [] if nearest_m is None else [np.array(nearest_m)]
             asked_m = places_m[0] if places_m else asked_m
         else:
-            places_m = self._places_m(goal, [state.q for state in found])
+            places_m = self._places_m(goal, [state.q for state in found], budget)
             places_m.sort(key=lambda place_m: float(np.linalg.norm(place_m - asked_m)))
         tip_m = np.array(self._states.point_m(goal, self._start_q))
         ways_m = [tip_m + share * (asked_m - tip_m) for share in SHARES]
@@ -186,15 +300,37 @@ class _Search:
         for place_m in (*places_m[: TRIES // 2], *ways_m):
             yield moved_to(goal, place_m)
 
-    def _places_m(self, goal: PositionGoal | PoseGoal, configurations: Sequence[Vector]) -> list[Vector]:
+    def _places_m(
+        self, goal: PositionGoal | PoseGoal, configurations: Sequence[Vector], budget: Budget
+    ) -> list[Vector]:
         """Return where the tip is in free configurations near some, shape (3,) [m]."""
-        start = self._space.point(self._start_q)
         places_m = []
         for q in configurations:
             point = self._space.point(q)
-            for _, free in ways_out(self._space, point, start, np.ones(len(point)), self._budget.used_up)[:TRIES]:
+            for _, free in ways_out(self._space, point, self._start, np.ones(len(point)), budget.used_up)[:TRIES]:
                 places_m.append(np.array(self._states.point_m(goal, self._space.configuration(free))))
         return places_m
+
+
+def spread(away_m: Vector, most: int) -> list[int]:
+    """Choose points that are nearer to a goal than the first is, nearest first, each a step further off than the last.
+
+    Args:
+        away_m: distances of points from the goal, shape (m,) [m].
+        most: number of points that are enough.
+
+    Returns:
+        Their indices.
+    """
+    chosen: list[int] = []
+    limit_m = (1.0 - LEAST_GAIN) * float(away_m[0])
+    for index in np.argsort(away_m, kind="stable").tolist():
+        step_m = STEP_SHARE * float(away_m[0] - away_m[chosen[0]]) if chosen else 0.0
+        if len(chosen) == most or away_m[index] > limit_m:
+            break
+        if not chosen or away_m[index] >= away_m[chosen[-1]] + step_m:
+            chosen.append(index)
+    return chosen
 
 
 def moved_to(goal: PositionGoal | PoseGoal, place_m: Vector) -> PositionGoal | PoseGoal:

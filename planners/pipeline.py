@@ -14,6 +14,7 @@ import numpy as np
 
 from planners import checks
 from planners.budget import Budget
+from planners.cartesian.nearest_end import nearest_end
 from planners.cartesian.planning import plan_cartesian
 from planners.geometry.certificate import Contact, certify
 from planners.geometry.collision import CollidingPair, CollisionModel
@@ -32,6 +33,7 @@ from planners.problem import (
     IkQuestion,
     JointPathProblem,
     MoveItErrorCode,
+    NearestGoalAnswer,
     NearestGoalQuestion,
     Plan,
     PlanningFailure,
@@ -123,10 +125,13 @@ class Planner:
             case IkQuestion():
                 budget = Budget(self._clock, request.allowed_time_s, should_stop)
                 return answer_ik(request, robot, self._states, collision, budget)
-            case NearestGoalQuestion():
+            case NearestGoalQuestion(problem):
                 budget = Budget(self._clock, request.allowed_time_s, should_stop)
                 plan = functools.partial(self.plan, should_stop=should_stop)
-                return nearest_goal(request, robot, self._states, collision, plan, budget)
+                if isinstance(problem, CartesianProblem):
+                    return NearestGoalAnswer(nearest_end(problem, robot, collision, self._states.forward, plan, budget))
+                found = nearest_goal(problem, request.code, robot, self._states, collision, plan, budget)
+                return NearestGoalAnswer(found)
             case StateQuestion():
                 return answer_state(request, robot, self._states, collision)
             case RecheckQuestion():

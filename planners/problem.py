@@ -229,12 +229,14 @@ class NearestGoalQuestion:
     """Question for a goal to which there is a motion, in place of one to which there is none.
 
     Attributes:
-        problem: the problem that has no plan; its goal is of joints, of a position or of a pose.
+        problem: the problem that has no plan; its goal is of joints, of a position, of a pose or a path of the tip.
         allowed_time_s: time after which none is looked for [s].
+        code: of its failure, by which it is known where to look.
     """
 
-    problem: PlanningProblem
+    problem: PlanningProblem | CartesianProblem
     allowed_time_s: float = 0.3
+    code: MoveItErrorCode = MoveItErrorCode.GOAL_IN_COLLISION
 
 
 @dataclass(frozen=True)
@@ -367,6 +369,23 @@ class IkAnswer:
 
 
 @dataclass(frozen=True)
+class PathGoal:
+    """What works in place of a path of the tip that cannot be followed to its end; each verified by a plan.
+
+    Attributes:
+        end: an end to which the same path can be followed, and be planned anew; None when none was found.
+        fraction: share of the path's length up to there, 0 to 1.
+        length_m: length of the path [m].
+        end_by_other_way: whether the end of the whole path is reached by a motion that does not follow it.
+    """
+
+    end: Pose | None
+    fraction: float
+    length_m: float
+    end_by_other_way: bool
+
+
+@dataclass(frozen=True)
 class NearestGoalAnswer:
     """Goal near one that has no plan.
 
@@ -374,7 +393,7 @@ class NearestGoalAnswer:
         goal: as near as was found, of the same kind, verified by a plan; None when none was found.
     """
 
-    goal: JointGoal | PositionGoal | PoseGoal | None
+    goal: JointGoal | PositionGoal | PoseGoal | PathGoal | None
 
 
 @dataclass(frozen=True)

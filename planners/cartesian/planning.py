@@ -28,15 +28,17 @@ from planners.cartesian.lean_toppra import (
     JointAccelerationConstraint,
     JointVelocityConstraintVarying,
 )
-from planners.cartesian.tip_path import TipPath, check_path, check_shape
+from planners.cartesian.tip_path import TipPath, as_pose, check_path, check_shape
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import ConditionSet, Joints, conditions
+from planners.ik.goal_checks import in_words
 from planners.ik.goal_refusals import start_violates
 from planners.motions.motion import MAX_DURATION_S
 from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure, RateLimits
+from planners.scene import Pose
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory, Vector
 
@@ -55,6 +57,9 @@ STANDING_RATE = 1e-3
 
 # Where the tip moves by less per length of the path it stands, and its speed limits nothing.
 STANDING_SHARE = 1e-3
+
+# Decimals of the place that is reached, which people read: a tenth of a millimetre.
+DIGITS = 4
 
 # What ends a path, as MoveIt's Pilz planner tells it.
 CODES = {
@@ -223,7 +228,8 @@ class _Task:
     ) -> CartesianPlan:
         done_m, length_m = float(followed.along_m[-1]), self.path.length_m
         fraction = done_m / length_m if length_m > 0.0 else 1.0
-        stopped_by = None if followed.ended is None else _stopped_by(followed.ended, done_m, length_m)
+        reached = as_pose(self.path.at(done_m), DIGITS)
+        stopped_by = None if followed.ended is None else _stopped_by(followed.ended, done_m, length_m, reached)
         return CartesianPlan(motion, fraction, stopped_by, budget.spent_s, deviation)
 
 
@@ -234,11 +240,20 @@ def _shortened(followed: FollowedPath, contact: Vector, ended: PathEnd) -> Follo
     return FollowedPath(followed.along_m[:kept], followed.points[:kept], ended)
 
 
-def _stopped_by(ended: PathEnd, along_m: float, length_m: float) -> PlanningFailure:
+def _stopped_by(ended: PathEnd, along_m: float, length_m: float, reached: Pose) -> PlanningFailure:
+    to = f", to {in_words(reached.position_m)} m" if along_m > 0.0 else ""
     return PlanningFailure(
         CODES[ended.reason],
-        f"the path can be followed for {100.0 * along_m:.1f} of {100.0 * length_m:.1f} cm: {ended.sentence}",
-        {"reason": ended.reason, "along_m": along_m, "length_m": length_m, **ended.details},
+        f"the path can be followed for {100.0 * along_m:.1f} of {100.0 * length_m:.1f} cm{to}: {ended.sentence}",
+        {
+            "reason": ended.reason,
+            "along_m": along_m,
+            "length_m": length_m,
+            "reached_fraction": along_m / length_m if length_m > 0.0 else 0.0,
+            "reached_m": list(reached.position_m),
+            "reached_orientation": list(reached.orientation),
+            **ended.details,
+        },
     )
 
 

@@ -74,6 +74,18 @@ class _Piece:
         angle = share * self.angle
         return np.asarray(self.angle * (np.cos(angle) * self.along - np.sin(angle) * self.spoke))
 
+    def pose(self, share: float) -> pin.SE3:
+        """Return the tip's pose after a share of the piece."""
+        return pin.SE3(self.rotation @ pin.exp3(share * self.turn), self.position(share))
+
+    def part(self, share: float, digits: int) -> Line | Arc:
+        """Return a segment for the first share of the piece, its end rounded."""
+        end = as_pose(self.pose(share), digits)
+        if self.angle == 0.0:
+            return Line(end)
+        x, y, z = self.position(0.5 * share).tolist()
+        return Arc((x, y, z), end)
+
 
 class TipPath:
     """Lines and arcs one after the other; the path's parameter is its length, to which turns of the tip contribute.
@@ -106,7 +118,37 @@ class TipPath:
         index = int(np.searchsorted(self._starts_m, along_m, side="right")) - 1
         piece = self._pieces[min(max(index, 0), len(self._pieces) - 1)]
         share = min(1.0, (along_m - piece.start_m) / piece.length_m)
-        return pin.SE3(piece.rotation @ pin.exp3(share * piece.turn), piece.position(share))
+        return piece.pose(share)
+
+
+def first_part(start: pin.SE3, segments: Sequence[Line | Arc], along_m: float, digits: int) -> tuple[Line | Arc, ...]:
+    """Return the segments of a path up to a length.
+
+    Args:
+        start: pose of the tip at the start.
+        segments: of the path.
+        along_m: where it shall end [m].
+        digits: decimals to which the new end is rounded.
+    """
+    kept: list[Line | Arc] = []
+    before_m = 0.0
+    for segment in segments:
+        piece = _piece(before_m, start, segment)
+        if piece.length_m > SHORTEST_M:
+            if before_m + piece.length_m >= along_m:
+                return *kept, piece.part((along_m - before_m) / piece.length_m, digits)
+            before_m += piece.length_m
+            start = _placement(segment.end)
+        kept.append(segment)
+    return tuple(kept)
+
+
+def as_pose(placement: pin.SE3, digits: int) -> Pose:
+    """Return a pose as plain data, its position rounded to some decimals."""
+    # Minus 0 is a strange number to read.
+    x, y, z = (round(value, digits) + 0.0 for value in placement.translation.tolist())
+    qx, qy, qz, qw = pin.Quaternion(placement.rotation).coeffs().tolist()
+    return Pose((x, y, z), (qx, qy, qz, qw))
 
 
 def apart_m(a: pin.SE3, b: pin.SE3) -> float:

@@ -327,6 +327,30 @@ def projected_search(query: Query, project: Project, seed: int, should_stop: Cal
     return None
 
 
+def reachable(query: Query, project: Project, seed: int, should_stop: Callable[[], bool]) -> Vector:
+    """Grow a tree from the start, of its branches some towards the goals.
+
+    Args:
+        query: what to search for; its goals need not be free, and there may be none.
+        project: brings a point to one nearby where the space's condition holds, or gives None.
+        seed: same query and seed, same tree.
+        should_stop: called before each step.
+
+    Returns:
+        Points that free polylines lead to from the start, which is the first, shape (m, n).
+    """
+    rng = np.random.default_rng(seed)
+    grower, tree = _Grower(query, project, should_stop), _Tree([query.start])
+    for goal in query.goals:
+        grower.grow(tree, 0, goal)
+    while not should_stop():
+        drawn, known = rng.uniform(query.space.lower_rad, query.space.upper_rad), len(tree.points)
+        here = grower.grow(tree, tree.nearest(drawn), drawn)
+        if len(tree.points) > known and len(query.goals):
+            grower.grow(tree, here, query.goals[int(rng.integers(len(query.goals)))])
+    return np.array(tree.points)
+
+
 class _Tree:
     """Points, and from which of them each was reached."""
 

@@ -351,13 +351,26 @@ def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) 
         return Suggestion(NAMED_TOPIC, NAMED_TYPE, {"data": name}, f"the named target {name!r}")
     if "free_rad" in details:
         return _joints(details["free_rad"], robot, "the nearest configuration that was found")
-    if "free_m" in details:
+    # The end of a part of a path is no goal to be published: the path is to be followed up to there.
+    if "free_m" in details and "free_fraction" not in details:
         return _point(details["free_m"], message, robot.root_link, "the nearest point that was found")
     if "nearest_m" in details:
         return _point(details["nearest_m"], message, robot.root_link, "the nearest point")
     if {"joint", "lower_rad", "upper_rad"} <= details.keys() and details["joint"] in message.get("name", ()):
         return _within_limits(message, robot)
     return None
+
+
+def with_suggestion(message: str, details: Mapping[str, Any], robot: RobotModel) -> str:
+    """Return the sentence of a failure with the goal that would work, for clients that get no details.
+
+    Args:
+        message: the sentence.
+        details: of the failure.
+        robot: the arm.
+    """
+    instead = suggestion({}, details, robot)
+    return message if instead is None else instead.added_to(message)
 
 
 def _point(position_m: list[float], message: Message, root: str, what: str) -> Suggestion | None:

@@ -157,3 +157,18 @@ def test_failure_for_lack_of_time_names_the_allowed_time(clock):
 
 def test_failure_after_a_stop_is_preempted(clock):
     assert Budget(clock, 2.0, lambda: True).failure().code is MoveItErrorCode.PREEMPTED
+
+
+def test_a_share_of_a_budget_is_of_the_time_that_is_left(clock):
+    budget = Budget(clock, 2.0, lambda: False)
+    clock.now_s += 1.0
+    part = budget.share(0.5)
+    assert part.left_s == pytest.approx(0.5)
+    clock.now_s += 0.6
+    assert part.used_up()
+    assert not budget.used_up()
+    assert budget.left_s == pytest.approx(0.4)
+
+
+def test_a_share_of_a_budget_is_stopped_with_it(clock):
+    assert Budget(clock, 2.0, lambda: True).share(0.5).used_up()

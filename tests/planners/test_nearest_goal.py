@@ -1,11 +1,13 @@
 """Goals that work in place of those that do not: of the same kind, near them, and verified by a plan."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from planners.goals import AxisGoal, JointGoal, PoseGoal, PositionGoal
+from planners.goals import AxisGoal, Constraints, JointConstraint, JointGoal, PoseGoal, PositionGoal
+from planners.nearest_goal import spread
 from planners.problem import MoveItErrorCode, NearestGoalAnswer, NearestGoalQuestion, Plan, PlanningFailure
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from tests.planners.setting import Setting
@@ -30,11 +32,24 @@ def beside_a_wall(setting):
     setting.planner.set_scene(EMPTY_SCENE)
 
 
+@pytest.fixture
+def beside_a_plate(setting):
+    """Beside a plate from the base outwards, behind which the arm may stand, but cannot come."""
+    half_rad = 0.5 * np.radians(30.0)
+    out = np.array([np.cos(2.0 * half_rad), np.sin(2.0 * half_rad)])
+    x, y = (0.38 * out).tolist()
+    pose = Pose((x, y, 0.5), (0.0, 0.0, float(np.sin(half_rad)), float(np.cos(half_rad))))
+    plate = SceneObject("plate", ((Box((0.6, 0.01, 1.0)), Pose()),), pose)
+    assert setting.planner.set_scene(Scene(next(VERSIONS), (plate,))) is None
+    yield setting
+    setting.planner.set_scene(EMPTY_SCENE)
+
+
 def nearest(setting, problem, allowed_time_s=5.0):
     """Return the nearest goal for a problem that has no plan, and how it failed."""
     failure = setting.planner.answer(problem)
     assert isinstance(failure, PlanningFailure), failure
-    answer = setting.planner.answer(NearestGoalQuestion(problem, allowed_time_s))
+    answer = setting.planner.answer(NearestGoalQuestion(problem, allowed_time_s, failure.code))
     assert isinstance(answer, NearestGoalAnswer)
     return answer.goal, failure
 
@@ -93,10 +108,126 @@ def test_a_place_out_of_reach_becomes_the_nearest_that_a_motion_reaches(setting)
     assert isinstance(setting.planner.answer(setting.problem(goal)), Plan)
 
 
+BEHIND_THE_PLATE = -1.85
+
+
+@pytest.mark.parametrize("named", [("shoulder_pan",), ("shoulder_pan", "elbow_flex"), None])
+def test_a_joint_goal_to_which_no_motion_leads_becomes_the_nearest_that_one_reaches(beside_a_plate, named):
+    whole = dict.fromkeys(beside_a_plate.joints, 0.0) | {"shoulder_pan": BEHIND_THE_PLATE}
+    asked = JointGoal({name: whole[name] for name in named or whole})
+    problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.5)
+    goal, failure = nearest(beside_a_plate, problem)
+    assert failure.code is MoveItErrorCode.TIMED_OUT
+    assert goal.positions_rad.keys() == asked.positions_rad.keys()
+    assert isinstance(beside_a_plate.planner.answer(replace(problem, goal=goal)), Plan)
+    # It is most of the way to the plate.
+    assert goal.positions_rad["shoulder_pan"] < 0.3
+
+
+def test_no_goal_is_suggested_that_takes_longer_to_plan_than_the_problem_allows(setting):
+    problem = setting.problem(JointGoal({"shoulder_pan": 0.5}), allowed_time_s=1e-9)
+    goal, failure = nearest(setting, problem)
+    assert failure.code is MoveItErrorCode.TIMED_OUT
+    assert goal is None
+
+
+def test_a_goal_of_the_tip_to_which_no_motion_leads_becomes_one_nearer_than_the_start(beside_a_plate):
+    start_rad = beside_a_plate.home(shoulder_pan=0.8)
+    asked_m = beside_a_plate.tip_m(beside_a_plate.home(shoulder_pan=BEHIND_THE_PLATE))
+    asked = PoseGoal(TIP, Pose(asked_m), 0.01, (0.1, 0.1, 0.1))
+    problem = beside_a_plate.problem(asked, start_rad, allowed_time_s=0.5)
+    goal, failure = nearest(beside_a_plate, problem)
+    assert failure.code is MoveItErrorCode.TIMED_OUT
+    assert isinstance(goal, PoseGoal)
+    assert isinstance(beside_a_plate.planner.answer(replace(problem, goal=goal)), Plan)
+    away_m = np.linalg.norm(np.array(goal.pose.position_m) - asked_m)
+    assert away_m < 0.8 * np.linalg.norm(np.array(beside_a_plate.tip_m(start_rad)) - asked_m)
+
+
+def test_where_no_motion_leads_to_what_is_free_around_a_contact_the_nearest_on_this_side_is_found(beside_a_plate):
+    # Everything around this contact is behind the plate.
+    asked = JointGoal({"shoulder_pan": -1.4})
+    problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.5)
+    goal, failure = nearest(beside_a_plate, problem, 1.0)
+    assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
+    assert goal.positions_rad["shoulder_pan"] < 0.3
+    assert isinstance(beside_a_plate.planner.answer(replace(problem, goal=goal)), Plan)
+
+
+@pytest.mark.parametrize("tolerance_rad", [0.2, 0.002])
+def test_a_joint_goal_that_violates_the_constraints_becomes_the_nearest_that_keeps_them(setting, tolerance_rad):
+    asked = JointGoal(dict.fromkeys(setting.joints, 0.0) | {"shoulder_pan": 0.8, "wrist_flex": 0.9})
+    level = Constraints(joints=(JointConstraint("wrist_flex", 0.0, tolerance_rad, tolerance_rad),))
+    problem = setting.problem(asked, path_constraints=level)
+    goal, failure = nearest(setting, problem)
+    assert failure.code is MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS
+    plan = setting.solve(replace(problem, goal=goal))
+    wrist = plan.trajectory.positions_rad[:, setting.joints.index("wrist_flex")]
+    assert np.all(np.abs(wrist) <= tolerance_rad + 1e-6)
+    # The other joints are about where they are asked for.
+    assert sum(abs(at - asked.positions_rad[name]) for name, at in goal.positions_rad.items()) < 0.9 + 0.5
+
+
+def test_a_goal_of_the_tip_that_violates_the_constraints_becomes_a_place_where_they_hold(setting):
+    start_rad = setting.home()
+    asked_m = setting.tip_m(setting.home(shoulder_pan=0.8, elbow_flex=-0.6, wrist_flex=1.2))
+    still = Constraints(
+        joints=tuple(JointConstraint(name, 0.0, 0.3, 0.3) for name in ("shoulder_pan", "shoulder_lift", "elbow_flex"))
+    )
+    asked = PositionGoal(TIP, asked_m, 0.005)
+    problem = setting.problem(asked, start_rad, path_constraints=still)
+    goal, failure = nearest(setting, problem)
+    assert failure.code is MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS
+    assert isinstance(setting.planner.answer(replace(problem, goal=goal)), Plan)
+    away_m = np.linalg.norm(np.array(goal.position_m) - asked_m)
+    assert away_m < 0.8 * np.linalg.norm(np.array(setting.tip_m(start_rad)) - asked_m)
+
+
+def test_a_joint_goal_beyond_the_limits_becomes_one_within_them(setting):
+    upper_rad = setting.robot.joints["shoulder_pan"].upper
+    asked = JointGoal({"shoulder_pan": upper_rad + 0.4, "elbow_flex": 0.3})
+    goal, failure = nearest(setting, setting.problem(asked))
+    assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert goal.positions_rad == {"shoulder_pan": upper_rad, "elbow_flex": 0.3}
+    assert isinstance(setting.planner.answer(setting.problem(goal)), Plan)
+
+
+def test_a_joint_goal_beyond_the_limits_and_in_contact_there_becomes_a_free_one(setting):
+    upper_rad = setting.robot.joints["elbow_flex"].upper
+    in_contact = setting.planner.answer(setting.problem(JointGoal({"elbow_flex": upper_rad})))
+    assert in_contact.code is MoveItErrorCode.GOAL_IN_COLLISION
+    goal, _ = nearest(setting, setting.problem(JointGoal({"elbow_flex": upper_rad + 0.4})))
+    assert isinstance(setting.planner.answer(setting.problem(goal)), Plan)
+    assert goal.positions_rad["elbow_flex"] > upper_rad - 0.5
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        JointGoal({"shoulder_pan": float("nan")}),
+        JointGoal({"shoulder_pan": 9.0, "elbow_flex": float("nan")}),
+        JointGoal({"shoulder_pan": 9.0, "tail": 0.0}),
+        PositionGoal("tail", (0.3, 0.0, 0.2), 0.01),
+        PositionGoal(TIP, (float("nan"), 0.0, 0.2), 0.01),
+    ],
+)
+def test_for_a_goal_that_cannot_be_read_there_is_none(setting, asked):
+    assert nearest(setting, setting.problem(asked))[0] is None
+
+
+def test_points_are_chosen_nearest_first_a_step_apart_and_nearer_than_the_first():
+    away_m = np.array([1.0, 0.3, 0.31, 0.2, 0.99, 0.5, 1.2, 0.29])
+    assert spread(away_m, 9) == [3, 7, 5]
+    assert spread(away_m, 2) == [3, 7]
+    assert spread(np.array([1.0, 1.0, 0.97]), 9) == []
+
+
 def test_same_question_same_answer(beside_a_wall):
-    question = NearestGoalQuestion(beside_a_wall.problem(JointGoal({"shoulder_pan": -1.2})), 5.0)
-    first, second = (beside_a_wall.planner.answer(question) for _ in range(2))
-    assert first == second
+    for code in (MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.TIMED_OUT):
+        question = NearestGoalQuestion(beside_a_wall.problem(JointGoal({"shoulder_pan": -1.2})), 5.0, code)
+        first, second = (beside_a_wall.planner.answer(question) for _ in range(2))
+        assert first == second
+        assert first.goal is not None
 
 
 def test_without_time_or_for_a_goal_of_another_kind_there_is_none(beside_a_wall):
@@ -107,4 +238,6 @@ def test_without_time_or_for_a_goal_of_another_kind_there_is_none(beside_a_wall)
 
 def test_a_question_that_is_cancelled_ends(beside_a_wall):
     problem = beside_a_wall.problem(JointGoal({"shoulder_pan": -1.2}))
-    assert beside_a_wall.planner.answer(NearestGoalQuestion(problem, 5.0), lambda: True) == NearestGoalAnswer(None)
+    for code in (MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.TIMED_OUT):
+        question = NearestGoalQuestion(problem, 5.0, code)
+        assert beside_a_wall.planner.answer(question, lambda: True) == NearestGoalAnswer(None)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from enum import Enum
+from typing import overload
 
 import numpy as np
 from coal import CollisionGeometry, CollisionRequest, CollisionResult, DistanceRequest, DistanceResult
@@ -10,7 +11,11 @@ from numpy.typing import NDArray
 _Vector = NDArray[np.float64]
 
 class Quaternion:
+    @overload
+    def __init__(self, rotation: _Vector) -> None: ...
+    @overload
     def __init__(self, w: float, x: float, y: float, z: float) -> None: ...
+    def coeffs(self) -> _Vector: ...
     @staticmethod
     def FromTwoVectors(start: _Vector, end: _Vector) -> Quaternion: ...
     def normalized(self) -> Quaternion: ...

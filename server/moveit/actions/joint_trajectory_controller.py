@@ -32,6 +32,7 @@ from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
+from server.moveit.goal_messages import with_suggestion
 from server.moveit.poses import Message
 from server.moveit.requests.durations import read_seconds
 from server.moveit.requests.error_codes import error_code, refused
@@ -158,7 +159,7 @@ def move_group_result(answer: Answer, robot: RobotModel) -> Message:
     planned = _planned_messages(answer, robot)
     executed = None if answer.performed is None else answer.performed.executed
     return {
-        "error_code": code_message(answer),
+        "error_code": _explained_code(answer, robot),
         "trajectory_start": _start_message(answer, robot),
         "planned_trajectory": planned[0] if planned else _trajectory_message(None, robot),
         "executed_trajectory": _trajectory_message(executed, robot),
@@ -169,12 +170,17 @@ def move_group_result(answer: Answer, robot: RobotModel) -> Message:
 def sequence_result(answer: Answer, robot: RobotModel) -> Message:
     """Write the result of moveit_msgs/MoveGroupSequence."""
     response = {
-        "error_code": code_message(answer),
+        "error_code": _explained_code(answer, robot),
         "sequence_start": _start_message(answer, robot),
         "planned_trajectories": _planned_messages(answer, robot),
         "planning_time": _planning_time_s(answer),
     }
     return {"response": response}
+
+
+def _explained_code(answer: Answer, robot: RobotModel) -> dict[str, Any]:
+    """Write the code of an answer, with what would work in its message if anything was found."""
+    return error_code(answer.code, with_suggestion(answer.message, answer.details, robot))
 
 
 def _start_message(answer: Answer, robot: RobotModel) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
 from server.errors import RefusedError
+from server.execution.failures import with_nearest_goal
 from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions, Step, plan_sequence
 from server.execution.queue import Answer, GoalQueue
@@ -287,7 +288,8 @@ async def plan_steps(
     planned = await plan_sequence(steps, start.start_rad, scene, context.pool.ask)
     if planned.failure is not None:
         context.display.contacts_of(planned.failure.details)
-        return Answer.of(planned.failure, planned.performed)
+        failure = await with_nearest_goal(planned.failure, planned.problem, scene, context.pool)
+        return Answer.of(failure, planned.performed)
     context.display.performed(planned.performed)
     message = "; ".join((planned.summary, *planned.notes, *start.warnings, *warnings))
     return Answer(MoveItErrorCode.SUCCESS, message, performed=planned.performed)

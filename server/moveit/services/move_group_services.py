@@ -11,7 +11,7 @@ import inspect
 import logging
 import xml.etree.ElementTree as ET
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
 from planners.goals import Constraints
@@ -20,11 +20,13 @@ from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
 from server.errors import RefusedError, ServiceError, UnsuccessfulError
+from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
-from server.execution.motions import plan_sequence
+from server.execution.motions import Problem, plan_sequence
 from server.graph.node import Node
 from server.graph.services import Answered, Call, CompleteResponse, answer
 from server.graph.topics import Graph
+from server.moveit.goal_messages import with_suggestion
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.poses import Message, pose_of, write_pose
 from server.moveit.requests.constraints import read_path_constraints
@@ -200,9 +202,9 @@ async def plan_kinematic_path(context: PlanningContext, request: Message, caller
     built = context.problems.motion_plan(plan_request, start.start_rad)
     plan = await context.pool.ask(built.problem, start.scene)
     if isinstance(plan, PlanningFailure):
-        raise RefusedError(plan)
+        raise RefusedError(await explained(plan, built.problem, start.scene, context))
     if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
-        raise RefusedError(plan.stopped_by)
+        raise RefusedError(await explained(plan.stopped_by, built.problem, start.scene, context))
     root = context.robot.root_link
     start_state, trajectory = state_message(dict(start.start_rad), root, 0.0), to_message(plan.trajectory, root)
     context.display.trajectories([trajectory], start_state)
@@ -215,6 +217,21 @@ async def plan_kinematic_path(context: PlanningContext, request: Message, caller
     }
     context.display.pipeline(plan_request, response)
     return {"motion_plan_response": response}
+
+
+async def explained(
+    failure: PlanningFailure, problem: Problem | None, scene: Scene, context: PlanningContext
+) -> PlanningFailure:
+    """Return a failure whose message says what would work, if anything was found.
+
+    Args:
+        failure: the reason why a problem has no plan.
+        problem: the problem; None when it could not be made.
+        scene: in which it was planned.
+        context: all that it is planned with.
+    """
+    added = await with_nearest_goal(failure, problem, scene, context.pool)
+    return replace(added, message=with_suggestion(added.message, added.details, context.robot))
 
 
 async def plan_sequence_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
@@ -230,6 +247,8 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     start = context.start(requests[0]["start_state"], caller)
     planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool.ask)
     root, performed, failure = context.robot.root_link, planned.performed, planned.failure
+    if failure is not None:
+        failure = await explained(failure, planned.problem, start.scene, context)
     start_state, trajectories = state_message(dict(start.start_rad), root, 0.0), []
     for motion in performed.planned:
         # A long sequence has thousands of points; others have their turn in between.

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from planners.motions.path import TREES, CountedSpace, Query, _ompl_space, search, without_detours
+from planners.motions.path import TREES, CountedSpace, Query, _ompl_space, reachable, search, without_detours
 from planners.problem import PLANNER_IDS
 from tests.planners.invariants import BLOCKED_LINES, never
 
@@ -107,3 +107,20 @@ def test_detours_around_something_stay(space, joint_space, blocked):
 
 def test_a_path_that_is_not_free_after_all_is_none(space, blocked):
     assert without_detours(space, np.array(blocked), STEP_M) is None
+
+
+def test_a_tree_has_the_goal_where_the_way_is_free_and_only_free_points(space, joint_space):
+    points = reachable(Query(space, HOME, [READY], STEP_M), lambda point: point, 3, after(space, 2000))
+    np.testing.assert_array_equal(points[0], HOME)
+    assert any(np.array_equal(point, READY) for point in points)
+    assert len(points) > 20
+    assert all(joint_space.free(point) for point in points)
+
+
+def test_a_tree_without_goals_grows_as_well(space):
+    assert len(reachable(Query(space, HOME, [], STEP_M), lambda point: point, 3, after(space, 2000))) > 20
+
+
+def test_a_tree_that_is_stopped_is_its_start(space):
+    points = reachable(Query(space, HOME, [READY], STEP_M), lambda point: point, 3, lambda: True)
+    np.testing.assert_array_equal(points, [HOME])

@@ -253,6 +253,10 @@ def test_the_goals_of_one_arm_of_two_move_its_joints_alone() -> None:
     assert left.joints == set(PAIR.groups["left_arm"].joints)
 
 
+def test_the_end_of_a_part_of_a_path_is_no_goal_to_be_published() -> None:
+    assert suggestion({}, {"free_m": [0.1, 0.2, 0.3], "free_fraction": 0.4}, ROBOT) is None
+
+
 def test_a_suggestion_for_joints_that_slide_is_in_metres(lifted: GoalTranslator) -> None:
     asked = joint_state(name=["lift"], position=[0.9])
     told = suggestion(asked, {"joint": "lift", "lower_rad": 0.0, "upper_rad": 0.3}, LIFTED)

@@ -13,6 +13,7 @@ from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from server.execution.motions import ExternalTrajectory, PlannedMotion
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
+from server.moveit.actions.joint_trajectory_controller import move_group_result, sequence_result
 from server.moveit.actions.move_group import (
     DEFAULT_ATTEMPTS,
     EXECUTE_ACTION,
@@ -30,8 +31,9 @@ from server.moveit.actions.move_group import (
     read_planning_goal,
     read_planning_options,
 )
+from server.moveit.requests.planning_problems import PILZ
 from tests.helpers.fake_arm import HOME, settle
-from tests.helpers.moveit import ROBOT, ActionDesk, ServiceRig, assert_refused, joint, message, outcome
+from tests.helpers.moveit import ROBOT, ActionDesk, ServiceRig, assert_refused, ball, joint, message, outcome
 
 OFFERED = {
     "/move_action": "moveit_msgs/action/MoveGroup",
@@ -243,6 +245,18 @@ async def test_a_plan_that_cannot_be_had_has_its_own_code_and_data(rig: ServiceR
     answer = await plan_only(asked(rig, request), rig.client, rig.context)
     assert answer.code is MoveItErrorCode.INVALID_ROBOT_STATE
     assert "knee" in answer.message
+
+
+async def test_a_plan_alone_that_fails_says_what_would_work(rig: ServiceRig) -> None:
+    far = {"position_constraints": [ball(0.8, 0.0, 0.2)]}
+    free = await plan_only(asked(rig, {"goal_constraints": [far]}), rig.client, rig.context)
+    assert free.code is MoveItErrorCode.NO_IK_SOLUTION
+    assert "what would work: the nearest point" in move_group_result(free, ROBOT)["error_code"]["message"]
+    line = {"goal_constraints": [far], "pipeline_id": PILZ, "planner_id": "LIN"}
+    straight = await plan_only(asked(rig, line), rig.client, rig.context)
+    for result in (move_group_result(straight, ROBOT), sequence_result(straight, ROBOT)["response"]):
+        assert result["error_code"]["message"] == straight.message
+        assert "what would work: the same path to (" in straight.message
 
 
 def options(**fields: Any) -> PlanningOptions:

@@ -189,6 +189,29 @@ async def test_a_line_of_the_tip_ends_at_the_goal(rig: ServiceRig) -> None:
     assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
 
 
+@pytest.mark.parametrize("service", ["/plan_kinematic_path", "/plan_sequence_path"])
+async def test_a_line_of_the_tip_that_ends_early_says_how_far_it_can_be_planned(rig: ServiceRig, service: str) -> None:
+    fields = {"pipeline_id": PILZ, "planner_id": "LIN"}
+    far = {"position_constraints": [ball(0.8, 0.0, 0.2)]}
+    if service == "/plan_kinematic_path":
+        response = await planned(rig, far, **fields)
+    else:
+        response = await planned_sequence(rig, {"req": {"goal_constraints": [far], **fields}})
+    assert response["error_code"]["val"] == MoveItErrorCode.NO_IK_SOLUTION
+    assert "what would work: the same path to (" in response["error_code"]["message"]
+
+
+@pytest.mark.parametrize("service", ["/plan_kinematic_path", "/plan_sequence_path"])
+async def test_a_goal_in_collision_says_what_would_work(rig: ServiceRig, service: str) -> None:
+    put(rig, thing((0.0, 0.35, 0.2)))
+    inside = {"position_constraints": [ball(0.0, 0.35, 0.2)]}
+    if service == "/plan_kinematic_path":
+        response = await planned(rig, inside)
+    else:
+        response = await planned_sequence(rig, {"req": {"goal_constraints": [inside]}})
+    assert "what would work: the nearest point that was found, (" in response["error_code"]["message"]
+
+
 async def test_a_plan_is_shown(rig: ServiceRig) -> None:
     shown = rig.listen("/display_planned_path", "moveit_msgs/DisplayTrajectory")
     response = await planned(rig)

@@ -1,0 +1,202 @@
+"""What works in place of paths that cannot be followed to their end."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from planners.cartesian.nearest_end import end_as_goal
+from planners.cartesian.tip_path import TipPath, apart_m, apart_rad, as_pose, first_part
+from planners.pipeline import Planner
+from planners.problem import (
+    CartesianPlan,
+    Line,
+    MoveItErrorCode,
+    NearestGoalAnswer,
+    NearestGoalQuestion,
+    PathGoal,
+    Plan,
+    PlanningFailure,
+)
+from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from tests.planners.following import TIP, arc, line
+
+VERSIONS = itertools.count(7_100_001)
+
+START = np.array([0.0, -0.3, 0.5, 1.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def own_planner(robot):
+    # By the clock of planner processes, which a busy machine does not hurry.
+    return Planner(robot, time.process_time)
+
+
+@pytest.fixture
+def scene(own_planner):
+    def put(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> None:
+        objects = tuple(
+            SceneObject(f"box {i}", ((Box(size_m), Pose()),), Pose(at_m)) for i, (at_m, size_m) in enumerate(boxes)
+        )
+        assert own_planner.set_scene(Scene(next(VERSIONS), objects)) is None
+
+    yield put
+    own_planner.set_scene(EMPTY_SCENE)
+
+
+def shifted(follower, *by_m, turned=None):
+    pose = follower.pose(START).copy()
+    pose.translation = pose.translation + np.array(by_m)
+    if turned is not None:
+        pose.rotation = pose.rotation @ pin.exp3(np.array(turned))
+    return pose
+
+
+def found(planner, problem, allowed_time_s=5.0):
+    """Return what works, and the plan of the part that can be followed."""
+    plan = planner.answer(problem)
+    answer = planner.answer(NearestGoalQuestion(problem, allowed_time_s))
+    assert isinstance(answer, NearestGoalAnswer)
+    return answer.goal, plan
+
+
+def beside(follower, *, y_m=0.11):
+    """A wall to the left of the tip: at, and whole edges [m]."""
+    tip_m = follower.pose(START).translation
+    return (float(tip_m[0]), float(tip_m[1]) + y_m, 0.3), (0.4, 0.01, 0.6)
+
+
+def lines_and_arcs(follower):
+    return {
+        "line": (line(shifted(follower, 0.0, 0.12, 0.0)),),
+        "arc": (arc(follower.pose(START), shifted(follower, 0.0, 0.12, 0.0), 0.02),),
+        "two lines": (line(shifted(follower, 0.0, 0.03, -0.02)), line(shifted(follower, 0.0, 0.12, 0.0))),
+    }
+
+
+@pytest.mark.parametrize("keep_orientation", [False, True])
+@pytest.mark.parametrize("kind", ["line", "arc", "two lines"])
+def test_the_same_path_can_be_planned_to_the_end_that_is_found(follower, own_planner, scene, kind, keep_orientation):
+    scene(beside(follower))
+    segments = lines_and_arcs(follower)[kind]
+    asked = {"keep_orientation": True, "orientation_tolerance_rad": 0.3} if keep_orientation else {}
+    problem = follower.problem(START, *segments, **asked)
+    goal, plan = found(own_planner, problem)
+    assert isinstance(goal, PathGoal)
+    assert 0.0 < goal.fraction <= plan.fraction < 1.0
+    # No more than a few millimetres of what can be followed are given away.
+    assert goal.fraction * goal.length_m > plan.fraction * goal.length_m - 0.006
+    start = follower.pose(START)
+    path = TipPath(start, segments)
+    place = path.at(goal.fraction * path.length_m)
+    np.testing.assert_allclose(goal.end.position_m, place.translation, atol=1e-4)
+    part = first_part(start, segments, goal.fraction * path.length_m, 4)
+    assert part[-1].end == goal.end
+    again = own_planner.answer(replace(problem, segments=part))
+    assert isinstance(again, CartesianPlan)
+    assert again.stopped_by is None
+
+
+def test_the_end_that_is_found_is_planned_again_whole_wherever_the_path_leaves_the_reach(follower, own_planner):
+    for aside_m in np.linspace(-0.2, 0.2, 12):
+        problem = follower.problem(START, line(shifted(follower, 0.5, float(aside_m), 0.0)))
+        goal, _ = found(own_planner, problem)
+        again = own_planner.answer(replace(problem, segments=(Line(goal.end),)))
+        assert again.stopped_by is None
+
+
+@pytest.mark.parametrize("y_m", [0.07897435897435898, 0.08794871794871796, 0.1076923076923077, 0.12])
+def test_the_end_that_is_found_is_planned_again_whole_where_its_rounding_would_touch(follower, own_planner, scene, y_m):
+    scene(beside(follower, y_m=y_m))
+    for down_m in (0.0, -0.02, 0.03):
+        problem = follower.problem(START, line(shifted(follower, 0.0, 0.12, -down_m)))
+        goal, _ = found(own_planner, problem)
+        again = own_planner.answer(replace(problem, segments=(Line(goal.end),)))
+        assert again.stopped_by is None
+
+
+def test_the_end_of_a_path_behind_an_obstacle_is_reached_by_another_way(follower, own_planner, scene):
+    tip_m = follower.pose(START).translation
+    scene(((float(tip_m[0]), float(tip_m[1]) + 0.08, 0.0), (0.3, 0.01, 2.0 * float(tip_m[2]) + 0.03)))
+    problem = follower.problem(START, line(shifted(follower, 0.0, 0.2, 0.0)))
+    goal, plan = found(own_planner, problem)
+    assert plan.fraction < 1.0
+    assert goal.end_by_other_way
+    assert isinstance(own_planner.answer(end_as_goal(problem, 5.0)), Plan)
+
+
+def test_another_way_keeps_the_orientation_that_the_path_keeps(follower, own_planner):
+    # Five joints have no such orientation there.
+    problem = follower.problem(START, line(shifted(follower, 0.0, 0.1, 0.0, turned=(1.0, 0.0, 0.0))))
+    free, _ = found(own_planner, replace(problem, max_joint_step_rad=1e-4))
+    kept, _ = found(own_planner, replace(problem, keep_orientation=True))
+    assert free.end_by_other_way
+    assert kept is None or not kept.end_by_other_way
+
+
+def test_an_end_out_of_reach_is_reached_by_no_other_way(follower, own_planner):
+    goal, plan = found(own_planner, follower.problem(START, line(shifted(follower, 0.5, 0.0, 0.0))))
+    assert 0.0 < plan.fraction < 1.0
+    assert goal.end is not None
+    assert not goal.end_by_other_way
+
+
+def test_the_failure_of_a_path_has_the_place_that_its_motion_reaches(follower, own_planner, scene):
+    scene(beside(follower))
+    plan = own_planner.answer(follower.problem(START, line(shifted(follower, 0.0, 0.12, 0.0))))
+    details = plan.stopped_by.details
+    reached = follower.pose(plan.trajectory.positions_rad[-1])
+    np.testing.assert_allclose(details["reached_m"], reached.translation, atol=2e-4)
+    assert details["reached_fraction"] == plan.fraction
+    assert ", to (" in plan.stopped_by.message
+    assert len(details["reached_orientation"]) == 4
+
+
+def test_no_place_has_a_minus_0():
+    place_m = as_pose(pin.SE3(np.eye(3), np.array([-1e-9, 0.1, -0.2])), 4).position_m
+    assert np.signbit(place_m).tolist() == [False, False, True]
+
+
+def test_a_path_that_does_not_begin_names_no_place(follower, own_planner):
+    problem = follower.problem(START, line(shifted(follower, 0.0, 0.05, 0.0)), max_joint_step_rad=1e-9)
+    plan = own_planner.answer(problem)
+    assert plan.fraction == 0.0
+    assert ", to (" not in plan.stopped_by.message
+    goal, _ = found(own_planner, problem)
+    assert goal == PathGoal(None, 0.0, goal.length_m, end_by_other_way=True)
+
+
+def test_without_time_once_cancelled_or_for_a_problem_that_is_refused_there_is_none(follower, own_planner, scene):
+    scene(beside(follower))
+    problem = follower.problem(START, line(shifted(follower, 0.0, 0.12, 0.0)))
+    assert found(own_planner, problem, 1e-9)[0] is None
+    assert own_planner.answer(NearestGoalQuestion(problem, 5.0), lambda: True) == NearestGoalAnswer(None)
+    unknown, failure = found(own_planner, replace(problem, link="tail"))
+    assert isinstance(failure, PlanningFailure)
+    assert failure.code is MoveItErrorCode.INVALID_LINK_NAME
+    assert unknown is None
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.77, 0.95])
+@pytest.mark.parametrize("kind", ["line", "arc", "two lines"])
+def test_the_first_part_of_a_path_is_where_the_path_is(follower, kind, share):
+    start, segments = follower.pose(START), lines_and_arcs(follower)[kind]
+    whole = TipPath(start, segments)
+    part = TipPath(start, first_part(start, segments, share * whole.length_m, 9))
+    assert part.length_m == pytest.approx(share * whole.length_m, abs=1e-6)
+    for along_m in np.linspace(0.0, part.length_m, 7):
+        assert apart_m(part.at(along_m), whole.at(along_m)) < 1e-6
+        assert apart_rad(part.at(along_m), whole.at(along_m)) < 1e-4
+
+
+def test_a_part_as_long_as_the_path_is_the_path(follower):
+    start, segments = follower.pose(START), lines_and_arcs(follower)["two lines"]
+    part = first_part(start, segments, TipPath(start, segments).length_m + 1.0, 9)
+    assert part == segments
+    assert isinstance(part[0], Line)
+    assert follower.problem(START, *part).link == TIP

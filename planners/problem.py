@@ -123,7 +123,7 @@ class PlanningProblem:
     start_velocity_rad_s: Mapping[str, float] = field(default_factory=dict)
     path_constraints: Constraints | None = None
     planner_id: str = ""
-    optimization_time_s: float = 0.006
+    optimization_time_s: float = 0.036
     max_jerk_rad_s3: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -58,7 +58,7 @@ SHRINK = 0.7
 LEAST_GAIN_TICKS = 40
 
 # After so many rounds without a gain the curve is about as short as it gets.
-FRUITLESS_ROUNDS = 8
+FRUITLESS_ROUNDS = 5
 
 STRAIGHT_LINE = "straight line"
 

@@ -83,9 +83,27 @@ def test_pieces_are_near_where_the_whole_surface_is(ball, seed, margin_m) -> Non
         expected = nearer_than(whole, pin.SE3.Identity(), other, at, margin_m)
         assert surfaces_nearer_than(parts_of_surface(ball), pin.SE3.Identity(), other, at, margin_m) == expected
         assert surfaces_nearer_than(other, at, parts_of_surface(ball), pin.SE3.Identity(), margin_m) == expected
-        assert surfaces_nearer_than(
-            parts_of_surface(ball), pin.SE3.Identity(), parts_of_surface(ball), at, margin_m
-        ) in (True, False)
+        verdicts.add(expected)
+    assert verdicts == {True, False}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_surfaces_of_two_links_are_near_where_any_of_their_pieces_are(ball, seed) -> None:
+    whole = parts_of(
+        [pin.GeometryObject("ball", 0, pin.SE3.Identity(), triangle_tree(ball._vertices_m, ball._triangles))]
+    )
+    rng, verdicts = np.random.default_rng(seed), set()
+    for _ in range(in_proportion(60)):
+        away = rng.normal(size=3)
+        at = pin.SE3(
+            pin.Quaternion(*rng.normal(size=4)).normalized().matrix(),
+            rng.uniform(0.098, 0.102) * away / np.linalg.norm(away),
+        )
+        expected = nearer_than(whole, pin.SE3.Identity(), whole, at, 0.0)
+        assert (
+            surfaces_nearer_than(parts_of_surface(ball), pin.SE3.Identity(), parts_of_surface(ball), at, 0.0)
+            == expected
+        )
         verdicts.add(expected)
     assert verdicts == {True, False}
 

@@ -331,6 +331,8 @@ class PlannerPool:
         self._idle: list[WorkerProcess] = []
         self._motion_turns = asyncio.Semaphore(active)
         self._question_turns = asyncio.Semaphore(questions)
+        # Motions that are planned as long as nothing else is to be planned.
+        self._background: set[asyncio.Task[Plan | PlanningFailure]] = set()
         # Set for a moment when a worker has become idle, or load_failure known.
         self._changed = asyncio.Event()
         self._closing = asyncio.Event()
@@ -418,6 +420,9 @@ class PlannerPool:
             return PlanningFailure(MoveItErrorCode.FAILURE, message)
         motion = isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | NearestGoalQuestion)
         turns = self._motion_turns if motion else self._question_turns
+        if motion and turns.locked():
+            for task in self._background:
+                task.cancel()
         self.waiting_count += 1
         try:
             await turns.acquire()
@@ -427,6 +432,25 @@ class PlannerPool:
             return await self._answer(request, scene)
         finally:
             turns.release()
+
+    async def ask_in_background(
+        self, problem: PlanningProblem, scene: Scene = EMPTY_SCENE
+    ) -> Plan | PlanningFailure | None:
+        """Have a planner plan a motion that nothing waits for, in a scene; arguments as for :meth:`ask`.
+
+        Returns:
+            None if all planners of motions are at work, or as soon as another request needs the one that plans this.
+        """
+        if self._motion_turns.locked():
+            return None
+        asking = asyncio.create_task(self.ask(problem, scene), name="planning in the background")
+        self._background.add(asking)
+        try:
+            await asyncio.wait([asking])
+        finally:
+            self._background.discard(asking)
+            asking.cancel()
+        return None if asking.cancelled() else asking.result()
 
     # Private methods for requests: a worker is taken from the idle ones and put back once it has answered.
 

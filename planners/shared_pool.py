@@ -13,7 +13,7 @@ from pathlib import Path
 from planners.messages import Answered, Ask, Cancel, Hosted, LoadFailed, MoreObjects, NewScene
 from planners.pool import LOAD_TIMEOUT_S, PlannerPool, parts
 from planners.pool_host import LONGEST_PLANNING_S, READ_BYTES
-from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request
+from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, Request
 from planners.scene import EMPTY_SCENE, Scene
 from robot.channel import Decoder, encode
 from robot.description.model import RobotModel
@@ -76,6 +76,13 @@ class SharedPlanners(PlannerPool):
     def idle_count(self) -> int:
         """Number of shared processes while none works for this server."""
         return len(self._pids) if not self._answers else 0
+
+    async def ask_in_background(
+        self, problem: PlanningProblem, scene: Scene = EMPTY_SCENE
+    ) -> Plan | PlanningFailure | None:
+        """Plan nothing: the host's planners are those of others as well, whose requests would have to wait."""
+        del problem, scene
+        return None
 
     async def _answer(self, request: Request, scene: Scene) -> Answer:
         try:

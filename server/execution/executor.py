@@ -44,6 +44,7 @@ from server.execution.motions import (
     with_lead_in,
 )
 from server.execution.motions_in_progress import MotionInProgress, MotionsInProgress, meeting_question
+from server.execution.planned_ahead import PlannedAhead
 from server.execution.player import BRAKING_TIMEOUT_S, CheckedMotion, Player
 from server.execution.queue import Answer, GoalState, Joints, Performed, Progress
 from server.execution.time_limits import TimeLimits
@@ -157,20 +158,41 @@ class GoalExecutor:
         self._player = Player(arm, robot, self._scene_monitor, self._time_limits, self._in_progress)
         self._work: asyncio.Task[Any] | None = None
         self._cancel_reason = ""
+        self._ahead = PlannedAhead(pool)
+        # Where the joints of the active goal will be at its end [rad]; None before its motion is known.
+        self._end_rad: Positions | None = None
 
     # Methods for the queue.
 
     async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
         """Plan and play a motion; every wait is bounded, and every way out is an answer."""
         try:
-            match request:
-                case ExternalTrajectory():
-                    return await _answered(self._play_external(request, report))
-                case PlannedMotion():
-                    return await self._plan_and_play(request, report)
+            answer = await self._perform(request, report)
+            if answer.code is not MoveItErrorCode.SUCCESS:
+                # The arm is not where the next goal was planned from, or something has happened to it.
+                self._ahead.cancel()
+            return answer
         finally:
             # At the end, not at the beginning: a goal may be cancelled after its turn has come, before this runs.
             self._cancel_reason = ""
+            self._end_rad = None
+
+    def plan_ahead(self, request: Motion, left_s: float) -> None:
+        """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is not known.
+
+        Args:
+            request: the next goal, of the same joints.
+            left_s: time left of the motion in progress [s].
+        """
+        held_rad = self._current.positions_rad()
+        # Beside motions of other joints it is not known where those are when the goal's turn comes.
+        if self._end_rad is None or held_rad is None or self._cancel_reason or self._in_progress.beside(request.joints):
+            return
+        self._ahead.begin(request, held_rad, self._end_rad, self._scene.scene, left_s)
+
+    def forget(self, request: Motion) -> None:
+        """Drop what was planned in advance of a goal whose turn will not come."""
+        self._ahead.forget(request)
 
     def cancel(self, reason: str) -> None:
         """Cancel the active goal."""
@@ -184,10 +206,18 @@ class GoalExecutor:
 
     def _cancel_work(self, reason: str) -> None:
         self._cancel_reason = reason
+        self._ahead.cancel()
         if self._work is not None:
             self._work.cancel()
 
     # Attempts: from a motion to an answer.
+
+    async def _perform(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
+        match request:
+            case ExternalTrajectory():
+                return await _answered(self._play_external(request, report))
+            case PlannedMotion():
+                return await self._plan_and_play(request, report)
 
     async def _plan_and_play(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
         answer = await self._replace_outgoing(request, report) or await _answered(self._attempt(request, report))
@@ -225,6 +255,7 @@ class GoalExecutor:
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
         planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)
         self._show_soon(planned)
+        self._end_rad = planned.end_rad
         report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
         # A scene that has changed since the lead was found free is checked on the way.
@@ -324,7 +355,7 @@ class GoalExecutor:
         async with self._in_progress.turn:
             start_rad = self._expected_rad(request.joints)
             scene = self._scene.scene if request.scene is None else request.scene(start_rad)
-            planned = await plan_sequence(request.steps, start_rad, scene, self._pool.ask)
+            planned = await plan_sequence(request.steps, start_rad, scene, self._ahead.ask)
             if planned.failure is None:
                 self._in_progress.announce(request.joints, planned.end_rad)
             return planned, scene
@@ -364,6 +395,7 @@ class GoalExecutor:
         """
         motions = planned.performed.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
+        self._end_rad = planned.end_rad
         report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
         to_come_s = planned.duration_s

@@ -158,6 +158,12 @@ class GoalRunner(Protocol[Request_contra]):
     def preempt(self, reason: str) -> None:
         """End the active goal for another that follows at once and may replace its motion without a stop."""
 
+    def plan_ahead(self, request: Request_contra, left_s: float) -> None:
+        """Plan the goal that comes next in advance, while the motion of the active goal takes so long still [s]."""
+
+    def forget(self, request: Request_contra) -> None:
+        """Drop what was planned in advance of a goal whose turn will not come."""
+
 
 class GoalRunners(Protocol[Request_contra]):
     """Runners of the arm's goals: one for each set of joints."""
@@ -361,7 +367,7 @@ class GoalQueue(Generic[Request]):
             self._active[goal_id].runner.cancel(reason)
         for goal in [goal for goal in self._waiting if goal.goal_id == goal_id]:
             self._waiting.remove(goal)
-            self._finish(goal, _before_its_turn(reason))
+            self._leave(goal, reason)
         self._begin_soon()
 
     def cancel_all(self, reason: str, joints: Iterable[str] | None = None) -> None:
@@ -395,7 +401,13 @@ class GoalQueue(Generic[Request]):
         cleared = [goal for goal in self._waiting if joints is None or goal.joints & joints]
         self._waiting = deque(goal for goal in self._waiting if goal not in cleared)
         for goal in cleared:
-            self._finish(goal, _before_its_turn(reason))
+            self._leave(goal, reason)
+
+    def _leave(self, goal: QueuedGoal[Request], reason: str) -> None:
+        """Answer a goal that was taken out of the queue before its turn."""
+        if goal.request is not None:
+            self._runners.runner(goal.joints).forget(goal.request)
+        self._finish(goal, _before_its_turn(reason))
 
     def _next_id(self) -> str:
         return str(next(self._ids))
@@ -405,6 +417,8 @@ class GoalQueue(Generic[Request]):
         ahead = sum(1 for other in others if other.joints & goal.joints)
         self._waiting.append(goal)
         self._report(goal, Progress(GoalState.QUEUED, f"{ahead} goals ahead" if ahead else "next"))
+        for active in self._moving(goal.joints):
+            self._look_ahead(active)
         self._begin_soon()
 
     def _begin_soon(self) -> None:
@@ -422,6 +436,15 @@ class GoalQueue(Generic[Request]):
                 self._waiting.remove(goal)
                 self._activate(goal)
             taken |= goal.joints
+
+    def _look_ahead(self, active: ActiveGoal[Request]) -> None:
+        """Have the next goal planned in advance while a motion is in progress, if it waits for that motion alone."""
+        left_s, joints = active.remaining_s, active.goal.joints
+        following = next((goal for goal in self._waiting if goal.joints & joints), None)
+        if left_s is None or following is None or following.request is None or following.joints != joints:
+            return
+        with _contained(following):
+            active.runner.plan_ahead(following.request, left_s)
 
     def _activate(self, goal: QueuedGoal[Request]) -> None:
         active = self._active[goal.goal_id] = ActiveGoal(goal, self._runners.runner(goal.joints))
@@ -450,6 +473,7 @@ class GoalQueue(Generic[Request]):
     def _report(self, goal: QueuedGoal[Request], progress: Progress) -> None:
         if goal.goal_id in self._active:
             self._active[goal.goal_id].progress = progress
+            self._look_ahead(self._active[goal.goal_id])
         with _contained(goal):
             self._on_progress(goal, progress)
         with _contained(goal):

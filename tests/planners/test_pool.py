@@ -312,6 +312,66 @@ async def test_questions_do_not_wait_for_a_motion_in_planning(both_idle: Planner
     await asyncio.wait([planning])
 
 
+async def in_background(pool: PlannerPool) -> asyncio.Task[Plan | PlanningFailure | None]:
+    """Have a long search be made in the background."""
+    planning = asyncio.create_task(pool.ask_in_background(LONG))
+    await until(lambda: pool.idle_count < 2)
+    return planning
+
+
+async def test_a_motion_is_planned_in_the_background(both_idle: PlannerPool) -> None:
+    assert isinstance(await both_idle.ask_in_background(EASY), Plan)
+
+
+async def test_a_motion_in_the_background_gives_way_to_one_that_is_due(both_idle: PlannerPool) -> None:
+    before = both_idle.pids
+    planning = await in_background(both_idle)
+    assert isinstance(await both_idle.ask(EASY), Plan)
+    assert await planning is None
+    assert both_idle.pids == before
+
+
+async def test_a_motion_in_the_background_goes_on_while_questions_are_answered(both_idle: PlannerPool) -> None:
+    planning = await in_background(both_idle)
+    assert isinstance(await both_idle.ask(STATE), StateAnswer)
+    assert not planning.done()
+    planning.cancel()
+    await asyncio.wait([planning])
+
+
+async def test_nothing_is_planned_in_the_background_while_a_motion_is_due(both_idle: PlannerPool) -> None:
+    due = asyncio.create_task(both_idle.ask(LONG))
+    await until(lambda: both_idle.idle_count < 2)
+    assert await both_idle.ask_in_background(EASY) is None
+    assert not due.done()
+    due.cancel()
+    await asyncio.wait([due])
+
+
+async def test_a_motion_in_the_background_does_not_give_way_to_another_there(both_idle: PlannerPool) -> None:
+    planning = await in_background(both_idle)
+    assert await both_idle.ask_in_background(EASY) is None
+    assert not planning.done()
+    planning.cancel()
+    await asyncio.wait([planning])
+
+
+async def test_a_motion_in_the_background_that_is_given_up_frees_its_worker(both_idle: PlannerPool) -> None:
+    before = both_idle.pids
+    planning = await in_background(both_idle)
+    planning.cancel()
+    await until(lambda: both_idle.idle_count == 2)
+    assert planning.cancelled()
+    assert both_idle.pids == before
+
+
+async def test_a_worker_that_dies_over_a_motion_in_the_background_is_told_and_replaced(both_idle: PlannerPool) -> None:
+    answer = await both_idle.ask_in_background(broken(broken_planner.SEGFAULT))
+    assert isinstance(answer, PlanningFailure)
+    assert answer.code is MoveItErrorCode.CRASH
+    await until(lambda: both_idle.idle_count == 2)
+
+
 async def test_cancelling_ends_a_long_search_and_keeps_its_worker(both_idle: PlannerPool) -> None:
     before = both_idle.pids
     for _ in range(3):

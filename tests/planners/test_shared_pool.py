@@ -118,6 +118,10 @@ async def test_a_planner_that_dies_costs_one_server_one_goal(servers: Servers) -
     assert isinstance(await soon(servers[0].ask(EASY)), Plan)
 
 
+async def test_planners_that_others_have_as_well_plan_nothing_in_the_background(servers: Servers) -> None:
+    assert await soon(servers[0].ask_in_background(EASY)) is None
+
+
 async def test_nobody_plans_longer_than_others_can_wait_for() -> None:
     hour = dataclasses.replace(EASY, allowed_time_s=3600.0)
     assert bounded(hour) == dataclasses.replace(EASY, allowed_time_s=LONGEST_PLANNING_S)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,17 +32,17 @@ from robot.arm_interface import ArmInterface
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
-from robot.messages import ArmConfig, ArmState, Mode, MotionEnded, Outcome
+from robot.messages import ArmConfig, ArmState, ChangePace, Course, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.execution.executor import MAX_SAMPLES, GoalExecutor, GoalExecutors, MotionRecorder
 from server.execution.failures import FailedGoals
-from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PlannedMotion, Positions
+from server.execution.motions import STATE_AGE_S, ExternalTrajectory, Motion, PlannedMotion, Positions
 from server.execution.motions_in_progress import MotionsInProgress
-from server.execution.queue import GoalState, Progress
+from server.execution.queue import GoalPolicy, GoalQueue, GoalState, Progress
 from server.execution.time_limits import TimeLimits
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.fake_arm import JOINTS, FakeArm, settle
-from tests.helpers.motions import smooth_move
+from tests.helpers.motions import LONG, smooth_move
 from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.waiting import until
 
@@ -180,6 +181,7 @@ class Stage:
         self.planners_answer.set()
         self.contact: PlanningFailure | None = None
         self.problems: list[PlanningProblem] = []
+        self.ahead: list[PlanningProblem] = []
         self.scenes: list[int] = []
         self.rechecked: list[RecheckQuestion] = []
         self.meeting: PlanningFailure | None = None
@@ -218,6 +220,11 @@ class Stage:
         moves = {name: (request.start_rad[name], ends[name]) for name in ARM}
         still = all(start_rad == end_rad for start_rad, end_rad in moves.values())
         return Plan(standing(moves) if still else smooth_move(moves, 1.0), "straight line", 0.01)
+
+    async def ask_in_background(self, problem: PlanningProblem, scene: Scene) -> Any:
+        answer = await self.ask(problem, scene)
+        self.ahead.append(self.problems.pop())
+        return answer
 
     async def begin(self, motion: PlannedMotion | ExternalTrajectory) -> None:
         self.running = asyncio.create_task(self.executor.run(motion, self.news.append))
@@ -729,3 +736,257 @@ async def test_a_motion_that_begins_during_the_last_check_is_checked_as_well(sta
     await settle()
     assert len(stage.meetings) == 2
     assert len(stage.arm.played) == 1
+
+
+async def ahead(stage: Stage, following: PlannedMotion) -> None:
+    """Begin a motion, and plan the goal after it."""
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.problems.clear()
+    stage.executor.plan_ahead(following, 60.0)
+    await settle()
+
+
+async def test_a_goal_that_was_planned_ahead_is_not_planned_again(stage: Stage) -> None:
+    following = to(shoulder_pan=0.8)
+    await ahead(stage, following)
+    assert stage.ahead[0].start_rad["shoulder_pan"] == stage.arm.played[0].positions_rad[-1, 0]
+    stage.arm.end()
+    await stage.answer()
+    await stage.begin(following)
+    stage.arm.end()
+    answer = await stage.answer()
+    assert answer.code is MoveItErrorCode.SUCCESS
+    assert stage.problems == []
+    assert answer.performed.planned == (stage.arm.played[1],)
+    assert stage.news[-1].message == "a motion of 1.0 s (straight line, in advance; planned in 10 ms)"
+
+
+async def test_states_of_a_goal_that_was_planned_ahead_are_those_of_any(stage: Stage) -> None:
+    following = to(shoulder_pan=0.8)
+    await ahead(stage, following)
+    stage.arm.end()
+    await stage.answer()
+    stage.news.clear()
+    await stage.begin(following)
+    assert [news.state for news in stage.news] == [GoalState.PLANNING, GoalState.EXECUTING]
+
+
+def end_by(outcome: Outcome) -> Callable[[Stage], None]:
+    """End the motion otherwise, where it was to end all the same."""
+
+    def end(stage: Stage) -> None:
+        stage.arm.show(1.0)
+        stage.arm.end(outcome, "a test")
+
+    return end
+
+
+def end_and(change: Callable[[Stage], object]) -> Callable[[Stage], None]:
+    def end(stage: Stage) -> None:
+        stage.arm.end()
+        change(stage)
+
+    return end
+
+
+IN_BETWEEN: dict[str, Callable[[Stage], None]] = {
+    "fault": end_by(Outcome.FAULT),
+    "stop": end_by(Outcome.STOPPED),
+    "not settled": end_by(Outcome.NOT_SETTLED),
+    "cancelled": lambda stage: (stage.arm.show(1.0), stage.executor.cancel("a test"))[1],
+    "scene": end_and(lambda stage: setattr(stage, "scene", Scene(2))),
+    "moved a little": end_and(lambda stage: stage.arm.put(shoulder_pan=0.4 + 1e-9)),
+    "another joint": end_and(lambda stage: stage.arm.put(shoulder_pan=0.4, gripper=0.1)),
+}
+
+
+@pytest.mark.parametrize("between", IN_BETWEEN.values(), ids=IN_BETWEEN.keys())
+async def test_a_goal_is_planned_in_its_turn_when_something_came_between(
+    stage: Stage, between: Callable[[Stage], None]
+) -> None:
+    following = to(shoulder_pan=0.8)
+    await ahead(stage, following)
+    between(stage)
+    await stage.answer()
+    await stage.begin(following)
+    assert len(stage.problems) == 1
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+
+
+async def test_a_goal_that_failed_ahead_is_answered_as_any(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.failures = [NO_WAY, OUT_OF_REACH]
+    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
+    await settle()
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.begin(to(shoulder_pan=0.8))
+    assert (await stage.answer()).message == OUT_OF_REACH.message
+
+
+async def test_a_goal_that_left_the_queue_is_forgotten(stage: Stage) -> None:
+    following = to(shoulder_pan=0.8)
+    await ahead(stage, following)
+    stage.executor.forget(following)
+    stage.arm.end()
+    await stage.answer()
+    await stage.begin(following)
+    assert len(stage.problems) == 1
+
+
+async def test_nothing_is_planned_ahead_before_the_motion_is_known(stage: Stage) -> None:
+    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
+    await settle()
+    stage.planners_answer.clear()
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
+    stage.planners_answer.set()
+    await settle()
+    assert stage.ahead == []
+
+
+async def test_nothing_is_planned_ahead_after_the_motion(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.arm.end()
+    await stage.answer()
+    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
+    await settle()
+    assert stage.ahead == []
+
+
+async def test_nothing_is_planned_ahead_beside_the_motion_of_another_group(stage: Stage) -> None:
+    ended = beside(stage)
+    await ahead(stage, to(shoulder_pan=0.8))
+    assert stage.ahead == []
+    ended.set_result(MotionEnded(1, Outcome.REACHED, "there"))
+    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
+    await settle()
+    assert len(stage.ahead) == 1
+
+
+async def test_nothing_is_planned_ahead_for_a_goal_that_replaces_the_motion(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.executor.preempt("preempted by a test")
+    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
+    await stage.answer()
+    await settle()
+    assert stage.ahead == []
+
+
+async def test_planning_ahead_ends_when_the_goal_before_is_cancelled_though_the_arm_still_brakes(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.planners_answer.clear()
+    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
+    await settle()
+    monkeypatch.setattr(stage.arm, "stop", lambda _motion: None)
+    stage.executor.cancel("a test")
+    stage.planners_answer.set()
+    await settle()
+    assert stage.ahead == []
+    stage.arm.end(Outcome.STOPPED)
+    await stage.answer()
+
+
+async def test_a_goal_after_several_motions_is_planned_for_the_end_of_the_last(stage: Stage) -> None:
+    await stage.begin(PlannedMotion((*to(shoulder_pan=0.4).steps, *to(elbow_flex=0.3).steps), frozenset(ARM)))
+    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
+    await settle()
+    start_rad = stage.ahead[0].start_rad
+    assert (start_rad["shoulder_pan"], start_rad["elbow_flex"]) == pytest.approx((0.4, 0.3))
+
+
+async def test_a_goal_after_a_given_trajectory_is_planned_for_its_end(stage: Stage) -> None:
+    await stage.begin(given(0.0, 0.5))
+    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
+    await settle()
+    assert stage.ahead[0].start_rad["shoulder_pan"] == pytest.approx(0.5)
+
+
+async def test_a_goal_after_a_motion_that_replaced_another_is_planned_for_its_end(stage: Stage) -> None:
+    await under_way(stage)
+    await stage.begin(to(shoulder_pan=-0.2))
+    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
+    await settle()
+    assert stage.ahead[0].start_rad["shoulder_pan"] == pytest.approx(-0.2)
+
+
+@in_one_loop
+async def test_goals_of_a_burst_reach_the_arm_as_if_each_came_alone(
+    processes: tuple[Arm, PlannerPool, RobotModel],
+) -> None:
+    burst = Burst(processes)
+    goals = [0.02 * (number + 1) * (-1) ** number for number in range(20)]
+    for goal_rad in goals:
+        burst.submit(to(shoulder_pan=goal_rad))
+    await burst.answered(len(goals))
+    ends = [answer.performed.planned[-1].positions_rad[-1, 0] for answer in burst.answers]
+    assert ends == pytest.approx(goals)
+
+
+@in_one_loop
+async def test_the_arm_goes_on_by_the_plan_that_was_made_during_its_motion(
+    processes: tuple[Arm, PlannerPool, RobotModel],
+) -> None:
+    arm, *_ = processes
+    burst = Burst(processes)
+    burst.submit(to(shoulder_pan=0.6))
+    burst.submit(to(shoulder_pan=0.0))
+    try:
+        await until(lambda: arm.state.mode is Mode.MOVING)
+        arm.change_pace(ChangePace(course=Course.PAUSED))
+        await until(lambda: burst.executor._ahead._plan is not None)
+    finally:
+        arm.change_pace(ChangePace(course=Course.FORWARD))
+    await burst.answered(2)
+    assert any("in advance" in text for text in burst.news["2"])
+    first, second = (answer.performed.planned[0].positions_rad for answer in burst.answers)
+    assert second[0].tolist() == first[-1].tolist()
+
+
+@in_one_loop
+async def test_a_stop_while_the_next_goal_is_being_planned_leaves_the_planners_free(
+    processes: tuple[Arm, PlannerPool, RobotModel],
+) -> None:
+    arm, pool, _ = processes
+    burst = Burst(processes)
+    await until(lambda: pool.idle_count == 2)
+    burst.submit(to(shoulder_pan=1.5))
+    burst.submit(PlannedMotion((lambda _start_rad: LONG,), frozenset(ARM)))
+    await until(lambda: arm.state.mode is Mode.MOVING and pool.idle_count == 1)
+    burst.queue.stop("stopped by a test")
+    await burst.answered(2)
+    assert {answer.code for answer in burst.answers} == {MoveItErrorCode.PREEMPTED}
+    await until(lambda: pool.idle_count == 2)
+
+
+class Burst:
+    """A queue of goals on the real arm process and real planners, and what became of them."""
+
+    def __init__(self, processes: tuple[Arm, PlannerPool, RobotModel]) -> None:
+        arm, pool, robot = processes
+        self.answers: list[Any] = []
+        self.news: dict[str, list[str]] = defaultdict(list)
+        scene = SceneState(robot)
+
+        def make(part: ArmInterface, in_progress: MotionsInProgress) -> GoalExecutor:
+            return GoalExecutor(part, robot, pool, scene, in_progress=in_progress)
+
+        executors = GoalExecutors(arm, make)
+        self.executor = executors.runner(frozenset(ARM))
+        self.queue: GoalQueue[Motion] = GoalQueue(
+            executors,
+            GoalPolicy.QUEUE,
+            20,
+            lambda goal, progress: self.news[goal.goal_id].append(progress.message),
+            lambda _goal, answer: self.answers.append(answer),
+        )
+        self.queue.start()
+
+    def submit(self, motion: PlannedMotion) -> None:
+        self.queue.submit("/goal", motion)
+
+    async def answered(self, count: int) -> None:
+        await until(lambda: len(self.answers) == count)

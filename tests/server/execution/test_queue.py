@@ -17,6 +17,8 @@ class ScriptedRunner:
     def __init__(self) -> None:
         self.started: list[object] = []
         self.stopped: list[str] = []
+        self.ahead: list[tuple[object, float]] = []
+        self.forgotten: list[object] = []
         self.report: Callable[[Progress], None] = lambda _progress: None
         self._end: asyncio.Future[Answer] | None = None
 
@@ -40,6 +42,12 @@ class ScriptedRunner:
 
     def preempt(self, reason: str) -> None:
         self.cancel(reason)
+
+    def plan_ahead(self, request: object, left_s: float) -> None:
+        self.ahead.append((request, left_s))
+
+    def forget(self, request: object) -> None:
+        self.forgotten.append(request)
 
     def stop(self, reason: str, _joints: Iterable[str] | None = None) -> None:
         self.stopped.append(reason)
@@ -412,3 +420,76 @@ async def test_a_goal_preempts_waiting_goals_of_its_joints_alone() -> None:
     await settle()
     assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("3", MoveItErrorCode.PREEMPTED)]
     assert desk.queue.waiting_count == 1
+
+
+def move(runner: ScriptedRunner, left_s: float = 3.0) -> None:
+    """Have the active goal of a runner report its motion."""
+    runner.report(Progress(GoalState.EXECUTING, "moving", 0.5, left_s))
+
+
+async def test_the_next_goal_is_planned_ahead_while_a_motion_is_in_progress(desk: Desk) -> None:
+    for name in "abc":
+        desk.queue.submit("/goal", name)
+    await settle()
+    assert desk.runner.ahead == []
+    move(desk.runner)
+    assert desk.runner.ahead == [("b", 3.0)]
+
+
+async def test_a_goal_that_comes_during_a_motion_is_planned_ahead_at_once(desk: Desk) -> None:
+    desk.queue.submit("/goal", "a")
+    await settle()
+    move(desk.runner)
+    desk.queue.submit("/goal", "b")
+    assert desk.runner.ahead == [("b", 3.0)]
+
+
+async def test_a_goal_stays_queued_while_it_is_planned_ahead(desk: Desk) -> None:
+    for name in "ab":
+        desk.queue.submit("/goal", name)
+    await settle()
+    move(desk.runner)
+    assert [state for goal_id, state in desk.states if goal_id == "2"] == [GoalState.QUEUED]
+
+
+async def test_a_bug_of_planning_ahead_harms_no_goal(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(desk.runner, "ahead", None)
+    for name in "ab":
+        desk.queue.submit("/goal", name)
+        await settle()
+        move(desk.runner)
+    for _ in "ab":
+        desk.runner.finish()
+        await settle()
+    assert desk.codes() == [("1", MoveItErrorCode.SUCCESS), ("2", MoveItErrorCode.SUCCESS)]
+
+
+@pytest.mark.parametrize("waiting", [("left right",), ("left right", "left"), ("right",)])
+async def test_a_goal_that_waits_for_more_than_this_motion_is_not_planned_ahead(waiting: tuple[str, ...]) -> None:
+    desk = ArmsDesk()
+    await desk.submit("left", "right", *waiting)
+    move(desk.arms.of("left"))
+    assert all(runner.ahead == [] for runner in desk.arms.runners.values())
+
+
+async def test_each_arm_plans_its_own_next_goal_ahead() -> None:
+    desk = ArmsDesk()
+    await desk.submit("left", "right", "right", "left")
+    move(desk.arms.of("right"))
+    assert (desk.arms.of("left").ahead, desk.arms.of("right").ahead) == ([], [("right", 3.0)])
+
+
+async def test_a_goal_that_is_cancelled_before_its_turn_is_forgotten(desk: Desk) -> None:
+    for name in "abc":
+        desk.queue.submit("/goal", name)
+    await settle()
+    desk.queue.cancel("2", "enough")
+    assert desk.runner.forgotten == ["b"]
+
+
+async def test_goals_that_are_cleared_are_forgotten(desk: Desk) -> None:
+    for name in "abc":
+        desk.queue.submit("/goal", name)
+    await settle()
+    desk.queue.stop("enough")
+    assert desk.runner.forgotten == ["b", "c"]

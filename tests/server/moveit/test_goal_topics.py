@@ -61,6 +61,12 @@ class Obedient:
     def preempt(self, reason: str) -> None:
         self.cancel(reason)
 
+    def plan_ahead(self, request: Motion, left_s: float) -> None:
+        pass
+
+    def forget(self, request: Motion) -> None:
+        pass
+
     def stop(self, reason: str, _joints: Iterable[str] | None = None) -> None:
         self.stopped.append(reason)
 

@@ -104,7 +104,7 @@ bench: install-dev
 	$(BIN)/python -m benchmarks $(ARGS)
 
 bench-planning: install-dev
-	$(BIN)/python -m benchmarks planning planning_scenes
+	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth
 
 campaign-planners: install-dev
 	mkdir -p build

@@ -46,7 +46,17 @@ MIN_TOUCHING = 20
 
 
 class Draw:
-    """Random problems in one scene."""
+    """Random problems in one scene.
+
+    Args:
+        name: of the scene.
+        arrangement: what there is.
+        seed: same seed, same problems.
+
+    Attributes:
+        fields: the problem file without its problems.
+        judge: of what collides there.
+    """
 
     def __init__(self, name: str, arrangement: Arrangement, seed: int) -> None:
         self._name, self._arrangement = name, arrangement
@@ -63,11 +73,11 @@ class Draw:
             "objects": list(arrangement.objects),
             "attached": list(arrangement.attached),
         }
-        self._judge = Judge(SHARED, self.fields)
+        self.judge = Judge(SHARED, self.fields)
 
     def file(self) -> Fields:
         """Return the content of the problem file."""
-        pairs = self._connected_pairs()
+        pairs = self.connected_pairs()
         joint_problems = [
             {"id": f"{self._name}-j{i:02}", "start": _listed(start), "goal": _listed(goal)}
             for i, (start, goal) in zip(range(PROBLEMS), pairs, strict=False)
@@ -76,7 +86,7 @@ class Draw:
             {
                 "id": f"{self._name}-p{i:02}",
                 "start": _listed(start),
-                "position": _listed(self._judge.tip_m(goal)),
+                "position": _listed(self.judge.tip_m(goal)),
                 "tolerance": TOLERANCE_M,
                 "witness_goal": _listed(goal),
             }
@@ -92,12 +102,13 @@ class Draw:
             "infeasible": infeasible,
         }
 
-    def _connected_pairs(self) -> Iterator[tuple[Vector, Vector]]:
+    def connected_pairs(self) -> Iterator[tuple[Vector, Vector]]:
+        """Yield free starts and goals between which the slow search has found a path, without an end."""
         while True:
             start, goal = self._free(self._anywhere), self._free(self._in_region)
             if self._rng.random() < 0.5:
                 start, goal = goal, start
-            if _connected(self._judge.collides, start, goal, self._lower, self._upper, self._rng):
+            if _connected(self.judge.collides, start, goal, self._lower, self._upper, self._rng):
                 yield start, goal
 
     def _infeasible(self, feasible: Fields) -> Iterator[Fields]:
@@ -119,20 +130,20 @@ class Draw:
     def _free(self, draw: Callable[[], Vector]) -> Vector:
         while True:
             point = draw()
-            if not self._judge.collides(point):
+            if not self.judge.collides(point):
                 return point
 
     def _anywhere(self) -> Vector:
         while True:
             point = self._rng.uniform(self._lower, self._upper)
-            if self._judge.tip_m(point)[2] > LOWEST_TIP_M:
+            if self.judge.tip_m(point)[2] > LOWEST_TIP_M:
                 return np.round(point, 6)
 
     def _in_region(self) -> Vector:
         lower, upper = self._arrangement.region
         while True:
             point = self._anywhere()
-            if np.all(self._judge.tip_m(point) > lower) and np.all(self._judge.tip_m(point) < upper):
+            if np.all(self.judge.tip_m(point) > lower) and np.all(self.judge.tip_m(point) < upper):
                 return point
 
     def _colliding(self) -> Vector:
@@ -140,7 +151,7 @@ class Draw:
         while True:
             point = self._anywhere()
             around = point + self._rng.normal(scale=0.05, size=(MIN_TOUCHING, 5))
-            if self._judge.collides(point) and all(self._judge.collides(near) for near in around):
+            if self.judge.collides(point) and all(self.judge.collides(near) for near in around):
                 return point
 
 

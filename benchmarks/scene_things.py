@@ -32,7 +32,8 @@ class Arrangement:
     attached: Sequence[Fields] = field(default_factory=tuple)
 
 
-def _thing(name: str, kind: str, size: Sequence[float], middle: Sequence[float]) -> Fields:
+def thing(name: str, kind: str, size: Sequence[float], middle: Sequence[float]) -> Fields:
+    """Return a shape with its size as problem files have it, upright, at its middle."""
     return {"id": name, "type": kind, "dimensions": [round(float(s), 6) for s in size], "pose": _pose(middle)}
 
 
@@ -43,7 +44,7 @@ def _pose(middle: Sequence[float]) -> Fields:
 def box(name: str, lower: Corner, upper: Corner) -> Fields:
     """Return a box between two corners."""
     size = [round(b - a, 6) for a, b in zip(lower, upper, strict=True)]
-    return _thing(name, "box", size, tuple((a + b) / 2 for a, b in zip(lower, upper, strict=True)))
+    return thing(name, "box", size, tuple((a + b) / 2 for a, b in zip(lower, upper, strict=True)))
 
 
 # As the table of a bench with the arm screwed on: just below its base.
@@ -118,7 +119,7 @@ def _clutter() -> Arrangement:
             "cone": [height_m, width_m / 2],
         }[kind]
         z = rng.uniform(0.25, 0.4) if kind == "sphere" else height_m / 2
-        things.append(_thing(f"{kind}{i}", kind, size, (radius_m * math.cos(angle), radius_m * math.sin(angle), z)))
+        things.append(thing(f"{kind}{i}", kind, size, (radius_m * math.cos(angle), radius_m * math.sin(angle), z)))
     return Arrangement(
         "16 boxes, cylinders, cones and balls",
         things,
@@ -140,7 +141,7 @@ def _hoop() -> Arrangement:
 
 def _held_bar() -> Arrangement:
     bar = {
-        **_thing("bar", "cylinder", [0.14, 0.009], (0.0, 0.0, 0.02)),
+        **thing("bar", "cylinder", [0.14, 0.009], (0.0, 0.0, 0.02)),
         "link": "gripper_frame_link",
         "touch_links": ["gripper_link", "moving_jaw_so101_v1_link"],
     }
@@ -174,7 +175,7 @@ def _torus(radius_m: float, tube_m: float, around: int, across: int) -> tuple[li
 def near_contacts() -> list[Fields]:
     """Return things close around the arm: pillars to reach between, a low roof and the table."""
     pillars = [
-        _thing(f"pillar{i}", "cylinder", (0.3, 0.012), (0.2 * math.cos(angle), 0.2 * math.sin(angle), 0.15))
+        thing(f"pillar{i}", "cylinder", (0.3, 0.012), (0.2 * math.cos(angle), 0.2 * math.sin(angle), 0.15))
         for i, angle in enumerate(np.linspace(-1.6, 1.6, 7).tolist())
     ]
     posts = [

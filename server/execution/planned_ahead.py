@@ -15,8 +15,8 @@ from server.execution.motions import Motion, PlannedMotion, Positions, Problem
 
 log = logging.getLogger("armbridge.execution")
 
-# Instead of the ordinary 6 ms, this shortened 24 searched motions of the SO-101 between walls by a tenth on average, in
-# 0.1 s of processor time as a rule; 0.6 s did no more.
+# Against 6 ms, this shortened 24 searched motions of the SO-101 between walls by a tenth on average, in 0.1 s of
+# processor time as a rule; 0.6 s did no more.
 LONGEST_OPTIMIZATION_S = 0.3
 
 # Share of the time left of the motion in progress that is spent on shortening the next: the rest is for a slow machine.

@@ -449,6 +449,12 @@ def test_a_contact_within_the_last_step_of_a_path_ends_it_there(follower, scene)
     assert plan.stopped_by.details["reason"] == "collision"
 
 
+def test_a_path_along_which_only_parts_touch_is_followed_to_its_end(follower, scene):
+    tip_m = follower.pose(START).translation
+    scene(box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.130078125, 0.3), (0.4, 0.01, 0.6)))
+    assert follower.plan(follower.problem(START, shifted(follower, 0.0, 0.12, 0.0))).fraction == 1.0
+
+
 def test_a_path_into_an_obstacle_ends_before_it_and_names_the_pair(follower, collision, scene):
     tip_m = follower.pose(START).translation
     scene(box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.11, 0.3), (0.4, 0.01, 0.6)))

@@ -1,0 +1,206 @@
+"""Goals of every kind in scenes drawn at random: solved, valid, CPU time; and the first answers of a planner.
+
+``python -m benchmarks.planning_random SEED`` draws other scenes than those of the table. Starts and goals are free, and
+joined by a path, by the official meshes, which are part of the reference data beside the checkout.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from benchmarks.figures import percentiles, print_table
+from benchmarks.make_scenes import GRIPPER_RAD, JOINTS, TOLERANCE_M, Draw, Vector
+from benchmarks.scene_things import IN_TABLE, TABLE, Arrangement, Fields, box, thing
+from planners.files import problem_file
+from planners.geometry.kinematics import ForwardKinematics
+from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
+from planners.pipeline import Planner
+from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, PlanningProblem, Request
+from planners.scene import Pose
+from planners.warm_up import warm_up
+from robot.description.robot_folder import built_in
+from tests.helpers.resources import SHARED
+
+SEED = 1
+SCENES = 6
+PAIRS = 8
+TIP = "gripper_frame_link"
+
+# A tip path goes as far as this, straight.
+PATH_M = 0.05
+
+# Tolerance of a pose goal about each axis [rad].
+TURN_RAD = 0.05
+ALLOWED_TIME_S = 1.0
+
+# Processes whose first answers are measured, for each kind.
+FIRST_ANSWERS = 5
+
+KINDS = ("joint goal", "position goal", "pose goal", "path of the tip")
+
+
+def run(seed: int = SEED) -> None:
+    """Measure the scenes of a seed and print the tables."""
+    if not SHARED.is_dir():
+        print("random scenes are not measured: there is no reference data beside the checkout")
+        return
+    rows: dict[str, list[tuple[bool, list[str], float]]] = defaultdict(list)
+    for number in range(SCENES):
+        for kind, answered in _measured(Draw(f"random{seed}-{number}", arrangement(seed, number), seed)):
+            rows[kind].append(answered)
+    print_table(
+        f"Goals in {SCENES} random scenes, seed {seed}",
+        ["goal", "problems", "solved", "valid by full meshes", "CPU p50 / p95 / p99 [ms]"],
+        [_row(kind, rows[kind]) for kind in (*(f"{kind}{how}" for kind in KINDS for how in HOW),) if rows[kind]],
+    )
+    for kind in rows:
+        for _, faults, _ in rows[kind]:
+            if faults:
+                print(f"{kind}: {'; '.join(faults)}")
+    print_table(
+        f"First answers of {FIRST_ANSWERS} new planner processes, CPU p50 [ms]",
+        ["goal", "as loaded: first", "third", "as a worker is warmed up: first", "third"],
+        [_first_row(kind, seed) for kind in KINDS],
+    )
+
+
+# A motion without a search, and one with.
+HOW = (", straight", ", searched")
+
+
+def arrangement(seed: int, number: int) -> Arrangement:
+    """Return random things around the arm.
+
+    Args:
+        seed: same seed and number, same things.
+        number: of the scene.
+    """
+    rng = np.random.default_rng((seed, number))
+    things: list[Fields] = [TABLE] if rng.random() < 0.7 else []
+    kinds = ("box", "cylinder", "sphere", "cone")
+    for i in range(int(rng.integers(3, 16))):
+        radius_m, angle, height_m = rng.uniform(0.16, 0.38), rng.uniform(-1.9, 1.9), rng.uniform(0.03, 0.25)
+        width_m = rng.uniform(0.02, 0.07)
+        kind = kinds[int(rng.integers(len(kinds)))]
+        size = {
+            "box": [width_m, rng.uniform(0.02, 0.1), height_m],
+            "cylinder": [height_m, width_m / 2],
+            "sphere": [width_m / 2],
+            "cone": [height_m, width_m / 2],
+        }[kind]
+        middle = (radius_m * math.cos(angle), radius_m * math.sin(angle), rng.uniform(0.02, 0.3))
+        things.append(thing(f"{kind}{i}", kind, size, middle))
+    if rng.random() < 0.3:
+        things.append(box("roof", (0.05, -0.2, 0.4), (0.3, 0.2, 0.42)))
+    x, y, z = things[-1]["pose"]["position"]
+    around = (x - 0.1, y - 0.1, max(0.02, z - 0.1)), (x + 0.1, y + 0.1, z + 0.12)
+    return Arrangement("random things", things, around, IN_TABLE)
+
+
+def _measured(draw: Draw) -> Iterator[tuple[str, tuple[bool, list[str], float]]]:
+    """Yield the kind of each problem, whether it was solved, the motion's faults, and the CPU time [s]."""
+    planner = _planner(draw, warm=True)
+    for start, goal in islice(draw.connected_pairs(), PAIRS):
+        for kind, request in _requests(planner, start, goal):
+            started_s = time.process_time()
+            answer = planner.answer(request)
+            cpu_s = time.process_time() - started_s
+            straight = not isinstance(answer, Plan) or answer.method == "straight line"
+            faults: list[str] = []
+            if isinstance(answer, Plan | CartesianPlan) and len(answer.trajectory.time_s) > 1:
+                asked = {"start": start.tolist()} | ({"goal": goal.tolist()} if kind == KINDS[0] else {})
+                faults = draw.judge.faults(asked, _as_json(answer))
+            yield f"{kind}{HOW[0] if straight else HOW[1]}", (isinstance(answer, Plan | CartesianPlan), faults, cpu_s)
+
+
+def _requests(planner: Planner, start: Vector, goal: Vector) -> Iterator[tuple[str, Request]]:
+    forward = ForwardKinematics(built_in("so101").model, [*JOINTS, "gripper"])
+    start_rad = dict(zip(JOINTS, start.tolist(), strict=True)) | {"gripper": GRIPPER_RAD}
+    forward.place(np.array([*goal, GRIPPER_RAD]))
+    x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(forward.placement(TIP)).tolist()
+    there = Pose((x, y, z), (qx, qy, qz, qw))
+    goals: Mapping[str, Goal] = {
+        KINDS[0]: JointGoal(dict(zip(JOINTS, goal.tolist(), strict=True))),
+        KINDS[1]: PositionGoal(TIP, there.position_m, TOLERANCE_M),
+        KINDS[2]: PoseGoal(TIP, there, TOLERANCE_M, (TURN_RAD, TURN_RAD, TURN_RAD), strict=True),
+    }
+    for kind, asked in goals.items():
+        yield kind, PlanningProblem("arm", start_rad, asked, allowed_time_s=ALLOWED_TIME_S)
+    from_m = np.array(planner.tip_position_m(start_rad, TIP))
+    way_m = np.array(there.position_m) - from_m
+    end_m = from_m + way_m * min(1.0, PATH_M / max(float(np.linalg.norm(way_m)), 1e-9))
+    end = Pose((float(end_m[0]), float(end_m[1]), float(end_m[2])))
+    yield KINDS[3], CartesianProblem("arm", start_rad, TIP, (Line(end),), allowed_time_s=ALLOWED_TIME_S)
+
+
+def _planner(draw: Draw, *, warm: bool) -> Planner:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.json"
+        path.write_text(json.dumps({**draw.fields, "joint_problems": [], "position_problems": [], "infeasible": []}))
+        file = problem_file.read(path, built_in("so101").model)
+    planner = Planner(file.robot, time.process_time)
+    if warm:
+        warm_up(planner, file.robot)
+    planner.set_scene(file.scene)
+    return planner
+
+
+def _as_json(answer: Plan | CartesianPlan) -> dict[str, Any]:
+    motion = answer.trajectory
+    return {
+        "time_from_start": motion.time_s,
+        "positions": motion.positions_rad,
+        "velocities": motion.velocities_rad_s,
+        "accelerations": motion.accelerations_rad_s2,
+    }
+
+
+def _row(kind: str, answered: list[tuple[bool, list[str], float]]) -> list[str]:
+    solved = [one for one in answered if one[0]]
+    valid = sum(not faults for _, faults, _ in solved)
+    cpu = percentiles((cpu_s for _, _, cpu_s in answered), 50, 95, 99, digits=1)
+    return [kind, str(len(answered)), str(len(solved)), f"{valid} of {len(solved)}", " / ".join(cpu)]
+
+
+def _first_row(kind: str, seed: int) -> list[str]:
+    cells = []
+    for warm in (False, True):
+        times_s = []
+        for number in range(FIRST_ANSWERS):
+            # A process for each: what has been loaded once stays.
+            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+                times_s.append(process.submit(_first_and_third, kind, seed, number, warm).result())
+        cells += [percentiles((each[which] for each in times_s), 50, digits=1)[0] for which in (0, 1)]
+    return [kind, *cells]
+
+
+def _first_and_third(kind: str, seed: int, number: int, warm: bool) -> tuple[float, float]:
+    """CPU time of the first and the third answer to a problem of a new planner [s]."""
+    draw = Draw(f"random{seed}-{number}", arrangement(seed, number), seed)
+    start, goal = next(draw.connected_pairs())
+    planner = _planner(draw, warm=warm)
+    request = dict(_requests(planner, start, goal))[kind]
+    times_s = []
+    for _ in range(3):
+        started_s = time.process_time()
+        planner.answer(request)
+        times_s.append(time.process_time() - started_s)
+    return times_s[0], times_s[2]
+
+
+if __name__ == "__main__":
+    run(int(sys.argv[1]) if len(sys.argv) > 1 else SEED)

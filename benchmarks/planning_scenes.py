@@ -94,7 +94,7 @@ def run() -> None:
     for path in paths:
         default += measure(path, {})
         # Planned right after armbridge's motions: the machine may be busier later.
-        for rrt_range, answers in peers.items() if not reason else ():
+        for rrt_range, answers in peers.items() if not reason and path.stem != NEAR_CONTACTS else ():
             answers += ((path, answer) for answer in mplib_side.plans(path, rrt_range))
         longer += measure(path, {"optimization_time_s": LONG_OPTIMIZATION_S})
     for one in (*default, *longer):
@@ -167,7 +167,9 @@ def _durations(name: str, measured: Sequence[Measured], goal: str) -> list[str]:
 
 def _print_beside(ours: Sequence[Measured], peers: Mapping[float, Sequence[Answered]]) -> None:
     joint = {
-        one.outcome.file_problem.id: one for one in ours if one.outcome.file_problem.feasible and "goal" in one.fields
+        one.outcome.file_problem.id: one
+        for one in ours
+        if one.outcome.file_problem.feasible and "goal" in one.fields and one.kind != "near"
     }
     rows = [_row_of_ours(list(joint.values()))]
     rows += [_row_of_mplib(rrt_range, answers, joint) for rrt_range, answers in peers.items()]

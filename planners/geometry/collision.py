@@ -471,7 +471,9 @@ class CollisionModel:
             return False
         if deeper_than(*parts, MESH_EXCUSE_M):
             return False
-        return not surfaces_nearer_than(*self._meshes_of_pair(pair), margin_m + self._exact.mesh_accuracy_m)
+        links = sum(self._bodies[index].is_link for index in self._pairs[pair])
+        margin_m += links * self._exact.mesh_accuracy_m
+        return not surfaces_nearer_than(*self._meshes_of_pair(pair), margin_m)
 
     def _meshes_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
         first, second = self._pairs[pair].tolist()

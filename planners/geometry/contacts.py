@@ -252,7 +252,7 @@ class ExactShapes:
         solid: whether they are parts: of these it is known how deep they overlap.
         meshes: surface of each link, which is closer than its parts: from the robot's file of them, or else the URDF's
             shapes; empty for a robot without parts or without both.
-        mesh_accuracy_m: the surfaces are where ``meshes`` has them within so much [m].
+        mesh_accuracy_m: each surface is where ``meshes`` has it within so much [m].
     """
 
     def __init__(self, robot: RobotModel, model: pin.Model, exact: Sequence[pin.GeometryObject] | None = None) -> None:

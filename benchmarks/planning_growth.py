@@ -18,6 +18,7 @@ from planners.warm_up import warm_up
 from robot.description.joined import PlacedArm, joined, prefixed
 from robot.description.model import RobotModel
 from robot.description.robot_folder import built_in
+from tests.helpers.meshes import ball
 
 SEED = 3
 GOALS = 40
@@ -123,10 +124,5 @@ def _boxes(count: int) -> Scene:
 def _ball(triangles: int) -> Scene:
     """A ball of about so many triangles before the arm."""
     around = int(np.sqrt(triangles / 2.0)) + 1
-    u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, around), np.linspace(0.0, np.pi, around), indexing="ij")
-    points = BALL_M * np.stack((np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)), axis=-1).reshape(-1, 3)
-    corner = (np.arange(around - 1)[:, np.newaxis] * around + np.arange(around - 1)).ravel()
-    halves = (corner, corner + 1, corner + around), (corner + 1, corner + around, corner + around + 1)
-    faces = np.vstack([np.stack(half, axis=1) for half in halves])
-    mesh = Mesh(points, faces.astype(np.int32))
+    mesh = Mesh(*ball(BALL_M, around))
     return Scene(triangles, (SceneObject("ball", ((mesh, Pose()),), Pose((0.26, 0.0, 0.2))),))

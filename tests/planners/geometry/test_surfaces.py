@@ -18,6 +18,7 @@ from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import triangle_tree
 from robot.description.model import LinkSurface
 from tests.helpers.full_meshes import Judge
+from tests.helpers.meshes import ball
 from tests.helpers.resources import in_proportion
 
 # Every so manieth problem of the file: all of them are the benchmark's.
@@ -25,23 +26,32 @@ SHARE = 4
 NEAR_CONTACTS = Path(__file__).parents[3] / "benchmarks" / "scenes" / "near_contacts.json"
 
 
-def sphere(radius_m: float, around: int = 60):
-    """Vertices and triangles of a ball."""
-    u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, around), np.linspace(0.0, np.pi, around), indexing="ij")
-    vertices = radius_m * np.stack((np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)), axis=-1).reshape(-1, 3)
-    corner = (np.arange(around - 1)[:, None] * around + np.arange(around - 1)).ravel()
-    halves = (corner, corner + 1, corner + around), (corner + 1, corner + around, corner + around + 1)
-    return vertices, np.vstack([np.stack(half, axis=1) for half in halves])
+# Circles of the balls in each direction.
+AROUND = 60
 
 
 @pytest.fixture(scope="module")
-def ball():
-    vertices, triangles = surfaces.packed(*sphere(0.05))
+def pieces():
+    vertices, triangles = surfaces.packed(*ball(0.05, AROUND))
     return surfaces.Pieces(surfaces.UNIT_M * vertices, triangles)
 
 
+def whole(vertices, triangles):
+    """A surface as one tree."""
+    return parts_of([pin.GeometryObject("surface", 0, pin.SE3.Identity(), triangle_tree(vertices, triangles))])
+
+
+def drawn_places(seed, nearest_m, furthest_m):
+    """Places in random directions, turned at random."""
+    rng = np.random.default_rng(seed)
+    for _ in range(in_proportion(60)):
+        away = rng.normal(size=3)
+        turn = pin.Quaternion(*rng.normal(size=4)).normalized().matrix()
+        yield pin.SE3(turn, rng.uniform(nearest_m, furthest_m) * away / np.linalg.norm(away))
+
+
 def test_packing_keeps_every_triangle_within_the_accuracy() -> None:
-    vertices, triangles = sphere(0.05)
+    vertices, triangles = ball(0.05, AROUND)
     packed, numbers = surfaces.packed(vertices, triangles)
     corners = surfaces.UNIT_M * packed[numbers].mean(axis=1)
     expected = vertices[triangles].mean(axis=1)
@@ -56,54 +66,36 @@ def test_packing_drops_what_is_twice_or_has_no_extent() -> None:
     assert len(triangles) == 1
 
 
-def test_pieces_hold_every_triangle_once_and_lie_in_their_boxes(ball) -> None:
-    pieces = list(ball)
-    assert sum(piece.num_tris for piece in pieces) == len(ball._triangles)
-    assert max(piece.num_tris for piece in pieces) <= surfaces.TRIANGLES_A_PIECE
-    for piece, lower, upper in zip(pieces, ball.lower_m, ball.upper_m, strict=True):
-        corners = np.asarray(piece.vertices())
+def test_pieces_hold_every_triangle_once_and_lie_in_their_boxes(pieces) -> None:
+    trees = list(pieces)
+    assert sum(tree.num_tris for tree in trees) == len(pieces._triangles)
+    assert max(tree.num_tris for tree in trees) <= surfaces.TRIANGLES_A_PIECE
+    for tree, lower, upper in zip(trees, pieces.lower_m, pieces.upper_m, strict=True):
+        corners = np.asarray(tree.vertices())
         assert np.all(corners >= lower)
         assert np.all(corners <= upper)
 
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("margin_m", [0.0, 0.002])
-def test_pieces_are_near_where_the_whole_surface_is(ball, seed, margin_m) -> None:
-    whole = parts_of(
-        [pin.GeometryObject("ball", 0, pin.SE3.Identity(), triangle_tree(ball._vertices_m, ball._triangles))]
-    )
-    other = parts_of([pin.GeometryObject("other", 0, pin.SE3.Identity(), triangle_tree(*sphere(0.03)))])
-    rng, verdicts = np.random.default_rng(seed), set()
-    for _ in range(in_proportion(60)):
-        away = rng.normal(size=3)
-        at = pin.SE3(
-            pin.Quaternion(*rng.normal(size=4)).normalized().matrix(),
-            rng.uniform(0.076, 0.084) * away / np.linalg.norm(away),
-        )
-        expected = nearer_than(whole, pin.SE3.Identity(), other, at, margin_m)
-        assert surfaces_nearer_than(parts_of_surface(ball), pin.SE3.Identity(), other, at, margin_m) == expected
-        assert surfaces_nearer_than(other, at, parts_of_surface(ball), pin.SE3.Identity(), margin_m) == expected
+def test_pieces_are_near_where_the_whole_surface_is(pieces, seed, margin_m) -> None:
+    here, other = pin.SE3.Identity(), whole(*ball(0.03, AROUND))
+    as_one, as_pieces, verdicts = whole(pieces._vertices_m, pieces._triangles), parts_of_surface(pieces), set()
+    for at in drawn_places(seed, 0.076, 0.084):
+        expected = nearer_than(as_one, here, other, at, margin_m)
+        assert surfaces_nearer_than(as_pieces, here, other, at, margin_m) == expected
+        assert surfaces_nearer_than(other, at, as_pieces, here, margin_m) == expected
         verdicts.add(expected)
     assert verdicts == {True, False}
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_surfaces_of_two_links_are_near_where_any_of_their_pieces_are(ball, seed) -> None:
-    whole = parts_of(
-        [pin.GeometryObject("ball", 0, pin.SE3.Identity(), triangle_tree(ball._vertices_m, ball._triangles))]
-    )
-    rng, verdicts = np.random.default_rng(seed), set()
-    for _ in range(in_proportion(60)):
-        away = rng.normal(size=3)
-        at = pin.SE3(
-            pin.Quaternion(*rng.normal(size=4)).normalized().matrix(),
-            rng.uniform(0.098, 0.102) * away / np.linalg.norm(away),
-        )
-        expected = nearer_than(whole, pin.SE3.Identity(), whole, at, 0.0)
-        assert (
-            surfaces_nearer_than(parts_of_surface(ball), pin.SE3.Identity(), parts_of_surface(ball), at, 0.0)
-            == expected
-        )
+def test_surfaces_of_two_links_are_near_where_any_of_their_pieces_are(pieces, seed) -> None:
+    here = pin.SE3.Identity()
+    as_one, as_pieces, verdicts = whole(pieces._vertices_m, pieces._triangles), parts_of_surface(pieces), set()
+    for at in drawn_places(seed, 0.098, 0.102):
+        expected = nearer_than(as_one, here, as_one, at, 0.0)
+        assert surfaces_nearer_than(as_pieces, here, as_pieces, at, 0.0) == expected
         verdicts.add(expected)
     assert verdicts == {True, False}
 

@@ -15,9 +15,9 @@ from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
 from server.monitoring.fault_files import FAST_SAMPLES, LEAST_INTERVAL_S, SLOW_SAMPLES, FaultFiles
 from server.monitoring.log_ring import LogRing
-from tests.helpers.clients import ArmClient, values_of
+from tests.helpers.clients import arm_client, values_of
 from tests.helpers.cost import count_calls
-from tests.helpers.server import ServerOnBus
+from tests.helpers.server import ServerOnBus, server_on_bus
 from tests.server.monitoring.watched_parts import JOINTS, arm_health
 
 START_S = 1_000_000.0
@@ -175,15 +175,21 @@ async def test_a_state_is_kept_in_a_few_calls(world: World) -> None:
     assert count_calls(lambda: world.files.take_state(taken)) < 15
 
 
-async def test_a_running_server_names_the_file_in_its_log_and_diagnostics(
-    client: ArmClient, served: ServerOnBus
-) -> None:
-    # The health comes once a second; a server that has just begun has none to keep.
-    await client.until("/diagnostics", lambda arrays: len(arrays[-1]["status"]) > 1)
-    await client.call("/arm/emergency_stop")
-    arrays = await client.until("/diagnostics", lambda arrays: "fault_file" in values_of(arrays[-1]["status"][0]))
+@pytest.fixture
+def own_server() -> Iterator[ServerOnBus]:
+    """A server without a fault before: a shared one may have written its file before it had a health to keep."""
+    with server_on_bus() as running:
+        yield running
+
+
+async def test_a_running_server_names_the_file_in_its_log_and_diagnostics(own_server: ServerOnBus) -> None:
+    async with arm_client(own_server.server.url) as client:
+        # The health comes once a second; a server that has just begun has none to keep.
+        await client.until("/diagnostics", lambda arrays: len(arrays[-1]["status"]) > 1)
+        await client.call("/arm/emergency_stop")
+        arrays = await client.until("/diagnostics", lambda arrays: "fault_file" in values_of(arrays[-1]["status"][0]))
     path = Path(values_of(arrays[-1]["status"][0])["fault_file"])
-    assert served.server.has_logged(str(path))
+    assert own_server.server.has_logged(str(path))
     text = await asyncio.to_thread(path.read_text)
     kinds = [json.loads(line)["kind"] for line in text.splitlines()]
     assert (kinds[0], set(kinds)) == ("fault", {"fault", "health", "log", "state"})

@@ -215,7 +215,7 @@ async def both_idle(pool: PlannerPool) -> PlannerPool:
     return pool
 
 
-def hard(first: str, others: str, allowed_time_s: float = 20.0) -> PlanningProblem:
+def hard(first: str, others: str, allowed_time_s: float = 120.0) -> PlanningProblem:
     """A problem that proves hard: how the first racer's search ends, and how that of the others."""
     return dataclasses.replace(EASY, group=racers(first, others), allowed_time_s=allowed_time_s)
 

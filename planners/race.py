@@ -58,13 +58,14 @@ class Race:
                 racer.cancel()
 
     def join(self, search: Search, spent_s: float) -> None:
-        """Add a racer, with a search of its own and the time that is left; none once the race is over.
+        """Add a racer, with a search of its own and the time that is left; none once the race or the time is over.
 
         Args:
             search: has a worker search.
             spent_s: allowed time that the first racer has spent [s].
         """
-        if not self._winner.done():
+        # A search without time would be refused, and the refusal would win.
+        if not self._winner.done() and spent_s < self._problem.allowed_time_s:
             self._add(_search(search, another(self._problem, len(self._racers), spent_s), spent_s))
 
     def give_way(self) -> bool:

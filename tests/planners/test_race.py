@@ -152,6 +152,14 @@ async def test_nobody_joins_a_race_that_is_over(two: Two) -> None:
     assert late.problem is None
 
 
+@pytest.mark.parametrize("over_s", [0.0, 0.001])
+async def test_nobody_joins_a_race_when_the_time_is_over(two: Two, over_s: float) -> None:
+    late = Racer()
+    two.race.join(late.search, EASY.allowed_time_s + over_s)
+    await turns()
+    assert late.problem is None
+
+
 async def test_the_time_before_a_racer_joined_counts_as_planning_time(two: Two) -> None:
     await two.other.answers(OTHER)
     answer = two.answer.result()

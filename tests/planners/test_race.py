@@ -14,7 +14,7 @@ import pytest_asyncio
 from planners import pool as pool_module
 from planners.pool import BRIEF_SCENE_BYTES, OBJECT_BYTES, PlannerPool
 from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, StateAnswer
-from planners.race import OTHER_PLANNERS, Race, another
+from planners.race import Race, another
 from planners.scene import Scene
 from tests.helpers.broken_planner import NONE, PLAN, SEGFAULT, racers
 from tests.helpers.motions import EASY, STATE, STILL
@@ -178,10 +178,6 @@ async def test_each_racer_has_a_seed_of_its_own(two: Two) -> None:
 
 async def test_a_racer_has_the_time_that_is_left() -> None:
     assert another(EASY, 1, 0.1).allowed_time_s == EASY.allowed_time_s - 0.1
-
-
-async def test_another_racer_has_another_planner() -> None:
-    assert another(EASY, 1, 0.1).planner_id == OTHER_PLANNERS[0]
 
 
 async def test_a_planner_that_is_named_is_that_of_all_racers() -> None:

@@ -46,8 +46,8 @@ PR_SET_PDEATHSIG = 1
 # When the machine runs out of memory a planner is to go first: it costs one goal, the arm process costs the arm.
 OOM_SCORE = "600"
 
-# Of 375 motions between poses of the benchmark's scenes, 91 % were planned sooner. From 0.04 to 0.08 s it hardly matters:
-# races take 0.68 to 0.70 times as long as one search, and 1.2 times the CPU time.
+# Of 375 motions between poses of the benchmark's scenes, 91 % were planned sooner. Between 0.04 and 0.08 s it matters
+# little: races take 0.68 to 0.70 times as long as one search, and 1.2 times the CPU time.
 HARD_AFTER_S = 0.06
 
 MakePlanner: TypeAlias = Callable[[RobotModel, Callable[[], float]], Planner]

@@ -100,7 +100,8 @@ class BrokenPlanner(Planner):
         if isinstance(request, PlanningProblem) and "|" in request.group:
             other = request.seed > 0
             end = request.group.split("|")[other]
-            stopped = _search(request, should_stop, math.inf if end == NONE else SEARCH_S * (1 + other))
+            lasting_s = {NONE: math.inf, DEAF: 0.0}.get(end, SEARCH_S * (1 + other))
+            stopped = _search(request, should_stop, lasting_s)
             if stopped is not None:
                 return stopped
             request = dataclasses.replace(request, group="arm" if end == PLAN else end)

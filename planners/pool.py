@@ -66,9 +66,9 @@ NICENESS = 5
 # Cancelling takes about a millisecond; past this, native code hangs. Waits for a core come on top.
 CANCEL_TIMEOUT_S = 0.25
 
-# The certificate of a motion that nearly touches takes up to 1.5 s, in which a worker does not listen. While no request
-# waits for it, it has so many times as long: else each race near contacts would cost a warm worker.
-CANCEL_PATIENCE = 8
+# The certificate of a motion that nearly touches takes 1.5 s and more, in which a worker does not listen. While no
+# request waits for it, it has so many times as long: else each race near contacts would cost a warm worker.
+CANCEL_PATIENCE = 12
 
 # A process whose socket is closed is about to end; its exit code comes a moment later.
 ENDING_TIMEOUT_S = 0.1

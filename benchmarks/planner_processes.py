@@ -1,21 +1,26 @@
-"""Planner processes: their cost, and the time until one is free again after a cancel, a hang and a large scene."""
+"""Planner processes: their cost, the time until one is free after a cancel, a hang and a large scene, and races."""
 
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import random
 import time
-from collections.abc import Awaitable
+from collections import defaultdict
+from collections.abc import Awaitable, Iterator
 
 import psutil
 import uvloop
 
 from benchmarks.event_loop import Ticker
 from benchmarks.figures import percentiles, print_table
+from benchmarks.make_scenes import SCENES
 from planners import pool as pool_module
+from planners.files import problem_file
 from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool, WorkerProcess
-from planners.problem import Answer, StateAnswer
+from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
+from planners.worker import HARD_AFTER_S
 from robot.description.robot_folder import built_in
 from tests.helpers import broken_planner
 from tests.helpers.motions import EASY, LONG, STATE, broken
@@ -27,10 +32,13 @@ KILLS = 15
 SCENE_SIZES = (20, 1000)
 SEED = 4
 
+# In each scene.
+RACES = 50
+
 
 def run() -> None:
-    """Measure starts, round trips, cancels, kills and scenes."""
-    for measure in (_starts, _free_again, _scenes):
+    """Measure starts, round trips, cancels, kills, scenes and races."""
+    for measure in (_starts, _free_again, _scenes, _races):
         uvloop.run(measure())
 
 
@@ -156,3 +164,76 @@ async def _scenes() -> None:
 def _boxes(count: int) -> tuple[SceneObject, ...]:
     shape = ((Box((0.01, 0.01, 0.01)), Pose()),)
     return tuple(SceneObject(f"box {i}", shape, Pose((2.0 + 0.02 * i, 0.0, 0.0))) for i in range(count))
+
+
+@dataclasses.dataclass
+class Cost:
+    """Cost of answers: wall time of each, CPU time of all [s]."""
+
+    wall_s: list[float] = dataclasses.field(default_factory=list)
+    cpu_s: float = 0.0
+
+
+async def _races() -> None:
+    """Plan each motion with and without a race, one right after the other: the machine may be busier later."""
+    pools = {racing: PlannerPool(built_in("so101").model, racing=racing) for racing in (False, True)}
+    for pool in pools.values():
+        await pool.start()
+    costs: dict[bool, dict[bool, Cost]] = defaultdict(lambda: {False: Cost(), True: Cost()})
+    for problem, scene in _motions():
+        asked = {racing: await _asked(pool, problem, scene) for racing, pool in pools.items()}
+        alone = asked[False][0]
+        for racing, (answer, wall_s, cpu_s) in asked.items():
+            if isinstance(answer, Plan) and isinstance(alone, Plan):
+                cost = costs[alone.planning_time_s > problem.optimization_time_s + HARD_AFTER_S][racing]
+                cost.wall_s.append(wall_s)
+                cost.cpu_s += cpu_s
+    for pool in pools.values():
+        await pool.close()
+    print_table(
+        "Motions planned by one worker, and by two once they prove hard [ms]",
+        ["motions", "number", "workers", "p50", "p95", "p99", "mean", "CPU time in all [s]"],
+        [row for hard in (False, True) for row in _rows("hard" if hard else "others", costs[hard])],
+    )
+
+
+def _rows(name: str, costs: dict[bool, Cost]) -> Iterator[list[str]]:
+    """Rows of both ways, and of their ratio."""
+    columns = []
+    for racing, cost in costs.items():
+        mean_s = sum(cost.wall_s) / max(1, len(cost.wall_s))
+        columns.append([*(float(ms) for ms in percentiles(cost.wall_s, 50, 95, 99)), 1e3 * mean_s, cost.cpu_s])
+        yield [name, str(len(cost.wall_s)), "2" if racing else "1", *(f"{value:.1f}" for value in columns[-1])]
+    alone, raced = columns
+    yield [name, "", "2 / 1", *(f"{two / one:.2f}" for one, two in zip(alone, raced, strict=True))]
+
+
+def _motions() -> Iterator[tuple[PlanningProblem, Scene]]:
+    """Motions from starts to goals of the problems in the benchmark's scenes, in any combination."""
+    rng = random.Random(SEED)
+    for version, path in enumerate(sorted(SCENES.glob("*.json")), start=1):
+        file = problem_file.read(path, built_in("so101").model)
+        scene = dataclasses.replace(file.scene, version=version)
+        problems = [one.problem for one in file.problems if one.feasible]
+        for seed in range(RACES):
+            start, end = rng.sample(problems, 2)
+            # A search counts up from its seed.
+            yield dataclasses.replace(start, goal=end.goal, seed=1000 * seed), scene
+
+
+async def _asked(
+    pool: PlannerPool, problem: PlanningProblem, scene: Scene
+) -> tuple[Plan | PlanningFailure, float, float]:
+    """Return the answer, its wall time, and the CPU time of all workers until they are free again [s]."""
+    while pool.idle_count < 2:  # noqa: ASYNC110 - a benchmark may poll
+        await asyncio.sleep(0.001)
+    cpu_s, started_s = _cpu_s(pool), time.monotonic()
+    answer = await pool.ask(problem, scene)
+    wall_s = time.monotonic() - started_s
+    while pool.idle_count < 2:  # noqa: ASYNC110
+        await asyncio.sleep(0.001)
+    return answer, wall_s, _cpu_s(pool) - cpu_s
+
+
+def _cpu_s(pool: PlannerPool) -> float:
+    return sum(sum(psutil.Process(pid).cpu_times()[:2]) for pid in pool.pids)

@@ -2,7 +2,7 @@
 
 The server sends :class:`LoadRobot` once. Then, in any number: a scene as :class:`NewScene` followed by
 :class:`MoreObjects` until it is whole, and requests, the next after the answer to the last. Each request gets one
-:class:`Answered`.
+:class:`Answered`, a problem that proves hard :class:`StillSearching` before.
 """
 
 from __future__ import annotations
@@ -68,6 +68,19 @@ class Cancel:
     """Cancellation of a request; if it is still worked on, it is answered PREEMPTED at once."""
 
     number: int
+
+
+@dataclass(frozen=True)
+class StillSearching:
+    """A planning problem proves hard: it is worked on for longer than most, and again for twice as long.
+
+    Attributes:
+        number: of the request.
+        spent_s: allowed time that is spent on it [s].
+    """
+
+    number: int
+    spent_s: float
 
 
 @dataclass(frozen=True)

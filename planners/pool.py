@@ -1,9 +1,9 @@
 """Planner processes, as the server sees them: some at work, one a warm spare, each replaced when it ends.
 
 The server awaits :meth:`PlannerPool.ask`. Cancelling that await stops the worker, by a message first and by force when
-it does not listen; the spare is free meanwhile. Every request gets exactly one answer, at the latest a grace period
-after its allowed time. What a worker waits for a core comes on top, within bounds: a busy machine must not cost a warm
-worker.
+it does not listen; the spare is free meanwhile. A problem that proves hard is searched by idle workers as well, until a
+request needs them (:mod:`planners.race`). Every request gets exactly one answer, at the latest a grace period after its
+allowed time. What a worker waits for a core comes on top, within bounds: a busy machine must not cost a warm worker.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import functools
 import logging
+import os
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
-from typing import Any, overload
+from typing import Any, TypeAlias, overload
 
 from planners.budget import Deadline, read_run_delay_s
 from planners.messages import (
@@ -25,6 +27,7 @@ from planners.messages import (
     LoadRobot,
     MoreObjects,
     NewScene,
+    StillSearching,
 )
 from planners.problem import (
     Answer,
@@ -46,6 +49,7 @@ from planners.problem import (
     StateAnswer,
     StateQuestion,
 )
+from planners.race import Race
 from planners.scene import EMPTY_SCENE, Mesh, Scene, SceneObject
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.description.model import RobotModel
@@ -61,6 +65,10 @@ NICENESS = 5
 
 # Cancelling takes about a millisecond; past this, native code hangs. Waits for a core come on top.
 CANCEL_TIMEOUT_S = 0.25
+
+# The certificate of a motion that nearly touches takes 1.5 s and more, in which a worker does not listen. While no
+# request waits for it, it has so many times as long: else each race near contacts would cost a warm worker.
+CANCEL_PATIENCE = 12
 
 # A process whose socket is closed is about to end; its exit code comes a moment later.
 ENDING_TIMEOUT_S = 0.1
@@ -80,6 +88,10 @@ OBJECT_BYTES = 8 << 10
 
 # So much of a scene is packed within half a millisecond; the server's event loop has its turns between the parts.
 PART_BYTES = 1 << 20
+
+# A worker sets up 100 boxes of a scene in 9 ms, a mesh of 10 000 triangles in 20 ms, so much in 0.1 s at most. Of the
+# largest scenes that takes 0.2 s, nearly as long as a cancel may take.
+BRIEF_SCENE_BYTES = PART_BYTES
 
 ANSWER_TO: Mapping[type[Request], type[Answer]] = {
     PlanningProblem: Plan,
@@ -113,6 +125,14 @@ RESTART_PAUSE_S = 5.0
 CLOSE_TIMEOUT_S = 2.0
 
 
+# Called with the allowed time that is spent on a problem [s], which proves hard.
+OnHard: TypeAlias = Callable[[float], None]
+
+
+def ignore(_spent_s: float) -> None:
+    """Let a hard problem be."""
+
+
 class WorkerProcess:
     """A planner process.
 
@@ -142,6 +162,7 @@ class WorkerProcess:
         self.loaded = False
         # None stands for the process's end.
         self._answer: asyncio.Future[Any] | None = None
+        self._on_hard: OnHard = ignore
         # None while a scene is under way: one given up half-way is begun anew.
         self._scene_version: int | None = EMPTY_SCENE.version
 
@@ -173,13 +194,19 @@ class WorkerProcess:
         """Tell whether the process has this scene."""
         return self._scene_version == scene.version
 
-    async def ask(self, request: Request, scene: Scene) -> Answer:
+    async def ask(self, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
         """Send a request, after the scene unless the process has it, and wait for the answer.
 
         The wait has no end of its own; the caller that gives it up must :meth:`cancel` or :meth:`kill`. A process that
         dies, or sends no answer to the request, answers CRASH.
+
+        Args:
+            request: the request.
+            scene: to answer it in.
+            on_hard: called when it is a problem that proves hard, and again each time that it has taken twice as long.
         """
         self._number += 1
+        self._on_hard = on_hard
         self._answer = asyncio.get_running_loop().create_future()
         try:
             if not self.has(scene):
@@ -199,17 +226,26 @@ class WorkerProcess:
             message = f"the planner answered a {type(request).__name__} with {type(answer).__name__}"
         return PlanningFailure(MoveItErrorCode.CRASH, message)
 
-    async def cancel(self) -> None:
-        """Make the process give up the request in hand, or end it when it does not listen."""
+    async def cancel(self, is_needed: Callable[[], bool] = lambda: True) -> None:
+        """Make the process give up the request in hand, or end it when it does not listen.
+
+        Args:
+            is_needed: tells whether a request waits for a worker.
+        """
         if self._answer is None or self._scene_version is None:
             return  # the request was given up before it was sent
         self._child.send(Cancel(self._number))
-        try:
-            async with timeout_at(Deadline(CANCEL_TIMEOUT_S, self.run_delay_s)):
-                await asyncio.shield(self._answer)
-        except TimeoutError:
-            log.warning("planner process %d does not listen and is ended", self.pid)
-            await self.kill()
+        for _ in range(CANCEL_PATIENCE):
+            try:
+                async with timeout_at(Deadline(CANCEL_TIMEOUT_S, self.run_delay_s)):
+                    await asyncio.shield(self._answer)
+            except TimeoutError:
+                if is_needed():
+                    break
+            else:
+                return
+        log.warning("planner process %d does not listen and is ended", self.pid)
+        await self.kill()
 
     async def kill(self) -> None:
         """End the process at once."""
@@ -232,6 +268,8 @@ class WorkerProcess:
                 self._on_loaded(self, None)
             case LoadFailed(reason):
                 self._on_loaded(self, reason)
+            case StillSearching(number, spent_s) if number == self._number:
+                self._on_hard(spent_s)
             case Answered(number, answer, ending) if number == self._number:
                 self._ending = self._ending or ending
                 self._resolve(answer)
@@ -278,14 +316,24 @@ def parts(objects: tuple[SceneObject, ...]) -> Iterator[tuple[SceneObject, ...]]
     size = 0
     for each in objects:
         part.append(each)
-        size += OBJECT_BYTES + sum(
-            shape.vertices_m.nbytes + shape.triangles.nbytes for shape, _ in each.shapes if isinstance(shape, Mesh)
-        )
+        size += packed_bytes(each)
         if size >= PART_BYTES:
             yield tuple(part)
             part, size = [], 0
     if part:
         yield tuple(part)
+
+
+def packed_bytes(packed: SceneObject) -> int:
+    """Return what packing an object costs, in terms of a mesh's bytes."""
+    meshes = (shape for shape, _ in packed.shapes if isinstance(shape, Mesh))
+    return OBJECT_BYTES + sum(mesh.vertices_m.nbytes + mesh.triangles.nbytes for mesh in meshes)
+
+
+def brief(scene: Scene) -> bool:
+    """Tell whether a worker sets up a scene soon enough to do so for a race; it does not listen meanwhile."""
+    objects = (*scene.objects, *(each.object for each in scene.attached))
+    return sum(map(packed_bytes, objects)) <= BRIEF_SCENE_BYTES
 
 
 def allowed_time_s(request: Request) -> float:
@@ -309,6 +357,7 @@ class PlannerPool:
         memory_limit_bytes: limit of each process's data [bytes].
         questions: number of questions that may be answered at the same time, and of the spares.
         max_waiting: number of requests that may wait for their turn.
+        racing: whether idle workers search for problems that prove hard as well, as many as there are cores for.
 
     Attributes:
         load_failure: reason for which there is no worker and probably never will be; None as long as one may come.
@@ -322,6 +371,7 @@ class PlannerPool:
         memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
         questions: int = 1,
         max_waiting: int = MAX_WAITING,
+        racing: bool = True,
     ) -> None:
         self._robot = robot
         self._size = active + questions
@@ -329,6 +379,10 @@ class PlannerPool:
         self._memory_limit_bytes = memory_limit_bytes
         self._workers: list[WorkerProcess] = []
         self._idle: list[WorkerProcess] = []
+        # Number of requests that wait for a worker to become idle.
+        self._needing_worker = 0
+        self._racing = racing
+        self._races: list[Race] = []
         self._motion_turns = asyncio.Semaphore(active)
         self._question_turns = asyncio.Semaphore(questions)
         # Motions that are planned as long as nothing else is to be planned.
@@ -455,36 +509,74 @@ class PlannerPool:
     # Private methods for requests: a worker is taken from the idle ones and put back once it has answered.
 
     async def _answer(self, request: Request, scene: Scene) -> Answer:
-        """Have a planner answer a request whose turn it is."""
+        """Answer a request whose turn it is."""
+        # Where nothing waits for a motion, the workers that are idle stay so for what comes.
+        if not self._racing or not isinstance(request, PlanningProblem) or asyncio.current_task() in self._background:
+            return await self._have_answered(request, scene)
+        race = Race(request)
+        self._races.append(race)
+        try:
+            join = functools.partial(self._join, race, scene)
+            return await race.run(self._have_answered(request, scene, join))
+        finally:
+            self._races.remove(race)
+
+    async def _have_answered(self, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
+        """Have the next idle worker answer."""
         worker = await self._take_worker(scene)
         if worker is not None:
-            return await self._work(worker, request, scene)
+            return await self._work(worker, request, scene, on_hard)
         reason = self.load_failure or f"no planner process was ready within {LOAD_TIMEOUT_S:g} s"
         return PlanningFailure(MoveItErrorCode.FAILURE, f"planning is not available: {reason}")
 
     async def _take_worker(self, scene: Scene) -> WorkerProcess | None:
-        """Wait for an idle worker, of several one that has the scene; one that died a moment ago does not count."""
+        """Wait for an idle worker, also for one that a race gives back."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(LOAD_TIMEOUT_S):
                 while True:
-                    self._idle = [worker for worker in self._idle if worker.usable]
-                    if self._idle:
-                        chosen = min(self._idle, key=lambda worker: not worker.has(scene))
-                        self._idle.remove(chosen)
-                        return chosen
-                    if self.load_failure is not None:
-                        return None
-                    await self._changed.wait()
+                    worker = self._take_idle(scene)
+                    if worker is not None or self.load_failure is not None:
+                        return worker
+                    any(race.give_way() for race in self._races)
+                    self._needing_worker += 1
+                    try:
+                        await self._changed.wait()
+                    finally:
+                        self._needing_worker -= 1
         return None
 
-    async def _work(self, worker: WorkerProcess, request: Request, scene: Scene) -> Answer:
+    def _take_idle(self, scene: Scene) -> WorkerProcess | None:
+        """Take an idle worker, of several one that has the scene; one that died a moment ago does not count."""
+        self._idle = [worker for worker in self._idle if worker.usable]
+        if not self._idle:
+            return None
+        chosen = min(self._idle, key=lambda worker: not worker.has(scene))
+        self._idle.remove(chosen)
+        return chosen
+
+    # Private methods for races: idle workers search as well.
+
+    def _join(self, race: Race, scene: Scene, spent_s: float) -> None:
+        """Have idle workers join a race, as long as each worker has a core for itself."""
+        ready = sum(brief(scene) or worker.has(scene) for worker in self._idle)
+        at_work = len(self._workers) - len(self._idle)
+        for _ in range(min(ready, len(os.sched_getaffinity(0)) - at_work)):
+            race.join(lambda problem: self._search_as_well(problem, scene), spent_s)
+
+    async def _search_as_well(self, problem: PlanningProblem, scene: Scene) -> Answer:
+        worker = self._take_idle(scene)
+        if worker is None:
+            return PlanningFailure(MoveItErrorCode.PREEMPTED, "another request has taken the worker")
+        return await self._work(worker, problem, scene)
+
+    async def _work(self, worker: WorkerProcess, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
         allowed_s = allowed_time_s(request)
         limit_s = allowed_s + OVERTIME_S
         # An arm moves meanwhile, and stops if there is no answer: a busy machine extends no deadline here.
         while_moving = isinstance(request, RecheckQuestion | ConcurrencyQuestion | ServoQuestion)
         try:
             async with asyncio.timeout(limit_s) if while_moving else timeout_at(Deadline(limit_s, worker.run_delay_s)):
-                answer = await worker.ask(request, scene)
+                answer = await worker.ask(request, scene, on_hard)
         except TimeoutError:
             # A worker that was only starved answers while it is cancelled, and so is kept.
             self._in_background(self._cancel(worker) if while_moving else worker.kill())
@@ -498,7 +590,7 @@ class PlannerPool:
         return answer
 
     async def _cancel(self, worker: WorkerProcess) -> None:
-        await worker.cancel()
+        await worker.cancel(lambda: self._needing_worker > 0)
         self._put_back(worker)
 
     def _put_back(self, worker: WorkerProcess) -> None:

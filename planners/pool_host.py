@@ -64,7 +64,10 @@ class PlannerHost:
         memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
     ) -> None:
         self._address = address
-        self._pool = PlannerPool(robot, active, memory_limit_bytes, questions, max_waiting=REQUESTS_OF_SERVER * servers)
+        # A worker that races would be one that another server's goal waits for.
+        self._pool = PlannerPool(
+            robot, active, memory_limit_bytes, questions, max_waiting=REQUESTS_OF_SERVER * servers, racing=False
+        )
         self._versions = itertools.count(EMPTY_SCENE.version + 1)
         self._writers: set[asyncio.StreamWriter] = set()
 

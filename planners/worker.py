@@ -29,9 +29,10 @@ from planners.messages import (
     LoadRobot,
     MoreObjects,
     NewScene,
+    StillSearching,
 )
 from planners.pipeline import Planner
-from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request
+from planners.problem import Answer, MoveItErrorCode, PlanningFailure, PlanningProblem, Request
 from planners.scene import EMPTY_SCENE, Scene, SceneObject
 from planners.warm_up import warm_up
 from robot.channel import Channel, channel_of_child
@@ -44,6 +45,10 @@ PR_SET_PDEATHSIG = 1
 
 # When the machine runs out of memory a planner is to go first: it costs one goal, the arm process costs the arm.
 OOM_SCORE = "600"
+
+# Of 375 motions between poses of the benchmark's scenes, 91 % were planned sooner. Between 0.04 and 0.08 s it matters
+# little: races take 0.68 to 0.70 times as long as one search, and 1.2 times the CPU time.
+HARD_AFTER_S = 0.06
 
 MakePlanner: TypeAlias = Callable[[RobotModel, Callable[[], float]], Planner]
 
@@ -68,6 +73,29 @@ class Mailbox:
         if self._readable.poll(0):
             self._messages += self._channel.receive(timeout_s=0.0)
         return self._channel.closed or Cancel(number) in self._messages
+
+
+class Hardness:
+    """Hardness of a problem: it is hard once it has taken longer than most, and reported each time that this doubles.
+
+    Args:
+        clock: of allowed times; read on construction and at each check.
+        problem: the problem; the time that it asks to be shortened for makes none hard.
+        report: called with the time that is spent on it [s].
+    """
+
+    def __init__(self, clock: Callable[[], float], problem: PlanningProblem, report: Callable[[float], None]) -> None:
+        self._clock = clock
+        self._began_s = clock()
+        self._next_s = problem.optimization_time_s + HARD_AFTER_S
+        self._report = report
+
+    def check(self) -> None:
+        """Report if it is time to."""
+        spent_s = self._clock() - self._began_s
+        if spent_s >= self._next_s:
+            self._next_s = 2.0 * spent_s
+            self._report(spent_s)
 
 
 class WorkerScene:
@@ -109,6 +137,7 @@ class Worker:
         self._channel = channel
         self._mailbox = Mailbox(channel)
         self._make_planner = make_planner
+        self._clock = allowed_time_clock()
         self._scene = WorkerScene()
         self._planner: Planner | None = None
         self._memory_limit_bytes = 0
@@ -135,7 +164,7 @@ class Worker:
         self._memory_limit_bytes = message.memory_limit_bytes
         limit_memory(message.memory_limit_bytes)
         try:
-            self._planner = self._make_planner(message.robot, allowed_time_clock())
+            self._planner = self._make_planner(message.robot, self._clock)
         except Exception as error:
             log.exception("cannot load the robot %r", message.robot.name)
             self._channel.send(LoadFailed(f"{type(error).__name__}: {error}"))
@@ -144,7 +173,7 @@ class Worker:
 
     def _answer(self, planner: Planner, number: int, request: Request) -> Answer:
         try:
-            return self._scene.set_up(planner) or planner.answer(request, lambda: self._mailbox.withdrawn(number))
+            return self._scene.set_up(planner) or planner.answer(request, self._poll(number, request))
         except MemoryError:
             # The state of the native libraries is not known after that.
             self._ending = True
@@ -152,6 +181,19 @@ class Worker:
         except Exception as error:  # a bug in one request must not take the worker and its warm libraries with it
             log.exception("planning failed on %r", request)
             return PlanningFailure(MoveItErrorCode.CRASH, f"the planner failed: {type(error).__name__}: {error}")
+
+    def _poll(self, number: int, request: Request) -> Callable[[], bool]:
+        """Return the function that a planner calls all the time, to know if its request is cancelled."""
+        if not isinstance(request, PlanningProblem):
+            return lambda: self._mailbox.withdrawn(number)
+        send = self._channel.send
+        hardness = Hardness(self._clock, request, lambda spent_s: send(StillSearching(number, spent_s)))
+
+        def poll() -> bool:
+            hardness.check()
+            return self._mailbox.withdrawn(number)
+
+        return poll
 
     def _out_of_memory(self, request: Request) -> PlanningFailure:
         limit_mb = self._memory_limit_bytes / 1e6

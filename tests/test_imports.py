@@ -60,6 +60,7 @@ ASYNCIO_OUTSIDE_SERVER = {
     "robot/arm_interface.py",
     "planners/pool.py",
     "planners/pool_host.py",
+    "planners/race.py",
     "planners/shared_pool.py",
 }
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}

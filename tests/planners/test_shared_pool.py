@@ -74,6 +74,14 @@ async def test_every_request_gets_its_kind_of_answer(servers: Servers) -> None:
         assert isinstance(await soon(servers[0].ask(request)), kind)
 
 
+async def test_no_server_gets_a_second_planner_for_a_hard_problem(servers: Servers) -> None:
+    group = broken_planner.racers(broken_planner.NONE, broken_planner.PLAN)
+    # Long enough for the other planner to load, and to be asked as well.
+    answer = await soon(servers[0].ask(dataclasses.replace(EASY, group=group, allowed_time_s=3.0)))
+    assert isinstance(answer, PlanningFailure)
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+
+
 async def test_each_server_knows_the_processes_behind_it(servers: Servers) -> None:
     assert await soon(servers[0].ask(EASY))
     assert len(servers[0].pids) == 2

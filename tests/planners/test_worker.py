@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 import time
@@ -9,7 +10,9 @@ import psutil
 import pytest
 
 from planners import worker
+from planners.problem import PlanningProblem
 from tests.helpers import broken_planner
+from tests.helpers.motions import EASY
 
 ROOT = Path(__file__).parents[2]
 
@@ -62,6 +65,44 @@ def test_allowed_time_is_that_on_the_wall_where_the_kernel_does_not_count_waits_
 ) -> None:
     monkeypatch.setattr(worker, "read_run_delay_s", lambda _pid: None)
     assert worker.allowed_time_clock() is time.monotonic
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def reports(problem: PlanningProblem, *checked_after_s: float) -> list[float]:
+    """What is reported of a problem that is worked on for so long, checked at these times [s]."""
+    clock, reported = Clock(), list[float]()
+    hardness = worker.Hardness(clock, problem, reported.append)
+    for after_s in checked_after_s:
+        clock.now_s = 100.0 + after_s
+        hardness.check()
+    return reported
+
+
+AT_ONCE = dataclasses.replace(EASY, optimization_time_s=0.0)
+
+
+def test_a_problem_is_hard_once_it_takes_longer_than_most() -> None:
+    assert reports(AT_ONCE, 0.0, 0.9 * worker.HARD_AFTER_S) == []
+    assert len(reports(AT_ONCE, 1.1 * worker.HARD_AFTER_S)) == 1
+
+
+def test_a_hard_problem_is_reported_each_time_that_it_has_taken_twice_as_long() -> None:
+    assert reports(AT_ONCE, 1.0, 1.9, 2.5, 4.9, 5.1) == pytest.approx([1.0, 2.5, 5.1])
+
+
+def test_a_problem_is_not_hard_for_the_time_that_it_asks_to_be_shortened_for() -> None:
+    problem = dataclasses.replace(EASY, optimization_time_s=2.0)
+    assert reports(problem, 1.9) == []
+    assert len(reports(problem, 2.1)) == 1
 
 
 def test_a_worker_that_hangs_ends_with_its_server() -> None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
 
 import coal
 import numpy as np
@@ -30,6 +32,12 @@ GJK_TOLERANCE = 1e-9
 # parallel, as those of an arm in its zero position and of boxes are; with any other margin none of 27 000.
 CONTACT_M = 1e-6
 
+# Finds the pairs whose boxes overlap. With each box compared to each other a check of 7 to 14 shapes takes 0.45 to 0.5
+# times as long as with a tree of boxes, of 37 shapes 0.53, of 107 shapes 0.8, of 307 shapes 2.7.
+Manager: TypeAlias = pin.BroadPhaseManager_NaiveCollisionManager | pin.BroadPhaseManager_DynamicAABBTreeCollisionManager
+BOXES_ONE_BY_ONE = pin.BroadPhaseManager_NaiveCollisionManager
+TREE_OF_BOXES = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager
+FEW_SHAPES = 100
 
 # Parts that overlap deeper than this touch, whatever the meshes say: those are surfaces, which do not touch what is
 # wholly inside one. Two links' parts within 3 mm of their meshes overlap by 6 mm at most where the meshes are apart,
@@ -76,13 +84,13 @@ class Broadphase:
         # Made at the first use: only servoing needs them, and a large scene has many.
         self._bounding_spheres: BoundingSpheres | None = None
         self._margins_m = np.zeros((len(shapes), len(shapes)))
-        # The tree keeps references to the models, and halves the time of a check even for seven shapes. It takes
-        # margins over on update only, so there is one for contacts and one for what is near.
+        # Managers keep references to the models. They take margins over on update only, so there is one for contacts
+        # and one for what is near.
         self._contact, self._near = self._geometry.createData(), self._geometry.createData()
-        # Shapes that never were anywhere have boxes of garbage, which the trees refuse.
+        # Shapes that never were anywhere have boxes of garbage, which trees refuse.
         pin.updateGeometryPlacements(model, self._data, self._geometry, self._contact, pin.neutral(model))
         pin.updateGeometryPlacements(model, self._data, self._geometry, self._near)
-        self._contact_tree, self._near_tree = self._tree(self._contact), self._tree(self._near)
+        self._contacts, self._vicinity = self._manager(self._contact), self._manager(self._near)
         self._near_results = list(self._near.collisionResults)
         # Pairs that are checked one by one have margins of their own.
         self._single = self._geometry.createData()
@@ -93,15 +101,15 @@ class Broadphase:
 
     def touches(self, q: Vector) -> bool:
         """Tell whether shapes of any pair touch, or are nearer than they may be."""
-        return pin.computeCollisions(self._model, self._data, self._contact_tree, self._positions(q), True)
+        return pin.computeCollisions(self._model, self._data, self._contacts, self._positions(q), True)
 
     def near(self, q: Vector, margin_m: Vector) -> list[int]:
         """Indices of the pairs whose shapes are nearer than they may be and a margin, shape (pairs,) [m]."""
-        self._set_margins(self._near, self._near_tree, margin_m)
-        if not pin.computeCollisions(self._model, self._data, self._near_tree, self._positions(q), False):
+        self._set_margins(self._near, self._vicinity, margin_m)
+        if not pin.computeCollisions(self._model, self._data, self._vicinity, self._positions(q), False):
             return []
         found = [pair for pair, result in enumerate(self._near_results) if result.isCollision()]
-        # The tree leaves the results of pairs whose boxes are apart as they were.
+        # Results of pairs whose boxes are apart stay as they were.
         for pair in found:
             self._near_results[pair].clear()
         return found
@@ -174,19 +182,18 @@ class Broadphase:
         self._contact.distanceRequests[pair].gjk_tolerance = GJK_TOLERANCE
         return pin.computeDistance(self._geometry, self._contact, pair)
 
-    def _tree(self, data: pin.GeometryData) -> pin.BroadPhaseManager_DynamicAABBTreeCollisionManager:
+    def _manager(self, data: pin.GeometryData) -> Manager:
         for request in data.collisionRequests:
             request.gjk_tolerance = GJK_TOLERANCE
-        tree = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self._model, self._geometry, data)
-        self._set_margins(data, tree, np.zeros(len(self._pairs)))
-        return tree
+        make = BOXES_ONE_BY_ONE if len(self._shapes) <= FEW_SHAPES else TREE_OF_BOXES
+        manager = make(self._model, self._geometry, data)
+        self._set_margins(data, manager, np.zeros(len(self._pairs)))
+        return manager
 
-    def _set_margins(
-        self, data: pin.GeometryData, tree: pin.BroadPhaseManager_DynamicAABBTreeCollisionManager, margin_m: Vector
-    ) -> None:
+    def _set_margins(self, data: pin.GeometryData, manager: Manager, margin_m: Vector) -> None:
         self._margins_m[self._pairs[:, 0], self._pairs[:, 1]] = CONTACT_M + self._apart_m + margin_m
         data.setSecurityMargins(self._geometry, self._margins_m, True, True)
-        tree.update(True)
+        manager.update(True)
 
 
 @dataclass(frozen=True)
@@ -206,6 +213,13 @@ class Parts:
     halves_m: Vector
     places: Sequence[pin.SE3]
     place_of: Sequence[int]
+
+    @cached_property
+    def whole_box(self) -> tuple[Vector, Vector]:
+        """Middle of the box around all of them and half its edges, shape (3, 1) each [m]."""
+        lower_m = (self.middles_m - self.halves_m).min(axis=1, keepdims=True)
+        upper_m = (self.middles_m + self.halves_m).max(axis=1, keepdims=True)
+        return 0.5 * (lower_m + upper_m), 0.5 * (upper_m - lower_m)
 
     def outline(self) -> Vector:
         """Points whose hull encloses the shapes, shape (n, 3) [m], in the joint's frame."""
@@ -338,10 +352,12 @@ def surfaces_nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_seco
 
 def _facing(of: Parts, other: Parts, between: pin.SE3, margin_m: float) -> Parts:
     """Return the parts that come near the box around all other ones: of two links' thousand pieces a few."""
-    lower_m = (other.middles_m - other.halves_m).min(axis=1, keepdims=True)
-    upper_m = (other.middles_m + other.halves_m).max(axis=1, keepdims=True)
-    whole = Parts((), 0.5 * (lower_m + upper_m), 0.5 * (upper_m - lower_m), (), ())
-    facing = np.flatnonzero(_Boxes(of, whole, between).apart_m[:, 0] <= margin_m)
+    rotation = between.rotation
+    middle_m, half_m = other.whole_box
+    # Along the axes of the other ones' joint.
+    offset_m = rotation.T @ of.middles_m - (middle_m + rotation.T @ between.translation[:, np.newaxis])
+    reach_m = np.abs(rotation.T) @ of.halves_m + (half_m + margin_m)
+    facing = np.flatnonzero((np.abs(offset_m) <= reach_m).all(axis=0))
     return Parts(
         _Chosen(of.shapes, facing.tolist()),
         of.middles_m[:, facing],

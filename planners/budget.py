@@ -72,13 +72,16 @@ class Budget:
         clock: monotonic time [s]; read on construction and at each check.
         allowed_time_s: how long the problem may take [s].
         should_stop: returns true once the request is cancelled.
+
+    Attributes:
+        should_stop: as given.
     """
 
     def __init__(self, clock: Callable[[], float], allowed_time_s: float, should_stop: Callable[[], bool]) -> None:
         self._clock = clock
         self._start_s = clock()
         self._allowed_time_s = allowed_time_s
-        self._should_stop = should_stop
+        self.should_stop = should_stop
 
     @property
     def spent_s(self) -> float:
@@ -92,12 +95,12 @@ class Budget:
 
     def share(self, share: float) -> Budget:
         """Return the budget of a part of the work, which has a share of the time that is left."""
-        return Budget(self._clock, share * self.left_s, self._should_stop)
+        return Budget(self._clock, share * self.left_s, self.should_stop)
 
     @property
     def stopped(self) -> bool:
         """True once the request is cancelled."""
-        return self._should_stop()
+        return self.should_stop()
 
     def used_up(self) -> bool:
         """Tell whether to stop now."""
@@ -106,9 +109,19 @@ class Budget:
     def failure(self) -> PlanningFailure:
         """Return the reason for which planning stopped; to be called once the budget is used up."""
         if self.stopped:
-            return PlanningFailure(MoveItErrorCode.PREEMPTED, f"planning was stopped after {self.spent_s:.2f} s")
+            return preempted(self.spent_s)
         return PlanningFailure(
             MoveItErrorCode.TIMED_OUT,
             f"no motion was found within the allowed {self._allowed_time_s:g} s",
             {"allowed_time_s": self._allowed_time_s},
         )
+
+
+def preempted(spent_s: float) -> PlanningFailure:
+    """Return the answer to a request that was cancelled after so much time [s]."""
+    return PlanningFailure(MoveItErrorCode.PREEMPTED, f"planning was stopped after {spent_s:.2f} s")
+
+
+def never() -> bool:
+    """Tell that a request is never cancelled."""
+    return False

@@ -6,6 +6,7 @@
   * :exc:`ProblemFileError`
   * :exc:`PlottingError`
   * :exc:`BatchError`
+  * :exc:`StoppedError`
 """
 
 from __future__ import annotations
@@ -51,3 +52,7 @@ class PlottingError(PlannerError):
 
 class BatchError(PlannerError):
     """A batch of problems cannot be planned on a Dask cluster."""
+
+
+class StoppedError(PlannerError):
+    """A request is cancelled in the middle of a check that would go on for long; its answer is PREEMPTED."""

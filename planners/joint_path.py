@@ -6,6 +6,8 @@ limits of the joints demand it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from planners import checks
@@ -55,7 +57,7 @@ def plan_joint_path(
     if motion is None:
         text = f"the path stands still, bends too sharply to be timed, or takes more than {MAX_DURATION_S:g} s"
         return _invalid(text)
-    refusal = _beyond_limits(motion, robot) or _contact(problem, motion, collision)
+    refusal = _beyond_limits(motion, robot) or _contact(problem, motion, collision, budget.should_stop)
     if budget.used_up():
         return budget.failure()
     return refusal or Plan(motion, METHOD, budget.spent_s)
@@ -90,7 +92,9 @@ def _beyond_limits(motion: Trajectory, robot: RobotModel) -> PlanningFailure | N
     return None
 
 
-def _contact(problem: JointPathProblem, motion: Trajectory, collision: CollisionModel) -> PlanningFailure | None:
+def _contact(
+    problem: JointPathProblem, motion: Trajectory, collision: CollisionModel, should_stop: Callable[[], bool]
+) -> PlanningFailure | None:
     start_rad = {
         **problem.start_rad,
         **dict(zip(motion.joint_names, motion.positions_rad[0].tolist(), strict=True)),
@@ -99,7 +103,8 @@ def _contact(problem: JointPathProblem, motion: Trajectory, collision: Collision
     contacts = collision.colliding_pairs(start_q)
     if checks.check_start_contact(contacts) is not None:
         return touching(Contact(0.0, tuple(contacts)))
-    space = JointSpace(collision, Group("", motion.joint_names, "", ""), start_q, allowed=collision.overlaps_m(start_q))
+    group = Group("", motion.joint_names, "", "")
+    space = JointSpace(collision, group, start_q, collision.overlaps_m(start_q), should_stop=should_stop)
     found = certify(space, motion)
     return None if found is None else touching(found)
 

@@ -95,7 +95,7 @@ def nearest_goal(
     start_q = np.clip(start_q, collision.lower_rad, collision.upper_rad)
     group, constraints = robot.groups[problem.group], problem.path_constraints
     holds = None if constraints is None or constraints.empty else states.condition_set(constraints).holds
-    space = JointSpace(collision, group, start_q, collision.overlaps_m(start_q), holds)
+    space = JointSpace(collision, group, start_q, collision.overlaps_m(start_q), holds, should_stop=budget.should_stop)
     search = _Search(problem, states, group, space, start_q, budget)
     for candidates, part in search.phases(problem.goal, around=code not in UNREACHED):
         for candidate in islice(candidates, TRIES):

@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from planners import checks
-from planners.budget import Budget
+from planners.budget import Budget, never, preempted
 from planners.cartesian.nearest_end import nearest_end
 from planners.cartesian.planning import plan_cartesian
+from planners.errors import StoppedError
 from planners.geometry.certificate import Contact, certify
 from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.concurrent_motions import encounter
@@ -64,11 +65,6 @@ LIMIT_TOLERANCE_RAD = 1e-3
 SPARSE_STEP_M = 0.03
 
 
-def never() -> bool:
-    """Do not stop."""
-    return False
-
-
 class Planner:
     """Plans for one robot.
 
@@ -112,6 +108,13 @@ class Planner:
             request: the request.
             should_stop: called all the time; once true the answer is PREEMPTED.
         """
+        began_s = self._clock()
+        try:
+            return self._answer(request, should_stop)
+        except StoppedError:
+            return preempted(self._clock() - began_s)
+
+    def _answer(self, request: Request, should_stop: Callable[[], bool]) -> Answer:
         robot, collision = self._robot, self._collision
         match request:
             case PlanningProblem():
@@ -135,7 +138,7 @@ class Planner:
             case StateQuestion():
                 return answer_state(request, robot, self._states, collision)
             case RecheckQuestion():
-                return recheck(request, robot, collision)
+                return recheck(request, robot, collision, should_stop)
             case ConcurrencyQuestion():
                 return check_concurrency(request, robot, collision)
             case ServoQuestion():
@@ -153,6 +156,12 @@ class Planner:
             is none.
         """
         budget = Budget(self._clock, problem.allowed_time_s, should_stop)
+        try:
+            return self._plan(problem, budget)
+        except StoppedError:
+            return preempted(budget.spent_s)
+
+    def _plan(self, problem: PlanningProblem, budget: Budget) -> Plan | PlanningFailure:
         refusal = checks.check_request(self._robot, problem) or checks.check_start(self._robot, problem.start_rad)
         if refusal is not None:
             return refusal
@@ -177,7 +186,7 @@ class Planner:
         allowed: Mapping[frozenset[str], float],
         budget: Budget,
     ) -> Plan | PlanningFailure:
-        task = self._task(problem, start_q, goals, allowed)
+        task = self._task(problem, start_q, goals, allowed, budget.should_stop)
         motion = find_motion(task, budget)
         if isinstance(motion, PlanningFailure) or budget.stopped:
             return motion if isinstance(motion, PlanningFailure) else budget.failure()
@@ -191,6 +200,7 @@ class Planner:
         start_q: Vector,
         goals: Sequence[GoalState],
         allowed: Mapping[frozenset[str], float],
+        should_stop: Callable[[], bool],
     ) -> MotionTask:
         group = self._robot.groups[problem.group]
         constraints = problem.path_constraints
@@ -199,7 +209,7 @@ class Planner:
             holds = self._states.condition_set(constraints).holds
             project = self._states.projection(group, constraints, start_q)
         configurations = [goal.q for goal in goals]
-        space = JointSpace(self._collision, group, start_q, allowed, holds, configurations)
+        space = JointSpace(self._collision, group, start_q, allowed, holds, configurations, should_stop)
         return MotionTask(
             space,
             group.joints,
@@ -287,7 +297,9 @@ def answer_state(
     return StateAnswer(not problems, tuple(problems))
 
 
-def recheck(question: RecheckQuestion, robot: RobotModel, collision: CollisionModel) -> RecheckAnswer | PlanningFailure:
+def recheck(
+    question: RecheckQuestion, robot: RobotModel, collision: CollisionModel, should_stop: Callable[[], bool] = never
+) -> RecheckAnswer | PlanningFailure:
     """Check the rest of a motion against the present scene, as plans are checked before they leave.
 
     Contacts that are shallow where the motion is now do not count unless it deepens them, as at the start of a plan.
@@ -296,6 +308,7 @@ def recheck(question: RecheckQuestion, robot: RobotModel, collision: CollisionMo
         question: the motion, and the time on it that has passed.
         robot: the arm.
         collision: its collisions with itself and the scene.
+        should_stop: ends the check with :exc:`planners.errors.StoppedError`.
 
     Returns:
         The first contact with its time on the motion, or that there is none; a failure for an invalid question.
@@ -313,7 +326,7 @@ def recheck(question: RecheckQuestion, robot: RobotModel, collision: CollisionMo
     if checks.check_start_contact(contacts) is not None:
         return RecheckAnswer(_contact(contacts, question.from_s), question.from_s)
     group = robot.groups.get(question.group) or Group("", rest.joint_names, "", "")
-    space = JointSpace(collision, group, now_q, collision.overlaps_m(now_q))
+    space = JointSpace(collision, group, now_q, collision.overlaps_m(now_q), should_stop=should_stop)
     found = _sparse_contact(space, rest) or certify(space, rest)
     if found is None:
         return RecheckAnswer(None)

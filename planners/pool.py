@@ -66,10 +66,6 @@ NICENESS = 5
 # Cancelling takes about a millisecond; past this, native code hangs. Waits for a core come on top.
 CANCEL_TIMEOUT_S = 0.25
 
-# The certificate of a motion that nearly touches takes 1.5 s and more, in which a worker does not listen. While no
-# request waits for it, it has so many times as long: else each race near contacts would cost a warm worker.
-CANCEL_PATIENCE = 12
-
 # A process whose socket is closed is about to end; its exit code comes a moment later.
 ENDING_TIMEOUT_S = 0.1
 
@@ -226,26 +222,17 @@ class WorkerProcess:
             message = f"the planner answered a {type(request).__name__} with {type(answer).__name__}"
         return PlanningFailure(MoveItErrorCode.CRASH, message)
 
-    async def cancel(self, is_needed: Callable[[], bool] = lambda: True) -> None:
-        """Make the process give up the request in hand, or end it when it does not listen.
-
-        Args:
-            is_needed: tells whether a request waits for a worker.
-        """
+    async def cancel(self) -> None:
+        """Make the process give up the request in hand, or end it when it does not listen."""
         if self._answer is None or self._scene_version is None:
             return  # the request was given up before it was sent
         self._child.send(Cancel(self._number))
-        for _ in range(CANCEL_PATIENCE):
-            try:
-                async with timeout_at(Deadline(CANCEL_TIMEOUT_S, self.run_delay_s)):
-                    await asyncio.shield(self._answer)
-            except TimeoutError:
-                if is_needed():
-                    break
-            else:
-                return
-        log.warning("planner process %d does not listen and is ended", self.pid)
-        await self.kill()
+        try:
+            async with timeout_at(Deadline(CANCEL_TIMEOUT_S, self.run_delay_s)):
+                await asyncio.shield(self._answer)
+        except TimeoutError:
+            log.warning("planner process %d does not listen and is ended", self.pid)
+            await self.kill()
 
     async def kill(self) -> None:
         """End the process at once."""
@@ -379,8 +366,6 @@ class PlannerPool:
         self._memory_limit_bytes = memory_limit_bytes
         self._workers: list[WorkerProcess] = []
         self._idle: list[WorkerProcess] = []
-        # Number of requests that wait for a worker to become idle.
-        self._needing_worker = 0
         self._racing = racing
         self._races: list[Race] = []
         self._motion_turns = asyncio.Semaphore(active)
@@ -538,11 +523,7 @@ class PlannerPool:
                     if worker is not None or self.load_failure is not None:
                         return worker
                     any(race.give_way() for race in self._races)
-                    self._needing_worker += 1
-                    try:
-                        await self._changed.wait()
-                    finally:
-                        self._needing_worker -= 1
+                    await self._changed.wait()
         return None
 
     def _take_idle(self, scene: Scene) -> WorkerProcess | None:
@@ -590,7 +571,7 @@ class PlannerPool:
         return answer
 
     async def _cancel(self, worker: WorkerProcess) -> None:
-        await worker.cancel(lambda: self._needing_worker > 0)
+        await worker.cancel()
         self._put_back(worker)
 
     def _put_back(self, worker: WorkerProcess) -> None:

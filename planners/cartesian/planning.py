@@ -102,8 +102,9 @@ def plan_cartesian(
     if not constraints.holds(start_q):
         return start_violates(constraints.violations(start_q))
     allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
-    space = JointSpace(collision, robot.groups[problem.group], start_q, allowed, constraints.holds)
-    columns = [collision.joint_names.index(name) for name in robot.groups[problem.group].joints]
+    group = robot.groups[problem.group]
+    space = JointSpace(collision, group, start_q, allowed, constraints.holds, should_stop=budget.should_stop)
+    columns = [collision.joint_names.index(name) for name in group.joints]
     limits = collision.lower_rad, collision.upper_rad
     tracker = TipTracker(forward, limits, columns, start_q, problem.link)
     start = tracker.pose(start_q[columns])

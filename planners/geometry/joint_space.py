@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planners.budget import never
+from planners.errors import StoppedError
 from planners.geometry.collision import (
     DEPTH_ACCURACY_M,
     NO_CONTACT,
@@ -44,6 +46,7 @@ class JointSpace:
         holds: a condition on configurations that free ones meet as well.
         also_free: configurations beside the start, such as goals, that are known to touch nothing although hulls may
             overlap there; with the start they determine the pairs that are checked by their meshes.
+        should_stop: ends long checks with :exc:`StoppedError`: a certificate of what nearly touches can take seconds.
 
     Attributes:
         lower_rad: shape (n,), lower position limits.
@@ -59,6 +62,7 @@ class JointSpace:
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         holds: Callable[[Vector], bool] | None = None,
         also_free: Sequence[Vector] = (),
+        should_stop: Callable[[], bool] = never,
     ) -> None:
         self._collision = collision
         self._columns = _columns(collision, group)
@@ -69,6 +73,7 @@ class JointSpace:
         for q in (start_q, *also_free):
             self._check_closer(collision.tight_pairs(q))
         self._holds = holds
+        self._should_stop = should_stop
         self._start = self.point(start_q).copy()
         self.lower_rad = collision.lower_rad[self._columns]
         self.upper_rad = collision.upper_rad[self._columns]
@@ -96,7 +101,11 @@ class JointSpace:
     def candidate_pairs(
         self, points: Vector, joint_travel: Vector, among: Sequence[CandidatePairs]
     ) -> list[CandidatePairs]:
-        """Return pairs that may touch, and the condition; see :class:`planners.geometry.sweep.CollisionChecker`."""
+        """Return pairs that may touch, and the condition; see :class:`planners.geometry.sweep.CollisionChecker`.
+
+        Raises:
+            StoppedError: in the middle of it.
+        """
         configurations, travel = np.tile(self._q, (len(points), 1)), np.zeros((len(points), len(self._q)))
         configurations[:, self._columns] = points
         travel[:, self._columns] = joint_travel
@@ -106,6 +115,9 @@ class JointSpace:
         for i, q in enumerate(configurations):
             allowed = self._allowed and self._allowed_near(away[i])
             known = among[i]
+            # What takes long here is a large scene as a whole, and closer shapes.
+            if (known is ALL_PAIRS or self._closer) and self._should_stop():
+                raise StoppedError
             pairs = self._collision.candidate_pairs(q, margins_m[i], known and _pairs(known), allowed, self._closer)
             found.append(pairs if self._holds_around(q, joint_travel[i], among[i]) else (*pairs, CONDITION))
         return found

@@ -16,6 +16,7 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
+from planners.budget import never
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.sweep import ALL_PAIRS, NO_CANDIDATES, CandidatePairs, line_is_free
 from planners.motions.curve import Curve
@@ -91,7 +92,7 @@ class CountedSpace:
         upper_rad: shape (n,), upper position limits.
     """
 
-    def __init__(self, space: JointSpace, should_stop: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, space: JointSpace, should_stop: Callable[[], bool] = never) -> None:
         self._space = space
         self._should_stop = should_stop
         self.checks = 0

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from planners import worker
-from planners.pipeline import Planner, never
+from planners.budget import never
+from planners.pipeline import Planner
 from planners.problem import Answer, MoveItErrorCode, PlanningFailure, PlanningProblem, Request, StateAnswer
 
 # Stands for a native library that holds the interpreter and never looks at signals.
@@ -100,8 +101,7 @@ class BrokenPlanner(Planner):
         if isinstance(request, PlanningProblem) and "|" in request.group:
             other = request.seed > 0
             end = request.group.split("|")[other]
-            lasting_s = {NONE: math.inf, DEAF: 0.0}.get(end, SEARCH_S * (1 + other))
-            stopped = _search(request, should_stop, lasting_s)
+            stopped = _search(request, should_stop, math.inf if end == NONE else SEARCH_S * (1 + other))
             if stopped is not None:
                 return stopped
             request = dataclasses.replace(request, group="arm" if end == PLAN else end)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import pickle
 import time
 
@@ -31,6 +32,7 @@ from planners.problem import (
     CartesianProblem,
     IkAnswer,
     IkQuestion,
+    JointPathProblem,
     Line,
     MoveItErrorCode,
     Plan,
@@ -185,6 +187,28 @@ def test_planning_stops_in_the_middle_of_a_search(setting):
     asked = iter(range(3))
     failure = setting.planner.plan(problem, lambda: next(asked, None) is None)
     assert failure.code is MoveItErrorCode.PREEMPTED
+
+
+@pytest.mark.parametrize("kind", ["plan", "recheck", "joint path"])
+def test_work_that_is_cancelled_stops_at_once_whenever_that_is(setting, kind):
+    # With links that touch in their hulls each check takes long.
+    start = setting.home(**FOLDED)
+    problem = setting.problem(JointGoal({"elbow_flex": 0.5}), start)
+    motion = setting.planner.plan(problem).trajectory
+    requests = {
+        "plan": problem,
+        "recheck": RecheckQuestion("arm", motion, start, 0.0),
+        "joint path": JointPathProblem(start, motion.joint_names, motion.time_s, motion.positions_rad),
+    }
+    asked = itertools.count()
+    assert not isinstance(setting.planner.answer(requests[kind], lambda: bool(next(asked) < 0)), PlanningFailure)
+    total = next(asked)
+    assert total > 20
+    for last in range(0, total, 1 + total // 8):
+        asked = itertools.count()
+        answer = setting.planner.answer(requests[kind], lambda: next(asked) >= last)  # noqa: B023
+        assert answer.code is MoveItErrorCode.PREEMPTED
+        assert next(asked) <= last + 4
 
 
 def test_lack_of_time_is_timed_out(robot, setting):

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -122,22 +122,6 @@ async def test_a_cancelled_worker_that_waits_for_a_core_is_waited_for(
     os.kill(worker.pid, signal.SIGSTOP)
     cancelling = asyncio.create_task(worker.cancel())
     await asyncio.sleep(0.2)
-    os.kill(worker.pid, signal.SIGCONT)
-    await asyncio.gather(cancelling, asking)
-    assert worker.usable
-
-
-@in_one_loop
-async def test_a_cancelled_worker_that_nothing_needs_is_given_more_time(
-    worker: WorkerProcess, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pool_module, "CANCEL_TIMEOUT_S", 0.05)
-    asking = asyncio.create_task(worker.ask(LONG, Scene(7)))
-    await until(lambda: worker._answer is not None and not worker._answer.done())
-    os.kill(worker.pid, signal.SIGSTOP)
-    asked = []
-    cancelling = asyncio.create_task(worker.cancel(lambda: bool(asked.append(None))))
-    await until(lambda: asked)
     os.kill(worker.pid, signal.SIGCONT)
     await asyncio.gather(cancelling, asking)
     assert worker.usable
@@ -580,7 +564,7 @@ class StarvedWorker:
         assert self._answer is not None
         return self._answer
 
-    async def cancel(self, is_needed: Callable[[], bool]) -> None:
+    async def cancel(self) -> None:
         self.cancelled += 1
 
     async def kill(self) -> None:

@@ -16,7 +16,7 @@ from planners.pool import BRIEF_SCENE_BYTES, OBJECT_BYTES, PlannerPool
 from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, StateAnswer
 from planners.race import Race, another
 from planners.scene import Scene
-from tests.helpers.broken_planner import DEAF, NONE, PLAN, SEGFAULT, racers
+from tests.helpers.broken_planner import NONE, PLAN, SEGFAULT, racers
 from tests.helpers.motions import EASY, STATE, STILL
 from tests.helpers.robots import so101
 from tests.helpers.waiting import until
@@ -296,19 +296,6 @@ async def test_a_race_gives_a_worker_to_the_request_that_needs_one(both_idle: Pl
     assert not asking.done()
     await given_up(asking)
     assert set(both_idle.pids) == before
-
-
-async def test_a_racer_that_does_not_listen_is_ended_for_the_request_that_needs_its_worker(
-    both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pool_module, "CANCEL_PATIENCE", 10_000)
-    before = set(both_idle.pids)
-    asking = asyncio.create_task(both_idle.ask(hard(NONE, DEAF)))
-    await until(lambda: both_idle.idle_count == 0)
-    assert isinstance(await both_idle.ask(STATE), StateAnswer)
-    assert not asking.done()
-    await given_up(asking)
-    assert len(before & set(both_idle.pids)) == 1
 
 
 async def test_a_worker_joins_a_race_again_once_nothing_else_needs_it(both_idle: PlannerPool) -> None:

@@ -1,6 +1,9 @@
+import itertools
+
 import numpy as np
 import pytest
 
+from planners.errors import StoppedError
 from planners.geometry.certificate import certify, cubics
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
@@ -120,6 +123,18 @@ def test_if_only_hulls_touch_the_parts_decide(own_collision, space_in, arm, robo
         assert not fresh.free(point)
         assert certify(fresh, motion(arm.joints, [point])) is None
         assert fresh.free(point)
+
+
+def test_a_certificate_is_given_up_when_its_request_is_cancelled(own_collision, space_in, arm):
+    rng = np.random.default_rng(5)
+    box = scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15))
+    free = space_in(box)
+    points = rng.uniform(0.6 * free.lower_rad, 0.6 * free.upper_rad, (3000, 5))
+    tight = next(point for point in points if is_tight(own_collision, np.append(point, 0.0)))
+    asked = itertools.count()
+    space = space_in(box, also_free=[np.append(tight, 0.0)], should_stop=lambda: next(asked) == 2)
+    with pytest.raises(StoppedError):
+        certify(space, motion(arm.joints, [tight, tight + 0.01, tight]))
 
 
 def test_cubics_are_what_the_trajectory_interpolates(arm):

@@ -84,13 +84,12 @@ class Broadphase:
         # Made at the first use: only servoing needs them, and a large scene has many.
         self._bounding_spheres: BoundingSpheres | None = None
         self._margins_m = np.zeros((len(shapes), len(shapes)))
-        # Managers keep references to the models. They take margins over on update only, so there is one for contacts
-        # and one for what is near.
-        self._contact, self._near = self._geometry.createData(), self._geometry.createData()
-        # Shapes that never were anywhere have boxes of garbage, which trees refuse.
-        pin.updateGeometryPlacements(model, self._data, self._geometry, self._contact, pin.neutral(model))
-        pin.updateGeometryPlacements(model, self._data, self._geometry, self._near)
-        self._contacts, self._vicinity = self._manager(self._contact), self._manager(self._near)
+        # Managers keep references to the models. They take margins over on update only, so there is one for what is
+        # near. A check that ends with the first contact leaves a result behind, so it has one of its own as well.
+        self._any, self._contact, self._near = (self._geometry.createData() for _ in range(3))
+        pin.forwardKinematics(model, self._data, pin.neutral(model))
+        self._any_contact, self._contacts, self._vicinity = map(self._manager, (self._any, self._contact, self._near))
+        self._contact_results = list(self._contact.collisionResults)
         self._near_results = list(self._near.collisionResults)
         # Pairs that are checked one by one have margins of their own.
         self._single = self._geometry.createData()
@@ -101,18 +100,14 @@ class Broadphase:
 
     def touches(self, q: Vector) -> bool:
         """Tell whether shapes of any pair touch, or are nearer than they may be."""
-        return pin.computeCollisions(self._model, self._data, self._contacts, self._positions(q), True)
+        return pin.computeCollisions(self._model, self._data, self._any_contact, self._positions(q), True)
 
     def near(self, q: Vector, margin_m: Vector) -> list[int]:
         """Indices of the pairs whose shapes are nearer than they may be and a margin, shape (pairs,) [m]."""
         self._set_margins(self._near, self._vicinity, margin_m)
         if not pin.computeCollisions(self._model, self._data, self._vicinity, self._positions(q), False):
             return []
-        found = [pair for pair, result in enumerate(self._near_results) if result.isCollision()]
-        # Results of pairs whose boxes are apart stay as they were.
-        for pair in found:
-            self._near_results[pair].clear()
-        return found
+        return _taken(self._near_results)
 
     def near_among(self, q: Vector, pairs: Iterable[int], margin_m: Sequence[float] | Vector) -> list[int]:
         """As :meth:`near`, of some pairs only: a tenth of the time for a few; ``margin_m`` is by all pairs' indices."""
@@ -128,13 +123,18 @@ class Broadphase:
         """Put the shapes where they are at a configuration: the methods below are about there."""
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._contact, self._positions(q))
 
-    def touching(self) -> list[int]:
-        """Indices of the pairs that touch."""
-        return self.touching_among(range(len(self._pairs)))
+    def touching(self, q: Vector) -> list[int]:
+        """Put the shapes where they are as :meth:`place` does; indices of the pairs that touch."""
+        if not pin.computeCollisions(self._model, self._data, self._contacts, self._positions(q), False):
+            return []
+        return _taken(self._contact_results)
 
     def touching_among(self, pairs: Iterable[int]) -> list[int]:
         """Those of some pairs that touch."""
-        return [pair for pair in pairs if pin.computeCollision(self._geometry, self._contact, pair)]
+        found = [pair for pair in pairs if pin.computeCollision(self._geometry, self._contact, pair)]
+        for pair in found:
+            self._contact_results[pair].clear()
+        return found
 
     def distance_m(self, pair: int) -> float:
         """Return a pair's clearance beyond the required one, its depth of overlap if negative [m]."""
@@ -185,6 +185,8 @@ class Broadphase:
     def _manager(self, data: pin.GeometryData) -> Manager:
         for request in data.collisionRequests:
             request.gjk_tolerance = GJK_TOLERANCE
+        # Shapes that never were anywhere have boxes of garbage, which trees refuse.
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, data)
         make = BOXES_ONE_BY_ONE if len(self._shapes) <= FEW_SHAPES else TREE_OF_BOXES
         manager = make(self._model, self._geometry, data)
         self._set_margins(data, manager, np.zeros(len(self._pairs)))
@@ -194,6 +196,14 @@ class Broadphase:
         self._margins_m[self._pairs[:, 0], self._pairs[:, 1]] = CONTACT_M + self._apart_m + margin_m
         data.setSecurityMargins(self._geometry, self._margins_m, True, True)
         manager.update(True)
+
+
+def _taken(results: Sequence[coal.CollisionResult]) -> list[int]:
+    """Return the pairs in contact, whose results are cleared: a pair whose boxes are apart keeps the one it has."""
+    found = [pair for pair, result in enumerate(results) if result.isCollision()]
+    for pair in found:
+        results[pair].clear()
+    return found
 
 
 @dataclass(frozen=True)
@@ -357,14 +367,9 @@ def _facing(of: Parts, other: Parts, between: pin.SE3, margin_m: float) -> Parts
     # Along the axes of the other ones' joint.
     offset_m = rotation.T @ of.middles_m - (middle_m + rotation.T @ between.translation[:, np.newaxis])
     reach_m = np.abs(rotation.T) @ of.halves_m + (half_m + margin_m)
-    facing = np.flatnonzero((np.abs(offset_m) <= reach_m).all(axis=0))
-    return Parts(
-        _Chosen(of.shapes, facing.tolist()),
-        of.middles_m[:, facing],
-        of.halves_m[:, facing],
-        of.places,
-        [of.place_of[i] for i in facing],
-    )
+    facing = np.flatnonzero((np.abs(offset_m) <= reach_m).all(axis=0)).tolist()
+    chosen = _Chosen(of.shapes, facing)
+    return Parts(chosen, of.middles_m[:, facing], of.halves_m[:, facing], of.places, [of.place_of[i] for i in facing])
 
 
 class _Chosen(Sequence[coal.CollisionGeometry]):
@@ -417,6 +422,12 @@ def nearest(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) 
     return found.transformed(at_first)
 
 
+# Vector products with the three unit vectors from the left, as matrices.
+ACROSS = np.array(
+    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
+)
+
+
 class _Boxes:
     """The boxes around two sets of parts, seen from the first one's joint.
 
@@ -458,11 +469,10 @@ class _Boxes:
         first_halves_m, second_halves_m = self._first.halves_m[:, i], self._second.halves_m[:, j]
         offset_m = rotation @ self._second.middles_m[:, j] + self._between.translation[:, np.newaxis]
         offset_m -= self._first.middles_m[:, i]
-        near = np.ones(len(pairs), dtype=bool)
-        for axis in np.cross(np.eye(3)[:, np.newaxis], rotation.T).reshape(-1, 3):
-            reach_m = np.abs(axis) @ first_halves_m + np.abs(axis @ rotation) @ second_halves_m
-            near &= np.abs(axis @ offset_m) - reach_m <= margin_m * float(np.linalg.norm(axis))
-        found: NDArray[np.intp] = pairs[near]
+        axes = (ACROSS @ rotation).swapaxes(1, 2).reshape(9, 3)
+        reach_m = np.abs(axes) @ first_halves_m + np.abs(axes @ rotation) @ second_halves_m
+        reach_m += margin_m * np.sqrt((axes**2).sum(axis=1))[:, np.newaxis]
+        found: NDArray[np.intp] = pairs[(np.abs(axes @ offset_m) <= reach_m).all(axis=0)]
         return found
 
     def placed(

@@ -47,10 +47,24 @@ def test_touching_is_overlapping(crowded):
     build, states = crowded
     broadphase, verdicts = build(0.0), set()
     for q in states:
-        broadphase.place(q)
-        assert broadphase.touches(q) == bool(broadphase.touching())
-        verdicts.add(broadphase.touches(q))
+        expected = build(0.0).touching(q)
+        assert broadphase.touches(q) == bool(expected)
+        # What was found before, elsewhere and among some of the pairs, leaves nothing behind.
+        assert broadphase.touching(q) == expected
+        assert broadphase.touching_among(range(0, len(broadphase._pairs), 2)) == [i for i in expected if i % 2 == 0]
+        verdicts.add(bool(expected))
     assert verdicts == {True, False}
+
+
+@pytest.mark.parametrize("few", [0, contacts.FEW_SHAPES])
+def test_few_and_many_shapes_are_searched_alike(crowded, monkeypatch, few):
+    build, states = crowded
+    monkeypatch.setattr(contacts, "FEW_SHAPES", few)
+    broadphase = build(0.0)
+    for q in states:
+        assert (
+            broadphase.touching(q) == np.flatnonzero(distances_m(broadphase, len(broadphase._pairs), q) < 0.0).tolist()
+        )
 
 
 @pytest.mark.parametrize("margin_m", [0.0, 0.003, 0.02, 0.1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -18,19 +19,24 @@ from planners.warm_up import warm_up
 from robot.description.joined import PlacedArm, joined, prefixed
 from robot.description.model import RobotModel
 from robot.description.robot_folder import built_in
+from robot.description.srdf import Group
 from tests.helpers.meshes import ball
 
 SEED = 3
 GOALS = 40
 BOXES = (1, 10, 100, 1000)
-# A scene may have meshes of 80 000 triangles.
-TRIANGLES = (1_000, 10_000, 79_000)
+# In two meshes, each of which may have 80 000.
+TRIANGLES = (1_000, 10_000, 100_000)
 BOX_M = 0.02
 
 # Boxes lie between these distances from the base's axis [m].
 NEAR_M, FAR_M = 0.12, 0.45
 BALL_M = 0.06
+BALLS = {"ball": (0.26, 0.0, 0.2), "other_ball": (0.0, 0.26, 0.2)}
 ALLOWED_TIME_S = 5.0
+
+# Group of every joint of a robot.
+ALL = "all"
 
 Case = tuple[str, RobotModel, Scene]
 
@@ -39,13 +45,14 @@ def run() -> None:
     """Measure how planning grows and print the tables."""
     so101 = built_in("so101").model
     _print("objects", [(f"{count} boxes of 2 cm", so101, _boxes(count)) for count in BOXES])
-    _print("triangles", [(f"a ball of {count} triangles", so101, _ball(count)) for count in TRIANGLES])
+    _print("triangles", [(f"two balls, {count} triangles", so101, _balls(count)) for count in TRIANGLES])
     pair = {name: PlacedArm(prefixed(so101, name), (0.0, y_m, 0.0)) for name, y_m in (("left", 0.2), ("right", -0.2))}
     arms: Mapping[str, RobotModel] = {
         "SO-101": so101,
         "UR5": published("ur5", UR5_GROUP),
         "Panda": published("panda"),
         "two SO-101": joined("pair", pair),
+        "two SO-101 with their grippers": _as_one_group(joined("pair", pair)),
     }
     empty = Scene(1)
     _print("joints", [(f"{name}, {len(_group(robot))} joints", robot, empty) for name, robot in arms.items()])
@@ -103,8 +110,13 @@ def _problems(robot: RobotModel, scene: Scene) -> Iterator[PlanningProblem]:
         yield PlanningProblem(_group_name(robot), start_rad, goal, allowed_time_s=ALLOWED_TIME_S)
 
 
+def _as_one_group(robot: RobotModel) -> RobotModel:
+    joints = tuple(joint.name for joint in robot.joints.values() if joint.movable)
+    return dataclasses.replace(robot, groups={**robot.groups, ALL: Group(ALL, joints, "", "")})
+
+
 def _group_name(robot: RobotModel) -> str:
-    return "both_arms" if "both_arms" in robot.groups else robot.default_group
+    return next((name for name in (ALL, "both_arms") if name in robot.groups), robot.default_group)
 
 
 def _group(robot: RobotModel) -> Sequence[str]:
@@ -121,8 +133,8 @@ def _boxes(count: int) -> Scene:
     return Scene(count + 1, tuple(objects))
 
 
-def _ball(triangles: int) -> Scene:
-    """A ball of about so many triangles before the arm."""
-    around = int(np.sqrt(triangles / 2.0)) + 1
+def _balls(triangles: int) -> Scene:
+    """Balls of about so many triangles in all around the arm."""
+    around = int(np.sqrt(triangles / (2.0 * len(BALLS)))) + 1
     mesh = Mesh(*ball(BALL_M, around))
-    return Scene(triangles, (SceneObject("ball", ((mesh, Pose()),), Pose((0.26, 0.0, 0.2))),))
+    return Scene(triangles, tuple(SceneObject(name, ((mesh, Pose()),), Pose(at_m)) for name, at_m in BALLS.items()))

@@ -240,4 +240,5 @@ def test_a_question_that_is_cancelled_ends(beside_a_wall):
     problem = beside_a_wall.problem(JointGoal({"shoulder_pan": -1.2}))
     for code in (MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.TIMED_OUT):
         question = NearestGoalQuestion(problem, 5.0, code)
-        assert beside_a_wall.planner.answer(question, lambda: True) == NearestGoalAnswer(None)
+        answer = beside_a_wall.planner.answer(question, lambda: True)
+        assert answer == NearestGoalAnswer(None) or answer.code is MoveItErrorCode.PREEMPTED

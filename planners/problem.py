@@ -31,6 +31,9 @@ PLANNER_IDS = (
     "BITstar",
 )
 
+# How a motion was found where two straight lines were enough, which RRTConnect tries first.
+VIA_POINT = "via point"
+
 
 class MoveItErrorCode(IntEnum):
     """Values of moveit_msgs/MoveItErrorCodes."""
@@ -123,7 +126,7 @@ class PlanningProblem:
     start_velocity_rad_s: Mapping[str, float] = field(default_factory=dict)
     path_constraints: Constraints | None = None
     planner_id: str = ""
-    optimization_time_s: float = 0.036
+    optimization_time_s: float = 0.024
     max_jerk_rad_s3: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -135,8 +135,9 @@ def _connected(address: str) -> Iterator[Client]:
         raise BatchError(f"--scheduler {address}: must be tcp://HOST:PORT or tls://HOST:PORT")
     from distributed import Client
 
-    # It logs pages of tracebacks for each failure; BatchError has what matters.
-    for name in ("distributed", "distributed.client"):
+    # It logs pages of tracebacks for each failure; BatchError has what matters. Tornado's logger has the one of an
+    # interrupt that meets distributed.utils.sync before its coroutine begins: its cancel() then knows no future.
+    for name in ("distributed", "distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         # Certificates of tls:// are those of Dask's own configuration.

@@ -22,7 +22,6 @@ from planners.geometry.contacts import (
     nearest,
     overlap_m,
     parts_of,
-    surfaces_nearer_than,
 )
 from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.nearness import Nearest, NearPair
@@ -468,7 +467,7 @@ class CollisionModel:
             return False
         links = sum(self._bodies[index].is_link for index in self._pairs[pair])
         margin_m += links * self._exact.mesh_accuracy_m
-        return not surfaces_nearer_than(*self._meshes_of_pair(pair), margin_m)
+        return not nearer_than(*self._meshes_of_pair(pair), margin_m)
 
     def _meshes_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
         first, second = self._pairs[pair].tolist()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TypeAlias
 
 import coal
@@ -17,7 +16,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.errors import ShapeError
-from planners.geometry import surfaces
+from planners.geometry import boxes, surfaces
+from planners.geometry.boxes import Boxes
 from planners.geometry.kinematics import JointMap
 from planners.geometry.nearness import BoundingSpheres, Nearest, slope_m_per_rad
 from planners.geometry.shapes import convex, corners, link_name, on_link, outline, urdf_shapes
@@ -212,24 +212,15 @@ class Parts:
 
     Attributes:
         shapes: the shapes.
-        middles_m: shape (3, n), middles of the boxes in the joint's frame [m].
-        halves_m: shape (3, n), half the edges of the boxes [m].
+        boxes: the boxes.
         places: where shapes are in the joint's frame, each place once: those of a link mostly share one.
         place_of: index of each shape's place.
     """
 
     shapes: Sequence[coal.CollisionGeometry]
-    middles_m: Vector
-    halves_m: Vector
+    boxes: Boxes
     places: Sequence[pin.SE3]
     place_of: Sequence[int]
-
-    @cached_property
-    def whole_box(self) -> tuple[Vector, Vector]:
-        """Middle of the box around all of them and half its edges, shape (3, 1) each [m]."""
-        lower_m = (self.middles_m - self.halves_m).min(axis=1, keepdims=True)
-        upper_m = (self.middles_m + self.halves_m).max(axis=1, keepdims=True)
-        return 0.5 * (lower_m + upper_m), 0.5 * (upper_m - lower_m)
 
     def outline(self) -> Vector:
         """Points whose hull encloses the shapes, shape (n, 3) [m], in the joint's frame."""
@@ -246,18 +237,12 @@ def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
     places = {shape.placement.homogeneous.tobytes(): shape.placement for shape in shapes}
     order = list(places)
     place_of = [order.index(shape.placement.homogeneous.tobytes()) for shape in shapes]
-    return Parts([shape.geometry for shape in shapes], *_boxes(lower_m, upper_m), list(places.values()), place_of)
+    return Parts([shape.geometry for shape in shapes], Boxes.between(lower_m, upper_m), list(places.values()), place_of)
 
 
 def parts_of_surface(pieces: surfaces.Pieces) -> Parts:
     """The pieces of a surface with the boxes around them."""
-    return Parts(pieces, *_boxes(pieces.lower_m, pieces.upper_m), [pin.SE3.Identity()], [0] * len(pieces))
-
-
-def _boxes(lower_m: Vector, upper_m: Vector) -> tuple[Vector, Vector]:
-    """Return the middles of boxes and half their edges, shape (3, n) each: numpy is slow with a last axis of three."""
-    middles_m, halves_m = (np.ascontiguousarray(0.5 * each.T) for each in (lower_m + upper_m, upper_m - lower_m))
-    return middles_m, halves_m
+    return Parts(pieces, Boxes.between(pieces.lower_m, pieces.upper_m), [pin.SE3.Identity()], [0] * len(pieces))
 
 
 class ExactShapes:
@@ -336,53 +321,13 @@ def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.S
     request, result = coal.CollisionRequest(), coal.CollisionResult()
     request.gjk_tolerance = GJK_TOLERANCE
     request.security_margin = CONTACT_M + margin_m
-    boxes = _Boxes(first, second, at_first.actInv(at_second))
-    for pair in np.argwhere(boxes.apart_m <= request.security_margin).tolist():
-        result.clear()
-        if coal.collide(*boxes.placed(*pair), request, result):
-            return True
-    return False
-
-
-def surfaces_nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, margin_m: float) -> bool:
-    """As :func:`nearer_than`, where one of them or both are surfaces: many boxes, of which few are near."""
-    request, result = coal.CollisionRequest(), coal.CollisionResult()
-    request.gjk_tolerance = GJK_TOLERANCE
-    request.security_margin = CONTACT_M + margin_m
     between = at_first.actInv(at_second)
-    facing_second = _facing(first, second, between, request.security_margin)
-    facing_first = _facing(second, first, between.inverse(), request.security_margin)
-    near = _Boxes(facing_second, facing_first, between)
-    for i, j in near.pairs_within(request.security_margin).tolist():
+    placed = _Placed(first, second, between)
+    for i, j in boxes.near_pairs(first.boxes, second.boxes, between, request.security_margin).tolist():
         result.clear()
-        if coal.collide(*near.placed(i, j), request, result):
+        if coal.collide(*placed.pair(i, j), request, result):
             return True
     return False
-
-
-def _facing(of: Parts, other: Parts, between: pin.SE3, margin_m: float) -> Parts:
-    """Return the parts that come near the box around all other ones: of two links' thousand pieces a few."""
-    rotation = between.rotation
-    middle_m, half_m = other.whole_box
-    # Along the axes of the other ones' joint.
-    offset_m = rotation.T @ of.middles_m - (middle_m + rotation.T @ between.translation[:, np.newaxis])
-    reach_m = np.abs(rotation.T) @ of.halves_m + (half_m + margin_m)
-    facing = np.flatnonzero((np.abs(offset_m) <= reach_m).all(axis=0)).tolist()
-    chosen = _Chosen(of.shapes, facing)
-    return Parts(chosen, of.middles_m[:, facing], of.halves_m[:, facing], of.places, [of.place_of[i] for i in facing])
-
-
-class _Chosen(Sequence[coal.CollisionGeometry]):
-    """Some of a sequence's shapes, which it may only make when they are asked for."""
-
-    def __init__(self, shapes: Sequence[coal.CollisionGeometry], indices: Sequence[int]) -> None:
-        self._shapes, self._indices = shapes, indices
-
-    def __len__(self) -> int:
-        return len(self._indices)
-
-    def __getitem__(self, index: int) -> coal.CollisionGeometry:  # type: ignore[override]
-        return self._shapes[self._indices[index]]
 
 
 def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, depth_m: float) -> bool:
@@ -391,10 +336,11 @@ def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.S
         return nearer_than(first, at_first, second, at_second, -depth_m)
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.gjk_tolerance = GJK_TOLERANCE
-    boxes = _Boxes(first, second, at_first.actInv(at_second))
-    for pair in np.argwhere(boxes.overlap_m > depth_m).tolist():
+    between = at_first.actInv(at_second)
+    placed = _Placed(first, second, between)
+    for i, j in boxes.near_pairs(first.boxes, second.boxes, between, -depth_m).tolist():
         result.clear()
-        if -coal.distance(*boxes.placed(*pair), request, result) > depth_m:
+        if -coal.distance(*placed.pair(i, j), request, result) > depth_m:
             return True
     return False
 
@@ -408,89 +354,42 @@ def nearest(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) 
     """Return the nearest or deepest points of solid parts in the root link's frame; as for :func:`nearer_than`."""
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.gjk_tolerance = GJK_TOLERANCE
-    boxes = _Boxes(first, second, at_first.actInv(at_second))
-    bounds_m = np.where(boxes.overlap_m > 0.0, boxes.overlap_m, -boxes.apart_m).ravel()
+    between = at_first.actInv(at_second)
+    placed = _Placed(first, second, between)
+    bounds_m = boxes.least_distance_m(first.boxes, second.boxes, between).ravel()
     found = Nearest(np.inf, np.zeros(3), np.zeros(3))
-    for index in np.argsort(-bounds_m):
-        if bounds_m[index] <= -found.distance_m:
+    for index in np.argsort(bounds_m):
+        if bounds_m[index] >= found.distance_m:
             break
         result.clear()
-        distance_m = coal.distance(*boxes.placed(*divmod(index, len(second.shapes))), request, result)
+        distance_m = coal.distance(*placed.pair(*divmod(index, len(second.shapes))), request, result)
         if distance_m < found.distance_m:
             # What the result shows of itself changes with the next pair.
             found = Nearest(distance_m, np.array(result.getNearestPoint1()), np.array(result.normal))
     return found.transformed(at_first)
 
 
-# Vector products with the three unit vectors from the left, as matrices.
-ACROSS = np.array(
-    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
-)
-
-
-class _Boxes:
-    """The boxes around two sets of parts, seen from the first one's joint.
+class _Placed:
+    """Parts of two joints as coal takes them, seen from the first one's joint.
 
     Args:
         first: parts there.
         second: other parts.
         between: where the second one's joint is.
-
-    Attributes:
-        overlap_m: how far each two boxes overlap along the axis of least overlap, shape (first, second); shapes in
-            them cannot overlap deeper. Below 0 they are at least that far apart [m].
-        apart_m: how far each two boxes are apart at least, shape (first, second) [m].
     """
 
     def __init__(self, first: Parts, second: Parts, between: pin.SE3) -> None:
-        self._first, self._second, self._between = first, second, between
+        self._first, self._second = first, second
         self._first_places = [_transform(place) for place in first.places]
         self._second_places = [_transform(between * place) for place in second.places]
-        # Along the axes of one joint the boxes of the other are wider than they are: by the whole link, for a table.
-        by_first_m = _overlaps_m(first, second, between)
-        by_second_m = _overlaps_m(second, first, between.inverse()).swapaxes(1, 2)
-        self.overlap_m: Vector = np.minimum(by_first_m.min(axis=0), by_second_m.min(axis=0))
-        self.apart_m: Vector = np.sqrt(
-            np.maximum((np.minimum(by_first_m, 0.0) ** 2).sum(axis=0), (np.minimum(by_second_m, 0.0) ** 2).sum(axis=0))
-        )
 
-    def pairs_within(self, margin_m: float) -> NDArray[np.intp]:
-        """Return the pairs of boxes that no plane separates by more than a margin [m].
-
-        The planes are across the axes of both joints and the products of two of them, as Gottschalk et al. have it
-        in "OBBTree", 1996.
-
-        Returns:
-            Shape (pairs, 2), those that overlap most first.
-        """
-        pairs = np.argwhere(self.apart_m <= margin_m)
-        pairs = pairs[np.argsort(-self.overlap_m[*pairs.T], kind="stable")]
-        rotation, i, j = self._between.rotation, pairs[:, 0], pairs[:, 1]
-        first_halves_m, second_halves_m = self._first.halves_m[:, i], self._second.halves_m[:, j]
-        offset_m = rotation @ self._second.middles_m[:, j] + self._between.translation[:, np.newaxis]
-        offset_m -= self._first.middles_m[:, i]
-        axes = (ACROSS @ rotation).swapaxes(1, 2).reshape(9, 3)
-        reach_m = np.abs(axes) @ first_halves_m + np.abs(axes @ rotation) @ second_halves_m
-        reach_m += margin_m * np.sqrt((axes**2).sum(axis=1))[:, np.newaxis]
-        found: NDArray[np.intp] = pairs[(np.abs(axes @ offset_m) <= reach_m).all(axis=0)]
-        return found
-
-    def placed(
+    def pair(
         self, i: int, j: int
     ) -> tuple[coal.CollisionGeometry, coal.Transform3s, coal.CollisionGeometry, coal.Transform3s]:
-        """One part of each, as coal takes them."""
+        """Return one part of each with its place."""
         first, second = self._first, self._second
         at_first, at_second = self._first_places[first.place_of[i]], self._second_places[second.place_of[j]]
         return first.shapes[i], at_first, second.shapes[j], at_second
-
-
-def _overlaps_m(first: Parts, second: Parts, between: pin.SE3) -> Vector:
-    """Return how far boxes overlap along each axis of the first one's joint, shape (3, first, second) [m]."""
-    middles_m = between.rotation @ second.middles_m + between.translation[:, np.newaxis]
-    halves_m = np.abs(between.rotation) @ second.halves_m
-    offset_m = first.middles_m[:, :, np.newaxis] - middles_m[:, np.newaxis]
-    overlaps_m: Vector = first.halves_m[:, :, np.newaxis] + halves_m[:, np.newaxis] - np.abs(offset_m)
-    return overlaps_m
 
 
 def _transform(place: pin.SE3) -> coal.Transform3s:

@@ -1,7 +1,7 @@
 """Search for a motion: from a start and goal configurations to a timed motion, certified as it will be executed.
 
-A straight line comes first, then searches by OMPL. A path that was found is shortened in time: random parts of it are
-replaced by least-time ramps where those are free.
+A straight line comes first, then two of them by way of a point, then searches by OMPL. A path that was found is
+shortened in time: random parts of it are replaced by least-time ramps where those are free.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from planners.motions.curve import (
 )
 from planners.motions.path import (
     PROJECTED_SEARCH,
+    RRT_CONNECT,
     CountedSpace,
     Project,
     Query,
@@ -41,7 +42,8 @@ from planners.motions.path import (
     search,
     without_detours,
 )
-from planners.problem import MoveItErrorCode, PlanningFailure, RateLimits, planner_name
+from planners.motions.via_point import via_point
+from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
 
 # Parts drawn at once: the time that each would save costs next to nothing in one numpy call, and the one that saves
@@ -119,7 +121,7 @@ class Motion:
 
     Attributes:
         trajectory: from the start to a goal.
-        method: "straight line", or the search that found its path.
+        method: "straight line", "via point", or the search that found its path.
         goal: index of the goal that it reaches.
     """
 
@@ -237,51 +239,65 @@ class _Searching:
         self._finer = self._blocked_paths = 0
         self._window = window_ticks(task.limits)
         self._lead = lead
+        # Where none of the quickest via points is free, others hardly ever are.
+        self._try_via_points = self._name == RRT_CONNECT
         self._enough_checks: int | None = None
 
     def best(self) -> Motion | None:
         """The shortest in time of the motions found while there is work to be done."""
         while not self._budget.used_up():
-            curves = sorted(self._curves(), key=_duration)
+            found = sorted(self._found(), key=_duration)
             # Surfaces take a hundred times as long: only where nothing else is left they decide.
-            for closest, curve in product(Closeness, curves):
+            for closest, (method, curve) in product(Closeness, found):
                 # The best motion is still of use after the deadline, but not once the request is cancelled.
                 trajectory = None if self._budget.stopped else _certified(self._task, curve, self._window, closest)
                 if trajectory is not None:
-                    return Motion(trajectory, self._name, self._goal_at_end_of(curve))
-            if curves:
+                    return Motion(trajectory, method, self._goal_at_end_of(curve))
+            if found:
                 self._finer = min(self._finer + 1, len(SEARCH_STEPS_M) - 1)
         return None
 
-    def _curves(self) -> list[Curve]:
-        """Yield the curves found, shortened as long as the optimisation lasts; the first path comes first."""
-        found: list[Curve] = []
+    def _found(self) -> list[tuple[str, Curve]]:
+        """The curves found, and how: as they were and shortened as long as the optimisation lasts, the first first."""
+        found: list[tuple[str, Curve]] = []
         self._enough_checks = None
         while len(found) < 2 * self._task.attempts and not self._enough():
-            path = self._path(next(self._searches))
+            method, path = self._path(next(self._searches))
             if path is None:
                 continue
             curve = polyline(path, self._task.limits, self._window)
-            found.append(curve if self._lead is None else self._lead.then(curve))
+            curve = curve if self._lead is None else self._lead.then(curve)
             if self._enough_checks is None:
                 self._enough_checks = self._space.checks + checks_in(self._task.optimization_time_s)
-            found.append(smooth(found[-1], self._task.limits, self._free, self._rng, self._enough))
+            shorter = smooth(curve, self._task.limits, self._free, self._rng, self._enough)
+            found += [(method, curve), (method, shorter)]
         return found
 
-    def _path(self, number: int) -> Vector | None:
-        """Return the path that one search finds, without its detours."""
-        most = self._space.checks + CHECKS_A_SEARCH * (1 + number)
+    def _path(self, number: int) -> tuple[str, Vector | None]:
+        """Return how a path was searched for, and the path without its detours if there is one."""
         start = self._task.start if self._lead is None else self._lead.positions_rad[-1]
         query = Query(self._space, start, self._task.goals, self._search_step_m())
+        if self._try_via_points:
+            path = via_point(query, self._task.limits.velocity_rad_s, self._rng, self._enough)
+            self._try_via_points = path is not None
+            path = self._without_detours(path)
+            if path is not None:
+                return VIA_POINT, path
+        return self._name, self._without_detours(self._searched(query, number))
+
+    def _searched(self, query: Query, number: int) -> Vector | None:
+        """Return the path that one search finds."""
+        most = self._space.checks + CHECKS_A_SEARCH * (1 + number)
         seed, project = self._task.seed + number, self._task.project
 
         def should_stop() -> bool:
             return self._space.checks >= most or self._enough()
 
         if project is None:
-            path = search(query, self._name, seed, should_stop)
-        else:
-            path = projected_search(query, project, seed, should_stop)
+            return search(query, self._name, seed, should_stop)
+        return projected_search(query, project, seed, should_stop)
+
+    def _without_detours(self, path: Vector | None) -> Vector | None:
         if path is None:
             return None
         shorter = without_detours(self._space, path, CURVE_STEPS_M[self._finer])
@@ -311,8 +327,8 @@ def _search_of(task: MotionTask) -> str:
     return name
 
 
-def _duration(curve: Curve) -> int:
-    return curve.duration_ticks
+def _duration(found: tuple[str, Curve]) -> int:
+    return found[1].duration_ticks
 
 
 def smooth(

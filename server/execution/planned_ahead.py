@@ -8,7 +8,7 @@ import time
 from dataclasses import replace
 
 from planners.pool import PlannerPool
-from planners.problem import PLANNER_IDS, CartesianPlan, Plan, PlanningFailure, PlanningProblem
+from planners.problem import PLANNER_IDS, VIA_POINT, CartesianPlan, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from server.errors import RefusedError
 from server.execution.motions import Motion, PlannedMotion, Positions, Problem
@@ -121,4 +121,4 @@ def _may_be_shortened(plan: Plan, problem: PlanningProblem) -> bool:
     """Tell if a motion was searched for, by the default settings: those who choose others get what they give."""
     settings = (problem.optimization_time_s, problem.attempts, problem.planner_id)
     defaults = (PlanningProblem.optimization_time_s, PlanningProblem.attempts, PlanningProblem.planner_id)
-    return plan.method in PLANNER_IDS and settings == defaults
+    return plan.method in (VIA_POINT, *PLANNER_IDS) and settings == defaults

@@ -50,7 +50,7 @@ class MoveItParameters(SettingsSection):
     """which search to use, one of those of docs/planning.md; empty for the default."""
     num_planning_attempts: int = Field(default=5, ge=1, le=MAX_PLANNING_ATTEMPTS)
     """searches of which the shortest result is kept."""
-    optimization_time: float = Field(default=0.036, ge=0.0, le=10.0)
+    optimization_time: float = Field(default=0.024, ge=0.0, le=10.0)
     """planning time spent on shortening a motion once there is one [s]."""
     allowed_planning_time: float = Field(default=5.0, gt=0.0, le=MAX_ALLOWED_PLANNING_TIME_S)
     """after this a goal is answered TIMED_OUT [s]."""

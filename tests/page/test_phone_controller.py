@@ -133,7 +133,8 @@ def drive(page: OpenPage, server: RunningServer, axis: int, move: Callable[[], N
         assert time.monotonic() < until_s, page.describe()
         # On a busy machine the servo loop may end; it wants the clutch released first.
         page.page.mouse.up()
-        page.page.evaluate("Object.assign(phone, { beta: 40, gamma: 0 })")
+        # A phone that comes back while the clutch is held takes the tip the other way.
+        page.page.evaluate("clearInterval(window.falling); Object.assign(phone, { beta: 40, gamma: 0, height_m: 0 })")
         page.page.wait_for_timeout(400)
 
 
@@ -207,17 +208,15 @@ def test_tracked_by_webxr_the_tip_goes_the_way_of_the_phone(page: OpenPage, serv
     assert page.page.evaluate("window.overlay === document.body"), "STOP stays in sight"
     page.part("phone-scale").fill("3")
     page.page.wait_for_timeout(100)
-    rise = "window.rising = setInterval(() => { if (phone.height_m > -0.06) phone.height_m -= 0.001; }, 20)"
-    way_m = drive(
-        page, server, 2, lambda: page.page.evaluate(f"clearInterval(window.rising); phone.height_m = 0; {rise}")
-    )
+    fall = "window.falling = setInterval(() => { if (phone.height_m > -0.06) phone.height_m -= 0.001; }, 20)"
+    way_m = drive(page, server, 2, lambda: page.page.evaluate(fall))
     assert way_m < 0, "the phone was lowered"
     page.page.evaluate("tracked = false")
     page.until("!Object.values(sent.at(-1).twist.linear).some(Boolean)")
     page.page.mouse.up()
     assert_halted(page)
     until_still(page, server)
-    page.page.evaluate("clearInterval(window.rising); session.end()")
+    page.page.evaluate("clearInterval(window.falling); session.end()")
     page.until("document.querySelector('[data-testid=phone-controller]').dataset.started === 'false'")
 
 

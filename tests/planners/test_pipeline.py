@@ -28,6 +28,7 @@ from planners.ik.goal_states import GoalStates
 from planners.motions.path import PROJECTED_SEARCH
 from planners.pipeline import Planner, recheck
 from planners.problem import (
+    VIA_POINT,
     CartesianPlan,
     CartesianProblem,
     IkAnswer,
@@ -96,7 +97,7 @@ def test_random_reachable_points_are_reached_within_tolerance(setting, seed):
 def test_blocked_lines_are_driven_around(setting, line):
     start, goal = line
     problem = setting.problem(JointGoal(dict(zip(setting.joints, goal, strict=True))), setting.start(start, 0.0))
-    assert setting.solve(problem).method == "RRTConnect"
+    assert setting.solve(problem).method == VIA_POINT
 
 
 def test_same_problem_and_seed_have_the_same_plan(setting, robot):

@@ -13,7 +13,7 @@ from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options
 from planners.geometry import surfaces
 from planners.geometry.collision import Closeness, CollisionModel
-from planners.geometry.contacts import nearer_than, parts_of, parts_of_surface, surfaces_nearer_than
+from planners.geometry.contacts import nearer_than, parts_of, parts_of_surface
 from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import triangle_tree
 from robot.description.model import LinkSurface
@@ -83,8 +83,8 @@ def test_pieces_are_near_where_the_whole_surface_is(pieces, seed, margin_m) -> N
     as_one, as_pieces, verdicts = whole(pieces._vertices_m, pieces._triangles), parts_of_surface(pieces), set()
     for at in drawn_places(seed, 0.076, 0.084):
         expected = nearer_than(as_one, here, other, at, margin_m)
-        assert surfaces_nearer_than(as_pieces, here, other, at, margin_m) == expected
-        assert surfaces_nearer_than(other, at, as_pieces, here, margin_m) == expected
+        assert nearer_than(as_pieces, here, other, at, margin_m) == expected
+        assert nearer_than(other, at, as_pieces, here, margin_m) == expected
         verdicts.add(expected)
     assert verdicts == {True, False}
 
@@ -95,7 +95,7 @@ def test_surfaces_of_two_links_are_near_where_any_of_their_pieces_are(pieces, se
     as_one, as_pieces, verdicts = whole(pieces._vertices_m, pieces._triangles), parts_of_surface(pieces), set()
     for at in drawn_places(seed, 0.098, 0.102):
         expected = nearer_than(as_one, here, as_one, at, 0.0)
-        assert surfaces_nearer_than(as_pieces, here, as_pieces, at, 0.0) == expected
+        assert nearer_than(as_pieces, here, as_pieces, at, 0.0) == expected
         verdicts.add(expected)
     assert verdicts == {True, False}
 

@@ -9,7 +9,7 @@ from planners.budget import Budget
 from planners.geometry.certificate import certify
 from planners.motions.curve import TICK_S, least_time_s, polyline
 from planners.motions.motion import MAX_DURATION_S, STRAIGHT_LINE, Motion, MotionTask, find_motion, smooth
-from planners.problem import MoveItErrorCode, PlanningFailure, RateLimits
+from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits
 from tests.planners.invariants import (
     BLOCKED_LINES,
     assert_from_rest_to_rest,
@@ -144,11 +144,14 @@ def test_no_move_is_one_sample_at_time_zero(task_between):
 
 @pytest.mark.parametrize("blocked", BLOCKED_LINES)
 @pytest.mark.parametrize("optimization_time_s", [0.0, 0.012])
+@pytest.mark.parametrize("method", [VIA_POINT, "RRTConnect"])
 def test_a_searched_motion_goes_around_within_the_limits(
-    task_between, collision, rate_limits, joint_space, at_home, blocked, optimization_time_s
+    monkeypatch, task_between, collision, rate_limits, joint_space, at_home, blocked, optimization_time_s, method
 ):
+    if method != VIA_POINT:
+        monkeypatch.setattr("planners.motions.motion.via_point", lambda *_: None)
     motion = find_motion(task_between(*blocked, optimization_time_s=optimization_time_s), unlimited())
-    assert motion.method == "RRTConnect"
+    assert motion.method == method
     assert_from_rest_to_rest(motion.trajectory, *blocked)
     assert_keeps_rates(motion.trajectory, rate_limits)
     assert_keeps_positions(motion.trajectory, joint_space.lower_rad, joint_space.upper_rad)

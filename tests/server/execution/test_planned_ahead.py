@@ -233,8 +233,9 @@ async def test_a_bug_in_a_goal_costs_no_more_than_its_plan(desk: Desk, caplog: p
     assert (await desk.ask(problem_from(START))).method == "planned in its turn"
 
 
-async def test_the_time_left_is_spent_on_a_shorter_motion(desk: Desk) -> None:
-    desk.planners.answers = [plan_of(3.0, "RRTConnect"), plan_of(2.0, "RRTConnect")]
+@pytest.mark.parametrize("method", ["RRTConnect", "via point"])
+async def test_the_time_left_is_spent_on_a_shorter_motion(desk: Desk, method: str) -> None:
+    desk.planners.answers = [plan_of(3.0, method), plan_of(2.0, method)]
     await desk.begin(goal())
     assert [problem.optimization_time_s for problem in desk.planners.background] == [
         PlanningProblem.optimization_time_s,

@@ -1,0 +1,93 @@
+"""Paths by way of one point: through gaps of a wall, and for the SO-101 where a straight line is not free."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from planners.motions.path import CountedSpace, Query
+from planners.motions.via_point import MOST_CHECKS, via_point
+from tests.planners.invariants import BLOCKED_LINES, never
+
+STEP_M = 0.1
+WHOLE = np.ones(5)
+
+
+class Walled:
+    """A square that a wall at x = 0 divides but for a gap, as far as a search needs it."""
+
+    lower_rad, upper_rad = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+    travel_m_per_rad = np.ones(2)
+
+    def __init__(self, *gap):
+        self.gap = gap
+
+    def free(self, point):
+        return abs(point[0]) > 0.1 or self.gap[0] < point[1] < self.gap[1]
+
+
+LEFT, RIGHT = np.array([-0.8, 0.0]), np.array([0.8, 0.0])
+
+
+def query(space, *goals):
+    return Query(CountedSpace(space), LEFT, goals, STEP_M)
+
+
+def found(asked, seed=0, should_stop=never, velocity_rad_s=(1.0, 1.0)):
+    return via_point(asked, np.array(velocity_rad_s), np.random.default_rng(seed), should_stop)
+
+
+def test_the_path_leads_through_the_gap_from_the_start_to_the_goal():
+    path = found(query(Walled(0.3, 0.9), RIGHT))
+    np.testing.assert_array_equal(path[[0, 2]], [LEFT, RIGHT])
+    shares = np.linspace(0.0, 1.0, 200)[:, np.newaxis]
+    on_it = np.concatenate([first + shares * (last - first) for first, last in pairwise(path)])
+    # Between two points that were checked the path may be a step deep in the wall.
+    assert all(Walled(0.3 - STEP_M, 0.9 + STEP_M).free(point) or abs(point[0]) > 0.1 - STEP_M for point in on_it)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_of_two_gaps_the_path_takes_the_nearer_one(seed):
+    class TwoGaps(Walled):
+        def free(self, point):
+            return super().free(point) or -0.5 < point[1] < -0.2
+
+    assert found(query(TwoGaps(0.7, 0.95), RIGHT), seed)[1, 1] < 0.0
+
+
+def test_a_goal_that_the_wall_does_not_divide_off_is_preferred():
+    beside = np.array([-0.8, 0.5])
+    np.testing.assert_array_equal(found(query(Walled(0.3, 0.9), RIGHT, beside))[-1], beside)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_slow_joint_is_spared(seed):
+    anywhere = Walled(-2.0, 2.0)
+    assert abs(found(query(anywhere, RIGHT), seed, velocity_rad_s=(1.0, 0.01))[1, 1]) < 0.05
+
+
+def test_where_no_line_is_free_the_search_gives_up_after_some_checks():
+    asked = query(Walled(2.0, 2.0), RIGHT)
+    assert found(asked) is None
+    one_line = np.ceil(4.0 / STEP_M)
+    assert MOST_CHECKS <= asked.space.checks < MOST_CHECKS + one_line
+
+
+def test_a_search_that_is_stopped_checks_nothing():
+    asked = query(Walled(0.3, 0.9), RIGHT)
+    assert found(asked, should_stop=lambda: True) is None
+    assert asked.space.checks == 0
+
+
+def test_the_same_draws_give_the_same_path():
+    first, again = (found(query(Walled(0.3, 0.9), RIGHT), seed=4) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+
+
+def test_a_path_of_the_arm_ends_at_a_goal_and_is_free_at_its_points(joint_space):
+    start, goal = (np.array(point) for point in BLOCKED_LINES[1])
+    asked = Query(CountedSpace(joint_space), start, [goal], 0.08)
+    paths = (via_point(asked, WHOLE, np.random.default_rng(seed), never) for seed in range(20))
+    path = next(path for path in paths if path is not None)
+    np.testing.assert_array_equal(path[[0, 2]], [start, goal])
+    assert all(joint_space.free(point) for point in path)

@@ -157,6 +157,11 @@ class Source(NamedTuple):
     latched: bool
     announced: bool
 
+    @property
+    def subscription(self) -> tuple[Endpoint, bool]:
+        """What the subscription on the network depends on: the endpoint, and whether it is latched."""
+        return self.endpoint, self.latched
+
 
 class IncomingTopic:
     """Topic of other machines that this server subscribes to.
@@ -169,7 +174,7 @@ class IncomingTopic:
 
     Attributes:
         name: as given.
-        source: as given.
+        source: the topic on the network as it is now.
         waiting: messages that come after one that a thread decodes, in order; the newest.
         decoding: True while a thread decodes one.
 
@@ -188,14 +193,30 @@ class IncomingTopic:
         self._received = received
         self._key = source.endpoint.key(network.domain_id)
         self._token = network.tokens.entity(EntityKind.SUBSCRIPTION, source.endpoint, latched=source.latched)
-        if source.announced:
-            network.graph.advertise(network.node, name, source.endpoint.type_name, latch=source.latched)
+        self._show_publisher()
         self._declaration = network.declare(self._declare)
 
     def close(self) -> None:
         """Unsubscribe from the topic."""
         self._network.graph.unadvertise(self._network.node, self.name)
         self._declaration.undeclare()
+
+    def announce(self, *, announced: bool) -> None:
+        """Follow the machines that publish the topic; the subscription stays, so that no goal is lost meanwhile.
+
+        Args:
+            announced: True if a machine publishes it.
+        """
+        if announced != self.source.announced:
+            self.source = self.source._replace(announced=announced)
+            self._show_publisher()
+
+    def _show_publisher(self) -> None:
+        graph, node, source = self._network.graph, self._network.node, self.source
+        if source.announced:
+            graph.advertise(node, self.name, source.endpoint.type_name, latch=source.latched)
+        else:
+            graph.unadvertise(node, self.name)
 
     def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
         import zenoh.ext
@@ -257,7 +278,10 @@ class IncomingTopics:
             self._entities, self._announced = entities, self._sources(entities)
         wanted = self._wanted()
         for name, topic in list(self._topics.items()):
-            if wanted.get(name) != topic.source:
+            current = wanted.get(name)
+            if current is not None and current.subscription == topic.source.subscription:
+                topic.announce(announced=current.announced)
+            else:
                 self._topics.pop(name).close()
         for name, source in wanted.items():
             if name not in self._topics and len(self._topics) < MAX_SHARED:

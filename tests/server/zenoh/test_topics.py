@@ -16,7 +16,7 @@ from protocol.publication import PublishedMessage
 from server.access.settings import AccessSettings
 from server.graph.topics import Subscriber
 from server.zenoh import topics
-from tests.helpers.waiting import until
+from tests.helpers.waiting import TIMEOUT_S, until
 from tests.helpers.zenoh_network import RosMachine, Site, free_port
 
 # Published topics.
@@ -145,6 +145,30 @@ async def test_a_goal_of_a_ros_2_machine_reaches_the_part_that_takes_goals() -> 
             machine.publish("/moveit_goal_named", STRING, data="ready")
             await until(lambda: goals)
     assert goals[0].msg == {"data": "ready"}
+
+
+async def test_no_goal_is_lost_when_its_sender_is_discovered_or_goes() -> None:
+    port, topic = free_port(), "/moveit_goal_named"
+    async with Site(port, subscribe=GOALS) as site, asyncio.timeout(TIMEOUT_S):
+        goals, sent = site.hear(topic, STRING, site.part), 0
+
+        async def send() -> None:
+            nonlocal sent
+            machine.publish(topic, STRING, data=str(sent))
+            sent += 1
+            await asyncio.sleep(0.001)
+
+        with RosMachine(port) as machine:
+            await listening(machine)
+            token = machine.announce_topic(topic, STRING)
+            while not site.knows_publisher_of(topic):
+                await send()
+            token.undeclare()
+            while site.knows_publisher_of(topic):
+                await send()
+            await send()
+            await until(lambda: goals and goals[-1].msg["data"] == str(sent - 1))
+    assert [goal.msg["data"] for goal in goals] == [str(number) for number in range(sent)]
 
 
 async def test_a_goal_in_the_namespace_is_for_this_server_and_one_outside_is_not() -> None:

@@ -53,12 +53,15 @@ class TimedArm(Arm):
         gripping: bool = False,
         torque_share: float = 1.0,
         continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
+        epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
         """Keep the time since the motion before."""
         loop = asyncio.get_running_loop()
         if self._ended_s is not None:
             self.gaps_s.append(loop.time() - self._ended_s)
-        ended = super().execute(trajectory, gripping=gripping, torque_share=torque_share, continues=continues)
+        ended = super().execute(
+            trajectory, gripping=gripping, torque_share=torque_share, continues=continues, epoch=epoch
+        )
         ended.add_done_callback(lambda _: setattr(self, "_ended_s", loop.time()))
         return ended
 

@@ -47,6 +47,7 @@ from robot.messages import (
     Stream,
 )
 from robot.processes import Child, DescriptorReserve, RestartDelay, StartedChild
+from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from robot.trajectory import Trajectory, Vector
 
 log = logging.getLogger("armbridge.arm")
@@ -140,7 +141,7 @@ class Arm:
     Attributes:
         state: latest state.
         state_max_age_s: age above which the latest state counts as stale [s].
-        stops: number of calls that stopped all motion; a motion requested before such a call must not begin after it.
+        last_stop: stop epoch of the last stop of all motion; requests from earlier epochs move nothing any more.
     """
 
     def __init__(
@@ -176,7 +177,7 @@ class Arm:
         self._spoken = False
         self._silent_heartbeats = 0
         self._state_at_s = time.monotonic()
-        self.stops = 0
+        self.last_stop = 0
         self._speed_factor = 1.0
         reason = "the arm process is starting"
         self.state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, clock_s=time.monotonic())
@@ -206,7 +207,7 @@ class Arm:
         if not self._process.launched:
             await self.launch()
         self._begun = True
-        self._process.configure(self._config)
+        self._process.configure(self._config, Stop(epoch=self.last_stop))
         self._heartbeat = asyncio.create_task(self._beat(), name="heartbeat of the arm process")
         try:
             await asyncio.wait_for(self._first_state.wait(), timeout_s)
@@ -262,6 +263,7 @@ class Arm:
         gripping: bool = False,
         torque_share: float = 1.0,
         continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
+        epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
         """Send a trajectory to the arm, at once and in order with :meth:`stop`.
 
@@ -271,23 +273,31 @@ class Arm:
             torque_share: share of its torque limit that each joint may use, in (0, 1].
             continues: motion in progress to splice into without a stop, and the time on it at which the trajectory
                 begins [s]; both must coincide for some time from now on. None to begin at rest.
+            epoch: stop epoch in which the motion was requested; None for now.
 
         Returns:
             Future of the motion's end; it never raises.
         """
         motion_id = next(self._ids)
         continuation = None if continues is None else Continuation(self._number(continues[0]), continues[1])
-        return self._begin(Execute(motion_id, trajectory, gripping, torque_share, continuation))
+        return self._begin(
+            Execute(motion_id, trajectory, gripping, torque_share, continuation, _epoch_of_request(epoch))
+        )
 
     def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
         """Return the progress of a motion by the latest state; None before the arm has begun it, and after its end."""
         number = self._number(motion)
         return next((one for one in self.state.motions if one.motion_id == number), None)
 
-    def stream(self, joint_names: tuple[str, ...]) -> ArmStream:
-        """Begin a stream of velocity setpoints; the joints stay at rest until the first."""
+    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> ArmStream:
+        """Begin a stream of velocity setpoints; the joints stay at rest until the first.
+
+        Args:
+            joint_names: joints that follow, order of the setpoints.
+            epoch: stop epoch in which the stream was requested; None for now.
+        """
         motion_id = next(self._ids)
-        ended = self._begin(Stream(motion_id, joint_names))
+        ended = self._begin(Stream(motion_id, joint_names, _epoch_of_request(epoch)))
         stream = ArmStream(motion_id, joint_names, ended, self._process.send)
         self._streams[motion_id] = stream
         ended.add_done_callback(lambda _: self._streams.pop(motion_id, None))
@@ -303,8 +313,8 @@ class Arm:
     def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
         """Brake one motion in progress along its path; all of them for None."""
         if motion is None:
-            self.stops += 1
-            self._process.send(Stop())
+            self.last_stop = STOP_EPOCHS.begin()
+            self._process.send(Stop(epoch=self.last_stop))
         elif (number := self._number(motion)) != NO_MOTION:
             self._process.send(Stop(number))
 
@@ -318,12 +328,15 @@ class Arm:
         """Wait until every motion in progress has ended; return True when they have within ``timeout_s``."""
         return await self.wait(list(self._motions.values()), timeout_s)
 
-    def order(self, order: Order, calibration: Calibration | None = None) -> asyncio.Future[CommandDone]:
+    def order(
+        self, order: Order, calibration: Calibration | None = None, epoch: int | None = None
+    ) -> asyncio.Future[CommandDone]:
         """Send an order to the arm before returning.
 
         Args:
             order: the order.
             calibration: calibration to write, of WRITE_CALIBRATION only.
+            epoch: stop epoch in which it was requested; None for now. After a later stop the arm is not enabled.
 
         Returns:
             Future of the answer; it is resolved within :data:`ORDER_TIMEOUT_S` on the arm's clock and never raises.
@@ -331,7 +344,9 @@ class Arm:
         number = next(self._ids)
         loop = asyncio.get_running_loop()
         answered: asyncio.Future[CommandDone] = loop.create_future()
-        if not self._process.order(Command(number, order, calibration)):
+        if order is Order.EMERGENCY_STOP:
+            epoch = self.last_stop = STOP_EPOCHS.begin()
+        if not self._process.order(Command(number, order, calibration, _epoch_of_request(epoch))):
             answered.set_result(CommandDone(number, done=False, message="the arm process is not running"))
             return answered
         self._orders[number] = answered
@@ -411,6 +426,9 @@ class Arm:
         """Send a motion's command and return the future of its end."""
         ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
         motion_id = command.motion_id
+        if command.epoch < self.last_stop:
+            ended.set_result(MotionEnded(motion_id, Outcome.STOPPED, STOPPED_SINCE))
+            return ended
         if not self._process.configured:
             ended.set_result(MotionEnded(motion_id, Outcome.PROCESS_LOST, "the arm process is not running"))
             return ended
@@ -508,7 +526,7 @@ class Arm:
             self._disconnect(f"{reason}; it is tried again")
             return False
         if self._begun:
-            self._process.configure(self._config)
+            self._process.configure(self._config, Stop(epoch=self.last_stop))
         return True
 
     def _disconnect(self, reason: str) -> None:
@@ -617,12 +635,18 @@ class ArmProcess:
             self.ended = asyncio.get_running_loop().create_future()
         await self._child.connect()
 
-    def configure(self, config: ArmConfig) -> None:
-        """Send the process its configuration, then the queued orders; without effect when it has ended."""
+    def configure(self, config: ArmConfig, last_stop: Stop) -> None:
+        """Send the process its configuration, the last stop, then the queued orders; without effect when it has ended.
+
+        Args:
+            config: the configuration.
+            last_stop: last stop of all motion, of which a new process knows nothing.
+        """
         if self._child is None or not self._runs():
             return
         self._configured = True
         self._child.send(config)
+        self._child.send(last_stop)
         early, self._early = self._early, []
         for command in early:
             self._child.send(command)
@@ -671,6 +695,10 @@ class ArmProcess:
         # The socket of this process, which is closed behind this call, belongs to the next one.
         asyncio.get_running_loop().call_soon(self._reserve.fill)
         self._on_exit()
+
+
+def _epoch_of_request(epoch: int | None) -> int:
+    return STOP_EPOCHS.present if epoch is None else epoch
 
 
 def _position_rad(state: ArmState) -> dict[str, float]:

@@ -14,6 +14,7 @@ from typing import Any
 
 from robot.arm import Arm, wait_on_clock
 from robot.arm_interface import ArmInterface, StreamInterface
+from robot.calibration import Calibration
 from robot.errors import OrderRefused
 from robot.joined_states import joined_state
 from robot.messages import ArmState, ChangePace, CommandDone, MotionEnded, MotionProgress, Order, Outcome
@@ -61,9 +62,9 @@ class ArmGroup:
         self.state_max_age_s = max(arm.state_max_age_s for arm in self._arms.values())
 
     @property
-    def stops(self) -> int:
-        """Number of calls that stopped all motion of any."""
-        return sum(arm.stops for arm in self._arms.values())
+    def last_stop(self) -> int:
+        """Stop epoch of the last stop of all motion of any."""
+        return max(arm.last_stop for arm in self._arms.values())
 
     @property
     def states(self) -> dict[str, ArmState]:
@@ -142,6 +143,7 @@ class ArmGroup:
         gripping: bool = False,
         torque_share: float = 1.0,
         continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
+        epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
         """Send a trajectory to the arms whose joints it moves, as :meth:`robot.arm.Arm.execute`.
 
@@ -158,6 +160,7 @@ class ArmGroup:
                     gripping=gripping,
                     torque_share=torque_share,
                     continues=self._continued(name, continues),
+                    epoch=epoch,
                 )
         if len(begun) == 1:
             return next(iter(begun.values()))
@@ -198,7 +201,7 @@ class ArmGroup:
         begun = [one for one in moving if one is not None]
         return min(begun, key=lambda one: one.fraction) if begun and len(begun) == len(moving) else None
 
-    def stream(self, joint_names: tuple[str, ...]) -> StreamInterface:
+    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> StreamInterface:
         """Begin a stream of velocity setpoints to joints of one arm.
 
         Raises:
@@ -207,7 +210,7 @@ class ArmGroup:
         part = self.part(joint_names)
         if isinstance(part, ArmGroup):
             raise OrderRefused(f"a stream moves one arm, not {', '.join(part.states)}")
-        return part.stream(joint_names)
+        return part.stream(joint_names, epoch)
 
     async def end_streams(self, timeout_s: float) -> bool:
         """Bring every stream to rest; return True when all have ended within ``timeout_s``."""
@@ -233,10 +236,12 @@ class ArmGroup:
         """Wait until every motion in progress has ended; return True when they have within ``timeout_s``."""
         return all(await self._each(lambda arm: arm.rest(timeout_s)))
 
-    def order(self, order: Order) -> asyncio.Future[CommandDone]:
+    def order(
+        self, order: Order, calibration: Calibration | None = None, epoch: int | None = None
+    ) -> asyncio.Future[CommandDone]:
         """Send an order to every arm before returning; the answer is that of all of them."""
         asked = self._arms.keys() - (self._leaders if order is Order.ENABLE else frozenset())
-        answers = {name: arm.order(order) for name, arm in self._arms.items() if name in asked}
+        answers = {name: arm.order(order, calibration, epoch) for name, arm in self._arms.items() if name in asked}
         answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
 
         def take(_one: asyncio.Future[CommandDone]) -> None:

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Collection
 from typing import Any, Protocol
 
+from robot.calibration import Calibration
 from robot.messages import ArmState, ChangePace, CommandDone, Commanded, MotionEnded, MotionProgress, Order
 from robot.trajectory import Trajectory, Vector
 
@@ -27,8 +28,8 @@ class ArmInterface(Protocol):
     state_max_age_s: float
 
     @property
-    def stops(self) -> int:
-        """Number of calls that stopped all motion."""
+    def last_stop(self) -> int:
+        """Stop epoch of the last stop of all motion."""
 
     @property
     def state(self) -> ArmState:
@@ -62,13 +63,14 @@ class ArmInterface(Protocol):
         gripping: bool = False,
         torque_share: float = 1.0,
         continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
+        epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
         """Send a trajectory."""
 
     def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
         """Return the progress of a motion."""
 
-    def stream(self, joint_names: tuple[str, ...]) -> StreamInterface:
+    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> StreamInterface:
         """Begin a stream of velocity setpoints."""
 
     async def end_streams(self, timeout_s: float) -> bool:
@@ -83,5 +85,7 @@ class ArmInterface(Protocol):
     async def rest(self, timeout_s: float) -> bool:
         """Wait until every motion has ended."""
 
-    def order(self, order: Order) -> asyncio.Future[CommandDone]:
+    def order(
+        self, order: Order, calibration: Calibration | None = None, epoch: int | None = None
+    ) -> asyncio.Future[CommandDone]:
         """Send an order."""

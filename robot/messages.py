@@ -154,6 +154,7 @@ class Execute:
             stall is a fault.
         torque_share: share of its torque limit that the joints of the motion may use, in (0, 1].
         continues: motion in progress to splice into; None to begin at rest.
+        epoch: stop epoch in which the motion was requested (:mod:`robot.stop_epochs`).
     """
 
     motion_id: int
@@ -161,6 +162,7 @@ class Execute:
     gripping: bool = False
     torque_share: float = 1.0
     continues: Continuation | None = None
+    epoch: int = 0
 
 
 @dataclass(frozen=True)
@@ -189,17 +191,26 @@ class Stop:
 
     Attributes:
         motion_id: motion to stop; None stops every motion in progress.
+        epoch: stop epoch that a stop of all motion begins: the arm refuses requests from earlier epochs.
     """
 
     motion_id: int | None = None
+    epoch: int = 0
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Command to follow the velocities of :class:`Setpoint` messages of the same number; at rest until the first."""
+    """Command to follow the velocities of :class:`Setpoint` messages of the same number; at rest until the first.
+
+    Attributes:
+        motion_id: number of the stream.
+        joint_names: joints that follow, order of the setpoints.
+        epoch: as of :class:`Execute`.
+    """
 
     motion_id: int
     joint_names: tuple[str, ...]
+    epoch: int = 0
 
 
 @dataclass(frozen=True)
@@ -276,11 +287,13 @@ class Command:
         number: unique in the life of the server.
         order: the order.
         calibration: calibration to write into the servos, of WRITE_CALIBRATION only.
+        epoch: stop epoch that an emergency stop begins; of other orders the one in which they were requested.
     """
 
     number: int
     order: Order
     calibration: Calibration | None = None
+    epoch: int = 0
 
 
 @dataclass(frozen=True)

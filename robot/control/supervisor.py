@@ -50,6 +50,7 @@ from robot.messages import (
     Stop,
     Stream,
 )
+from robot.stop_epochs import STOPPED_SINCE
 
 
 def disconnected(joint_names: tuple[str, ...], reason: str, fault: Fault | None, clock_s: float) -> ArmState:
@@ -256,6 +257,7 @@ class Supervisor:
         self._task: _Task | None = None
         self._fault: Fault | None = config.fault
         self._may_enable = config.start_enabled
+        self._last_stop = 0
         self._reason = ""
         self._retry_s = FIRST_RETRY_S
         self._check_at_s = clock()
@@ -311,6 +313,8 @@ class Supervisor:
             PortLost: the port is gone.
         """
         self._watchdog.feed(self._clock())
+        if isinstance(message, Stop):
+            self._last_stop = max(self._last_stop, message.epoch)
         controller = self.arm.controller if self.arm is not None else None
         if isinstance(message, Execute | Stream):
             self._move(message)
@@ -435,7 +439,9 @@ class Supervisor:
     def _move(self, command: Execute | Stream) -> None:
         refused, reason = Outcome.REFUSED, ""
         controller = self.arm.controller if self.arm is not None else None
-        if self.arm is None:
+        if command.epoch < self._last_stop:
+            refused, reason = Outcome.STOPPED, STOPPED_SINCE
+        elif self.arm is None:
             refused, reason = Outcome.BUS_LOST, f"the arm is not connected: {self._reason}"
         elif controller is None or (self._runs(CONNECTING) and controller.fault is None):
             reason = f"the servos are still being checked{self._reason and ': '}{self._reason}"
@@ -452,6 +458,10 @@ class Supervisor:
         urgent = order is Order.EMERGENCY_STOP
         if urgent:
             self._may_enable = False
+            self._last_stop = max(self._last_stop, command.epoch)
+        if order in (Order.ENABLE, Order.RESET_FAULT) and command.epoch < self._last_stop:
+            self._answer(command.number, f"{_NAMES[order]}: a stop came after it was requested", done=False)
+            return
         if orders is None:
             self._answer(command.number, f"the arm is not connected: {self._reason}", done=False)
             return

@@ -14,6 +14,7 @@ from protocol.operations import (
     AdvertiseService,
     Auth,
     CallService,
+    CancelActionGoal,
     Operation,
     Publish,
     SendActionGoal,
@@ -344,15 +345,15 @@ def is_stop(operation: Operation, arms: Collection[str] = NO_NAMES) -> bool:
             return False
 
 
-def is_driving(operation: Operation, arms: Collection[str] = NO_NAMES) -> bool:
-    """Return True for an operation that may move the arm."""
+def is_cancel(operation: Operation, arms: Collection[str] = NO_NAMES) -> bool:
+    """Return True for an operation that cancels a goal."""
     match operation:
+        case CancelActionGoal():
+            return True
         case Publish():
-            return rule_of_topic(qualify(operation.topic), arms).drives
+            return rule_of_topic(qualify(operation.topic), arms) is CANCELLING
         case CallService():
-            return rule_of_service(_name_of(operation.service), arms).drives
-        case SendActionGoal():
-            return rule_of_action(qualify(operation.action), arms).drives
+            return rule_of_service(_name_of(operation.service), arms) is CANCELLING
         case _:
             return False
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from robot.arm_interface import ArmInterface
 from robot.messages import ChangePace, CommandDone, Course, Mode, Order
+from server.arrival import arrival_epoch
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 
@@ -51,13 +52,13 @@ class ArmServices:
         self._arm = arm
         self._end_goals = end_goals
         self._node = Node("arm services")
-        self._offer(ENABLE, lambda: arm.order(Order.ENABLE))
+        self._offer(ENABLE, lambda: arm.order(Order.ENABLE, epoch=arrival_epoch()))
         self._offer(RELAX, self._relax)
         if park is not None:
             self._offer(PARK, lambda: park(PARK))
         self._offer(STOP, self._stop)
         self._offer(EMERGENCY_STOP, lambda: self._emergency_stop(EMERGENCY_STOP))
-        self._offer(RESET_FAULT, lambda: arm.order(Order.RESET_FAULT))
+        self._offer(RESET_FAULT, lambda: arm.order(Order.RESET_FAULT, epoch=arrival_epoch()))
         # A message to this topic means that the arm must stop, valid or not.
         stopper = Subscriber(self._on_emergency_stop, self._on_emergency_stop)
         graph.subscribe(self._node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", stopper)

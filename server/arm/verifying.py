@@ -15,6 +15,7 @@ from robot.commissioning.verify import Droop, VerificationPose, poses, seen_find
 from robot.description.model import RobotModel
 from robot.messages import ArmHealth, ArmState, Mode, Order
 from server.arm.commissioning import Dialogue, ProcedureFailed
+from server.arrival import arrival_epoch
 from server.errors import RefusedError
 from server.execution.queue import Answer
 
@@ -127,7 +128,7 @@ class VerificationProcedure:
         if self._arm.state.driven and self._arm.state.mode is Mode.HOLDING:
             return
         dialogue.tell("enabling", "The arm begins to hold itself.")
-        done = await dialogue.until(self._arm.order(Order.ENABLE), ORDER_TIMEOUT_S + SILENT_S)
+        done = await dialogue.until(self._arm.order(Order.ENABLE, epoch=arrival_epoch()), ORDER_TIMEOUT_S + SILENT_S)
         if not done.done:
             raise ProcedureFailed(f"the arm cannot be switched on: {done.message}")
 

@@ -158,14 +158,17 @@ class GoalExecutor:
         self._player = Player(arm, robot, self._scene_monitor, self._time_limits, self._in_progress)
         self._work: asyncio.Task[Any] | None = None
         self._cancel_reason = ""
+        # Stop epoch in which the active goal was requested.
+        self._epoch = 0
         self._ahead = PlannedAhead(pool)
         # Where the joints of the active goal will be at its end [rad]; None before its motion is known.
         self._end_rad: Positions | None = None
 
     # Methods for the queue.
 
-    async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
+    async def run(self, request: Motion, report: Callable[[Progress], None], epoch: int) -> Answer:
         """Plan and play a motion; every wait is bounded, and every way out is an answer."""
+        self._epoch = epoch
         try:
             answer = await self._perform(request, report)
             if answer.code is not MoveItErrorCode.SUCCESS:
@@ -261,7 +264,7 @@ class GoalExecutor:
         # A scene that has changed since the lead was found free is checked on the way.
         version = scene.version if scene.version == outgoing.motion.scene_version else UNCHECKED
         checked = CheckedMotion(problem.group, whole.trajectory, version, planned.summary)
-        answer = await self._player.play(checked, report, self._questions(checked), point.from_s)
+        answer = await self._player.play(checked, report, self._questions(checked), self._epoch, point.from_s)
         executed = self.recorder.finish(whole.trajectory.joint_names)
         if answer.details.get("outcome") == Outcome.REFUSED.value:
             return None
@@ -428,7 +431,7 @@ class GoalExecutor:
                 report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
                 await self._unless_cancelled(_until_done(in_the_way.ended))
             elif all(one in beside for one in self._in_progress.beside(joints)):
-                return await self._player.play(checked, report, self._questions(checked))
+                return await self._player.play(checked, report, self._questions(checked), self._epoch)
 
     async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:
         """Return the first of some motions in progress that a motion may touch; None if there is none.
@@ -563,6 +566,10 @@ class GoalExecutors:
         if joints not in self._executors:
             self._executors[joints] = self._make(self._arm.part(joints), self.in_progress)
         return self._executors[joints]
+
+    def last_stop(self, joints: Joints) -> int:
+        """Return the stop epoch of the last stop of the arms that have some joints."""
+        return self._arm.part(joints).last_stop
 
     def stop(self, _reason: str, joints: Iterable[str] | None = None) -> None:
         """Stop the arms that have some joints, even when no goal is known, so that nothing keeps them moving."""

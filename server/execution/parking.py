@@ -18,6 +18,8 @@ from planners.problem import MoveItErrorCode, Plan, PlanningProblem
 from robot.arm import Arm
 from robot.description.model import RobotModel
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
+from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
+from server.arrival import arrival_epoch
 from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.monitors import CurrentState, SceneSource
@@ -139,16 +141,21 @@ class Parking:
         Returns:
             Future of the answer. An arm that does not come to its rest pose goes on holding.
         """
-        task = asyncio.create_task(self._park(source), name="park the arm")
+        pose = self._pose
+        refused = self._no_pose if pose is None else STOPPED_SINCE if arrival_epoch() < self._arm.last_stop else ""
+        if pose is None or refused:
+            answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
+            answered.set_result(CommandDone(0, done=False, message=refused))
+            return answered
+        self._queue.stop(f"the arm is parked by {source}")
+        # Goals of others end by a stop; the way to the rest pose is requested after it.
+        task = asyncio.create_task(self._park(source, pose, STOP_EPOCHS.present), name="park the arm")
         self._parked.add(task)
         task.add_done_callback(self._parked.discard)
         # The motion goes on when the caller does not wait any longer.
         return asyncio.shield(task)
 
-    async def _park(self, source: str) -> CommandDone:
-        pose = self._pose
-        if pose is None:
-            return CommandDone(0, done=False, message=self._no_pose)
+    async def _park(self, source: str, pose: RestPose, epoch: int) -> CommandDone:
         joints = frozenset(self._robot.groups[pose.group].joints)
         answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
 
@@ -156,16 +163,17 @@ class Parking:
             if not answered.done():
                 answered.set_result(answer)
 
-        self._queue.stop(f"the arm is parked by {source}")
         # Motions outside the queue, as of the gripper, end too before the way is planned.
         await self._arm.rest(REST_TIMEOUT_S)
         motion = PlannedMotion((self._problem,), joints)
-        self._queue.submit(source, motion, policy=GoalPolicy.QUEUE, on_answer=take)
+        self._queue.submit(source, motion, policy=GoalPolicy.QUEUE, on_answer=take, epoch=epoch)
         # The queue answers every goal.
         answer = await answered
         if answer.code is not MoveItErrorCode.SUCCESS:
             log.warning("%s: the arm is not parked: %s", source, answer.message)
             return CommandDone(0, done=False, message=f"the arm is not parked: {answer.message}")
+        if epoch < self._arm.last_stop:
+            return CommandDone(0, done=False, message=f"the arm is at its rest pose, and holds: {STOPPED_SINCE}")
         relaxed = await self._arm.order(Order.RELAX)
         log.info("%s: the arm is at its rest pose %s; %s", source, pose.state, relaxed.message)
         if not relaxed.done:

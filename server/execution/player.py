@@ -128,6 +128,7 @@ class Player:
         motion: CheckedMotion,
         report: Callable[[Progress], None],
         questions: Callable[[float], Questions],
+        epoch: int,
         from_s: float | None = None,
     ) -> Answer:
         """Play a motion to its end; every wait is bounded.
@@ -136,15 +137,16 @@ class Player:
             motion: the motion.
             report: called with its progress.
             questions: asks planners if the motion is free from a time of it on [s].
+            epoch: stop epoch in which its goal was requested.
             from_s: time on the outgoing motion at which this one begins, to replace it [s]; None to begin at rest.
         """
         self._end = None
         self._preempted = asyncio.get_running_loop().create_future()
         self._began_s, self._began_by_arm_s = self._clock(), self._arm.clock_s
         if self.outgoing is None or from_s is None:
-            ended = self._arm.execute(motion.trajectory)
+            ended = self._arm.execute(motion.trajectory, epoch=epoch)
         else:
-            ended = self._arm.execute(motion.trajectory, continues=(self.outgoing.ended, from_s))
+            ended = self._arm.execute(motion.trajectory, continues=(self.outgoing.ended, from_s), epoch=epoch)
         self._motion = ended
         self._in_progress.add(motion.trajectory, ended)
         self._scene_monitor.start(

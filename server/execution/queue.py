@@ -18,7 +18,9 @@ from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
+from robot.stop_epochs import STOPPED_SINCE
 from robot.trajectory import Trajectory
+from server.arrival import arrival_epoch
 from server.graph.node import Node
 
 log = logging.getLogger("armbridge.goals")
@@ -113,6 +115,7 @@ class QueuedGoal(Generic[Request]):
         only_for: the one client that is informed; None for all.
         client: name of its client; empty when it is not known.
         joints: the joints that it moves.
+        epoch: stop epoch in which it was requested.
     """
 
     goal_id: str
@@ -124,6 +127,7 @@ class QueuedGoal(Generic[Request]):
     only_for: Node | None = None
     client: str = ""
     joints: Joints = frozenset()
+    epoch: int = 0
 
     @property
     def title(self) -> str:
@@ -149,8 +153,14 @@ class RunningGoal:
 class GoalRunner(Protocol[Request_contra]):
     """Runner of one goal at a time."""
 
-    async def run(self, request: Request_contra, report: Callable[[Progress], None]) -> Answer:
-        """Execute the goal; end with an answer, also after :meth:`cancel` and :meth:`preempt`."""
+    async def run(self, request: Request_contra, report: Callable[[Progress], None], epoch: int) -> Answer:
+        """Execute the goal; end with an answer, also after :meth:`cancel` and :meth:`preempt`.
+
+        Args:
+            request: the motion.
+            report: called with its progress.
+            epoch: stop epoch in which it was requested.
+        """
 
     def cancel(self, reason: str) -> None:
         """Cancel the active goal: stop planning, and brake its motion along its path."""
@@ -173,6 +183,9 @@ class GoalRunners(Protocol[Request_contra]):
 
     def runner(self, joints: Joints) -> GoalRunner[Request_contra]:
         """Return the runner of goals that move these joints; it is the same each time."""
+
+    def last_stop(self, joints: Joints) -> int:
+        """Return the stop epoch of the last stop of the arms that have some joints."""
 
     def stop(self, reason: str, joints: Iterable[str] | None) -> None:
         """End every motion of the arms that have some joints, also those of other parts; None for all arms.
@@ -309,8 +322,9 @@ class GoalQueue(Generic[Request]):
         on_answer: Callable[[Answer], None] = lambda _answer: None,
         message: Mapping[str, Any] = _NO_MESSAGE,
         client: object = None,
+        epoch: int | None = None,
     ) -> str:
-        """Queue a goal; return its id.
+        """Queue a goal; return its id. A goal that arrived before the arm's last stop is answered PREEMPTED at once.
 
         Args:
             source: topic or action of its client.
@@ -320,13 +334,19 @@ class GoalQueue(Generic[Request]):
             on_answer: called once, likewise, perhaps before this returns.
             message: the message of its client.
             client: its client, who is named to those who wait for the goal's end; None when it is not known.
+            epoch: stop epoch in which it was requested; None for that of the request in progress.
         """
         name = "" if client is None else str(client)
         joints = self._runners.joints_of(request)
-        goal = QueuedGoal(self._next_id(), source, request, on_progress, on_answer, message, client=name, joints=joints)
+        epoch = arrival_epoch() if epoch is None else epoch
+        goal = QueuedGoal(
+            self._next_id(), source, request, on_progress, on_answer, message, client=name, joints=joints, epoch=epoch
+        )
         policy = policy or self._policy
         in_the_way = self._moving(joints)
-        if policy is GoalPolicy.REJECT and in_the_way:
+        if epoch < self._runners.last_stop(joints):
+            self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, STOPPED_SINCE))
+        elif policy is GoalPolicy.REJECT and in_the_way:
             text = f"goal {in_the_way[0].goal.goal_id} is still being worked on"
             self._finish(goal, Answer(MoveItErrorCode.FAILURE, text))
         elif policy is GoalPolicy.PREEMPT:
@@ -465,7 +485,7 @@ class GoalQueue(Generic[Request]):
         if goal.request is None:
             raise AssertionError("a rejected goal was queued")
         try:
-            return await active.runner.run(goal.request, functools.partial(self._report, goal))
+            return await active.runner.run(goal.request, functools.partial(self._report, goal), goal.epoch)
         except Exception as error:  # a bug must cost this goal only, and never its answer
             log.exception("goal %s from %s failed", goal.goal_id, goal.source)
             return Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Sequence
 
@@ -28,7 +29,7 @@ from protocol.operations import (
     Unsubscribe,
 )
 from protocol.session import Packed, Refusal
-from server.access.authorization import is_driving, is_stop
+from server.access.authorization import is_cancel, is_stop
 from server.errors import GraphError
 from server.gateway.client_actions import ClientActions
 from server.gateway.client_auth import AuthContext, ClientAuth
@@ -125,13 +126,29 @@ class Client:
             log.exception("%s: publish failed", self.node)
         return True
 
-    def is_stop(self, operation: Operation) -> bool:
-        """Return True for an operation that stops the arm."""
-        return is_stop(operation, self._authorizer.arms)
+    def is_urgent(self, operation: Operation) -> bool:
+        """Return True for an operation that stops the arm or cancels a goal."""
+        return is_stop(operation, self._authorizer.arms) or is_cancel(operation, self._authorizer.arms)
 
-    def is_driving(self, operation: Operation) -> bool:
-        """Return True for an operation that may move the arm."""
-        return is_driving(operation, self._authorizer.arms)
+    def is_repeated(self, operation: Operation) -> bool:
+        """Return True for a cancel: its goal may wait behind other operations of this client."""
+        return is_cancel(operation, self._authorizer.arms)
+
+    def repeat(self, operation: Operation) -> None:
+        """Cancel again, without an answer; as `OperationHandler.repeat`."""
+        if self._authorizer.refusal(operation) is not None:
+            return
+        # The client was told of them the first time.
+        with contextlib.suppress(ProtocolError, GraphError, PostponedError):
+            match operation:
+                case CancelActionGoal():
+                    self._actions.cancel(operation)
+                case CallService():
+                    self._services.call_unanswered(operation)
+                case Publish():
+                    self._topics.publish(operation, _message_of(operation, 0, light=True))
+                case _:
+                    pass
 
     def carry_out(
         self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False

@@ -156,6 +156,11 @@ class ClientServices:
             values = message.values
             self._values_in_flight += values
 
+    def call_unanswered(self, operation: CallService) -> None:
+        """Call a service whose response the client has already."""
+        name, _ = _name_and_id(operation)
+        self._services.call(self._node, name, operation.args, lambda _response: None, operation.timeout)
+
     def _max_planning_calls(self) -> int:
         identity = self._node.identity
         return MAX_PLANNING_CALLS[Role.VIEW if identity is None else identity.role]

@@ -1,7 +1,8 @@
-"""Inbox of one client: frames and operations that wait for their turn, in order; stops go ahead of all of them.
+"""Inbox of one client: frames and operations that wait for their turn, in order; stops have a lane of their own.
 
-What comes while nothing waits is carried out at once, as far as the client's turn reaches. The rest waits, and while
-much waits the client's socket is not read. Long frames are read, and large messages completed, by a thread.
+A frame that arrives while nothing waits is carried out at once, as far as the client's turn reaches. The rest waits,
+and while much waits the client's socket is not read. Long frames are read, and large messages completed, by a thread.
+Every frame keeps the stop epoch in which it arrived, so that an operation which a stop has overtaken moves nothing.
 """
 
 from __future__ import annotations
@@ -9,13 +10,15 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from protocol import operations
 from protocol.codecs.json import is_light
 from protocol.operations import Operation
 from protocol.session import Packed, Refusal, Session
+from robot.stop_epochs import STOP_EPOCHS
+from server.arrival import arrived_in
 from server.gateway.client_topics import StrictPublication
 from server.gateway.turns import Background, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
@@ -26,36 +29,55 @@ log = logging.getLogger("armbridge.gateway")
 # Frames of this size and more are read by a thread: a thousand operations in a frame of 40 kB take 7 ms.
 LONG_FRAME_BYTES = 16_384
 
-# Room for what waits; beyond it the client's socket is not read. Enough for a stop to get past what a page sends when
-# it opens, and few enough that it matters little when each of them is slow.
-MAX_WAITING = 64
-MAX_WAITING_BYTES = 262_144
+# Bounds of one client's inbox, beyond which its socket is not read. A stop behind more than this waits for its turn, so
+# the bound holds several of the largest trajectories that clients send.
+MAX_WAITING = 4_096
+MAX_WAITING_BYTES = 16_000_000
 
-# Operations before a stop that are still carried out before it, as a client expects that sends a goal and a stop.
-FEW = 4
+# Bytes in the inboxes of all clients, beyond which each client has only what a page sends when it opens.
+MAX_SERVER_WAITING_BYTES = 64_000_000
+LEAST_WAITING_BYTES = 262_144
 
-# Least time between two stops of one client that go ahead [s]: stops are not to hold up the others either.
+# Period of the lane for stops after a first stop, and its share of each period [s]: a flood of stops must not hold up
+# other clients.
 STOP_PERIOD_S = 0.02
+STOP_TURN_S = 0.001
 
 # Messages of different types for which one message is completed in the background, before it is given up.
 MAX_COMPLETIONS = 3
 
-_STOPPED = "a stop of this client has come after it"
+
+class WaitingBytes:
+    """Count of the bytes in the inboxes of all clients.
+
+    Attributes:
+        total: bytes that wait.
+    """
+
+    def __init__(self) -> None:
+        self.total = 0
+
+    @property
+    def limit_bytes(self) -> int:
+        """Bound of one client's inbox at present."""
+        return MAX_WAITING_BYTES if self.total <= MAX_SERVER_WAITING_BYTES else LEAST_WAITING_BYTES
 
 
 @dataclass(frozen=True)
 class Scheduling:
-    """Turns and threads, which all clients share.
+    """Turns, threads and memory, which all clients share.
 
     Attributes:
         turns: turns of all clients.
         background: threads for long frames and large messages.
-        call_later: does something after a delay.
+        call_later: calls a function after a delay.
+        waiting: bytes in all inboxes.
     """
 
     turns: Turns
     background: Background
     call_later: CallLater = call_later
+    waiting: WaitingBytes = field(default_factory=WaitingBytes)
 
 
 class OperationHandler(Protocol):
@@ -96,14 +118,17 @@ class OperationHandler(Protocol):
             PostponedError: its message is to be completed in the background first.
         """
 
-    def is_stop(self, operation: Operation) -> bool:
-        """Return True for an operation that stops the arm."""
+    def is_urgent(self, operation: Operation) -> bool:
+        """Return True for an operation that stops the arm or cancels a goal."""
 
-    def is_driving(self, operation: Operation) -> bool:
-        """Return True for an operation that may move the arm."""
+    def is_repeated(self, operation: Operation) -> bool:
+        """Return True for an urgent operation that is carried out in its turn as well.
 
-    def reject(self, operation: Operation, reason: str) -> None:
-        """Tell of an operation that is not carried out; an operation with an answer gets it."""
+        The goal that it cancels may wait in this inbox.
+        """
+
+    def repeat(self, operation: Operation) -> None:
+        """Carry out in its turn an operation that has been carried out and answered ahead of it."""
 
 
 class Reader(Protocol):
@@ -118,19 +143,21 @@ class Reader(Protocol):
 
 @dataclass(slots=True, eq=False)
 class _Waiting:
-    """A frame that is to be read, or what was read of one.
+    """Frame that is to be read, or part of a frame that was read.
 
     Attributes:
         item: the frame, or an operation of it.
         size_bytes: size of the frame.
-        stopped: True when a stop has come after it: it moves nothing any more.
+        epoch: stop epoch in which the frame arrived.
+        repeated: True for an operation that has been carried out ahead of its turn.
         message: message of the operation, once it has been completed in the background.
-        completions: times that this has been done.
+        completions: number of times that this has been done.
     """
 
     item: str | bytes | Operation | Refusal | Packed | StrictPublication
     size_bytes: int
-    stopped: bool = False
+    epoch: int
+    repeated: bool = False
     message: ReceivedMessage | None = None
     completions: int = 0
 
@@ -161,6 +188,7 @@ class Inbox:
         self._types = types
         self._turns = scheduling.turns
         self._background = scheduling.background
+        self._all_waiting = scheduling.waiting
         self._call_later = scheduling.call_later
         self._reader = reader
         self._clock = clock
@@ -173,19 +201,22 @@ class Inbox:
         self._holds_reader = False
         # A client has the threads for half of the time at most.
         self._next_job_s = 0.0
+        # Stops and cancels that came faster than the lane is worked off.
+        self._stops: deque[_Waiting] = deque()
         self._next_stop_s = 0.0
         self._closed = False
 
     @property
     def empty(self) -> bool:
         """True when nothing waits."""
-        return not self._waiting and not self._in_progress
+        return not self._waiting and not self._in_progress and not self._stops
 
     def close(self) -> None:
         """Carry nothing out any more."""
         self._closed = True
         self._waiting.clear()
-        self._waiting_bytes = 0
+        self._stops.clear()
+        self._count(-self._waiting_bytes)
         self._turns.remove(self)
 
     def release(self) -> None:
@@ -202,22 +233,26 @@ class Inbox:
         if self._closed:
             return
         until_s = self._turns.until_s() if self.empty and not self._session.congested else None
+        received = _Waiting(frame, len(frame), STOP_EPOCHS.present)
         if len(frame) >= LONG_FRAME_BYTES:
             if until_s is not None and isinstance(frame, str) and self._handler.identified and is_light(frame):
-                self._begin(frame, until_s, light=True)
+                self._begin(received, frame, until_s, light=True)
             else:
-                self._add_frame(frame)
+                self._add_frame(received, frame)
         elif not self._unread_frames and isinstance(frame, str) and (strict := self._handler.read_strictly(frame)):
             if until_s is None:
-                self._add(_Waiting(strict, len(frame)))
+                received.item = strict
+                self._add(received)
             elif not self._handler.publish_strictly(strict):
-                self._begin(frame, until_s)
+                self._begin(received, frame, until_s)
         elif until_s is not None:
-            self._begin(frame, until_s)
+            self._begin(received, frame, until_s)
         elif not self._handler.identified or self._unread_frames:
-            self._add_frame(frame)
+            self._add_frame(received, frame)
         else:
-            self._add_operations(frame)
+            for each in _read_of(received, self._read(frame)):
+                if not self._take_ahead(each):
+                    self._add(each)
 
     def work(self, until_s: float) -> bool:
         """Carry out what waits until a time; return True when there is more to do now."""
@@ -231,97 +266,88 @@ class Inbox:
     def _may_go_on(self) -> bool:
         return bool(self._waiting) and not self._in_progress and not self._session.congested
 
+    def _count(self, size_bytes: int) -> None:
+        self._waiting_bytes += size_bytes
+        self._all_waiting.total += size_bytes
+
     def _hold_or_release(self) -> None:
         """Leave the client's socket unread while much waits."""
-        full = len(self._waiting) > MAX_WAITING or self._waiting_bytes > MAX_WAITING_BYTES
+        count = len(self._waiting) + len(self._stops)
+        full = count > MAX_WAITING or self._waiting_bytes > self._all_waiting.limit_bytes
         if full and not self._holds_reader:
             self._reader.hold_reading()
         elif self._holds_reader and not full:
             self._reader.release_reading()
         self._holds_reader = full
 
-    def _begin(self, frame: str | bytes, until_s: float, *, light: bool = False) -> None:
+    def _begin(self, received: _Waiting, frame: str | bytes, until_s: float, *, light: bool = False) -> None:
         """Read a frame before which nothing waits, and carry it out as far as the turn reaches."""
         items = self._read(frame, light=light)
         if len(items) == 1 and not isinstance(items[0], Packed):
             # The quick way of nearly every frame.
-            try:
-                self._handler.carry_out(items[0], len(frame), None, light=light)
-            except PostponedError as postponed:
-                self._complete(_Waiting(items[0], len(frame)), postponed)
+            received.item = items[0]
+            self._carry_out(received, items[0], light=light)
             return
-        self._put_first([_Waiting(item, len(frame)) for item in items])
+        self._put_first(_read_of(received, items))
         if self.work(until_s):
             self._turns.add(self)
 
     def _add(self, waiting: _Waiting) -> None:
         """Let a frame or an operation wait behind the others."""
         self._waiting.append(waiting)
-        self._waiting_bytes += waiting.size_bytes
+        self._count(waiting.size_bytes)
         self._hold_or_release()
         if not self._in_progress:
             self._turns.add(self)
 
-    def _put_first(self, waiting: Sequence[_Waiting]) -> None:
-        """Let operations of one frame wait before all others; the first stop among them is carried out now."""
-        self._waiting.extendleft(reversed(waiting))
-        self._waiting_bytes += sum(each.size_bytes for each in waiting)
-        if not self._handler.identified:
-            return
-        stops = [
-            (place, each.item)
-            for place, each in enumerate(waiting)
-            if isinstance(each.item, Operation) and self._handler.is_stop(each.item)
-        ]
-        if stops:
-            (first, operation), (last, _) = stops[0], stops[-1]
-            self._go_ahead(waiting[first], operation, waiting[:first])
-            # The others have nothing left to stop, and wait.
-            for each in waiting[first + 1 : last]:
-                each.stopped = True
+    def _put_first(self, read: Sequence[_Waiting]) -> None:
+        """Let operations of one frame wait before all others; stops among them go ahead."""
+        left = [each for each in read if not (self._handler.identified and self._take_ahead(each))]
+        self._waiting.extendleft(reversed(left))
+        self._count(sum(each.size_bytes for each in left))
 
-    def _add_frame(self, frame: str | bytes) -> None:
-        """Let a frame wait unread; a stop in a frame of its own is carried out now."""
-        stop = operations.peek(frame) if len(frame) < LONG_FRAME_BYTES and self._handler.identified else None
-        if stop is not None and self._handler.is_stop(stop):
-            self._add_stop(stop, len(frame))
+    def _add_frame(self, received: _Waiting, frame: str | bytes) -> None:
+        """Let a frame wait unread; a stop in a frame of its own goes ahead."""
+        if len(frame) < LONG_FRAME_BYTES and self._handler.identified and (operation := operations.peek(frame)):
+            ahead = replace(received, item=operation)
+            if self._take_ahead(ahead):
+                return
+            if ahead.repeated:
+                self._add(ahead)
+                return
+        self._unread_frames += 1
+        self._add(received)
+
+    # The lane for stops.
+
+    def _take_ahead(self, waiting: _Waiting) -> bool:
+        """Take a stop or a cancel into its lane; return False for any other operation, which waits for its turn."""
+        operation = waiting.item
+        if waiting.repeated or not isinstance(operation, Operation) or not self._handler.is_urgent(operation):
+            return False
+        # Its frame may be long; its message is not, and is completed at once.
+        ahead = replace(waiting, size_bytes=0)
+        if self._stops or self._clock() < self._next_stop_s:
+            if not self._stops:
+                self._call_later(self._next_stop_s - self._clock(), self._work_off_stops)
+            self._stops.append(ahead)
         else:
-            self._unread_frames += 1
-            self._add(_Waiting(frame, len(frame)))
+            self._next_stop_s = self._clock() + STOP_PERIOD_S
+            self._carry_out(ahead, operation)
+        waiting.repeated = self._handler.is_repeated(operation)
+        return not waiting.repeated
 
-    def _add_operations(self, frame: str | bytes) -> None:
-        """Let the operations of a short frame wait; stops are carried out now."""
-        for item in self._read(frame):
-            if isinstance(item, Operation) and self._handler.is_stop(item):
-                self._add_stop(item, len(frame))
-            else:
-                self._add(_Waiting(item, len(frame)))
-
-    def _add_stop(self, operation: Operation, size_bytes: int) -> None:
-        stop, before = _Waiting(operation, size_bytes), (*self._in_progress, *self._waiting)
-        self._add(stop)
-        self._go_ahead(stop, operation, before)
-
-    def _go_ahead(self, stop: _Waiting, operation: Operation, before: Sequence[_Waiting]) -> None:
-        """Carry a stop out ahead of what waits before it; all of that but a few operations moves nothing any more.
-
-        The next stops of a client that sends one after the other wait like all else: nothing can move before them.
-        """
-        if self._clock() < self._next_stop_s:
-            for each in before if len(before) > FEW else ():
-                each.stopped = True
-            return
+    def _work_off_stops(self) -> None:
+        """Carry out stops of the lane for their share of a period."""
+        until_s = self._clock() + STOP_TURN_S
+        while self._stops and self._clock() < until_s:
+            stop = self._stops.popleft()
+            if isinstance(stop.item, Operation):
+                self._carry_out(stop, stop.item)
         self._next_stop_s = self._clock() + STOP_PERIOD_S
-        if len(before) <= FEW and not any(isinstance(each.item, str | bytes) for each in before):
-            while stop in self._waiting and not self._in_progress:
-                self._take_step()
-        if stop in self._waiting:
-            for each in before:
-                each.stopped = True
-            self._waiting.remove(stop)
-            self._waiting_bytes -= stop.size_bytes
-            # The frame may be long; the message of a stop is not, and is completed at once.
-            self._carry_out(_Waiting(operation, 0), operation)
+        if self._stops:
+            self._call_later(STOP_PERIOD_S, self._work_off_stops)
+        self._hold_or_release()
 
     def _read(self, frame: str | bytes, *, light: bool = False) -> Sequence[Operation | Refusal | Packed]:
         if not self._handler.admit_frame(frame):
@@ -332,7 +358,7 @@ class Inbox:
     def _take_step(self) -> None:
         """Carry out the first that waits, or hand it to a thread."""
         first = self._waiting.popleft()
-        self._waiting_bytes -= first.size_bytes
+        self._count(-first.size_bytes)
         item = first.item
         # By far the most frequent first.
         if isinstance(item, StrictPublication):
@@ -346,14 +372,15 @@ class Inbox:
                 self._put_first(_read_of(first, self._read(item)))
         elif isinstance(item, Packed):
             self._run(lambda: [self._session.unpack(item)], first)
-        elif first.stopped and isinstance(item, Operation) and self._handler.is_driving(item):
-            self._handler.reject(item, _STOPPED)
+        elif first.repeated and isinstance(item, Operation):
+            self._handler.repeat(item)
         else:
             self._carry_out(first, item)
 
-    def _carry_out(self, waiting: _Waiting, item: Operation | Refusal) -> None:
+    def _carry_out(self, waiting: _Waiting, item: Operation | Refusal, *, light: bool = False) -> None:
         try:
-            self._handler.carry_out(item, waiting.size_bytes, waiting.message)
+            with arrived_in(waiting.epoch):
+                self._handler.carry_out(item, waiting.size_bytes, waiting.message, light=light)
         except PostponedError as postponed:
             self._complete(waiting, postponed)
 
@@ -404,4 +431,4 @@ class Inbox:
 
 def _read_of(frame: _Waiting, items: Sequence[Operation | Refusal | Packed]) -> list[_Waiting]:
     """Return what was read of a frame, to wait in its place."""
-    return [_Waiting(item, frame.size_bytes, frame.stopped) for item in items]
+    return [_Waiting(item, frame.size_bytes, frame.epoch) for item in items]

@@ -22,6 +22,7 @@ from robot.arm_interface import ArmInterface
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
+from server.arrival import arrival_epoch
 from server.errors import RefusedError
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
 from server.execution.motions_in_progress import MotionsInProgress
@@ -89,6 +90,19 @@ class GripperReading:
     efforts: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class GripperClaim:
+    """Claim of the gripper for one command.
+
+    Attributes:
+        number: greater than that of every claim before.
+        epoch: stop epoch in which the command was requested.
+    """
+
+    number: int
+    epoch: int
+
+
 class Gripper:
     """The gripper of an arm.
 
@@ -126,7 +140,7 @@ class Gripper:
         self._torque_limit = torque_limit
         self._in_progress = in_progress or MotionsInProgress()
         self._clock = clock
-        self._newest = 0
+        self._newest = GripperClaim(0, 0)
         self._turn = asyncio.Lock()
         self._motion: asyncio.Future[MotionEnded] | None = None
         self._ends_s = 0.0
@@ -149,18 +163,23 @@ class Gripper:
         )
         return GripperReading(positions, velocities, efforts)
 
-    def claim(self) -> int:
-        """Claim the gripper for :meth:`move`, in place of the claim before; return the number of the claim."""
-        self._newest += 1
-        self._stop_motion()
-        return self._newest
+    def claim(self) -> GripperClaim:
+        """Claim the gripper for the request in progress; a request that a stop has overtaken replaces no other."""
+        claim = GripperClaim(self._newest.number + 1, arrival_epoch())
+        if claim.epoch >= self._arm.last_stop:
+            self._newest = claim
+            self._stop_motion()
+        return claim
 
-    def give_up(self, claim: int) -> None:
+    def give_up(self, claim: GripperClaim) -> None:
         """End the motion of a claim, begun or not; do nothing when there is a newer claim."""
         if claim == self._newest:
-            self.claim()
+            self._newest = GripperClaim(claim.number + 1, claim.epoch)
+            self._stop_motion()
 
-    async def move(self, claim: int, command: GripperCommand, report: Callable[[GripperReading], None]) -> MotionEnded:
+    async def move(
+        self, claim: GripperClaim, command: GripperCommand, report: Callable[[GripperReading], None]
+    ) -> MotionEnded:
         """Execute a command; every wait is bounded.
 
         Args:
@@ -171,18 +190,17 @@ class Gripper:
         Raises:
             RefusedError: the arm takes no motion.
         """
-        stops = self._arm.stops
         async with self._turn:
             await self._arm.until_started(ARM_START_TIMEOUT_S)
-            if claim != self._newest or stops != self._arm.stops:
+            if claim != self._newest or claim.epoch < self._arm.last_stop:
                 return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
-            return await self._play(command, report)
+            return await self._play(command, report, claim.epoch)
 
     def _stop_motion(self) -> None:
         if self._motion is not None and not self._motion.done():
             self._arm.stop(self._motion)
 
-    async def _play(self, command: GripperCommand, report: Callable[[GripperReading], None]) -> MotionEnded:
+    async def _play(self, command: GripperCommand, report: Callable[[GripperReading], None], epoch: int) -> MotionEnded:
         check_ready(self._arm)
         velocity = min(command.max_velocity or self._max_velocity, self._max_velocity)
         trajectory = fingers_together(self._names, self._goals(), command.position, velocity, self._max_acceleration)
@@ -192,7 +210,7 @@ class Gripper:
         )
         share = min(command.max_effort / self._torque_limit, 1.0) if command.max_effort else 1.0
         self._ends_s = self._clock() + trajectory.duration_s
-        self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share)
+        self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share, epoch=epoch)
         self._in_progress.add(trajectory, self._motion)
         try:
             ended = await self._until_ended(self._motion, self._time_limits.allowed_s(trajectory.duration_s), report)
@@ -429,7 +447,9 @@ class GripperActions:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _execute(self, goal: Goal, messages: ActionMessages, claim: int, command: GripperCommand) -> None:
+    async def _execute(
+        self, goal: Goal, messages: ActionMessages, claim: GripperClaim, command: GripperCommand
+    ) -> None:
         try:
             ended = await self._gripper.move(claim, command, lambda reading: goal.feedback(messages.feedback(reading)))
             self._finish(goal, messages, ended)

@@ -14,11 +14,12 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoQuestion, ServoStatus
 from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
+from server.arrival import arrival_epoch
 from server.errors import RefusedError
 from server.execution.monitors import CurrentState, check_ready
 from server.execution.motions import Motion, Positions
 from server.execution.queue import Answer, GoalQueue
-from server.moveit.gripper import Gripper, GripperCommand
+from server.moveit.gripper import Gripper, GripperClaim, GripperCommand
 from server.moveit.servo.servo_loop import LATE, Ask, Resolve, ServoSession, ServoSetup
 from server.teleop.following import STALE_S, Act, Following, Observed, Phase, TrackingLimits, tracking_velocities
 from server.teleop.joint_map import JointMap
@@ -144,12 +145,12 @@ class FollowingSession:
             current,
         )
         self._limits = follower.limits
-        self._stops = follower.arm.stops
+        self._epoch = arrival_epoch()
         self._interrupted = ""
         self._warning = ""
         self._ramp: tuple[str, asyncio.Future[Answer]] | None = None
         self._gripper: asyncio.Task[None] | None = None
-        self._gripper_claim = 0
+        self._gripper_claim: GripperClaim | None = None
         self._gripper_target_rad: float | None = None
         self._read_at_s = clock()
         self._latency_s = self._lag_rad = 0.0
@@ -217,7 +218,7 @@ class FollowingSession:
     def _obstacle(self) -> str:
         """Return the reason for which the follower cannot go on; empty if there is none."""
         follower = self._follower
-        if follower.arm.stops != self._stops:
+        if follower.arm.last_stop > self._epoch:
             return "the arm was stopped"
         try:
             check_ready(follower.arm)
@@ -294,20 +295,20 @@ class FollowingSession:
         if last_rad is not None and abs(target_rad - last_rad) < GRIPPER_STEP_RAD:
             return
         self._gripper_target_rad = target_rad
-        self._gripper_claim = gripper.claim()
-        self._gripper = asyncio.create_task(self._move(gripper, target_rad), name="the gripper's following")
+        claim = self._gripper_claim = gripper.claim()
+        self._gripper = asyncio.create_task(self._move(gripper, claim, target_rad), name="the gripper's following")
 
-    async def _move(self, gripper: Gripper, target_rad: float) -> None:
+    async def _move(self, gripper: Gripper, claim: GripperClaim, target_rad: float) -> None:
         # A refusal is one of the whole arm, which the next tick finds.
         with contextlib.suppress(RefusedError):
-            await gripper.move(self._gripper_claim, GripperCommand(target_rad), lambda _reading: None)
+            await gripper.move(claim, GripperCommand(target_rad), lambda _reading: None)
 
     def _brake(self) -> None:
         self._servo.release()
         if self._ramp is not None:
             (number, _), self._ramp = self._ramp, None
             self._queue.cancel(number, self.following.message)
-        if self._follower.gripper is not None and self._gripper is not None and not self._gripper.done():
+        if self._follower.gripper is not None and self._gripper_claim is not None:
             self._follower.gripper.give_up(self._gripper_claim)
         self._gripper_target_rad = None
         self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""

@@ -17,6 +17,8 @@ from protocol.errors import MessageError
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from robot.messages import ArmState
+from robot.stop_epochs import STOP_EPOCHS
+from server.arrival import arrival_epoch
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
 from server.execution.motions import Motion
@@ -180,6 +182,9 @@ class Teleoperation:
         self._followers: dict[str, Follower] = {}
         self._leaders: set[str] = set()
         self._followings: dict[str, _Following] = {}
+        # Followers whose start is in progress, and the stop epoch that the last stop of each following began.
+        self._starting: set[str] = set()
+        self._last_stops: dict[str, int] = {}
 
     def add_follower(self, follower: Follower) -> None:
         """Add an arm that can follow, before the start."""
@@ -204,10 +209,8 @@ class Teleoperation:
             return await self._start(request, names)
 
         async def stop(_request: Message) -> dict[str, Any]:
-            followings = self._running(names)
-            for following in followings.values():
-                following.end("stopped by a client")
-            return {"success": True, "message": f"{_and(followings)} {_verb(followings, 'follow')} no more"}
+            ended = self._stop(names)
+            return {"success": True, "message": f"{_and(ended)} {_verb(ended, 'follow')} no more"}
 
         async def set_clutch(request: Message) -> dict[str, Any]:
             followings = self._running(names)
@@ -246,9 +249,15 @@ class Teleoperation:
     async def _start(self, request: Message, names: Sequence[str]) -> dict[str, Any]:
         follower = self._chosen_follower(request["follower"], names)
         self._check_idle(follower)
+        self._starting.add(follower.name)
+        try:
+            return await self._begin(request, follower)
+        finally:
+            self._starting.discard(follower.name)
+
+    async def _begin(self, request: Message, follower: Follower) -> dict[str, Any]:
+        self._check_not_stopped(follower)
         await self._until_unused(follower)
-        # Another client may have started it meanwhile.
-        self._check_idle(follower)
         name = request["leader"]
         if not name.startswith("/") and name not in self._leaders:
             known = ", ".join(sorted(self._leaders)) or "none"
@@ -261,7 +270,7 @@ class Teleoperation:
         following = self._followings[follower.name] = _Following(leader, Node(f"teleop of {follower.name}"))
         try:
             self._listen(following)
-            await self._first_sample(leader)
+            await self._first_sample(follower, leader)
             joints = joint_map(
                 follower.robot,
                 follower.prefix,
@@ -300,10 +309,35 @@ class Teleoperation:
         """
         if (other := self._followings.get(follower.name)) is not None:
             raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
+        if follower.name in self._starting:
+            raise ServiceError(f"{follower.name} is starting to follow: call {STOP} first")
         try:
             check_ready(follower.arm)
         except RefusedError as error:
             raise ServiceError(f"{follower.name} cannot follow: {error}") from error
+
+    def _check_not_stopped(self, follower: Follower) -> None:
+        """Refuse a start that a stop of the arm, or of its following, has overtaken.
+
+        Raises:
+            ServiceError: such a stop has come.
+        """
+        if arrival_epoch() < max(follower.arm.last_stop, self._last_stops.get(follower.name, 0)):
+            raise ServiceError(f"{follower.name} does not follow: a stop came after {START} was called")
+
+    def _stop(self, names: Sequence[str]) -> list[str]:
+        """End the followings of some followers, those that are just starting as well; return the followers.
+
+        Raises:
+            ServiceError: none of them follows or is starting to.
+        """
+        epoch = STOP_EPOCHS.begin()
+        self._last_stops.update((name, epoch) for name in names)
+        starting = [name for name in names if name in self._starting]
+        running = {} if starting and not self._sessions(names) else self._running(names)
+        for session in running.values():
+            session.end("stopped by a client")
+        return [*running, *starting]
 
     async def _until_unused(self, follower: Follower) -> None:
         """Wait until no goal moves a follower: the way to the leader of a following that has just ended may brake.
@@ -316,14 +350,21 @@ class Teleoperation:
             if self._clock() > until_s:
                 raise ServiceError(f"{follower.name} cannot follow: it is in use: {busy}")
             await asyncio.sleep(POLL_S)
+            self._check_not_stopped(follower)
 
     def _running(self, names: Sequence[str]) -> dict[str, FollowingSession]:
-        """Return those followings of some followers that have begun."""
-        found = {name: each.session for name, each in self._followings.items() if name in names}
-        running = {name: session for name, session in found.items() if session is not None}
-        if not running:
+        """Return the followings of some followers that have begun.
+
+        Raises:
+            ServiceError: there are none.
+        """
+        if not (running := self._sessions(names)):
             raise ServiceError(f"nothing follows: {START} begins")
         return running
+
+    def _sessions(self, names: Sequence[str]) -> dict[str, FollowingSession]:
+        found = {name: each.session for name, each in self._followings.items() if name in names}
+        return {name: session for name, session in found.items() if session is not None}
 
     def _chosen_follower(self, name: str, names: Sequence[str]) -> Follower:
         if name in names:
@@ -360,12 +401,13 @@ class Teleoperation:
         except MessageError as error:
             raise ServiceError(f"leader: {error}") from error
 
-    async def _first_sample(self, leader: Leader) -> None:
+    async def _first_sample(self, follower: Follower, leader: Leader) -> None:
         until_s = self._clock() + FIRST_SAMPLE_S
         while not leader.joint_names:
             if self._clock() > until_s:
                 raise ServiceError(f"leader: {leader.name} has sent nothing for {FIRST_SAMPLE_S:g} s")
             await asyncio.sleep(POLL_S)
+            self._check_not_stopped(follower)
 
     def _forget(self, follower: Follower, following: _Following) -> None:
         if self._followings.get(follower.name) is not following:

@@ -11,6 +11,7 @@ import numpy as np
 
 from robot.arm import Arm, ArmStream
 from robot.messages import ArmState, ChangePace, Mode, MotionEnded, MotionProgress, Outcome, Setpoint
+from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from robot.trajectory import Trajectory
 from tests.helpers.robots import so101
 
@@ -35,6 +36,7 @@ class FakeArm:
         stops: motions that were to stop; None for any.
         setpoints: of all streams.
         changes: of the pace.
+        last_stop: stop epoch of the last stop of all motion.
     """
 
     wait = Arm.wait
@@ -55,6 +57,7 @@ class FakeArm:
         self.streams: list[ArmStream] = []
         self.setpoints: list[Setpoint] = []
         self.changes: list[ChangePace] = []
+        self.last_stop = 0
         self._motion: asyncio.Future[MotionEnded] | None = None
 
     @property
@@ -77,7 +80,12 @@ class FakeArm:
         gripping: bool = False,
         torque_share: float = 1.0,
         continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
+        epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
+        if epoch is not None and epoch < self.last_stop:
+            stopped: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
+            stopped.set_result(MotionEnded(2, Outcome.STOPPED, STOPPED_SINCE))
+            return stopped
         self.played.append(trajectory)
         if continues is not None:
             if self.refusing or continues[0].done():
@@ -95,14 +103,18 @@ class FakeArm:
             return None
         return MotionProgress(1, self.state.fraction, self.state.remaining_s)
 
-    def stream(self, joint_names: tuple[str, ...]) -> ArmStream:
+    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> ArmStream:
         ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
+        if epoch is not None and epoch < self.last_stop:
+            ended.set_result(MotionEnded(0, Outcome.STOPPED, STOPPED_SINCE))
         stream = ArmStream(len(self.streams) + 1, joint_names, ended, self.setpoints.append)
         self.streams.append(stream)
         return stream
 
     def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
         self.stops.append(motion)
+        if motion is None:
+            self.last_stop = STOP_EPOCHS.begin()
         for stream in self.streams:
             if motion in (None, stream.ended) and not stream.ended.done():
                 stream.ended.set_result(MotionEnded(0, Outcome.STOPPED, "stopped"))

@@ -291,13 +291,16 @@ class ActionDesk(ServiceRig):
         self.feedback: list[dict[str, Any]] = []
         self.results: list[Result] = []
 
+    def last_stop(self, _joints: frozenset[str]) -> int:
+        return 0
+
     def joints_of(self, _request: Motion) -> frozenset[str]:
         return frozenset(JOINTS)
 
     def runner(self, _joints: frozenset[str]) -> ActionDesk:
         return self
 
-    async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
+    async def run(self, request: Motion, report: Callable[[Progress], None], epoch: int) -> Answer:
         self.asked.append(request)
         self.report = report
         self._end = asyncio.get_running_loop().create_future()

@@ -28,6 +28,7 @@ from planners.servo.question import (
 )
 from robot.arm_interface import ArmInterface, StreamInterface
 from robot.trajectory import Vector
+from server.arrival import arrival_epoch
 from server.errors import RefusedError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
@@ -278,7 +279,8 @@ class ServoSession:
 
     async def _run(self) -> None:
         self._released = False
-        self._stream = self._arm.stream(self._setup.joints)
+        # The epoch is that of the command which has started this task.
+        self._stream = self._arm.stream(self._setup.joints, epoch=arrival_epoch())
         self._stream.ended.add_done_callback(lambda _ended: self._due.set())
         try:
             await self._follow_commands(self._stream)

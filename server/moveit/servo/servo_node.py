@@ -18,6 +18,7 @@ from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
+from server.arrival import arrival_epoch
 from server.errors import RefusedError, UnsuccessfulError
 from server.execution.monitors import CurrentState, check_ready
 from server.graph.node import Node
@@ -176,15 +177,21 @@ class CommandGate:
         present: tells if a client is still connected.
         timeout_s: after a silence of this time a stick counts as released [s].
         busy: returns the reason if the arm cannot be steered now, else an empty text.
+        arm: the arm, whose stops release a held stick.
 
     Attributes:
         paused: true while all commands are rejected.
     """
 
-    def __init__(self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str]) -> None:
+    def __init__(
+        self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str], arm: ArmInterface
+    ) -> None:
         self._ownership = Ownership(present)
         self._timeout_s = timeout_s
         self._busy = busy
+        self._arm = arm
+        # Stop epoch of the last command.
+        self._heard_epoch = 0
         self._selected: CommandType | None = None
         self._heard_s = -float("inf")
         self._interrupted = ""
@@ -201,6 +208,7 @@ class CommandGate:
     def reset(self) -> None:
         """Accept commands again after an interruption."""
         self._interrupted = ""
+        self._heard_epoch = arrival_epoch()
 
     def rejection(self, client: object, kind: CommandType, now_s: float) -> CommandRejection | None:
         """Check a command; None if it is to be followed.
@@ -217,8 +225,12 @@ class CommandGate:
         if not self._ownership.take(client, now_s):
             return CommandRejection(f"{client} cannot steer the arm: {owner} does", from_owner=False)
         silence_s, self._heard_s = now_s - self._heard_s, now_s
-        if silence_s > self._timeout_s:
+        last_stop, epoch = self._arm.last_stop, arrival_epoch()
+        if silence_s > self._timeout_s and epoch >= last_stop:
             self._interrupted = ""
+        elif min(epoch, self._heard_epoch) < last_stop:
+            self._interrupted = "the arm was stopped"
+        self._heard_epoch = epoch
         message = self._reason(kind)
         return CommandRejection(message) if message else None
 
@@ -318,7 +330,7 @@ class ServoNode:
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
         self._timeouts = CommandTimeouts(setup.timeout_s)
-        self._gate = CommandGate(self._present, setup.timeout_s, unavailable)
+        self._gate = CommandGate(self._present, setup.timeout_s, unavailable, arm)
         self._session = ServoSession(
             arm, setup, ask, resolve, self._status.publish, self._gate.interrupt, current=current
         )

@@ -72,7 +72,7 @@ class Rig:
     news: list[Progress] = field(default_factory=list)
 
     async def run(self, **positions_rad: float) -> Any:
-        return await self.executor.run(to(**positions_rad), self.news.append)
+        return await self.executor.run(to(**positions_rad), self.news.append, 0)
 
 
 # Planners load for a second: one arm and its planners serve all tests of the rig, and so show that they survive each.
@@ -143,7 +143,7 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
-    answer = await executor.run(to(shoulder_pan=0.5), lambda _progress: None)
+    answer = await executor.run(to(shoulder_pan=0.5), lambda _progress: None, 0)
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
     assert "starting" in answer.message
 
@@ -227,7 +227,7 @@ class Stage:
         return answer
 
     async def begin(self, motion: PlannedMotion | ExternalTrajectory) -> None:
-        self.running = asyncio.create_task(self.executor.run(motion, self.news.append))
+        self.running = asyncio.create_task(self.executor.run(motion, self.news.append, 0))
         await settle()
 
     async def answer(self) -> Any:
@@ -688,7 +688,7 @@ async def test_a_goal_is_planned_after_those_that_came_before_for_where_they_end
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=0.4))
     other = stage.executing()
-    second = asyncio.create_task(other.run(fingers(), stage.news.append))
+    second = asyncio.create_task(other.run(fingers(), stage.news.append, 0))
     await settle()
     assert len(stage.problems) == 1
     stage.planners_answer.set()

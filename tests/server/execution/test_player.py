@@ -66,7 +66,7 @@ class Stage:
         self.arm.pass_time(seconds)
 
     async def begin(self) -> None:
-        self.running = asyncio.create_task(self.player.play(MOTION, self.news.append, questions))
+        self.running = asyncio.create_task(self.player.play(MOTION, self.news.append, questions, 0))
         await settle()
 
     async def answer(self) -> Answer:
@@ -100,7 +100,7 @@ async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
     def broken(_progress: Progress) -> None:
         raise ValueError("a bug")
 
-    stage.running = asyncio.create_task(stage.player.play(MOTION, broken, questions))
+    stage.running = asyncio.create_task(stage.player.play(MOTION, broken, questions, 0))
     await settle()
     motion = stage.arm.played[-1]
     assert motion is MOTION.trajectory
@@ -265,7 +265,7 @@ async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage
     assert outgoing.splice_point is not None
     assert stage.arm.stops == []
     stage.running = asyncio.create_task(
-        stage.player.play(MOTION, stage.news.append, questions, outgoing.splice_point.from_s)
+        stage.player.play(MOTION, stage.news.append, questions, 0, outgoing.splice_point.from_s)
     )
     await settle()
     assert stage.arm.continued == [outgoing.splice_point.from_s]

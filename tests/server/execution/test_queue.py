@@ -22,13 +22,16 @@ class ScriptedRunner:
         self.report: Callable[[Progress], None] = lambda _progress: None
         self._end: asyncio.Future[Answer] | None = None
 
+    def last_stop(self, _joints: frozenset[str]) -> int:
+        return 0
+
     def joints_of(self, _request: object) -> frozenset[str]:
         return frozenset(("joint",))
 
     def runner(self, _joints: frozenset[str]) -> ScriptedRunner:
         return self
 
-    async def run(self, request: object, report: Callable[[Progress], None]) -> Answer:
+    async def run(self, request: object, report: Callable[[Progress], None], epoch: int) -> Answer:
         self.started.append(request)
         self.report = report
         report(Progress(GoalState.PLANNING, "planning"))
@@ -299,6 +302,9 @@ class TwoArms:
     def __init__(self) -> None:
         self.runners: dict[frozenset[str], ScriptedRunner] = {}
         self.stopped: list[str] = []
+
+    def last_stop(self, _joints: frozenset[str]) -> int:
+        return 0
 
     def joints_of(self, request: object) -> frozenset[str]:
         return frozenset(str(request).split())

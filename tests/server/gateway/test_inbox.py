@@ -15,8 +15,19 @@ from protocol.codecs import png
 from protocol.operations import Auth, CallService, Operation, Publish, peek
 from protocol.registry import Registry
 from protocol.session import Packed, Refusal, Session
+from robot.stop_epochs import STOP_EPOCHS
+from server.arrival import arrival_epoch
 from server.gateway.client_topics import StrictPublication, StrictTopic
-from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, Inbox, Scheduling
+from server.gateway.inbox import (
+    LEAST_WAITING_BYTES,
+    LONG_FRAME_BYTES,
+    MAX_WAITING,
+    STOP_PERIOD_S,
+    STOP_TURN_S,
+    Inbox,
+    Scheduling,
+    WaitingBytes,
+)
 from server.gateway.turns import ROUND_S, TURN_S, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from tests.helpers.clock import FakeClock
@@ -46,7 +57,8 @@ class Later:
 class World:
     """Clients whose operations take time, on an event loop that turns when it is told to.
 
-    Publishing on ``/goal`` moves the arm, on ``/stop`` stops it; ``/large`` is completed in the background.
+    Publishing on ``/goal`` moves the arm unless a stop has overtaken it, on ``/stop`` stops it, on ``/cancel`` cancels
+    a goal; ``/large`` is completed in the background.
     """
 
     def __init__(self) -> None:
@@ -55,6 +67,8 @@ class World:
         self.turns = Turns(self._soon.append, self.clock)
         self.threads = Later()
         self.done: list[str] = []
+        self.last_stop = 0
+        self.waiting = WaitingBytes()
 
     def client(self, name: str = "", step_s: float = 0.0) -> Handler:
         return Handler(self, name, step_s)
@@ -79,7 +93,7 @@ class Handler:
         self.changed_topics: set[str] = set()
         self.session = Session()
         self.socket = UnreadSocket()
-        scheduling = Scheduling(world.turns, world.threads, world.clock.call_later)
+        scheduling = Scheduling(world.turns, world.threads, world.clock.call_later, world.waiting)
         self.inbox = Inbox(self, self.session, TYPES, scheduling, self.socket, world.clock)
 
     def admit_frame(self, frame: str | bytes) -> bool:
@@ -108,18 +122,21 @@ class Handler:
             received = message or ReceivedMessage(item.msg, size_bytes)
             if received.completed("std_msgs/msg/String") is None:
                 raise PostponedError(received, "std_msgs/msg/String")
-        self._note(item)
+        if isinstance(item, Publish) and item.topic == "/stop":
+            self._world.last_stop = STOP_EPOCHS.begin()
+        overtaken = isinstance(item, Publish) and item.topic == "/goal" and arrival_epoch() < self._world.last_stop
+        self._note(item, "no " if overtaken else "")
         if isinstance(item, Auth):
             self.identified = True
 
-    def is_stop(self, operation: Operation) -> bool:
-        return isinstance(operation, Publish) and operation.topic == "/stop"
+    def is_urgent(self, operation: Operation) -> bool:
+        return isinstance(operation, Publish) and operation.topic in ("/stop", "/cancel")
 
-    def is_driving(self, operation: Operation) -> bool:
-        return isinstance(operation, Publish) and operation.topic == "/goal"
+    def is_repeated(self, operation: Operation) -> bool:
+        return isinstance(operation, Publish) and operation.topic == "/cancel"
 
-    def reject(self, operation: Operation, reason: str) -> None:
-        self._note(operation, "no ")
+    def repeat(self, operation: Operation) -> None:
+        self._note(operation, "again ")
 
     def _note(self, item: Operation | Refusal, prefix: str = "") -> None:
         what = item.topic if isinstance(item, Publish) else item.op or "refusal"
@@ -223,14 +240,26 @@ def test_a_stop_goes_ahead_of_its_clients_own_operations_and_those_move_nothing_
     assert world.done.count("/goal") + world.done.count("no /goal") == 10
 
 
-def test_a_goal_and_a_stop_right_behind_it_keep_their_order(world: World) -> None:
+def test_a_goal_that_waits_when_its_clients_stop_comes_moves_nothing(world: World) -> None:
     client = world.client(step_s=2 * ROUND_S)
     client.publish("/a")
     client.publish("/goal", "/stop")
     client.publish("/goal")
-    client.publish("/stop")
     world.run()
-    assert world.done == ["/a", "/goal", "/stop", "/goal", "/stop"]
+    assert world.done == ["/a", "/stop", "no /goal", "/goal"]
+
+
+def test_a_goal_that_waits_when_another_clients_stop_comes_moves_nothing(world: World) -> None:
+    client = world.client(step_s=2 * ROUND_S)
+    client.publish("/a")
+    client.publish("/goal")
+    world.turn()
+    world.clock.advance(ROUND_S)
+    client.publish("/a", "/goal")
+    world.client("other ").publish("/stop")
+    world.run()
+    assert world.done.index("other /stop") < world.done.index("no /goal")
+    assert "/goal" not in world.done[world.done.index("other /stop") :]
 
 
 def test_a_stop_at_the_end_of_a_long_frame_goes_ahead_of_it(world: World) -> None:
@@ -243,17 +272,72 @@ def test_a_stop_at_the_end_of_a_long_frame_goes_ahead_of_it(world: World) -> Non
     assert world.done == ["/stop"] + ["no /goal"] * 999
 
 
-def test_of_many_stops_one_goes_ahead_and_what_was_before_any_of_them_moves_nothing(world: World) -> None:
+def test_every_stop_of_many_goes_ahead_of_its_clients_operations(world: World) -> None:
     client = world.client(step_s=ROUND_S)
-    client.publish(*["/goal", "/stop"] * 100)
-    before_s = world.clock()
-    assert world.done.count("/stop") == 1
-    client.publish("/goal")
-    client.publish("/stop")
-    assert world.clock() - before_s <= 2 * ROUND_S
+    for number in range(1, 101):
+        client.publish(*["/goal"] * 10, "/stop")
+        world.clock.advance(STOP_PERIOD_S)
+        assert world.done.count("/stop") == number
     world.run()
-    assert world.done.count("/stop") == 101
+    assert world.done.count("/stop") == 100
+    assert world.done.count("no /goal") + world.done.count("/goal") == 1000
+
+
+def test_stops_that_come_faster_are_carried_out_one_after_the_other_in_a_share_of_the_time(world: World) -> None:
+    client = world.client(step_s=STOP_TURN_S / 4)
+    client.publish(*["/goal", "/stop"] * 20)
+    assert world.done.count("/stop") == 1
+    for period in range(1, 6):
+        world.clock.advance(STOP_PERIOD_S)
+        assert world.done.count("/stop") <= 1 + 5 * period
+    world.run()
+    assert (world.done.count("/stop"), world.done.count("no /goal")) == (20, 20)
+
+
+def test_a_stop_goes_ahead_of_two_megabytes_that_its_client_sent_before(world: World) -> None:
+    client = world.client(step_s=ROUND_S)
+    for _ in range(130):
+        client.publish("/goal", length=15_000)
+    assert not client.socket.held
+    client.publish("/stop")
+    assert world.done[-1] == "/stop"
+    world.run()
     assert "/goal" not in world.done[world.done.index("/stop") :]
+
+
+def test_where_all_clients_send_much_the_sockets_are_read_less(world: World) -> None:
+    senders = [world.client(step_s=ROUND_S) for _ in range(5)]
+    world.client(step_s=ROUND_S).publish("/a")
+    for client in senders:
+        while not client.socket.held:
+            client.publish("/a", length=LONG_FRAME_BYTES * 60)
+    late = world.client(step_s=ROUND_S)
+    late.publish("/a", length=LONG_FRAME_BYTES)
+    late.publish("/a", length=LEAST_WAITING_BYTES)
+    assert late.socket.held
+    for client in senders:
+        client.inbox.close()
+    world.run()
+    assert not late.socket.held
+
+
+def test_a_cancel_goes_ahead_and_is_carried_out_in_its_turn_as_well(world: World) -> None:
+    client = world.client(step_s=ROUND_S)
+    client.publish("/a", "/a", "/goal")
+    client.publish("/cancel")
+    assert world.done[-1] == "/cancel"
+    world.run()
+    assert world.done[-2:] == ["/goal", "again /cancel"]
+    assert world.done.count("/cancel") == 1
+
+
+def test_a_cancel_behind_a_frame_that_is_not_read_yet_is_carried_out_twice_at_most(world: World) -> None:
+    client = world.client(step_s=ROUND_S)
+    client.publish("/goal", length=LONG_FRAME_BYTES)
+    client.publish("/cancel")
+    assert world.done == ["/cancel"]
+    world.run()
+    assert world.done == ["/cancel", "/goal", "again /cancel"]
 
 
 def test_a_stop_overtakes_what_a_thread_works_on(world: World) -> None:
@@ -337,17 +421,17 @@ def test_operations_wait_until_their_client_has_read_its_replies(world: World) -
     while not client.session.congested:
         client.session.reply({"op": "service_response", "values": "x" * 10_000})
     client.publish("/a")
-    client.publish("/stop")
     world.run()
-    assert world.done == ["/a", "/stop"]
-    client.publish(*["/b"] * 10)
-    world.run()
-    assert world.done == ["/a", "/stop"]
+    assert world.done == []
+    for _ in range(3):
+        client.publish("/stop")
+        world.clock.advance(STOP_PERIOD_S)
+    assert world.done == ["/stop"] * 3
     while client.session.data_to_send(world.clock()):
         pass
     client.inbox.resume()
     world.run()
-    assert world.done == ["/a", "/stop", *["/b"] * 10]
+    assert world.done == ["/stop"] * 3 + ["/a"]
 
 
 def test_a_picture_is_unpacked_by_a_thread(world: World) -> None:
@@ -368,7 +452,7 @@ def test_before_a_client_is_identified_nothing_is_read_ahead(world: World) -> No
     )
     client.publish("/stop")
     world.run()
-    assert world.done == ["auth", "set_level", "/stop"]
+    assert world.done == ["auth", "/stop", "set_level"]
 
 
 STEP_S = 3 * TURN_S

@@ -42,13 +42,16 @@ class Obedient:
         self.ran: list[Motion] = []
         self.answer = Answer(MoveItErrorCode.SUCCESS, "there")
 
+    def last_stop(self, _joints: frozenset[str]) -> int:
+        return 0
+
     def joints_of(self, _request: Motion) -> frozenset[str]:
         return frozenset(("joint",))
 
     def runner(self, _joints: frozenset[str]) -> Obedient:
         return self
 
-    async def run(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
+    async def run(self, request: Motion, report: Callable[[Progress], None], epoch: int) -> Answer:
         self.ran.append(request)
         report(Progress(GoalState.EXECUTING, "moving", 0.25, 1.5))
         await self.go_on.wait()

@@ -14,6 +14,8 @@ import pytest
 from planners.pool import PlannerPool
 from planners.scene import EMPTY_SCENE, Pose, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
+from robot.stop_epochs import STOP_EPOCHS
+from server.arrival import arrived_in
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
@@ -247,7 +249,8 @@ class GateRig:
 
     def __init__(self) -> None:
         self.busy = ""
-        self.gate = CommandGate(lambda _client: True, TIMEOUT_S, lambda: self.busy)
+        self.arm = FakeArm()
+        self.gate = CommandGate(lambda _client: True, TIMEOUT_S, lambda: self.busy, self.arm.as_arm)
 
     def said(self, at_s: float, client: Node = ONE, kind: CommandType = TWIST) -> str:
         rejection = self.gate.rejection(client, kind, at_s)
@@ -292,6 +295,28 @@ def test_after_an_interruption_commands_are_rejected_until_a_pause_in_them(gate_
     for step in range(1, 20):
         assert "stopped by /arm/stop" in gate_rig.said(0.1 * step)
     assert gate_rig.said(1.9 + 1.1 * TIMEOUT_S) == ""
+
+
+def test_a_stick_that_was_held_when_a_stop_came_steers_again_only_after_it_was_released(gate_rig: GateRig) -> None:
+    gate_rig.said(0.0)
+    gate_rig.arm.stop()
+    for step in range(1, 20):
+        assert "the arm was stopped" in gate_rig.said(0.1 * step)
+    assert gate_rig.said(1.9 + 1.1 * TIMEOUT_S) == ""
+
+
+def test_a_command_that_a_stop_has_overtaken_is_rejected_even_as_the_first(gate_rig: GateRig) -> None:
+    before = STOP_EPOCHS.present
+    gate_rig.arm.stop()
+    with arrived_in(before):
+        assert "the arm was stopped" in gate_rig.said(0.0)
+
+
+def test_after_a_stop_a_held_stick_steers_again_when_the_status_is_reset(gate_rig: GateRig) -> None:
+    gate_rig.said(0.0)
+    gate_rig.arm.stop()
+    gate_rig.gate.reset()
+    assert gate_rig.said(0.1) == ""
 
 
 def test_an_interruption_can_be_reset(gate_rig: GateRig) -> None:

@@ -1,0 +1,32 @@
+"""Arrival of requests: the stop epoch in which the request arrived for which code runs.
+
+The gateway notes the epoch when a frame arrives, before any queue or thread, and sets it while the frame's operations
+are carried out. Tasks that are started meanwhile inherit it, so that a part of the server that starts a motion, however
+much later, can name the epoch of the request to the arm.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from contextvars import ContextVar
+
+from robot.stop_epochs import STOP_EPOCHS
+
+_EPOCH: ContextVar[int | None] = ContextVar("stop epoch of the request", default=None)
+
+
+def arrival_epoch() -> int:
+    """Return the stop epoch in which the present request arrived; the present one for work that no request started."""
+    epoch = _EPOCH.get()
+    return STOP_EPOCHS.present if epoch is None else epoch
+
+
+@contextlib.contextmanager
+def arrived_in(epoch: int) -> Iterator[None]:
+    """Carry out a request that arrived in a stop epoch."""
+    token = _EPOCH.set(epoch)
+    try:
+        yield
+    finally:
+        _EPOCH.reset(token)

@@ -258,6 +258,8 @@ class FollowingSession:
                 self._ramp = None
                 reached = answer.result().code is MoveItErrorCode.SUCCESS
                 self.following.take_ramp_end("" if reached else answer.result().message)
+                # A following that has ended makes no further step that would show it.
+                self._tell()
 
         answered.add_done_callback(take)
 

@@ -37,6 +37,7 @@ from benchmarks import (
     several_arms,
     soak,
     start,
+    stops,
     teleop,
 )
 
@@ -63,6 +64,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "rosapi": rosapi.run,
     "recording": recording.run,
     "start": start.run,
+    "stops": stops.run,
     "idle_connections": idle_connections.run,
     "floods": floods.run,
     "one_frame": one_frame.run,

@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from protocol.codecs import json
-from protocol.errors import FrameError, OperationError, describe
+from protocol.errors import OperationError, describe
 
 
 def qualify(name: str) -> str:
@@ -387,14 +386,6 @@ _MODELS: tuple[type[Operation], ...] = (
     Status,
 )
 OPERATIONS: dict[str, type[Operation]] = {model.model_fields["op"].default: model for model in _MODELS}
-
-
-def peek(frame: str | bytes) -> Operation | None:
-    """Read a frame by itself, whatever came before it; None for what is no single operation in JSON."""
-    try:
-        return parse(json.decode(frame))
-    except (FrameError, OperationError):
-        return None
 
 
 def parse(value: object) -> Operation:

@@ -152,6 +152,17 @@ class Session:
             return self._read(found[0], now)
         return [item for value in found for item in self._read(value, now)]
 
+    def peek(self, frame: str | bytes) -> Operation | None:
+        """Read a frame ahead of the frames before it; None for a frame that is not one operation in JSON or BSON."""
+        is_bson = isinstance(frame, bytes) and bson.is_document(frame)
+        try:
+            value = bson.decode(frame) if isinstance(frame, bytes) and is_bson else json.decode(frame)
+            operation = operations.parse(value)
+        except (FrameError, OperationError):
+            return None
+        self._reader.last_was_bson = is_bson
+        return operation
+
     def reads_by_itself(self, frame: str) -> bool:
         """Tell whether a frame may be read without :meth:`receive_frame`, as nothing but it counts for its meaning."""
         return self._reader.between_objects and self.dialect == "ros2" and len(frame) <= self.limits.max_message_bytes

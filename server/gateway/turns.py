@@ -52,10 +52,13 @@ class Turns:
     Args:
         call_soon: calls a function when the event loop has served its sockets, as :func:`call_soon`.
         clock: monotonic time [s].
+
+    Attributes:
+        call_soon: as given.
     """
 
     def __init__(self, call_soon: Callable[[Callable[[], object]], object], clock: Callable[[], float]) -> None:
-        self._call_soon = call_soon
+        self.call_soon = call_soon
         self._clock = clock
         # In order of their turns.
         self._waiting: dict[Worker, None] = {}
@@ -67,7 +70,7 @@ class Turns:
         if worker not in self._waiting:
             self._waiting[worker] = None
             if len(self._waiting) == 1:
-                self._call_soon(self._play_round)
+                self.call_soon(self._play_round)
 
     def remove(self, worker: Worker) -> None:
         """Give a worker no turn any more."""
@@ -78,7 +81,7 @@ class Turns:
         now_s, ends_s = self._clock(), self._round_ends_s
         if ends_s is None:
             ends_s = self._round_ends_s = now_s + ROUND_S
-            self._call_soon(self._begin_round)
+            self.call_soon(self._begin_round)
         return min(ends_s, now_s + TURN_S) if now_s <= ends_s else None
 
     def _begin_round(self) -> None:
@@ -95,7 +98,7 @@ class Turns:
             if self._clock() >= ends_s:
                 break
         if self._waiting:
-            self._call_soon(self._play_round)
+            self.call_soon(self._play_round)
 
 
 class Background(Protocol):

@@ -53,3 +53,16 @@ def test_every_module_is_reached_by_the_tests_of_its_folder(folder: str, imports
         found = set().union(*(imports[name] for name in found)) & imports.keys() - reached
     modules = {f"{folder.replace('/', '.')}.{path.stem}" for path in (ROOT / folder).glob("[!_]*.py")}
     assert modules - reached - WITHOUT_TEST == set()
+
+
+def test_every_motion_that_the_server_sends_to_an_arm_names_the_stop_epoch_of_its_request() -> None:
+    """Else it would count as requested when it is sent, after any stop that has overtaken it."""
+    nameless = []
+    for path in (ROOT / "server").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+                continue
+            arm = ast.unparse(node.func.value).rpartition(".")[2] in ("arm", "_arm")
+            if arm and node.func.attr in ("execute", "stream") and "epoch" not in {each.arg for each in node.keywords}:
+                nameless.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert nameless == []

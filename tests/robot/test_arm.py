@@ -21,6 +21,7 @@ from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, ChangePace, EndState, Mode, Order, Outcome, Pace
 from robot.processes import RestartDelay, StartedChild
+from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Trajectory
 from tests.helpers.motions import smooth_move
 from tests.helpers.resources import no_descriptors_left
@@ -120,6 +121,27 @@ async def test_a_stop_right_behind_a_trajectory_is_not_lost(rig: ArmOnServos) ->
     motion = rig.arm.execute(to(1.0))
     rig.arm.stop()
     assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.STOPPED
+
+
+async def test_what_was_requested_before_a_stop_moves_nothing_however_late_it_is_sent(rig: ArmOnServos) -> None:
+    before = STOP_EPOCHS.present
+    rig.arm.stop()
+    for late in (rig.arm.execute(to(1.0), epoch=before), rig.arm.stream(("shoulder_pan",), before).ended):
+        assert (await asyncio.wait_for(late, SOON_S)).outcome is Outcome.STOPPED
+    assert not (await rig.arm.order(Order.ENABLE, epoch=before)).done
+    assert (await rig.arm.execute(to(0.1), epoch=STOP_EPOCHS.present)).outcome is Outcome.REACHED
+
+
+async def test_a_process_in_place_of_another_knows_the_last_stop(rig: ArmOnServos) -> None:
+    before = STOP_EPOCHS.present
+    rig.arm.stop()
+    assert rig.arm.pid is not None
+    os.kill(rig.arm.pid, signal.SIGKILL)
+    await until(lambda: rig.arm.state.mode is Mode.DISCONNECTED)
+    await until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    # Past the check of the handle itself.
+    rig.arm.last_stop = 0
+    assert (await asyncio.wait_for(rig.arm.execute(to(0.3), epoch=before), SOON_S)).outcome is Outcome.STOPPED
 
 
 async def test_one_of_two_motions_is_stopped(rig: ArmOnServos) -> None:

@@ -35,7 +35,9 @@ class OneArm(FakeArm):
         values = np.array([positions_rad.get(name, 0.0) for name in self.names])
         self.state = replace(self.state, goal_rad=values, position_rad=values)
 
-    def order(self, order: Order) -> asyncio.Future[CommandDone]:
+    def order(
+        self, order: Order, _calibration: object = None, _epoch: int | None = None
+    ) -> asyncio.Future[CommandDone]:
         self.orders.append(order)
         answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
         answered.set_result(CommandDone(1, done=True, message="done"))

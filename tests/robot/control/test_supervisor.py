@@ -18,6 +18,7 @@ from robot.hardware.feetech.registers import Register
 from robot.messages import (
     ArmHealth,
     ArmState,
+    Command,
     EmergencyPolicy,
     EndState,
     GuardLimits,
@@ -25,6 +26,8 @@ from robot.messages import (
     Order,
     Outcome,
     Shutdown,
+    Stop,
+    Stream,
 )
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES, ArmRig
 from tests.helpers.emulator import SteppedEmulator
@@ -599,3 +602,49 @@ def test_an_emergency_stop_before_the_arm_is_there_keeps_it_from_being_switched_
     rig.connect()
     rig.until_mode(Mode.RELAXED)
     assert rig.torque() == [0] * 6
+
+
+def test_a_motion_requested_before_the_last_stop_does_not_begin(start_rig: Start) -> None:
+    rig = start_rig()
+    rig.until_mode(Mode.HOLDING)
+    rig.supervisor.handle(Stop(epoch=7))
+    rig.execute(PAN, 1, epoch=6)
+    rig.supervisor.handle(Stream(2, PAN.joint_names, epoch=6))
+    assert [(ended.motion_id, ended.outcome) for ended in rig.ended] == [(1, Outcome.STOPPED), (2, Outcome.STOPPED)]
+    rig.execute(PAN, 3, epoch=7)
+    rig.until(lambda: len(rig.ended) == 3)
+    assert rig.ended[-1].outcome is Outcome.REACHED
+
+
+def test_the_stop_of_one_motion_begins_no_epoch(start_rig: Start) -> None:
+    rig = start_rig()
+    rig.until_mode(Mode.HOLDING)
+    rig.supervisor.handle(Stop(motion_id=5))
+    rig.execute(PAN, 1, epoch=0)
+    rig.until(lambda: bool(rig.ended))
+    assert rig.ended[-1].outcome is Outcome.REACHED
+
+
+@pytest.mark.parametrize("order", [Order.ENABLE, Order.RESET_FAULT])
+def test_an_order_to_hold_that_was_requested_before_the_last_stop_is_refused(start_rig: Start, order: Order) -> None:
+    rig = start_rig(start_enabled=False)
+    rig.until_mode(Mode.RELAXED)
+    rig.supervisor.handle(Stop(epoch=7))
+    rig.supervisor.handle(Command(100, order, epoch=6))
+    answer = rig.answer(100)
+    assert answer is not None
+    assert not answer.done
+    assert "a stop came after it was requested" in answer.message
+    assert rig.mode is Mode.RELAXED
+
+
+def test_an_emergency_stop_begins_an_epoch_as_well(start_rig: Start) -> None:
+    rig = start_rig()
+    rig.until_mode(Mode.HOLDING)
+    rig.supervisor.handle(Command(100, Order.EMERGENCY_STOP, epoch=9))
+    rig.until(lambda: rig.answer(100) is not None)
+    rig.supervisor.handle(Command(101, Order.RESET_FAULT, epoch=8))
+    answer = rig.answer(101)
+    assert answer is not None
+    assert not answer.done
+    assert rig.mode is Mode.FAULT

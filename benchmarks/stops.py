@@ -167,9 +167,9 @@ async def _measure(url: str, port: int) -> list[list[str]]:
         await observer.subscribe("/joint_states", "sensor_msgs/JointState")
         await observer.open_goals()
         await observer.wait_for("/joint_states", bool)
-        latencies_s = [await unread_latency_s(port, observer) for _ in range(TRIALS)]
+        unread_s = [await unread_latency_s(port, observer) for _ in range(TRIALS)]
         behind = "replies unread (to the end of a motion)"
-        rows.append(["raw TCP, JSON", behind, "3", *percentiles(latencies_s, 50, 100)])
+        rows.append(["raw TCP, JSON", behind, "3", *percentiles(unread_s, 50, 100)])
     return rows
 
 

@@ -51,8 +51,9 @@ RELAXING = frozenset({FaultCode.OVERHEATED, FaultCode.OVERLOAD, FaultCode.OVERCU
 # Pushing on against an obstacle heats the servo: after these the goal returns to the joint's position.
 _YIELDING = frozenset({FaultCode.STALLED, FaultCode.TRACKING_LOST})
 
-# The actuators that still answer can be braked along the path; a silent one follows its goals unseen.
-_SILENCES = frozenset({FaultCode.SERVO_SILENT, FaultCode.BUS_SILENT})
+# The goals stop within one tick: the positions are unknown, or an emergency stop demands it. After every other fault
+# the joints brake along their paths; a silent servo follows its goals unseen.
+_FREEZING = frozenset({FaultCode.ENCODER_ERROR, FaultCode.POSITION_JUMP, FaultCode.EMERGENCY_STOP})
 
 # Outcome of the motions that a fault ends; any other code is Outcome.FAULT.
 _OUTCOMES = {
@@ -106,7 +107,9 @@ class ArmController:
         self._goal_rad = self._hold_rad = np.zeros(len(joint_names))
         self._last_step_s: float | None = None
         self._motions: list[Motion | Streaming] = []
-        self._pending: Fault | None = None
+        # Motions that a fault has ended, until their joints are at rest; and the joints that yield instead of braking.
+        self._braking: list[Motion | Streaming] = []
+        self._yielded: Flags = np.zeros(len(joint_names), dtype=bool)
         self._loaded = Persistence(len(joint_names))
         self._relieves = bool(np.isfinite(guards.assumptions.relieve_after_s).any())
         self.pace = Pace()
@@ -124,13 +127,13 @@ class ArmController:
 
     @property
     def moving(self) -> bool:
-        """True while a motion is in progress."""
-        return bool(self._motions)
+        """True while a motion is in progress, or brakes after a fault."""
+        return bool(self._motions or self._braking)
 
     @property
     def resting(self) -> bool:
         """True while nothing moves, and nothing is about to."""
-        return not self._motions and (not self.driven or self._hold_rad.tolist() == self._goal_rad.tolist())
+        return not self.moving and (not self.driven or self._hold_rad.tolist() == self._goal_rad.tolist())
 
     @property
     def goal_rad(self) -> Vector:
@@ -165,15 +168,17 @@ class ArmController:
             measured: latest readings; None if the joints are at their goals.
         """
         self._goal_rad, self._hold_rad = goal_rad.copy(), goal_rad.copy()
+        self._braking = []
+        self.guards.restart()
         if measured is not None:
             self._yield_to(measured)
         self._torque_limit = self._full_torque.copy()
-        self.guards.restart()
         self.driven = True
 
     def release(self) -> None:
         """Mark the arm as relaxed: torque is off, or going off."""
         self.driven = False
+        self._braking = []
 
     def execute(self, command: Execute) -> MotionEnded | None:
         """Begin a motion.
@@ -207,13 +212,13 @@ class ArmController:
 
     def _unready(self) -> str:
         """Return the reason why no motion can begin now, empty for none."""
-        if self.fault is not None or self._pending is not None:
-            return f"the arm has a fault: {self.fault or self._pending}"
+        if self.fault is not None:
+            return f"the arm has a fault: {self.fault}"
         return "" if self.driven else "the arm is relaxed: enable it first"
 
     def _occupied(self, names: tuple[str, ...]) -> str:
         """Return the conflict with a motion of the same joints, empty for none."""
-        for motion in self._motions:
+        for motion in self._motions + self._braking:
             both = set(motion.joint_names) & set(names)
             if both:
                 return f"motion {motion.motion_id} of joint {min(both)} is in progress"
@@ -290,16 +295,20 @@ class ArmController:
         return self.pace.speed_factor * _DIRECTION[self.pace.course]
 
     def _advance(self, measured: Measured, elapsed_s: float) -> None:
-        if not self._motions and self._hold_rad.tolist() == self._goal_rad.tolist():
+        motions = self._motions + self._braking
+        if not motions and self._hold_rad.tolist() == self._goal_rad.tolist():
             return
         hot = max(measured.temperature_c.tolist()) >= self._slow_c
         wanted = self._hold_rad.copy()
         fastest = SLOW_RATE if hot else 1.0
-        for motion in self._motions:
+        led = np.zeros(len(self._names), dtype=bool)
+        for motion in motions:
             wanted[motion.columns] = motion.advance(elapsed_s, 1.0 if motion.gripping else self._rate, fastest)
-        self._goal_rad = self._guarded(wanted, elapsed_s)
-        for motion in self._motions:
-            self._hold_rad[motion.columns] = self._goal_rad[motion.columns]
+            led[motion.columns] = True
+        if self._braking:
+            led &= ~self._yielded
+        self._goal_rad = self._guarded(np.where(led, wanted, self._hold_rad), elapsed_s)
+        self._hold_rad = np.where(led, self._goal_rad, self._hold_rad)
 
     def _guarded(self, goal_rad: Vector, elapsed_s: float) -> Vector:
         """Clamp a goal to the step bound around the last one, and to the soft limits, or no further outside them."""
@@ -343,12 +352,10 @@ class ArmController:
         ended = []
         for motion in list(self._motions):
             end = motion.end(self._goal_rad, measured.position_rad, now_s)
-            if end is not None and self._pending is None:
+            if end is not None:
                 ended.append(end)
                 self._drop(motion, measured if end.outcome is Outcome.GRIPPED else None)
-        if self._pending is not None and all(motion.finished for motion in self._motions):
-            fault, self._pending = self._pending, None
-            ended += self.latch(fault, measured)
+        self._braking = [motion for motion in self._braking if not motion.finished]
         return ended
 
     def _drop(self, motion: Motion | Streaming, gripped: Measured | None) -> None:
@@ -369,40 +376,49 @@ class ArmController:
         self.guards.restart()
 
     def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
-        """React to a fault: brake first, latch it, or yield.
+        """React to a fault: latch it, or yield.
 
         A latched fault is replaced only by one that takes torque off.
 
         Returns:
             Ends of the motions that it ends.
         """
-        if self.fault is None:
-            if found.code in _SILENCES and self._motions:
-                self._pending = self._pending or replace(found, simulated=self._simulated)
-                self.stop()
-                return []
-            return self.latch(found, measured)
-        if found.code in RELAXING and self.fault.code not in RELAXING:
+        if self.fault is None or (found.code in RELAXING and self.fault.code not in RELAXING):
             return self.latch(found, measured)
         if found.code in _YIELDING:
             self._yield_to(measured)
         return []
 
     def latch(self, fault: Fault, measured: Measured | None = None) -> list[MotionEnded]:
-        """Latch a fault: every motion ends, and the arm holds where it is until the fault is reset."""
+        """Latch a fault: every motion ends at once, its joints brake along its path, and the arm holds until a reset.
+
+        A joint that stalls or stays behind its goal does not brake: it yields to where it is. No joint brakes when
+        positions are unknown, and at an emergency stop: the goals stop within one tick.
+        """
         self.fault = replace(fault, simulated=self._simulated)
-        self._pending = None
+        if not self._braking:
+            self._yielded[:] = False
+        self._braking = self._braking + self._motions
         ended = self.abandon(_OUTCOMES.get(fault.code, Outcome.FAULT), str(self.fault))
-        self._hold_rad = self._goal_rad.copy()
+        for motion in self._braking:
+            motion.stop()
+        if fault.code in _FREEZING:
+            self._braking = []
+            self._hold_rad = self._goal_rad.copy()
         if measured is not None and fault.code in _YIELDING:
             self._yield_to(measured)
         return ended
 
     def _yield_to(self, measured: Measured) -> None:
-        """Move the held goal to the measured position of each joint that is far from its goal."""
-        away = np.abs(measured.position_rad - self._goal_rad) > self.guards.assumptions.goal_tolerance_rad
+        """Move the held goal to the measured position of each joint that stalls, or rests far from its goal."""
+        yielding = np.abs(measured.position_rad - self._goal_rad) > self.guards.assumptions.goal_tolerance_rad
+        for motion in self._braking:
+            # A joint on its way is behind its goal for no other reason.
+            yielding[motion.columns] = False
+        yielding |= self.guards.stalled | self.guards.lost
+        self._yielded |= yielding
         inside = np.clip(measured.position_rad, self.bounds.lower_rad, self.bounds.upper_rad)
-        self._hold_rad = np.where(away, inside, self._hold_rad)
+        self._hold_rad = np.where(yielding, inside, self._hold_rad)
 
     def reset(self) -> None:
         """Reset the fault."""

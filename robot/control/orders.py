@@ -131,10 +131,7 @@ class Orders:
         """Stop, then lower the torque so slowly that the arm sinks instead of falling; also in a fault."""
         controller, hardware = self._controller(), self._arm.hardware
         controller.stop()
-        for _ in range(POLLS):
-            if not controller.moving:
-                break
-            yield POLL_S
+        yield from self._until_rest(controller)
         if controller.driven:
             controller.release()
             left = yield from hardware.relax(controller.torque_limit)
@@ -142,6 +139,13 @@ class Orders:
             left = yield from hardware.switch_off()
         self._check_all_off(left, FaultCode.SERVO_SILENT)
         return "the arm is relaxed"
+
+    def _until_rest(self, controller: ArmController) -> Steps[None]:
+        """Wait for the joints that still brake."""
+        for _ in range(POLLS):
+            if not controller.moving:
+                break
+            yield POLL_S
 
     def emergency_stop(self) -> Steps[str]:
         """Stop at once by the configured policy; torque is cut with the first step."""
@@ -165,6 +169,7 @@ class Orders:
         fault = controller.fault
         if fault is None:
             return "there is no fault"
+        yield from self._until_rest(controller)
         self._check_answers()
         driven = yield from hardware.driven()
         yield from self._clear_overloads(controller)

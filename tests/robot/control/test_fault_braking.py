@@ -1,0 +1,190 @@
+"""Faults in the midst of a motion, on the emulated bus."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot.control.controller import ArmController
+from robot.control.pacing import PERIOD_S
+from robot.faults import FaultCode
+from robot.messages import EmergencyPolicy, Mode, Order, Outcome
+from tests.helpers.arm_rig import BOUNDS, CALIBRATION, ArmRig
+from tests.helpers.motions import smooth_move
+
+PAN, WRIST = 0, 3
+PAN_END_RAD, WRIST_END_RAD, DURATION_S = 1.8, -1.2, 2.0
+FASTEST_S = 0.9
+OBSTACLE_RAD = 0.3
+
+# Over the limit by rounding in ticks of the loop.
+TOLERANCE = 1.05
+
+
+class Moving:
+    """An arm on emulated servos that moves pan and wrist, and the goals of all its ticks."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.rig = ArmRig(**settings)
+        self.rig.until_mode(Mode.HOLDING)
+        held = self.controller.goal_rad
+        moves = {
+            "shoulder_pan": (float(held[PAN]), PAN_END_RAD),
+            "wrist_flex": (float(held[WRIST]), WRIST_END_RAD),
+        }
+        self.rig.execute(smooth_move(moves, DURATION_S))
+        self.goals: list[np.ndarray] = []
+
+    @property
+    def controller(self) -> ArmController:
+        assert self.rig.supervisor.arm is not None
+        assert self.rig.supervisor.arm.controller is not None
+        return self.rig.supervisor.arm.controller
+
+    @property
+    def measured_rad(self) -> np.ndarray:
+        assert self.rig.supervisor.arm is not None
+        assert self.rig.supervisor.arm.measured is not None
+        return self.rig.supervisor.arm.measured.position_rad
+
+    def run(self, seconds: float) -> None:
+        """Tick for some time; servos that are being relaxed keep their last goals."""
+        for _ in range(round(seconds / PERIOD_S)):
+            self.rig.tick()
+            self.goals.append(self.controller.goal_rad if self.controller.driven else self.goals[-1])
+
+    def until_fault(self, code: FaultCode) -> None:
+        """Tick until the fault is latched."""
+        for _ in range(200):
+            self.run(PERIOD_S)
+            if self.rig.mode is Mode.FAULT:
+                break
+        assert self.rig.fault_code == code.value
+
+    def accelerations(self) -> np.ndarray:
+        """Accelerations of the goals as shares of the limits, shape (ticks, joints)."""
+        return np.abs(np.diff(np.array(self.goals), n=2, axis=0)) / PERIOD_S**2 / BOUNDS.max_acceleration
+
+
+def moving_into_fault(code: FaultCode, command: dict[str, object]) -> Moving:
+    """Let a fault come while both joints are fast."""
+    moving = Moving()
+    moving.run(FASTEST_S)
+    moving.rig.emulator.command(**command)
+    moving.until_fault(code)
+    return moving
+
+
+@pytest.mark.parametrize(
+    ("code", "command"),
+    [
+        (FaultCode.VOLTAGE_LOW, {"voltage": {"3": 4.0}}),
+        (FaultCode.OVERHEATED, {"temperature": {"3": 67}}),
+        (FaultCode.SERVO_SILENT, {"offline": [3]}),
+        (FaultCode.TORQUE_LOST, {"torque_off": [3]}),
+    ],
+)
+def test_a_fault_that_leaves_positions_known_brakes_within_the_limits(
+    code: FaultCode, command: dict[str, object]
+) -> None:
+    moving = moving_into_fault(code, command)
+    moving.run(1.0)
+    assert moving.accelerations().max() <= TOLERANCE
+
+
+def test_a_fault_is_latched_and_reported_at_once_while_the_joints_brake() -> None:
+    moving = moving_into_fault(FaultCode.VOLTAGE_LOW, {"voltage": {"3": 4.0}})
+    assert [end.outcome for end in moving.rig.ended] == [Outcome.FAULT]
+    at_fault_rad = moving.controller.goal_rad[PAN]
+    moving.rig.execute(smooth_move({"gripper": (0.0, 0.5)}, 1.0), motion_id=2)
+    assert moving.rig.ended[-1].outcome is Outcome.REFUSED
+    assert moving.controller.moving
+    moving.run(0.05)
+    assert moving.controller.goal_rad[PAN] > at_fault_rad
+    assert moving.rig.state.fault is not None
+    assert moving.rig.state.motions == ()
+
+
+def test_nothing_moves_after_the_braking_of_a_fault() -> None:
+    moving = moving_into_fault(FaultCode.VOLTAGE_LOW, {"voltage": {"3": 4.0}})
+    moving.rig.until(lambda: not moving.controller.moving, timeout_s=0.5)
+    stood_rad = moving.controller.goal_rad
+    moving.run(2.0)
+    assert moving.controller.goal_rad == pytest.approx(stood_rad)
+    assert moving.controller.resting
+    assert len(moving.rig.ended) == 1
+
+
+def test_a_stalled_joint_yields_while_the_others_brake() -> None:
+    moving = Moving()
+    moving.rig.emulator.command(obstacle={"1": CALIBRATION.joints[PAN].ticks_from_rad(OBSTACLE_RAD)})
+    moving.until_fault(FaultCode.STALLED)
+    moving.run(1.0)
+    assert moving.accelerations()[:, WRIST].max() <= TOLERANCE
+    assert moving.controller.goal_rad[PAN] == pytest.approx(OBSTACLE_RAD, abs=0.02)
+    assert moving.measured_rad[PAN] == pytest.approx(OBSTACLE_RAD, abs=0.02)
+    assert not moving.controller.moving
+
+
+def test_a_second_joint_that_stalls_in_the_braking_yields_as_well() -> None:
+    moving = Moving()
+    for joint, at_rad in ((PAN, OBSTACLE_RAD), (WRIST, -0.2)):
+        ticks = CALIBRATION.joints[joint].ticks_from_rad(at_rad)
+        moving.rig.emulator.command(obstacle={str(joint + 1): ticks})
+    moving.until_fault(FaultCode.STALLED)
+    moving.run(1.5)
+    assert moving.controller.goal_rad[[PAN, WRIST]] == pytest.approx([OBSTACLE_RAD, -0.2], abs=0.02)
+
+
+def test_a_joint_that_jumped_freezes_the_goals_as_its_position_is_unknown() -> None:
+    moving = Moving()
+    moving.run(FASTEST_S)
+    moving.rig.emulator.command(jump={"3": 900})
+    moving.until_fault(FaultCode.POSITION_JUMP)
+    at_fault_rad = moving.controller.goal_rad[[PAN, WRIST]]
+    moving.run(0.5)
+    assert moving.controller.goal_rad[[PAN, WRIST]] == pytest.approx(at_fault_rad)
+
+
+def test_an_emergency_stop_that_holds_stops_the_goals_within_one_tick_also_in_the_braking_of_a_fault() -> None:
+    moving = Moving(on_emergency_stop=EmergencyPolicy.HOLD)
+    moving.run(FASTEST_S)
+    moving.rig.emulator.command(voltage={"3": 4.0})
+    moving.until_fault(FaultCode.VOLTAGE_LOW)
+    at_stop_rad = moving.controller.goal_rad
+    moving.rig.begin(Order.EMERGENCY_STOP)
+    moving.run(0.5)
+    assert moving.controller.goal_rad == pytest.approx(at_stop_rad)
+
+
+def test_a_hot_arm_is_relaxed_after_it_has_braked() -> None:
+    moving = moving_into_fault(FaultCode.OVERHEATED, {"temperature": {"3": 67}})
+    moving.run(0.05)
+    assert moving.rig.torque() == [1] * 6
+    moving.run(3.0)
+    assert moving.rig.torque() == [0] * 6
+
+
+def test_joints_move_again_after_the_reset_of_a_fault_in_which_they_yielded() -> None:
+    moving = Moving()
+    moving.rig.emulator.command(obstacle={"1": CALIBRATION.joints[PAN].ticks_from_rad(OBSTACLE_RAD)})
+    moving.until_fault(FaultCode.STALLED)
+    moving.run(1.0)
+    moving.rig.emulator.command(obstacle={"1": None})
+    assert moving.rig.order(Order.RESET_FAULT).done
+    held = float(moving.controller.goal_rad[PAN])
+    moving.rig.execute(smooth_move({"shoulder_pan": (held, 0.6)}, 1.0), motion_id=2)
+    moving.rig.until(lambda: len(moving.rig.ended) == 2)
+    assert moving.rig.ended[-1].outcome is Outcome.REACHED
+    assert moving.controller.goal_rad[PAN] == pytest.approx(0.6)
+
+
+def test_a_reset_in_the_braking_of_a_fault_waits_for_its_end() -> None:
+    moving = moving_into_fault(FaultCode.TORQUE_LOST, {"torque_off": [3]})
+    answer = moving.rig.begin(Order.RESET_FAULT)
+    moving.run(2.0)
+    assert moving.rig.answer(answer) is not None
+    assert moving.rig.mode is Mode.HOLDING
+    assert moving.accelerations()[:, [PAN, WRIST]].max() <= TOLERANCE

@@ -262,10 +262,11 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
         Register.BAUD_RATE: BAUDRATE_CODE,
     }
     lowest, highest = FULL_RANGE_TICKS
-    if servo.servo_id != joint.servo_id:
-        wanted[Register.HOMING_OFFSET] = 0
     if servo.servo_id != joint.servo_id or servo.settings.angle_limits_ticks == (0, 0):
         wanted |= {Register.MIN_ANGLE_LIMIT: lowest, Register.MAX_ANGLE_LIMIT: highest}
+    # After the limits: an interrupted write must not leave a new offset with old limits.
+    if servo.servo_id != joint.servo_id:
+        wanted[Register.HOMING_OFFSET] = 0
     return _changes(held, wanted)
 
 

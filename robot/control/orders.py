@@ -196,6 +196,16 @@ class Orders:
             raise OrderRefused("the arm holds, and a new homing offset would move its goals: relax it first")
         return (yield from self._arm.hardware.write_calibration(calibration))
 
+    @property
+    def survey_due(self) -> bool:
+        """True when something was written to the actuators since they were surveyed."""
+        return self._arm.controller is not None and self._arm.hardware.needs_survey
+
+    def survey(self) -> Steps[str]:
+        """Survey the actuators of a relaxed arm again; the controller's limits stay as they are."""
+        yield from self._arm.hardware.survey()
+        return "the servos were checked after a calibration was written to them"
+
     def _clear_overloads(self, controller: ArmController) -> Steps[None]:
         status = self._readings().status.tolist()
         latched = self._arm.hardware.latched_status

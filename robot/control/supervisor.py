@@ -205,6 +205,7 @@ SILENCE_LINES_PER_S = 1.0 / 600.0
 
 # Names of sequences in progress, in refusals and logs.
 CONNECTING = "checking the servos"
+CHECKING_AGAIN = "checking the servos again"
 RELAXING_ARM = "relaxing"
 _NAMES = {
     Order.ENABLE: "enabling",
@@ -373,6 +374,9 @@ class Supervisor:
         self._check_fault()
         if arm.controller is None and self._task is None and now_s >= self._check_at_s and self._orders is not None:
             self._begin(_Task(CONNECTING, self._orders.connect(may_enable=self._may_enable), None, now_s))
+        survey_due = self._orders is not None and self._orders.survey_due and self._end is None
+        if survey_due and self._task is None and now_s >= self._check_at_s and self._orders is not None:
+            self._begin(_Task(CHECKING_AGAIN, self._orders.survey(), None, now_s))
         resting = arm.controller is not None and arm.controller.resting
         self._rested_ticks = self._rested_ticks + ticks if resting else 0
         self._state_due -= ticks
@@ -427,6 +431,7 @@ class Supervisor:
         timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
         if not resting and now_s - self._end_begun_s > timeout_s:
             log.error("the arm is not in its end state (%s) after %g s; the process ends", self._end.value, timeout_s)
+            self._interrupt("the server is ending")
             return True
         return resting
 
@@ -478,15 +483,21 @@ class Supervisor:
         }
         steps = starts[order]()
         self._begin(_Task(_NAMES[order], steps, command.number, now_s, urgent))
-        if urgent:
-            self.work()
 
     def _begin(self, task: _Task) -> None:
-        self._interrupt(f"given up for another order: {task.name}")
-        self._task = task
+        """Begin a sequence in place of the one in progress, an urgent one before that one tidies up."""
+        given_up, self._task = self._task, task
+        try:
+            if task.urgent:
+                self.work()
+        finally:
+            self._give_up(given_up, f"given up for another order: {task.name}")
 
     def _interrupt(self, reason: str) -> None:
-        task, self._task = self._task, None
+        given_up, self._task = self._task, None
+        self._give_up(given_up, reason)
+
+    def _give_up(self, task: _Task | None, reason: str) -> None:
         if task is not None:
             task.steps.close()
             self._answer(task.number, reason, done=False)
@@ -495,12 +506,13 @@ class Supervisor:
         self._task = None
         self._answer(task.number, sentence, done=done)
         log.log(logging.INFO if done else logging.WARNING, "%s: %s", task.name, sentence)
-        if task.name != CONNECTING:
+        if task.name not in (CONNECTING, CHECKING_AGAIN):
             return
-        if self.arm is not None and self.arm.controller is not None:
+        if task.name == CONNECTING and self.arm is not None and self.arm.controller is not None:
             self._reason, self._may_enable = "", False
             return
-        self._reason = sentence
+        if task.name == CONNECTING:
+            self._reason = sentence
         self._check_at_s = now_s + self._retry_s
         self._retry_s = min(2.0 * self._retry_s, LONGEST_RETRY_S)
 

@@ -187,6 +187,7 @@ class HardwareInterface(ABC):
     Attributes:
         joint_names: as given.
         full_torque: as given; a survey lowers it to what the actuators are set to give.
+        needs_survey: True from the first write of a calibration until the next survey; :meth:`enable` is refused.
         latched_status: status flags that last until :meth:`clear_overloads` clears them.
         counters: events on the bus; None for hardware without one.
         round_trips_s: durations of the latest reads [s].
@@ -195,6 +196,7 @@ class HardwareInterface(ABC):
     def __init__(self, joint_names: tuple[str, ...], full_torque: Vector) -> None:
         self.joint_names = joint_names
         self.full_torque = full_torque
+        self.needs_survey = False
         self.latched_status = StatusFlag.OVERLOAD
         self.counters: BusCounters | None = None
         self.round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS_KEPT)

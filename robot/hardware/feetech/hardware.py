@@ -36,7 +36,14 @@ from robot.hardware.feetech.registers import (
 )
 from robot.hardware.feetech.servo_map import PERMILLE, ServoMap
 from robot.hardware.feetech.settings import ServoSettings
-from robot.hardware.feetech.survey import RegisterChecks, ServoFound, offset_refusal, read_control, survey
+from robot.hardware.feetech.survey import (
+    RegisterChecks,
+    ServoFound,
+    calibration_refusal,
+    change_refusal,
+    read_control,
+    survey,
+)
 from robot.hardware.feetech.torque import TickLimits
 from robot.hardware.interface import (
     FREE_SPEED_RAD_S,
@@ -56,6 +63,11 @@ from robot.trajectory import Vector
 NO_ZERO = (
     "no calibration says where the joints' zero is, and motions would go elsewhere than planned: calibrate the arm "
     "(armbridge calibrate NAME) and name the calibration (arm.calibration, --calibration NAME)"
+)
+
+NEEDS_SURVEY = (
+    "a calibration was written into the servos, or its writing was broken off, and they were not checked since: the "
+    "arm is enabled only once every servo has answered to the check"
 )
 
 # A servo that has missed this many reads in a row is read less often: waiting for it costs half of a period. As many as
@@ -134,6 +146,7 @@ class FeetechHardware(HardwareInterface):
         self._simulated = simulated
         self._watch = ServoWatch(self.servos)
         self._found: dict[int, ServoFound] = {}
+        self._first_found: dict[int, ServoFound] = {}
         self._checks = RegisterChecks(self.servos, self._found)
         self._limits = TickLimits({}, {})
         self._goal_rad: list[float] = []
@@ -144,6 +157,8 @@ class FeetechHardware(HardwareInterface):
     def survey(self) -> Steps[Survey]:
         """Survey the servos; see :meth:`HardwareInterface.survey`."""
         self._found.update((yield from survey(self.bus, self.servos, self._profile, simulated=self._simulated)))
+        self._first_found = self._first_found or dict(self._found)
+        self.needs_survey = False
         found = [self._found[servo] for servo in self.servos.ids]
         actuation = _actuation([each.settings for each in found])
         self.servos.limit_torque(actuation.max_torque)
@@ -205,11 +220,17 @@ class FeetechHardware(HardwareInterface):
         """Switch torque on; see :mod:`robot.hardware.feetech.torque`.
 
         Raises:
-            StartupError: as there, and for a real arm whose zero nothing tells.
+            StartupError: as there, for a real arm without a known zero, for servos that contradict the calibration, and
+                for servos that were written to since the last survey.
         """
+        if self.needs_survey:
+            raise StartupError(NEEDS_SURVEY)
         if not self._simulated and not self._calibration.zero_is_known:
             raise StartupError(NO_ZERO)
-        if self._calibration.offsets_known and (reason := offset_refusal(self.servos, self._found)):
+        offsets_known = self._calibration.offsets_known
+        if offsets_known and (reason := calibration_refusal(self.servos, self._found)):
+            raise StartupError(reason)
+        if reason := change_refusal(self.servos, self._first_found, self._found, offsets_known=offsets_known):
             raise StartupError(reason)
         goals = yield from torque.enable(self.bus, self.servos, self._limits, self._ids(joints))
         self._checks.expect(torque.full_torque(self.servos))
@@ -246,6 +267,7 @@ class FeetechHardware(HardwareInterface):
     def write_calibration(self, calibration: Calibration) -> Steps[str]:
         """Write homing offsets and angle limits, where they differ; see :mod:`robot.commissioning.calibrate`."""
         changes = yield from read_differences(self.bus, calibration)
+        self.needs_survey = self.needs_survey or bool(changes)
         yield from write_to_servos(self.bus, changes)
         servos = {change.servo_id for change in changes}
         return f"{len(changes)} registers of {len(servos)} servos were written" if changes else "nothing had to change"

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import cycle
 
-from robot.calibration import JointCalibration
+from robot.calibration import MAX_TICK, JointCalibration
 from robot.errors import NoReply, StartupError
 from robot.faults import Fault, FaultCode
 from robot.hardware.feetech.bus import STEP_ATTEMPTS, Bus, read_block
@@ -44,6 +44,11 @@ MISSING_ADVICE = ": check the cable to the first one named and its id"
 
 # Angle limits that differ from the calibration by more than this many ticks (0.7 deg) are of another calibration.
 LIMITS_AGREE_WITHIN_TICKS = 8
+
+CALIBRATE_OR_WRITE_BACK = (
+    "Either calibrate the arm anew (armbridge calibrate NAME --write-servos), or write the calibrated offsets and "
+    "limits back (armbridge calibrate NAME --write-back)"
+)
 
 # Cycles between register checks: each of six servos is checked about once a second.
 CYCLES_BETWEEN = 16
@@ -110,11 +115,11 @@ def survey(
     return found
 
 
-def offset_refusal(servos: ServoMap, found: Mapping[int, ServoFound]) -> str:
-    """Return the reason not to drive servos whose zero has shifted since the calibration, empty for none.
+def calibration_refusal(servos: ServoMap, found: Mapping[int, ServoFound]) -> str:
+    """Return the reason not to drive servos that contradict the calibration, empty for none.
 
     A servo subtracts its homing offset from the encoder's position, so that with another one every position means
-    another angle.
+    another angle. With the calibrated offset, but limits of another one, its limits stop the joint at wrong angles.
 
     Args:
         servos: servos of the arm.
@@ -129,12 +134,64 @@ def offset_refusal(servos: ServoMap, found: Mapping[int, ServoFound]) -> str:
                 f"{servos.label(joint.servo_id)} by {angle_deg:.1f} deg ({held} instead of {joint.homing_offset} ticks)"
             )
     if not shifted:
+        return _limits_refusal(servos, found)
+    return (
+        f"the zero has shifted since the calibration at {', '.join(shifted)}: other homing offsets were written into "
+        f"the servos. {CALIBRATE_OR_WRITE_BACK}"
+    )
+
+
+def _limits_refusal(servos: ServoMap, found: Mapping[int, ServoFound]) -> str:
+    """Return the reason not to drive servos whose range was shifted; wider and narrower ones are another's choice."""
+    shifted = []
+    for joint in servos.joints:
+        low, high = found[joint.servo_id].settings.angle_limits_ticks
+        low_by, high_by = low - joint.range_min, high - joint.range_max
+        # A limit at the end of the turn is none: it was opened, not shifted.
+        up = low_by > LIMITS_AGREE_WITHIN_TICKS and high_by > LIMITS_AGREE_WITHIN_TICKS and high != MAX_TICK
+        down = low_by < -LIMITS_AGREE_WITHIN_TICKS and high_by < -LIMITS_AGREE_WITHIN_TICKS and low != 0
+        if up or down:
+            shifted.append(
+                f"{servos.label(joint.servo_id)} {low} to {high} instead of {joint.range_min} to "
+                f"{joint.range_max} ticks"
+            )
+    if not shifted:
         return ""
     return (
-        f"the zero has shifted since the calibration at {', '.join(shifted)}: another program has written other homing "
-        "offsets into the servos. Either calibrate the arm anew (armbridge calibrate NAME --write-servos), or write "
-        "the calibrated offsets back (armbridge calibrate NAME --write-back)"
+        f"the angle limits are of another zero than the homing offset at {', '.join(shifted)}: the writing of a "
+        f"calibration was broken off. {CALIBRATE_OR_WRITE_BACK}"
     )
+
+
+def change_refusal(
+    servos: ServoMap, before: Mapping[int, ServoFound], found: Mapping[int, ServoFound], *, offsets_known: bool
+) -> str:
+    """Return the reason not to drive servos whose calibration has changed since the arm was connected, empty for none.
+
+    Args:
+        servos: servos of the arm.
+        before: servos as first surveyed, by id.
+        found: servos as surveyed last, by id.
+        offsets_known: True if the calibration has the servos' homing offsets: servos that agree with it may be driven.
+    """
+    changed = []
+    for joint in servos.joints:
+        was, held = (_calibrated_registers(each[joint.servo_id]) for each in (before, found))
+        calibrated = joint.homing_offset, joint.range_min, joint.range_max
+        if held != was and not (offsets_known and held == calibrated):
+            changed.append(
+                f"{servos.label(joint.servo_id)} (offset {was[0]} to {held[0]}, limits {was[1]}..{was[2]} to "
+                f"{held[1]}..{held[2]} ticks)"
+            )
+    if not changed:
+        return ""
+    return (
+        f"the servos do not have the calibration in use any longer at {', '.join(changed)}. {CALIBRATE_OR_WRITE_BACK}"
+    )
+
+
+def _calibrated_registers(found: ServoFound) -> tuple[int, int, int]:
+    return found.settings[Register.HOMING_OFFSET], *found.settings.angle_limits_ticks
 
 
 def read_control(bus: Bus, servo_id: int) -> Steps[Control]:

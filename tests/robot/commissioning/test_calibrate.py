@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import contextlib
+import itertools
 from dataclasses import replace
 
 import pytest
@@ -15,9 +17,10 @@ from robot.commissioning.calibrate import (
 )
 from robot.commissioning.scan import scan
 from robot.commissioning.sweep import Sweep
-from robot.errors import CalibrationError
+from robot.errors import CalibrationError, RobotError
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end
+from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
 from tests.helpers.server import read_write_log
 
@@ -83,7 +86,98 @@ def test_what_the_bus_reads_differs_as_what_a_scan_has_read(bus):
     wanted = Calibration((*nominal_calibration().joints[:2], elbow, *nominal_calibration().joints[3:]))
     found = run_to_end(read_differences(bus, wanted))
     assert found == differences(wanted, scan(bus, IDS).servos)
-    assert [each.register for each in found] == [Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT]
+    assert [each.register for each in found] == [Register.MIN_ANGLE_LIMIT, Register.HOMING_OFFSET]
+
+
+REGISTERS = (Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT)
+
+
+def recalibrated():
+    """The calibration with another offset and range of every joint."""
+    return Calibration(
+        tuple(
+            replace(joint, homing_offset=-25, range_min=joint.range_min + 40, range_max=joint.range_max + 30)
+            for joint in nominal_calibration().joints
+        )
+    )
+
+
+def calibrated_registers_of(bus):
+    """Offset and limits of every servo, by id."""
+    return {servo: tuple(bus.read(servo, register) for register in REGISTERS) for servo in IDS}
+
+
+def lose_port(emulator):
+    emulator.command(plugged=False)
+
+
+def lose_all_replies(emulator):
+    emulator.command(offline=list(IDS))
+
+
+def interrupted(at_step, interrupt):
+    """Servos whose writing was interrupted before a step; None when it had fewer steps."""
+    emulator = SteppedEmulator(wire_time=False)
+    bus = emulator.open_bus()
+    before = calibrated_registers_of(bus)
+    steps = write_to_servos(bus, run_to_end(read_differences(bus, recalibrated()), no_wait))
+    try:
+        for _ in range(at_step):
+            next(steps)
+    except StopIteration:
+        return None
+    interrupt(emulator)
+    with contextlib.suppress(RobotError):
+        if interrupt is not nothing:
+            run_to_end(steps, no_wait)
+    steps.close()
+    emulator.command(online=list(IDS))
+    emulator.command(plugged=True)
+    return emulator.open_bus(), before
+
+
+def nothing(_emulator):
+    """Interrupt nothing: the sequence is given up where it is."""
+
+
+def no_wait(_seconds):
+    """Take the next step at once."""
+
+
+@pytest.mark.parametrize("interrupt", [nothing, lose_all_replies, lose_port])
+def test_a_write_that_is_interrupted_at_any_step_leaves_no_new_offset_with_old_limits(interrupt):
+    wanted = {
+        joint.servo_id: (joint.homing_offset, joint.range_min, joint.range_max) for joint in recalibrated().joints
+    }
+    for at_step in itertools.count(1):
+        found = interrupted(at_step, interrupt)
+        if found is None:
+            break
+        bus, before = found
+        for servo, held in calibrated_registers_of(bus).items():
+            assert held[0] == before[servo][0] or held == wanted[servo], (at_step, servo, held)
+            if interrupt is nothing:
+                assert held in (before[servo], wanted[servo]), (at_step, servo, held)
+                assert bus.read(servo, Register.LOCK) == 1, (at_step, servo)
+    assert at_step > len(IDS) * len(REGISTERS)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_write_with_half_of_the_replies_lost_locks_the_servos_and_changes_all_or_nothing_of_each(seed):
+    emulator = SteppedEmulator("--seed", str(seed), wire_time=False)
+    bus = emulator.open_bus()
+    before = calibrated_registers_of(bus)
+    changes = run_to_end(read_differences(bus, recalibrated()), no_wait)
+    emulator.command(drop=0.5)
+    with contextlib.suppress(RobotError):
+        run_to_end(write_to_servos(bus, changes), no_wait)
+    emulator.command(drop=0.0)
+    wanted = {
+        joint.servo_id: (joint.homing_offset, joint.range_min, joint.range_max) for joint in recalibrated().joints
+    }
+    for servo, held in calibrated_registers_of(bus).items():
+        assert held in (before[servo], wanted[servo])
+        assert bus.read(servo, Register.LOCK) == 1
 
 
 def test_only_what_differs_is_written_and_it_outlives_a_power_cut(start_emulator, write_log):

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from robot.calibration import Calibration
+from robot.errors import StartupError
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import EmulatedConfig, FeetechConfig
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import StatusFlag
-from robot.messages import GuardLimits, Mode, Order, Outcome
-from tests.helpers.arm_rig import CALIBRATION, ArmRig
+from robot.messages import END_TIMEOUT_S, GuardLimits, Mode, Order, Outcome, Shutdown
+from tests.helpers.arm_rig import CALIBRATION, ArmRig, run
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move
+from tests.helpers.server import read_write_log
 
 IDS = [joint.servo_id for joint in CALIBRATION.joints]
 
@@ -229,6 +233,124 @@ def test_an_arm_that_holds_takes_none(emulator: SteppedEmulator) -> None:
     assert not answer.done
     assert "relax it first" in answer.message
     assert rig.bus.read(3, Register.HOMING_OFFSET) == 0
+
+
+CALIBRATED = (Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT)
+OLD, NEW = (
+    tuple((joint.homing_offset, joint.range_min, joint.range_max) for joint in calibration.joints)
+    for calibration in (CALIBRATION, other_elbow())
+)
+
+
+def held_by(rig: ArmRig) -> tuple[tuple[int, ...], ...]:
+    """Offset and limits of every servo."""
+    return tuple(tuple(rig.bus.read(servo, register) for register in CALIBRATED) for servo in IDS)
+
+
+def test_an_arm_with_a_new_calibration_in_its_servos_is_not_enabled_with_the_old_one(rig: ArmRig) -> None:
+    assert rig.order(Order.WRITE_CALIBRATION, other_elbow()).done
+    assert not rig.order(Order.ENABLE).done
+    rig.run(0.5)
+    answer = rig.order(Order.ENABLE)
+    assert not answer.done
+    assert "elbow_flex (id 3) (offset 0 to -25" in answer.message
+    rig.order(Order.RESET_FAULT)
+    assert not rig.order(Order.ENABLE).done
+    assert rig.torque() == [0] * len(IDS)
+
+
+def test_the_offsets_that_are_reported_are_those_that_were_written(rig: ArmRig) -> None:
+    rig.order(Order.WRITE_CALIBRATION, other_elbow())
+    rig.run(1.5)
+    assert [joint.registers["HOMING_OFFSET"] for joint in rig.health.joints] == [offset for offset, _, _ in NEW]
+
+
+def test_an_arm_whose_calibration_was_written_back_is_enabled(rig: ArmRig) -> None:
+    rig.order(Order.WRITE_CALIBRATION, other_elbow())
+    rig.run(0.5)
+    assert rig.order(Order.WRITE_CALIBRATION, CALIBRATION).done
+    rig.run(0.5)
+    assert rig.order(Order.ENABLE).done
+
+
+def test_an_arm_that_was_written_to_is_not_enabled_before_every_servo_was_read(
+    emulator: SteppedEmulator, rig: ArmRig
+) -> None:
+    rig.order(Order.WRITE_CALIBRATION, other_elbow())
+    emulator.command(offline=[5])
+    rig.run(3.0)
+    arm = rig.supervisor.arm
+    assert arm is not None
+    emulator.command(online=[5])
+    with pytest.raises(StartupError, match="not checked since"):
+        run(arm.hardware.enable(range(len(IDS))))
+    rig.run(3.0)
+    with pytest.raises(StartupError, match="calibration in use"):
+        run(arm.hardware.enable(range(len(IDS))))
+    assert rig.torque() == [0] * len(IDS)
+
+
+def test_an_emergency_stop_at_any_step_of_a_write_leaves_servos_that_are_locked_and_consistent() -> None:
+    for steps in itertools.count(1):
+        emulator = SteppedEmulator(wire_time=False)
+        rig = relaxed(emulator)
+        rig.bus.write(1, Register.LOCK, 0)
+        number = rig.begin(Order.WRITE_CALIBRATION, other_elbow())
+        for _ in range(steps):
+            rig.supervisor.work()
+        if rig.answer(number) is not None:
+            break
+        assert rig.order(Order.EMERGENCY_STOP).done
+        assert held_by(rig) in (OLD, NEW), steps
+        assert rig.bus.read(3, Register.LOCK) == 1, steps
+        was_written = held_by(rig) == NEW
+        rig.run(0.5)
+        rig.order(Order.RESET_FAULT)
+        assert rig.order(Order.ENABLE).done is not was_written, steps
+    assert steps > len(IDS) * len(CALIBRATED)
+
+
+def test_an_emergency_stop_cuts_torque_before_the_write_that_it_interrupts_is_undone(
+    tmp_path: Path,
+) -> None:
+    log = tmp_path / "writes.jsonl"
+    emulator = SteppedEmulator("--write-log", str(log), wire_time=False)
+    rig = relaxed(emulator)
+    rig.begin(Order.WRITE_CALIBRATION, other_elbow())
+    while rig.bus.read(3, Register.MIN_ANGLE_LIMIT) != NEW[2][1]:
+        rig.supervisor.work()
+    before = len(read_write_log(log))
+    rig.begin(Order.EMERGENCY_STOP)
+    addresses = [entry["address"] for entry in read_write_log(log)[before:]]
+    assert addresses[0] == Register.TORQUE_ENABLE
+    assert addresses[-1] == Register.LOCK
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_write_with_half_of_the_replies_lost_leaves_an_arm_that_does_not_move_with_a_wrong_zero(seed: int) -> None:
+    emulator = SteppedEmulator("--seed", str(seed), wire_time=False)
+    rig = relaxed(emulator)
+    number = rig.begin(Order.WRITE_CALIBRATION, other_elbow())
+    rig.tick()
+    emulator.command(drop=0.5)
+    rig.until(lambda: rig.answer(number) is not None, timeout_s=30.0)
+    emulator.command(drop=0.0)
+    rig.run(3.0)
+    held = held_by(rig)
+    rig.order(Order.RESET_FAULT)
+    assert held in (OLD, NEW)
+    assert rig.order(Order.ENABLE).done is (held == OLD)
+
+
+def test_a_process_that_ends_during_a_write_locks_the_servos(rig: ArmRig, emulator: SteppedEmulator) -> None:
+    rig.begin(Order.WRITE_CALIBRATION, other_elbow())
+    while rig.bus.read(3, Register.MIN_ANGLE_LIMIT) != NEW[2][1]:
+        rig.supervisor.work()
+    rig.supervisor.handle(Shutdown())
+    emulator.clock.advance(10.0 * END_TIMEOUT_S)
+    rig.until(rig.supervisor.finished)
+    assert held_by(rig) in (OLD, NEW)
+    assert rig.bus.read(3, Register.LOCK) == 1
 
 
 def test_a_hand_that_turns_a_relaxed_joint_across_the_seam_is_no_fault(emulator: SteppedEmulator, rig: ArmRig) -> None:

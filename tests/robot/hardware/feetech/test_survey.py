@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from robot.calibration import MAX_TICK
 from robot.errors import StartupError
 from robot.faults import FaultCode
 from robot.hardware.feetech.bus import Bus
@@ -17,7 +18,7 @@ from robot.hardware.feetech.survey import (
     PHASE_MULTI_TURN,
     RegisterChecks,
     ServoFound,
-    offset_refusal,
+    calibration_refusal,
     survey,
 )
 from robot.hardware.feetech.torque import full_torque
@@ -141,15 +142,33 @@ def test_an_arm_is_surveyed_in_few_transactions(bus: Bus) -> None:
 
 
 def test_a_homing_offset_that_is_the_calibrations_refuses_nothing(bus: Bus) -> None:
-    assert offset_refusal(SERVOS, run(survey(bus, SERVOS))) == ""
+    assert calibration_refusal(SERVOS, run(survey(bus, SERVOS))) == ""
 
 
 def test_a_homing_offset_that_another_program_wrote_is_refused_with_both_remedies(bus: Bus) -> None:
     bus.write(3, Register.HOMING_OFFSET, -85)
-    reason = offset_refusal(SERVOS, run(survey(bus, SERVOS)))
+    reason = calibration_refusal(SERVOS, run(survey(bus, SERVOS)))
     assert "elbow_flex (id 3) by 7.5 deg (-85 instead of 0 ticks)" in reason
     assert "calibrate the arm anew" in reason
     assert "--write-back" in reason
+
+
+@pytest.mark.parametrize("by_ticks", [-60, 60])
+def test_the_limits_of_another_zero_at_the_calibrated_offset_are_refused(bus: Bus, by_ticks: int) -> None:
+    joint = CALIBRATION.joints[2]
+    bus.write(3, Register.MIN_ANGLE_LIMIT, joint.range_min + by_ticks)
+    bus.write(3, Register.MAX_ANGLE_LIMIT, joint.range_max + by_ticks)
+    reason = calibration_refusal(SERVOS, run(survey(bus, SERVOS)))
+    assert f"elbow_flex (id 3) {joint.range_min + by_ticks} to {joint.range_max + by_ticks} instead of" in reason
+    assert "--write-back" in reason
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, MAX_TICK), (60, MAX_TICK), (0, -60), (60, -60), (60, 0)])
+def test_limits_that_were_opened_or_narrowed_refuse_nothing(bus: Bus, low: int, high: int) -> None:
+    joint = CALIBRATION.joints[2]
+    bus.write(3, Register.MIN_ANGLE_LIMIT, low and joint.range_min + low)
+    bus.write(3, Register.MAX_ANGLE_LIMIT, high if high == MAX_TICK else joint.range_max + high)
+    assert calibration_refusal(SERVOS, run(survey(bus, SERVOS))) == ""
 
 
 def test_lost_replies_do_not_hinder_a_survey(start_emulator: Start) -> None:

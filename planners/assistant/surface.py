@@ -16,6 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
 
+from planners.geometry.surfaces import INSIDE, solid_angles
 from robot.trajectory import Vector
 
 # Vertices of STL files nearer than this share of the mesh's size are one: the format repeats a vertex a triangle.
@@ -35,8 +36,6 @@ TEST_POINTS = 4_000
 
 # Points whose winding number is computed at a time: arrays of some 10 MB for a mesh of 40 000 triangles.
 WINDING_CHUNK = 16
-
-INSIDE = 0.5
 
 
 @dataclass(frozen=True)
@@ -174,19 +173,10 @@ def sample_with_normals(surface: Surface, count: int, random: np.random.Generato
 def winding_numbers(points_m: Vector, surface: Surface) -> Vector:
     """Return how often a surface winds around each point, shape (n,): 1 inside of a closed one, 0 outside.
 
-    The solid angle of a triangle is that of van Oosterom and Strackee 1983; a mirrored mesh counts as any other.
+    A mirrored mesh counts as any other.
     """
     rays = surface.corners_m[np.newaxis] - points_m[:, np.newaxis, np.newaxis]
-    lengths = np.linalg.norm(rays, axis=-1)
-    a, b, c = rays[:, :, 0], rays[:, :, 1], rays[:, :, 2]
-    volume = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
-    beside = (
-        lengths.prod(axis=-1)
-        + np.einsum("ijk,ijk->ij", a, b) * lengths[:, :, 2]
-        + np.einsum("ijk,ijk->ij", b, c) * lengths[:, :, 0]
-        + np.einsum("ijk,ijk->ij", c, a) * lengths[:, :, 1]
-    )
-    turns: Vector = np.abs(np.arctan2(volume, beside).sum(axis=1)) / (2.0 * np.pi)
+    turns: Vector = np.abs(solid_angles(rays).sum(axis=1)) / (4.0 * np.pi)
     return turns
 
 

@@ -12,12 +12,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.geometry.contacts import (
-    MESH_EXCUSE_M,
     MESH_MARGIN_M,
     Broadphase,
     ExactShapes,
     Parts,
     deeper_than,
+    encloses,
     nearer_than,
     nearest,
     overlap_m,
@@ -458,16 +458,15 @@ class CollisionModel:
         if not self._exact.available or names & self._scaled:
             return False
         margin_m += float(self._apart_m[pair])
-        parts = self._parts_of_pair(pair)
-        if not nearer_than(*parts, margin_m):
-            return True
-        if closeness is Closeness.PARTS or not self._exact.meshes or margin_m > MESH_MARGIN_M:
-            return False
-        if deeper_than(*parts, MESH_EXCUSE_M):
-            return False
-        links = sum(self._bodies[index].is_link for index in self._pairs[pair])
-        margin_m += links * self._exact.mesh_accuracy_m
-        return not nearer_than(*self._meshes_of_pair(pair), margin_m)
+        meshes = self._meshes_of_pair(pair)
+        links = [self._bodies[index].is_link for index in self._pairs[pair]]
+        if nearer_than(*self._parts_of_pair(pair), margin_m):
+            if closeness is Closeness.PARTS or not self._exact.meshes or margin_m > MESH_MARGIN_M:
+                return False
+            if nearer_than(*meshes, margin_m + sum(links) * self._exact.mesh_accuracy_m):
+                return False
+        # Parts are not everywhere inside a link, and triangles nowhere. An object of triangles is a shell like a room.
+        return not (links[0] and encloses(*meshes)) and not (links[1] and encloses(*meshes[2:], *meshes[:2]))
 
     def _meshes_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
         first, second = self._pairs[pair].tolist()

@@ -6,8 +6,9 @@ whose hulls touch: it uses shapes that are closer to the links than one hull eac
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import coal
@@ -38,11 +39,6 @@ Manager: TypeAlias = pin.BroadPhaseManager_NaiveCollisionManager | pin.BroadPhas
 BOXES_ONE_BY_ONE = pin.BroadPhaseManager_NaiveCollisionManager
 TREE_OF_BOXES = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager
 FEW_SHAPES = 100
-
-# Parts that overlap deeper than this touch, whatever the meshes say: those are surfaces, which do not touch what is
-# wholly inside one. Two links' parts within 3 mm of their meshes overlap by 6 mm at most where the meshes are apart,
-# but for grooves that another link reaches into [m].
-MESH_EXCUSE_M = 0.01
 
 # Whether something is further away than this is told by parts alone: there is time to look again nearer by [m].
 MESH_MARGIN_M = 0.004
@@ -224,9 +220,27 @@ class Parts:
 
     def outline(self) -> Vector:
         """Points whose hull encloses the shapes, shape (n, 3) [m], in the joint's frame."""
-        places = (self.places[place] for place in self.place_of)
-        placed = zip(self.shapes, places, strict=True)
-        return np.vstack([corners(shape) @ place.rotation.T + place.translation for shape, place in placed])
+        return np.vstack([corners(shape) @ place.rotation.T + place.translation for shape, place in self._placed()])
+
+    @cached_property
+    def surface(self) -> surfaces.Pieces | None:
+        """Triangles among the shapes, in the joint's frame; None without any."""
+        if isinstance(self.shapes, surfaces.Pieces):
+            return self.shapes
+        meshes = [(shape, place) for shape, place in self._placed() if isinstance(shape, coal.BVHModelBase)]
+        return surfaces.of_meshes(meshes) if meshes else None
+
+    @cached_property
+    def points_m(self) -> Vector:
+        """One point of each connected body, shape (n, 3) [m], in the joint's frame."""
+        if isinstance(self.shapes, surfaces.Pieces):
+            return self.shapes.points_m
+        solid = (pair for pair in self._placed() if not isinstance(pair[0], coal.BVHModelBase))
+        middles_m = [place.act(corners(shape).mean(axis=0)) for shape, place in solid]
+        return np.vstack([*middles_m, *([] if self.surface is None else [self.surface.points_m])])
+
+    def _placed(self) -> Iterator[tuple[coal.CollisionGeometry, pin.SE3]]:
+        return zip(self.shapes, (self.places[place] for place in self.place_of), strict=True)
 
 
 def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
@@ -249,7 +263,6 @@ class ExactShapes:
     """A robot's links closer than their hulls: in convex parts where these are known, and by their surfaces.
 
     All are loaded at once: their 0.1 s, with meshes of the URDF a second, would come in the middle of a plan otherwise.
-    What is wholly inside a surface does not touch it.
 
     Args:
         robot: its parts are used, or else the meshes that its URDF names.
@@ -328,6 +341,17 @@ def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.S
         if coal.collide(*placed.pair(i, j), request, result):
             return True
     return False
+
+
+def encloses(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> bool:
+    """Tell whether a body of the second parts is inside the first ones' surface, where the two do not touch.
+
+    Solid shapes without a surface enclose nothing: what is inside touches them. Arguments as for :func:`nearer_than`.
+    """
+    if first.surface is None:
+        return False
+    between = at_first.actInv(at_second)
+    return first.surface.encloses(second.points_m @ between.rotation.T + between.translation)
 
 
 def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, depth_m: float) -> bool:

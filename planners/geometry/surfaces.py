@@ -3,13 +3,16 @@
 A search tree over all triangles of an SO-101 takes 150 MB and a second, where a contact concerns a few centimetres of
 them. So triangles lie in pieces, neighbours together, of which the boxes are known: the tree of a piece is made when
 something first comes into its box, and kept while it is of use.
+
+Triangles touch nothing that is wholly inside a surface, so a winding number tells what is: Jacobson, Kavan and
+Sorkine-Hornung, "Robust inside-outside segmentation using generalized winding numbers", 2013.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import coal
 import numpy as np
@@ -36,6 +39,16 @@ TREES_KEPT = 128
 # Bits by which each coordinate of a triangle's middle counts in the order of triangles.
 ORDER_BITS = 10
 
+# Seen from this many half diagonals of its box away, a piece counts as one dipole (Barill et al., "Fast winding numbers
+# for soups and clouds", 2018). On the SO-101 winding numbers are then off by 0.04 at most.
+FAR = 1.5
+
+# Weight of a triangle without area in the middle of its piece [m2].
+NO_AREA_M2 = 1e-18
+
+# A surface encloses points with a greater winding number: 1 inside of a closed one, 0 outside.
+INSIDE = 0.5
+
 Triangles = NDArray[np.int32]
 
 
@@ -58,6 +71,45 @@ class Pieces(Sequence[coal.CollisionGeometry]):
         self.lower_m: Vector = np.minimum.reduceat(corners_m.min(axis=1), starts)
         self.upper_m: Vector = np.maximum.reduceat(corners_m.max(axis=1), starts)
         self._tree = lru_cache(TREES_KEPT)(self._make)
+
+    @cached_property
+    def points_m(self) -> Vector:
+        """One vertex of each connected body, shape (bodies, 3) [m]."""
+        body = np.arange(len(self._vertices_m))
+        while True:
+            joined = body.copy()
+            np.minimum.at(joined, self._triangles.ravel(), np.repeat(body[self._triangles].min(axis=1), 3))
+            joined = joined[joined]
+            if np.array_equal(joined, body):
+                return self._vertices_m[np.unique(body[self._triangles])]
+            body = joined
+
+    def encloses(self, points_m: Vector) -> bool:
+        """Tell whether any of some points, shape (n, 3) [m], is inside; a mirrored mesh counts as any other."""
+        lower_m, upper_m = self.lower_m.min(axis=0), self.upper_m.max(axis=0)
+        near_m = points_m[((points_m > lower_m) & (points_m < upper_m)).all(axis=1)]
+        return any(abs(self.winding_number(point_m)) > INSIDE for point_m in near_m)
+
+    def winding_number(self, point_m: Vector) -> float:
+        """Return how often the surface winds around a point, shape (3,) [m]."""
+        half_m = 0.5 * (self.upper_m - self.lower_m)
+        far = np.linalg.norm(self.lower_m + half_m - point_m, axis=1) > FAR * np.linalg.norm(half_m, axis=1)
+        middles_m, areas_m2 = self._dipoles
+        away_m = middles_m[far] - point_m
+        of_far = (areas_m2[far] * away_m).sum(axis=1) / np.linalg.norm(away_m, axis=1) ** 3
+        near = np.repeat(~far, TRIANGLES_A_PIECE)[: len(self._triangles)]
+        of_near = solid_angles(self._vertices_m[self._triangles[near]] - point_m)
+        return float(of_far.sum() + of_near.sum()) / (4.0 * np.pi)
+
+    @cached_property
+    def _dipoles(self) -> tuple[Vector, Vector]:
+        """Middle [m] and area vector [m2] of each piece, shape (pieces, 3) each."""
+        a, b, c = np.moveaxis(self._vertices_m[self._triangles], 1, 0)
+        areas_m2 = 0.5 * np.cross(b - a, c - a)
+        weights = np.linalg.norm(areas_m2, axis=1, keepdims=True) + NO_AREA_M2
+        starts = np.arange(0, len(self._triangles), TRIANGLES_A_PIECE)
+        middles_m = np.add.reduceat(weights * (a + b + c) / 3.0, starts) / np.add.reduceat(weights, starts)
+        return middles_m, np.add.reduceat(areas_m2, starts)
 
     def __len__(self) -> int:
         return len(self.lower_m)
@@ -96,6 +148,42 @@ def load(surfaces: Mapping[str, LinkSurface], model: pin.Model) -> Iterator[tupl
         frame = model.frames[frame_of_link(model, link)]
         vertices_m = UNIT_M * vertices @ frame.placement.rotation.T + frame.placement.translation
         yield link, Pieces(vertices_m, triangles)
+
+
+def of_meshes(meshes: Sequence[tuple[coal.BVHModelBase, pin.SE3]]) -> Pieces:
+    """Return the pieces of meshes, each with its place in the frame of a joint."""
+    vertices_m, triangles, count = [], [], 0
+    for mesh, place in meshes:
+        vertices_m.append(np.asarray(mesh.vertices()) @ place.rotation.T + place.translation)
+        numbers = (mesh.tri_indices(i) for i in range(mesh.num_tris))
+        triangles.append(np.array([(each[0], each[1], each[2]) for each in numbers]) + count)
+        count += len(vertices_m[-1])
+    # STL files repeat a vertex for each triangle, which would make each a body.
+    once_m, same = np.unique(np.vstack(vertices_m), axis=0, return_inverse=True)
+    found = same.ravel()[np.vstack(triangles)].astype(np.int32)
+    return Pieces(once_m, found[np.argsort(_along_a_curve(once_m[found].mean(axis=1)), kind="stable")])
+
+
+def solid_angles(corners_m: Vector) -> Vector:
+    """Return the solid angles of triangles seen from the origin, positive from behind [sr].
+
+    Formula of van Oosterom and Strackee, "The solid angle of a plane triangle", 1983.
+
+    Args:
+        corners_m: shape (..., 3, 3) [m].
+
+    Returns:
+        Shape (...).
+    """
+    # numpy is slow with a last axis of three.
+    a, b, c = np.ascontiguousarray(np.moveaxis(corners_m, (-2, -1), (0, 1)))
+    a_m, b_m, c_m = (np.sqrt((corner**2).sum(axis=0)) for corner in (a, b, c))
+    volume = (
+        a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
+    )
+    beside = a_m * b_m * c_m + (a * b).sum(axis=0) * c_m + (b * c).sum(axis=0) * a_m + (c * a).sum(axis=0) * b_m
+    angles: Vector = 2.0 * np.arctan2(volume, beside)
+    return angles
 
 
 def packed(vertices_m: Vector, triangles: Triangles) -> tuple[NDArray[np.int16], Triangles]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -16,9 +17,16 @@ from robot.trajectory import Vector
 # Distance of the soft limits from the calibrated end stops: covers backlash (1 deg) and rounding.
 END_STOP_MARGIN_RAD = 0.03
 
+# Greatest speed that is asked of a servo, of either family: it bounds the way towards a wrong goal (2.8 rad/s). A joint
+# that follows a motion catches up by the rest of it; with less, at 4 rad/s, every motion ended with TRACKING_LOST.
+FASTEST_TICKS_S = 1800
+CATCHING_UP = 1.1
+
+log = logging.getLogger("armbridge.arm")
+
 
 def within_calibration(robot: RobotModel, calibration: Calibration) -> RobotModel:
-    """Return the robot with every joint's limits narrowed to its calibrated range, less a margin.
+    """Return the robot with every joint's limits narrowed to its calibrated range, less a margin, and to its servo.
 
     Raises:
         DescriptionError: a calibrated joint is not a joint of the robot, or nothing is left of its range.
@@ -36,7 +44,16 @@ def within_calibration(robot: RobotModel, calibration: Calibration) -> RobotMode
                 f"the URDF's limits {joint.lower:.3f} to {joint.upper:.3f} rad and the calibrated range "
                 f"{calibrated.lower_rad:.3f} to {calibrated.upper_rad:.3f} rad do not overlap",
             )
-        joints[joint.name] = replace(joint, lower=lower, upper=upper)
+        fastest = abs(calibrated.rad_s_from_ticks_s(FASTEST_TICKS_S)) / CATCHING_UP
+        if joint.max_velocity > fastest:
+            log.warning(
+                "joint %s: its velocity limit of %g rad/s is narrowed to %.2f rad/s, the most its servo can follow",
+                joint.name,
+                joint.max_velocity,
+                fastest,
+            )
+        max_velocity = min(joint.max_velocity, fastest)
+        joints[joint.name] = replace(joint, lower=lower, upper=upper, max_velocity=max_velocity)
     return replace(robot, joints=joints)
 
 

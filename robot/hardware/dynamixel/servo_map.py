@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from robot.calibration import TICKS_PER_TURN, Calibration, JointCalibration
-from robot.description.limits import JointBounds
+from robot.description.limits import FASTEST_TICKS_S, JointBounds
 from robot.errors import StartupError
 from robot.hardware.dynamixel.registers import (
     FULL_PWM,
@@ -25,9 +25,8 @@ from robot.hardware.dynamixel.registers import (
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
-# Register PROFILE_VELOCITY: lets the servo catch up, and bounds its speed towards a wrong goal (2.8 rad/s).
+# Register PROFILE_VELOCITY: lets the servo catch up.
 VELOCITY_CAP_FACTOR = 1.3
-VELOCITY_CAP_TICKS_S = 1800
 
 # Register PROFILE_ACCELERATION, 39 rad/s^2: smoothness comes from the trajectory, and any less adds lag.
 PROFILE_ACCELERATION = round(25400 / TICKS_S2_PER_ACCELERATION_UNIT)
@@ -151,4 +150,4 @@ def model_of(joint: JointCalibration) -> Model:
 
 def _profile_velocity(joint: JointCalibration, speed_rad_s: float) -> int:
     wanted = abs(joint.ticks_s_from_rad_s(speed_rad_s)) * VELOCITY_CAP_FACTOR
-    return math.ceil(min(VELOCITY_CAP_TICKS_S, wanted) / TICKS_S_PER_VELOCITY_UNIT)
+    return math.ceil(min(FASTEST_TICKS_S, wanted) / TICKS_S_PER_VELOCITY_UNIT)

@@ -8,14 +8,13 @@ from collections.abc import Iterable
 import numpy as np
 
 from robot.calibration import Calibration, JointCalibration
-from robot.description.limits import JointBounds
+from robot.description.limits import FASTEST_TICKS_S, JointBounds
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
-# Register GOAL_VELOCITY: lets the servo catch up, and bounds its speed towards a wrong goal (2.8 rad/s).
+# Register GOAL_VELOCITY: lets the servo catch up.
 VELOCITY_CAP_FACTOR = 1.3
-VELOCITY_CAP_TICKS_S = 1800
 
 # The register's largest value, 39 rad/s^2: smoothness comes from the trajectory, and any less adds lag.
 SERVO_ACCELERATION = 254
@@ -106,4 +105,4 @@ class ServoMap:
 
 def _velocity_cap(joint: JointCalibration, speed_rad_s: float) -> int:
     wanted = math.ceil(abs(joint.ticks_s_from_rad_s(speed_rad_s)) * VELOCITY_CAP_FACTOR)
-    return min(VELOCITY_CAP_TICKS_S, wanted)
+    return min(FASTEST_TICKS_S, wanted)

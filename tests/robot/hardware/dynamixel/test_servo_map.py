@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.calibration import RAD_PER_TICK, TICKS_PER_TURN
+from robot.description.limits import FASTEST_TICKS_S
 from robot.hardware.dynamixel.registers import FULL_PWM, TICKS_S_PER_VELOCITY_UNIT
-from robot.hardware.dynamixel.servo_map import VELOCITY_CAP_TICKS_S, ServoMap
+from robot.hardware.dynamixel.servo_map import ServoMap
 from robot.messages import GuardLimits
 from tests.helpers.dynamixel import BOUNDS, CALIBRATION, NAMES
 
@@ -48,7 +49,7 @@ def test_a_servo_may_be_faster_than_its_joint_but_not_by_much() -> None:
 
 def test_no_servo_is_faster_than_the_cap() -> None:
     fast = ServoMap(CALIBRATION, replace(BOUNDS, max_velocity=np.full(6, 100.0)))
-    assert max(fast.profile_velocity.values()) * TICKS_S_PER_VELOCITY_UNIT < VELOCITY_CAP_TICKS_S + 20
+    assert max(fast.profile_velocity.values()) * TICKS_S_PER_VELOCITY_UNIT < FASTEST_TICKS_S + 20
 
 
 def test_the_gripper_has_a_torque_limit_of_its_own() -> None:

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot.description.limits import FASTEST_TICKS_S
 from robot.hardware.feetech.registers import goal_block
-from robot.hardware.feetech.servo_map import SERVO_ACCELERATION, VELOCITY_CAP_TICKS_S, ServoMap
+from robot.hardware.feetech.servo_map import SERVO_ACCELERATION, ServoMap
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION
 
@@ -33,8 +34,8 @@ def test_ticks_survive_the_way_to_radians_and_back(ticks: list[int]) -> None:
 def test_velocity_caps_leave_room_above_the_limit_but_not_beyond_what_is_safe() -> None:
     for joint, speed in zip(CALIBRATION.joints, BOUNDS.max_velocity, strict=True):
         cap = SERVOS.cap_ticks_s[joint.servo_id]
-        assert cap <= VELOCITY_CAP_TICKS_S
-        assert cap > joint.ticks_s_from_rad_s(float(speed)) or cap == VELOCITY_CAP_TICKS_S
+        assert cap <= FASTEST_TICKS_S
+        assert cap > joint.ticks_s_from_rad_s(float(speed)) or cap == FASTEST_TICKS_S
 
 
 def test_ranges_of_ticks_run_upwards() -> None:

@@ -18,7 +18,6 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from planners.assistant.surface import (
-    INSIDE,
     ConvexPart,
     Deviation,
     Surface,
@@ -27,6 +26,7 @@ from planners.assistant.surface import (
     sample,
     sample_with_normals,
 )
+from planners.geometry.surfaces import INSIDE
 from robot.trajectory import Vector
 
 # Deviation that parts may have from their mesh [m].

@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.geometry.contacts import (
+    MESH_EXCUSE_M,
     MESH_MARGIN_M,
     Broadphase,
     ExactShapes,
@@ -460,8 +461,11 @@ class CollisionModel:
         margin_m += float(self._apart_m[pair])
         meshes = self._meshes_of_pair(pair)
         links = [self._bodies[index].is_link for index in self._pairs[pair]]
-        if nearer_than(*self._parts_of_pair(pair), margin_m):
+        parts = self._parts_of_pair(pair)
+        if nearer_than(*parts, margin_m):
             if closeness is Closeness.PARTS or not self._exact.meshes or margin_m > MESH_MARGIN_M:
+                return False
+            if deeper_than(*parts, MESH_EXCUSE_M):
                 return False
             if nearer_than(*meshes, margin_m + sum(links) * self._exact.mesh_accuracy_m):
                 return False

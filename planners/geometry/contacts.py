@@ -40,6 +40,11 @@ BOXES_ONE_BY_ONE = pin.BroadPhaseManager_NaiveCollisionManager
 TREE_OF_BOXES = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager
 FEW_SHAPES = 100
 
+# Parts that overlap deeper than this touch, whatever the meshes of a link with gaps say. Two links' parts within 3 mm
+# of their meshes overlap by 6 mm at most where the meshes are apart, except for grooves that another link reaches
+# into [m].
+MESH_EXCUSE_M = 0.01
+
 # Whether something is further away than this is told by parts alone: there is time to look again nearer by [m].
 MESH_MARGIN_M = 0.004
 

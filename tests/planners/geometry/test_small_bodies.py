@@ -1,0 +1,112 @@
+"""Bodies smaller than a link is thick, inside its material and just outside of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from planners.geometry import surfaces
+from planners.geometry.collision import Closeness, CollisionModel
+from planners.geometry.plain_urdf import kinematic_urdf
+from planners.scene import Sphere
+from tests.helpers.meshes import ball
+from tests.helpers.resources import in_proportion
+from tests.planners.scenes import scene, thing
+
+RADII_M = (0.001, 0.002, 0.004, 0.006)
+
+# A point counts as in the material beyond this winding number, and as outside below the other: screw holes and the
+# gaps between the triangles of the published meshes are in between.
+IN_MATERIAL, OUTSIDE = 0.8, 0.2
+
+
+@pytest.fixture(scope="module")
+def collision(robot) -> CollisionModel:
+    return CollisionModel(robot)
+
+
+@pytest.fixture(scope="module")
+def links(robot):
+    """The surface of each link that moves, and its place at the joints' zero."""
+    model = pin.buildModelFromXML(kinematic_urdf(robot))
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    loaded = dict(surfaces.load(robot.surfaces, model))
+    joints = {name: model.frames[model.getFrameId(name)].parentJoint for name in loaded}
+    return {name: (pieces, data.oMi[joints[name]]) for name, pieces in loaded.items() if joints[name] > 0}
+
+
+def drawn(pieces: surfaces.Pieces, random: np.random.Generator) -> np.ndarray:
+    """A point of the box around a surface [m]."""
+    return random.uniform(pieces.lower_m.min(axis=0), pieces.upper_m.max(axis=0))
+
+
+def winding_numbers(links, point_m: np.ndarray) -> list[float]:
+    """How often the surface of each link winds around a point of the arm's frame [m]."""
+    return [abs(pieces.winding_number(place.actInv(point_m))) for pieces, place in links.values()]
+
+
+@pytest.mark.parametrize("radius_m", RADII_M)
+def test_a_sphere_in_the_material_of_a_link_is_in_contact_however_small_it_is(collision, links, radius_m) -> None:
+    random = np.random.default_rng(round(1e6 * radius_m))
+    q, found = np.zeros(len(collision.joint_names)), 0
+    while found < in_proportion(40):
+        pieces, place = list(links.values())[random.integers(len(links))]
+        point_m = drawn(pieces, random)
+        if abs(pieces.winding_number(point_m)) > IN_MATERIAL:
+            found += 1
+            collision.set_scene(scene(thing(Sphere(radius_m), *place.act(point_m).tolist())))
+            assert collision.collides(q), place.act(point_m)
+            assert collision.collides(q, Closeness.PARTS), place.act(point_m)
+
+
+@pytest.mark.parametrize("radius_m", RADII_M)
+def test_a_sphere_outside_of_every_link_is_free_by_the_surfaces(collision, links, radius_m) -> None:
+    random = np.random.default_rng(round(1e6 * radius_m))
+    q, found = np.zeros(len(collision.joint_names)), 0
+    # Steps that leave no gap between the directions for a link's edge.
+    directions = np.vstack([ball(1.0, 12)[0], np.zeros((1, 3))])
+    while found < in_proportion(40):
+        pieces, place = list(links.values())[random.integers(len(links))]
+        point_m = place.act(drawn(pieces, random))
+        around_m = point_m + (radius_m + 0.002) * directions
+        clear_m = min(
+            np.linalg.norm(each._vertices_m - at.actInv(point_m), axis=1).min() for each, at in links.values()
+        )
+        outside = all(max(winding_numbers(links, near_m)) < OUTSIDE for near_m in around_m)
+        if outside and clear_m > radius_m + 0.004:
+            found += 1
+            collision.set_scene(scene(thing(Sphere(radius_m), *point_m.tolist())))
+            touched = [pair for pair in collision.colliding_pairs(q) if "base_link" not in (pair.first, pair.second)]
+            assert touched == [], point_m
+
+
+def closed_ball() -> surfaces.Pieces:
+    """A ball about the origin whose triangles all face outwards."""
+    vertices_m, triangles = ball(0.05, 60)
+    half = len(triangles) // 2
+    triangles[half:] = triangles[half:, ::-1]
+    vertices, packed = surfaces.packed(vertices_m, triangles)
+    return surfaces.Pieces(surfaces.UNIT_M * vertices, packed)
+
+
+def test_a_winding_number_is_one_inside_of_a_ball_and_none_outside() -> None:
+    pieces = closed_ball()
+    random, middle_m = np.random.default_rng(1), 0.5 * (pieces.lower_m.min(axis=0) + pieces.upper_m.max(axis=0))
+    for distance_m, expected in ((0.02, 1.0), (0.045, 1.0), (0.055, 0.0), (0.2, 0.0)):
+        for direction in random.normal(size=(in_proportion(30), 3)):
+            point_m = middle_m + distance_m * direction / np.linalg.norm(direction)
+            assert abs(pieces.winding_number(point_m)) == pytest.approx(expected, abs=0.05)
+    beside_m, inside_m = middle_m + np.array([0.06, 0.0, 0.0]), middle_m + np.array([0.01, 0.0, 0.0])
+    assert not pieces.encloses(beside_m[np.newaxis])
+    assert pieces.encloses(np.vstack([beside_m, inside_m]))
+
+
+def test_each_connected_body_of_a_surface_has_one_point() -> None:
+    vertices_m, triangles = ball(0.05, 12)
+    two_m = np.vstack([vertices_m, vertices_m + np.array([0.2, 0.0, 0.0])])
+    both = np.vstack([triangles, triangles + len(vertices_m)]).astype(np.int32)
+    pieces = surfaces.Pieces(two_m, both)
+    assert len(pieces.points_m) == 2
+    assert np.ptp(pieces.points_m[:, 0]) > 0.1

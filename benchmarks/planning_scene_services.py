@@ -7,7 +7,7 @@ import gc
 import itertools
 import json as python_json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,10 @@ class _StandingArm:
     def __init__(self, joints: tuple[str, ...]) -> None:
         at = np.zeros(len(joints))
         self.state = ArmState(time.time(), Mode.HOLDING, joints, position_rad=at, goal_rad=at)
+
+    def part(self, _joint_names: Collection[str]) -> _StandingArm:
+        """Return the arm itself."""
+        return self
 
 
 def run() -> None:

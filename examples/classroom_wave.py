@@ -14,7 +14,6 @@ CONNECT_TIMEOUT_S = 4
 MOTION_TIMEOUT_S = 30
 STOP_TIMEOUT_S = 5
 RETRY_PAUSE_S = 1
-
 # Result codes are those of moveit_msgs/MoveItErrorCodes.
 SUCCESS = 1
 NAMES = {-1: "PLANNING_FAILED", -4: "CONTROL_FAILED", -6: "TIMED_OUT", -7: "PREEMPTED", -12: "GOAL_IN_COLLISION"}
@@ -45,7 +44,8 @@ class Arm:
         pose = {"position": {"x": x, "y": y, "z": z}, "orientation": {"w": 1.0}}
         region = {"primitives": [{"type": SPHERE, "dimensions": [0.01]}], "primitive_poses": [pose]}
         place = {"header": {"frame_id": "base_link"}, "link_name": "gripper_frame_link", "constraint_region": region}
-        goal = roslibpy.Goal({"request": {"goal_constraints": [{"position_constraints": [place]}]}})
+        goals = [{"position_constraints": [place]}]
+        goal = roslibpy.Goal({"request": {"max_velocity_scaling_factor": 0.3, "goal_constraints": goals}})
         results: queue.Queue[Any] = queue.Queue()
         goal_id = self._action.send_goal(goal, results.put, lambda _: None, results.put)
         deadline_s = time.monotonic() + MOTION_TIMEOUT_S

@@ -38,8 +38,8 @@ class Arm:
         """Move the tip to a point of ``base_link`` [m]."""
         pose = {"position": {"x": x, "y": y, "z": z}, "orientation": {"w": 1.0}}
         region = {"primitives": [{"type": SPHERE, "dimensions": [0.005]}], "primitive_poses": [pose]}
-        place = {"link_name": TIP, "constraint_region": region, "header": HEADER}
-        goal = {"request": {"goal_constraints": [{"position_constraints": [place]}]}}
+        place = [{"link_name": TIP, "constraint_region": region, "header": HEADER}]
+        goal = {"request": {"max_velocity_scaling_factor": 0.3, "goal_constraints": [{"position_constraints": place}]}}
         code = self._send_goal("/move_action", "moveit_msgs/action/MoveGroup", goal)["error_code"]
         if code["val"] != SUCCESS:
             sys.exit(f"to ({x}, {y}, {z}): {code['val']} {code['message']}")

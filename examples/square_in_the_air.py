@@ -65,9 +65,9 @@ def send_goal(client: roslibpy.Ros, name: str, action_type: str, goal: dict[str,
 
 def draw(client: roslibpy.Ros) -> None:
     """Move to the start, plan the square as one path of the tip, and follow it."""
-    joints = [{"joint_name": name, "position": angle} for name, angle in START.items()]
-    start = {"request": {"group_name": "arm", "goal_constraints": [{"joint_constraints": joints}]}}
-    send_goal(client, "/move_action", "moveit_msgs/action/MoveGroup", start)
+    goals = [{"joint_constraints": [{"joint_name": name, "position": angle} for name, angle in START.items()]}]
+    start = {"group_name": "arm", "max_velocity_scaling_factor": 0.3, "goal_constraints": goals}
+    send_goal(client, "/move_action", "moveit_msgs/action/MoveGroup", {"request": start})
 
     tip = call_service(client, "/compute_fk", "moveit_msgs/srv/GetPositionFK", {"fk_link_names": [TIP]})
     corners = []

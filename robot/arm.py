@@ -180,7 +180,8 @@ class Arm:
         self.last_stop = 0
         self._speed_factor = 1.0
         reason = "the arm process is starting"
-        self.state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, clock_s=time.monotonic())
+        state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, clock_s=time.monotonic())
+        self.state = self._with_speed_limit(state)
         self.state_max_age_s = SILENT_S if config.hardware.simulated else STATE_MAX_AGE_S
         # Simulated joints of a restarted process continue from here.
         self._last_connected = self.state
@@ -319,10 +320,16 @@ class Arm:
             self._process.send(Stop(number))
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor or course of motions, from now on."""
+        """Change speed factor, course or speed limit of motions, from now on."""
         if change.speed_factor is not None:
             self._speed_factor = change.speed_factor
         self._process.send(change)
+        if change.speed_limit is not None:
+            self._config = replace(self._config, speed_limit=change.speed_limit)
+            self.state = self._with_speed_limit(self.state)
+            if self.state.mode is Mode.DISCONNECTED:
+                # No state follows by itself.
+                self._on_state(self.state)
 
     async def rest(self, timeout_s: float) -> bool:
         """Wait until every motion in progress has ended; return True when they have within ``timeout_s``."""
@@ -435,7 +442,7 @@ class Arm:
         self._motions[motion_id] = ended
         ended.add_done_callback(lambda _: self._motions.pop(motion_id, None))
         # Sent each time: the arm process may have been restarted since the last motion.
-        self._process.send(ChangePace(speed_factor=self._speed_factor))
+        self._process.send(ChangePace(self._speed_factor, speed_limit=self._config.speed_limit))
         self._process.send(command)
         return ended
 
@@ -476,8 +483,12 @@ class Arm:
         for message in held:
             self._answer(message)
 
+    def _with_speed_limit(self, state: ArmState) -> ArmState:
+        """Return a state with the limit in force: a process without hardware does not report it."""
+        return replace(state, pace=replace(state.pace, speed_limit=self._config.speed_limit))
+
     def _take_state(self, state: ArmState) -> None:
-        self.state = state
+        self.state = state = self._with_speed_limit(state)
         self._state_at_s = time.monotonic()
         if state.position_rad is not None:
             self._last_connected = state

@@ -228,7 +228,7 @@ class ArmGroup:
                 self._arms[name].stop(one)
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor or course of the motions of all."""
+        """Change speed factor, course or speed limit of the motions of all."""
         for arm in self._arms.values():
             arm.change_pace(change)
 

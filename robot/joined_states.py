@@ -58,7 +58,7 @@ def joined_state(
         fraction=0.0 if leading is None else leading.fraction,
         remaining_s=0.0 if leading is None else leading.remaining_s,
         motions=tuple(motion for state in present for motion in state.motions),
-        pace=(leading or present[0]).pace,
+        pace=replace((leading or present[0]).pace, speed_limit=min(state.pace.speed_limit for state in present)),
         lateness_s=tuple(late_s for state in present for late_s in state.lateness_s),
         clock_s=min(state.clock_s for state in present),
         driven=all(state.driven for state in present),

@@ -112,6 +112,7 @@ class ArmConfig:
         slow_temperature_c: temperature from which motions slow down [degC].
         stop_temperature_c: temperature from which a servo is a fault [degC].
         guard_limits: torque limits, thresholds of the guards, and tolerances of a motion's end.
+        speed_limit: share of the joints' velocity limits that no motion exceeds, until it is changed.
         fault: fault latched by an earlier arm process and not yet reset.
     """
 
@@ -127,6 +128,7 @@ class ArmConfig:
     slow_temperature_c: float = 60.0
     stop_temperature_c: float = 65.0
     guard_limits: GuardLimits = field(default_factory=GuardLimits)
+    speed_limit: float = 1.0
     fault: Fault | None = None
 
 
@@ -237,25 +239,32 @@ class Course(Enum):
     BACK = "back"
 
 
+# Least speed limit: below it a joint moves less than a servo's tick in a period of the control loop.
+MIN_SPEED_LIMIT = 0.01
+
+
 @dataclass(frozen=True)
 class Pace:
-    """Speed and direction of motions; grips are exempt.
+    """Speed and direction of motions; grips are exempt from the speed factor and the course.
 
     Attributes:
         speed_factor: share of the planned speed, 0 to 1.
         course: direction; forward again once no motion is in progress.
+        speed_limit: share of the joints' velocity limits that no motion exceeds, MIN_SPEED_LIMIT to 1.
     """
 
     speed_factor: float = 1.0
     course: Course = Course.FORWARD
+    speed_limit: float = 1.0
 
 
 @dataclass(frozen=True)
 class ChangePace:
-    """Command to change the pace of motions; None leaves a value. The speed factor also applies to later motions."""
+    """Command to change the pace of motions; None leaves a value. Factor and limit also apply to later motions."""
 
     speed_factor: float | None = None
     course: Course | None = None
+    speed_limit: float | None = None
 
 
 @dataclass(frozen=True)
@@ -369,11 +378,19 @@ class Commanded(Frequent):
 
 @dataclass(frozen=True)
 class MotionProgress:
-    """Progress of one motion: ``fraction`` that is done, 0..1, and the time left to its end [s]."""
+    """Progress of one motion.
+
+    Attributes:
+        motion_id: number of the motion.
+        fraction: share that is done, 0..1.
+        remaining_s: time left to its end [s].
+        rate: share of the planned speed at which it may be played, above 0 while it is not paused, at most 1.
+    """
 
     motion_id: int
     fraction: float
     remaining_s: float
+    rate: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,21 @@ class Trajectory:
         """Time from the first sample to the last [s]."""
         return float(self.time_s[-1])
 
+    @property
+    def peak_speed_rad_s(self) -> Vector:
+        """Greatest speed of each joint, also between the samples, shape (joints,) [rad/s]."""
+        peaks = np.abs(self.velocities_rad_s).max(axis=0)
+        span_s = np.diff(self.time_s)[:, None]
+        m0, m1 = self.velocities_rad_s[:-1] * span_s, self.velocities_rad_s[1:] * span_s
+        way = np.diff(self.positions_rad, axis=0)
+        c2, c3 = 3.0 * way - 2.0 * m0 - m1, m0 + m1 - 2.0 * way
+        # The velocity is a parabola between two samples: its vertex counts where it lies between them.
+        curved = np.abs(c3) > 1e-12
+        u = np.divide(-c2, 3.0 * c3, where=curved, out=np.zeros_like(c3))
+        vertex = np.where(curved & (u > 0.0) & (u < 1.0), np.abs(m0 + u * c2) / span_s, 0.0)
+        greatest: Vector = np.maximum(peaks, vertex.max(axis=0, initial=0.0))
+        return greatest
+
     def of_joints(self, joint_names: tuple[str, ...]) -> Trajectory:
         """Return the same motion of some of its joints, in their order."""
         columns = [self.joint_names.index(name) for name in joint_names]

@@ -14,7 +14,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from protocol.limits import MAX_SERVER_QUEUED_BYTES
 from robot.logs import LogFormat
-from robot.messages import EmergencyPolicy, EndState, GuardLimits
+from robot.messages import MIN_SPEED_LIMIT, EmergencyPolicy, EndState, GuardLimits
 from server.access.settings import AccessSettings, SessionSettings
 from server.config_keys import SettingsSection
 from server.execution.queue import GoalPolicy
@@ -183,6 +183,8 @@ class ArmSettings(SettingsSection):
     # What a screen shows at most.
     tf_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
     """rate of ``/tf``, at most that of the joint states [Hz]."""
+    speed_limit: float = Field(default=1.0, ge=MIN_SPEED_LIMIT, le=1.0)
+    """share of the joints' velocity limits that no motion exceeds; ``/arm/set_speed_limit`` changes it."""
     start_enabled: bool = True
     """make the arm hold as soon as it is connected; else it stays relaxed until it is enabled."""
     # Heartbeats come every 0.1 s; less than three of them missed would be taken for the server's death.

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from robot.description.limits import JointBounds
-from robot.messages import ArmConfig, GuardLimits
+from robot.messages import MIN_SPEED_LIMIT, ArmConfig, GuardLimits
 from robot.trajectory import Trajectory, Vector
 
 log = logging.getLogger("armbridge.arm")
@@ -29,6 +29,7 @@ CONFIG_RANGES: Ranges = {
     "warn_temperature_c": (30.0, 70.0),
     "slow_temperature_c": (30.0, 70.0),
     "stop_temperature_c": (30.0, 70.0),
+    "speed_limit": (MIN_SPEED_LIMIT, 1.0),
 }
 
 GUARD_RANGES: Ranges = {

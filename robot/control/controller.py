@@ -21,6 +21,7 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.clock import MAX_TICK_S
 from robot.hardware.interface import Flags, Measured
 from robot.messages import (
+    MIN_SPEED_LIMIT,
     ChangePace,
     Commanded,
     Course,
@@ -77,11 +78,12 @@ class ArmController:
         temperatures: thresholds at which motions slow down.
         fault: fault latched before, not yet reset.
         simulated: True for a simulated arm, whose faults have other remedies.
+        speed_limit: share of the velocity limits that no motion exceeds, until :meth:`change_pace`.
 
     Attributes:
         bounds: as given.
         guards: as given.
-        pace: speed factor and course of motions.
+        pace: speed factor, course and speed limit of motions.
         driven: True while torque is on.
         fault: latched fault, or None.
     """
@@ -96,6 +98,7 @@ class ArmController:
         fault: Fault | None = None,
         *,
         simulated: bool = False,
+        speed_limit: float = 1.0,
     ) -> None:
         self._names = joint_names
         self._simulated = simulated
@@ -112,7 +115,7 @@ class ArmController:
         self._yielded: Flags = np.zeros(len(joint_names), dtype=bool)
         self._loaded = Persistence(len(joint_names))
         self._relieves = bool(np.isfinite(guards.assumptions.relieve_after_s).any())
-        self.pace = Pace()
+        self.pace = Pace(speed_limit=speed_limit)
         self.driven = False
         self.fault = fault
 
@@ -158,7 +161,7 @@ class ArmController:
     @property
     def progress(self) -> tuple[MotionProgress, ...]:
         """Progress of every motion."""
-        return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s) for one in self._motions)
+        return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s, one.rate) for one in self._motions)
 
     def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
         """Begin to hold at the goals that the servos have, or at their positions where those are far away.
@@ -191,7 +194,12 @@ class ArmController:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
         self._forget_course()
         motion = Motion(
-            command, self._names, self.bounds, self.guards.limits, self.guards.assumptions.goal_tolerance_rad
+            command,
+            self._names,
+            self.bounds,
+            self.guards.limits,
+            self.guards.assumptions.goal_tolerance_rad,
+            self.pace.speed_limit,
         )
         ended = splice(self._motions, motion)
         self._motions.append(motion)
@@ -231,7 +239,7 @@ class ArmController:
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
         self._forget_course()
-        self._motions.append(Streaming(command, self._names, self.bounds, self._goal_rad))
+        self._motions.append(Streaming(command, self._names, self.bounds, self._goal_rad, self.pace.speed_limit))
         return None
 
     def steer(self, setpoint: Setpoint) -> None:
@@ -278,11 +286,15 @@ class ArmController:
         return ended + self._end_finished(measured, now_s)
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor or course of motions; a factor outside 0 to 1 is ignored."""
+        """Change speed factor, course or speed limit of motions; a factor or limit out of its range is ignored."""
         if change.speed_factor is not None and 0.0 <= change.speed_factor <= 1.0:
             self.pace = replace(self.pace, speed_factor=change.speed_factor)
         if change.course is not None:
             self.pace = replace(self.pace, course=change.course)
+        if change.speed_limit is not None and MIN_SPEED_LIMIT <= change.speed_limit <= 1.0:
+            self.pace = replace(self.pace, speed_limit=change.speed_limit)
+            for motion in self._motions:
+                motion.limit_speed(change.speed_limit)
 
     def _forget_course(self) -> None:
         """Return to the course forward when no motion is in progress that could be paused."""

@@ -46,6 +46,7 @@ class Motion:
         bounds: limits of the joints.
         limits: goal tolerance and settling time.
         goal_tolerance_rad: tolerance of each of the arm's joints, shape (joints,) [rad]; None for that of ``limits``.
+        speed_limit: as of :meth:`limit_speed`.
 
     Attributes:
         command: as given.
@@ -60,13 +61,17 @@ class Motion:
         bounds: JointBounds,
         limits: GuardLimits,
         goal_tolerance_rad: Vector | None = None,
+        speed_limit: float = 1.0,
     ) -> None:
         self.command = command
         self._limits = limits
         self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.trajectory.joint_names])
         wanted = np.full(len(names), limits.goal_tolerance_rad) if goal_tolerance_rad is None else goal_tolerance_rad
         self._tolerance_rad = wanted[self.columns]
-        self.playback = Playback(command.trajectory, bounds.max_acceleration[self.columns])
+        shares = command.trajectory.peak_speed_rad_s / bounds.max_velocity[self.columns]
+        self._peak_share = float(shares.max(initial=0.0))
+        self.limit_speed(speed_limit)
+        self.playback = Playback(command.trajectory, bounds.max_acceleration[self.columns], self._fastest)
         self._end_reached_s: float | None = None
         self._settled_ticks = 0
 
@@ -115,6 +120,20 @@ class Motion:
         """Time to the end of the trajectory [s]."""
         return self.playback.remaining_s
 
+    @property
+    def rate(self) -> float:
+        """Share of the planned speed at which it may be played now, 0 while it is paused."""
+        return min(abs(self.playback.pace), self.playback.ceiling)
+
+    def limit_speed(self, share: float) -> None:
+        """Play all of it so much slower that no joint is faster than a share of its velocity limit.
+
+        Args:
+            share: above 0 to 1; plans may exceed it as they may exceed the velocity limits, by VELOCITY_TOLERANCE.
+        """
+        planned = self._peak_share <= share * checks.VELOCITY_TOLERANCE
+        self._fastest = 1.0 if planned else share / self._peak_share
+
     def stop(self) -> None:
         """Begin to brake along the path."""
         self.playback.stop()
@@ -130,7 +149,7 @@ class Motion:
         Returns:
             Goals of its joints, shape (joints,) [rad].
         """
-        self.playback.pace, self.playback.ceiling = rate, fastest
+        self.playback.pace, self.playback.ceiling = rate, min(fastest, self._fastest)
         return self.playback.advance(elapsed_s)
 
     def ended(self, outcome: Outcome, message: str) -> MotionEnded:
@@ -184,19 +203,20 @@ class Playback:
     Args:
         trajectory: trajectory to play.
         max_acceleration: limit of each of its joints, shape (joints,) [rad/s^2].
+        ceiling: fastest rate allowed, and that at the start.
 
     Attributes:
         ceiling: fastest rate allowed, in (0, 1].
         pace: wanted rate, -1 to 1: at 0 the arm waits on its path, below 0 it goes back to the path's start.
     """
 
-    def __init__(self, trajectory: Trajectory, max_acceleration: Vector) -> None:
+    def __init__(self, trajectory: Trajectory, max_acceleration: Vector, ceiling: float = 1.0) -> None:
         self.trajectory = trajectory
         self._max_acceleration = max_acceleration
         self._path_time_s = 0.0
-        self._rate = 1.0
+        self._rate = ceiling
         self._stopping = False
-        self.ceiling = 1.0
+        self.ceiling = ceiling
         self.pace = 1.0
 
     @property

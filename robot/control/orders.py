@@ -104,6 +104,7 @@ class Orders:
             self._temperatures,
             self._early_fault,
             simulated=config.hardware.simulated,
+            speed_limit=config.speed_limit,
         )
         self._arm.controller = controller
         return controller

@@ -32,6 +32,7 @@ class Streaming:
         names: the arm's joints, order of the controller's arrays.
         bounds: limits of the joints.
         held_rad: goals at which the arm holds, shape (joints,) [rad].
+        speed_limit: as of :meth:`limit_speed`.
 
     Attributes:
         command: as given.
@@ -39,15 +40,26 @@ class Streaming:
         gripping: always False.
         fraction: always 0, as a stream has no planned end.
         remaining_s: always 0, likewise.
+        rate: always 1, likewise.
     """
 
     gripping = False
     fraction = 0.0
     remaining_s = 0.0
+    rate = 1.0
 
-    def __init__(self, command: Stream, names: tuple[str, ...], bounds: JointBounds, held_rad: Vector) -> None:
+    def __init__(
+        self,
+        command: Stream,
+        names: tuple[str, ...],
+        bounds: JointBounds,
+        held_rad: Vector,
+        speed_limit: float = 1.0,
+    ) -> None:
         self.command = command
         self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.joint_names])
+        self._max_velocity = bounds.max_velocity[self.columns]
+        self._speed_limit = speed_limit
         self._tracking = VelocityTracking(bounds.of_columns(self.columns), held_rad[self.columns])
         self._velocity_rad_s = np.zeros(len(self.columns))
         self._at_s = self._silence_s = 0.0
@@ -85,6 +97,10 @@ class Streaming:
             return
         self._velocity_rad_s = velocity_rad_s
 
+    def limit_speed(self, share: float) -> None:
+        """Let no joint be faster than a share of its velocity limit, above 0 to 1, from the next step on."""
+        self._speed_limit = share
+
     def stop(self) -> None:
         """Begin to brake, for good."""
         self._ending = self._ending or "stopped"
@@ -103,7 +119,10 @@ class Streaming:
         self._at_s += elapsed_s
         self._silence_s += elapsed_s
         resting = bool(self._ending) or self._silent
-        self._tracking.set_target(self._velocity_rad_s * (0.0 if resting else min(max(rate, 0.0), fastest)))
+        target = self._velocity_rad_s * (0.0 if resting else min(max(rate, 0.0), fastest))
+        # All joints slow down alike, so that the tip keeps its direction.
+        peak_share = float(np.max(np.abs(target) / self._max_velocity, initial=0.0))
+        self._tracking.set_target(target * (self._speed_limit / max(peak_share, self._speed_limit)))
         return self._tracking.advance(elapsed_s)
 
     def ended(self, outcome: Outcome, message: str) -> MotionEnded:

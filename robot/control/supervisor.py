@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -325,6 +325,8 @@ class Supervisor:
             controller.stop(message.motion_id)
         elif isinstance(message, ChangePace) and controller is not None:
             controller.change_pace(message)
+            # Hardware that is lost and comes back keeps the limit.
+            self._config = replace(self._config, speed_limit=controller.pace.speed_limit)
         elif isinstance(message, Command):
             self._command(message)
         elif isinstance(message, Heartbeat):

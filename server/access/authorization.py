@@ -153,6 +153,8 @@ SERVICES: Mapping[str, Rule] = {
     "/arm/scenes/load": WORKING,
     "/arm/scenes/save": CONFIGURING,
     "/arm/servo_history": LOOKING,
+    # It moves nothing: an operator may lower it while another client drives.
+    "/arm/set_speed_limit": WORKING,
     "/arm/step_back": SWITCHING,
     "/arm/stop": STOPPING,
     "/arm/take_control": WORKING,
@@ -259,6 +261,7 @@ OF_EACH_ARM = frozenset(
         "/arm/release_control",
         "/arm/reset_fault",
         "/arm/resume",
+        "/arm/set_speed_limit",
         "/arm/speed_factor",
         "/arm/step_back",
         "/arm/stop",

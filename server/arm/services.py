@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from robot.arm_interface import ArmInterface
-from robot.messages import ChangePace, CommandDone, Course, Mode, Order
+from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Course, Mode, Order
 from server.arrival import arrival_epoch
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -112,6 +112,7 @@ def _log_end(answered: asyncio.Future[CommandDone]) -> None:
 
 
 SPEED_FACTOR_TOPIC = "/arm/speed_factor"
+SPEED_LIMIT, SPEED_LIMIT_TYPE = "/arm/set_speed_limit", "armbridge_msgs/srv/SetSpeedLimit"
 PAUSE = "/arm/pause"
 RESUME = "/arm/resume"
 STEP_BACK = "/arm/step_back"
@@ -124,7 +125,11 @@ _SENTENCES = {
 
 
 class ArmPace:
-    """Sets the pace of motions: speed, pause and the way back. Guards and limits of the arm hold at every pace.
+    """Sets the pace of motions: speed, pause and the way back, and the speed limit.
+
+    The speed factor is the driver's: a share of the planned speed of every motion, also of a slow one. The speed limit
+    is the operator's: a share of the joints' velocity limits, which slows down only what would be faster, whoever moves
+    the arm, and the gripper too. Guards and limits of the arm hold at every pace.
 
     Args:
         graph: the graph of the topic and the services.
@@ -141,6 +146,20 @@ class ArmPace:
         graph.subscribe(self._node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", subscriber)
         for name, course in ((PAUSE, Course.PAUSED), (RESUME, Course.FORWARD), (STEP_BACK, Course.BACK)):
             self._offer(arm, name, course)
+        graph.services.offer(
+            self._node, SPEED_LIMIT, SPEED_LIMIT_TYPE, lambda request: self._set_limit(arm, request["speed_limit"])
+        )
+
+    def _set_limit(self, arm: ArmInterface, limit: float) -> Response:
+        if not MIN_SPEED_LIMIT <= limit <= 1.0:
+            message = (
+                f"speed_limit must be {MIN_SPEED_LIMIT:g} to 1, a share of the joints' velocity limits, not {limit:g};"
+                f" {self._graph.resolve(PAUSE)} and {self._graph.resolve(STOP)} bring the arm to rest"
+            )
+            return {"success": False, "message": message}
+        log.info("%s: speed limit %g, before %g", self._graph.resolve(SPEED_LIMIT), limit, arm.state.pace.speed_limit)
+        arm.change_pace(ChangePace(speed_limit=limit))
+        return {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
 
     def _offer(self, arm: ArmInterface, name: str, course: Course) -> None:
         def serve(_request: dict[str, Any]) -> dict[str, Any]:

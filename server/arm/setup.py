@@ -118,6 +118,7 @@ def arm_config(settings: Settings, description: Description) -> ArmConfig:
         slow_temperature_c=arm.slow_temperature_c,
         stop_temperature_c=arm.stop_temperature_c,
         guard_limits=arm.guards.limits(),
+        speed_limit=arm.speed_limit,
     )
 
 

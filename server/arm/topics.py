@@ -121,6 +121,7 @@ def status(state: ArmState, robot_name: str) -> dict[str, Any]:
         "reason": state.reason,
         "course": state.pace.course.value,
         "speed_factor": f"{state.pace.speed_factor:g}",
+        "speed_limit": f"{state.pace.speed_limit:g}",
     }
     if state.fault is not None:
         values |= {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Protocol, TypeAlias
 
 from planners.pool import PlannerPool
@@ -35,6 +35,9 @@ class StatedArm(Protocol):
     def state(self) -> ArmState:
         """The latest state."""
 
+    def part(self, joint_names: Collection[str]) -> StatedArm:
+        """Return the arm, or the arms together, that have some joints."""
+
 
 class CurrentState:
     """Current joint positions.
@@ -58,6 +61,10 @@ class CurrentState:
         if positions is None:
             return None
         return dict(zip(state.joint_names, positions.tolist(), strict=True))
+
+    def speed_limit(self, joint_names: Collection[str]) -> float:
+        """Return the share of the velocity limits that motions of some joints may use."""
+        return self._arm.part(joint_names).state.pace.speed_limit
 
     def message(self) -> dict[str, Any]:
         """Return them as a moveit_msgs/RobotState without attached objects; without joints while they are unknown."""

@@ -263,9 +263,10 @@ def splice_point_of(
     """
     if progress is None or pace.course is not Course.FORWARD:
         return None
-    now_s = progress.fraction * motion.duration_s + age_s * pace.speed_factor
-    leave_s = now_s + HORIZON_S * pace.speed_factor
-    if pace.speed_factor == 0.0 or leave_s >= motion.duration_s:
+    rate = min(pace.speed_factor, progress.rate)
+    now_s = progress.fraction * motion.duration_s + age_s * rate
+    leave_s = now_s + HORIZON_S * rate
+    if rate == 0.0 or leave_s >= motion.duration_s:
         return None
     from_s = max(now_s - STATE_AGE_S, 0.0)
     return SplicePoint(_between(motion, from_s, leave_s), from_s)

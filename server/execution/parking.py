@@ -188,7 +188,7 @@ class Parking:
             group=self._pose.group,
             start_rad=start_rad,
             goal=JointGoal(self._pose.positions_rad, parameters.joint_tolerance),
-            velocity_scaling=parameters.max_velocity_scaling,
+            velocity_scaling=min(parameters.max_velocity_scaling, self._arm.state.pace.speed_limit),
             acceleration_scaling=parameters.max_acceleration_scaling,
             allowed_time_s=parameters.allowed_planning_time,
             attempts=parameters.num_planning_attempts,
@@ -228,7 +228,7 @@ class Parking:
         """Return where the arm holds; None unless it does."""
         if self._arm.state.mode is not Mode.HOLDING or (held_rad := self._current.positions_rad()) is None:
             return None
-        return _Place(held_rad, self._scene.scene.version, self._arm.pid)
+        return _Place(held_rad, self._scene.scene.version, self._arm.pid, self._arm.state.pace.speed_limit)
 
     async def _plan(self) -> None:
         """Plan the way from where the arm holds, and have the arm process keep it if it still holds there."""
@@ -251,7 +251,7 @@ class Parking:
         if plan.trajectory.duration_s > PARKING_TIMEOUT_S:
             log.warning(
                 "the way to the rest pose takes %.1f s from here, above the limit of %g s: the arm would be relaxed at "
-                "its end; raise moveit.max_velocity_scaling",
+                "its end; raise moveit.max_velocity_scaling and the speed limit",
                 plan.trajectory.duration_s,
                 PARKING_TIMEOUT_S,
             )
@@ -278,15 +278,21 @@ class _Place:
         held_rad: goal of every joint [rad].
         version: of the scene.
         pid: process id of the arm process, which keeps the way.
+        speed_limit: of the arm, which decides on the duration.
     """
 
     held_rad: Mapping[str, float]
     version: int
     pid: int | None
+    speed_limit: float
 
     def same_as(self, other: _Place | None) -> bool:
         """Return True when a way from another place is one from here."""
-        if other is None or (self.version, self.pid) != (other.version, other.pid):
+        if other is None or (self.version, self.pid, self.speed_limit) != (
+            other.version,
+            other.pid,
+            other.speed_limit,
+        ):
             return False
         return all(abs(value - other.held_rad[name]) <= SAME_PLACE_RAD for name, value in self.held_rad.items())
 

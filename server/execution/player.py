@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -220,9 +220,10 @@ class Player:
             await asyncio.wait(ends, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
             if preempted.done() and not ended.done():
                 return self._hand_over(motion, ended)
-            state = self._arm.state
-            deadline.pass_time(arm_clock.elapsed_s(), state.pace)
-            progress = self._arm.progress(ended)
+            progress, pace = self._arm.progress(ended), self._arm.state.pace
+            # A motion that the speed limit slows down uses its time up as slowly.
+            pace = pace if progress is None else replace(pace, speed_factor=min(pace.speed_factor, progress.rate))
+            deadline.pass_time(arm_clock.elapsed_s(), pace)
             if not ended.done() and progress is not None:
                 report(Progress(GoalState.EXECUTING, motion.summary, progress.fraction, progress.remaining_s))
         if not ended.done():

@@ -129,6 +129,7 @@ class ArmGoals:
                 shared.time_limits,
                 industrial=group.name == own.default_group,
                 name=plain,
+                refuses_faster=parameters.faster_trajectories == "refuse",
             )
             self._controllers.append(controller)
             self._controller_states.append(ControllerStatePublisher(graph, group, plain))

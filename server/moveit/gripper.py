@@ -134,7 +134,7 @@ class Gripper:
         self._arm = arm
         self.joints = tuple(joints)
         self._names = tuple(joint.name for joint in joints)
-        self._max_velocity = velocity_scaling * min(joint.max_velocity for joint in joints)
+        self._velocity_scaling = velocity_scaling
         self._max_acceleration = acceleration_scaling * min(joint.max_acceleration for joint in joints)
         self._time_limits = time_limits
         self._torque_limit = torque_limit
@@ -202,7 +202,9 @@ class Gripper:
 
     async def _play(self, command: GripperCommand, report: Callable[[GripperReading], None], epoch: int) -> MotionEnded:
         check_ready(self._arm)
-        velocity = min(command.max_velocity or self._max_velocity, self._max_velocity)
+        scaling = min(self._velocity_scaling, self._arm.state.pace.speed_limit)
+        fastest = scaling * min(joint.max_velocity for joint in self.joints)
+        velocity = min(command.max_velocity or fastest, fastest)
         trajectory = fingers_together(self._names, self._goals(), command.position, velocity, self._max_acceleration)
         field = f"the duration of the way to {command.position:.3f} {self.joints[0].unit}"
         self._time_limits.check_duration(
@@ -227,7 +229,8 @@ class Gripper:
         arm_clock = ArmClock(self._arm, self._clock)
         while not motion.done() and left_s > 0.0:
             await asyncio.wait([motion], timeout=FEEDBACK_PERIOD_S)
-            left_s -= arm_clock.elapsed_s()
+            progress = self._arm.progress(motion)
+            left_s -= arm_clock.elapsed_s() * (1.0 if progress is None else progress.rate)
             reading = self.reading()
             if not motion.done() and reading is not None:
                 report(reading)

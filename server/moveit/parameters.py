@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field, ValidationError, field_validator
 
@@ -64,6 +65,8 @@ class MoveItParameters(SettingsSection):
     """share of the velocity limits."""
     max_acceleration_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
     """share of the acceleration limits."""
+    faster_trajectories: Literal["slow", "refuse"] = "slow"
+    """play a trajectory that is faster than ``arm.speed_limit`` slower, or refuse it."""
     position_tolerance: float = Field(default=0.01, gt=0.0, le=0.1)
     """radius within which a position goal is reached [m]."""
     orientation_tolerance: float = Field(default=0.01, gt=0.0, le=0.5)

@@ -37,7 +37,7 @@ from server.moveit.poses import Message
 from server.moveit.requests.durations import read_seconds
 from server.moveit.requests.error_codes import error_code, refused
 from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
-from server.moveit.requests.trajectories import external_motion, external_trajectory, to_message
+from server.moveit.requests.trajectories import check_speed, external_motion, external_trajectory, to_message
 
 log = logging.getLogger("armbridge.actions")
 
@@ -255,6 +255,7 @@ class JointTrajectoryController:
         time_limits: of motions.
         industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
         name: of the controller, before ``_controller``; None for that of the group.
+        refuses_faster: true to refuse trajectories that exceed the arm's speed limit; false to have them played slower.
 
     Attributes:
         actions: names of the actions.
@@ -272,6 +273,7 @@ class JointTrajectoryController:
         *,
         industrial: bool,
         name: str | None = None,
+        refuses_faster: bool = False,
     ) -> None:
         self._robot = robot
         self._group = group
@@ -279,6 +281,7 @@ class JointTrajectoryController:
         self._current = current
         self._queue = queue
         self._time_limits = time_limits
+        self._refuses_faster = refuses_faster
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
         name = group.name if name is None else name
@@ -340,7 +343,10 @@ class JointTrajectoryController:
 
     def _check(self, trajectory: Message) -> None:
         check_duration(trajectory, self._time_limits)
-        check_trajectory(trajectory, self._group, self._robot, self._current.positions_rad(), time.time())
+        present_rad = self._current.positions_rad()
+        check_trajectory(trajectory, self._group, self._robot, present_rad, time.time())
+        if self._refuses_faster and present_rad is not None:
+            check_speed(trajectory, self._robot, present_rad, self._current.speed_limit(self._group.joints))
 
 
 class TrajectoryGoal:

@@ -45,7 +45,7 @@ from server.moveit.requests.error_codes import refused
 from server.moveit.requests.list_limits import PLANNING_LIMITS, TRAJECTORY_LIMITS
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import sequence_requests
-from server.moveit.requests.trajectories import external_motion, external_trajectory
+from server.moveit.requests.trajectories import check_speed, external_motion, external_trajectory
 from server.timers import call_later
 
 log = logging.getLogger("armbridge.actions")
@@ -364,11 +364,14 @@ class ExecuteTrajectory:
         current: CurrentState,
         queue: GoalQueue[Motion],
         time_limits: TimeLimits,
+        *,
+        refuses_faster: bool = False,
     ) -> None:
         self._robot = robot
         self._current = current
         self._queue = queue
         self._time_limits = time_limits
+        self._refuses_faster = refuses_faster
         node = Node("execute trajectory")
         type_name = "moveit_msgs/action/ExecuteTrajectory"
         graph.actions.offer(node, EXECUTE_ACTION, type_name, self._start, TRAJECTORY_LIMITS)
@@ -397,6 +400,9 @@ class ExecuteTrajectory:
         present_rad = self._current.positions_rad()
         if present_rad is not None:
             external_trajectory(message, self._robot, present_rad)
+            if self._refuses_faster:
+                limit = self._current.speed_limit(message["joint_names"])
+                check_speed(message, self._robot, present_rad, limit)
 
 
 def _execution_result(answer: Answer) -> Message:
@@ -426,10 +432,19 @@ class MotionActions:
     ) -> None:
         robot, current, default = context.robot, CurrentState(arm, context.robot), context.problems.group("")
         PlanningActions(graph, context, queue)
-        ExecuteTrajectory(graph, robot, current, queue, time_limits)
+        refuses_faster = context.parameters.configured.faster_trajectories == "refuse"
+        ExecuteTrajectory(graph, robot, current, queue, time_limits, refuses_faster=refuses_faster)
         self._controllers = [
             JointTrajectoryController(
-                graph, robot, group, arm, current, queue, time_limits, industrial=group.name == default.name
+                graph,
+                robot,
+                group,
+                arm,
+                current,
+                queue,
+                time_limits,
+                industrial=group.name == default.name,
+                refuses_faster=refuses_faster,
             )
             for group in robot.groups.values()
         ]

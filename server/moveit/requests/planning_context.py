@@ -184,7 +184,7 @@ class PlanningContext:
     @cached_property
     def problems(self) -> ProblemBuilder:
         """The builder of planning problems."""
-        return ProblemBuilder(self.robot, self.frames, self.parameters)
+        return ProblemBuilder(self.robot, self.frames, self.parameters, self.current.speed_limit)
 
     def start(self, state: Message, caller: Node) -> PlanningStart:
         """Read the start of a motion.

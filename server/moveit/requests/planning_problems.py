@@ -9,7 +9,7 @@ https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -95,12 +95,20 @@ class ProblemBuilder:
         robot: the arm.
         frames: look-up of frames.
         parameters: values for what requests leave out.
+        speed_limit: share of the velocity limits that motions of some joints may use now.
     """
 
-    def __init__(self, robot: RobotModel, frames: Frames, parameters: PlannerParameters) -> None:
+    def __init__(
+        self,
+        robot: RobotModel,
+        frames: Frames,
+        parameters: PlannerParameters,
+        speed_limit: Callable[[Collection[str]], float] = lambda _joints: 1.0,
+    ) -> None:
         self._robot = robot
         self._frames = frames
         self._parameters = parameters
+        self._speed_limit = speed_limit
 
     def group(self, name: str) -> Group:
         """Return a planning group; the configured one for an empty name.
@@ -133,7 +141,8 @@ class ProblemBuilder:
             group: the planning group.
             goal: the goal.
             start_rad: position of every movable joint at the start [rad].
-            velocity_scaling: share of the velocity limits, above 0 to 1; 0 for the configured one.
+            velocity_scaling: share of the velocity limits, above 0 to 1; 0 for the configured one. The arm's speed
+                limit holds besides.
             acceleration_scaling: share of the acceleration limits, likewise.
         """
         parameters = self._parameters.configured
@@ -141,7 +150,7 @@ class ProblemBuilder:
             group=group.name,
             start_rad=start_rad,
             goal=goal,
-            velocity_scaling=velocity_scaling or parameters.max_velocity_scaling,
+            velocity_scaling=min(velocity_scaling or parameters.max_velocity_scaling, self._speed_limit(group.joints)),
             acceleration_scaling=acceleration_scaling or parameters.max_acceleration_scaling,
             allowed_time_s=parameters.allowed_planning_time,
             attempts=parameters.num_planning_attempts,
@@ -171,8 +180,8 @@ class ProblemBuilder:
             group=group.name,
             start_rad=start_rad,
             goal=read_goal(request["goal_constraints"], context),
-            velocity_scaling=read_scaling(request, "max_velocity_scaling_factor", warnings),
-            acceleration_scaling=read_scaling(request, "max_acceleration_scaling_factor", warnings),
+            velocity_scaling=self._velocity_scaling(request, context),
+            acceleration_scaling=_acceleration_scaling(request, context),
             allowed_time_s=_allowed_time_s(request["allowed_planning_time"], parameters, warnings),
             attempts=_attempts(request["num_planning_attempts"], parameters, warnings),
             path_constraints=None if constraints.empty else constraints,
@@ -185,6 +194,14 @@ class ProblemBuilder:
             return BuiltProblem(problem, tuple(warnings))
         tip = tip_problem(planner, problem, arc, request["max_cartesian_speed"], context)
         return BuiltProblem(tip, tuple(warnings))
+
+    def _velocity_scaling(self, request: Message, context: RequestContext) -> float:
+        """Read a request's share of the velocity limits, and lower it to the arm's speed limit."""
+        field, default = "max_velocity_scaling_factor", context.parameters.max_velocity_scaling
+        asked, limit = read_scaling(request, field, default, context.warnings), self._speed_limit(context.group.joints)
+        if asked > limit and request[field] > 0.0:
+            context.warnings.append(f"{field} {asked:g} is lowered to {limit:g}, the arm's speed limit")
+        return min(asked, limit)
 
     def joints(self, requests: Iterable[Message]) -> Joints:
         """Return the joints of all groups of some moveit_msgs/MotionPlanRequest.
@@ -224,8 +241,8 @@ class ProblemBuilder:
             max_step_m=max_step_m,
             tip_speed_m_s=_tip_speed_m_s(request, context),
             avoid_collisions=request["avoid_collisions"],
-            velocity_scaling=read_scaling(request, "max_velocity_scaling_factor", context.warnings),
-            acceleration_scaling=read_scaling(request, "max_acceleration_scaling_factor", context.warnings),
+            velocity_scaling=self._velocity_scaling(request, context),
+            acceleration_scaling=_acceleration_scaling(request, context),
             allowed_time_s=context.parameters.allowed_planning_time,
             path_constraints=None if constraints.empty else constraints,
         )
@@ -299,14 +316,21 @@ def check_pipeline(pipeline_id: str) -> str:
     return pipeline
 
 
-def read_scaling(request: Message, field: str, warnings: list[str]) -> float:
-    """Read a scaling factor of the limits: 0, the message's default, and values above 1 are full speed.
+def _acceleration_scaling(request: Message, context: RequestContext) -> float:
+    default = context.parameters.max_acceleration_scaling
+    return read_scaling(request, "max_acceleration_scaling_factor", default, context.warnings)
 
-    MoveIt takes a negative one as full speed too. Here it is rejected: no client means full speed by it.
+
+def read_scaling(request: Message, field: str, default: float, warnings: list[str]) -> float:
+    """Read a scaling factor of the limits: 0 is the configured one, a value above 1 full speed.
+
+    MoveIt takes 0, the message's default, and a negative factor as full speed. A message that leaves the field out does
+    not ask for full speed, and no client means it by a negative one, which is rejected.
 
     Args:
         request: the message with the field.
         field: name of the field.
+        default: the configured factor.
         warnings: gets a sentence for a value above 1.
 
     Raises:
@@ -314,10 +338,10 @@ def read_scaling(request: Message, field: str, warnings: list[str]) -> float:
     """
     value = float(request[field])
     if math.isnan(value) or value < 0.0:
-        raise invalid(f"{field} must be from 0 to 1, 0 for full speed, not {value:g}", value=value)
+        raise invalid(f"{field} must be from 0 to 1, 0 for the default of {default:g}, not {value:g}", value=value)
     if value > 1.0:
         warnings.append(f"{field} {value:g} is taken as 1, the most there is")
-    return min(value, 1.0) or 1.0
+    return min(value, 1.0) or default
 
 
 def tip_problem(

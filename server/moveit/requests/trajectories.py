@@ -10,7 +10,7 @@ import numpy as np
 
 from planners.problem import MoveItErrorCode
 from protocol.messages import Stamp
-from robot.control.checks import refusal
+from robot.control.checks import VELOCITY_TOLERANCE, refusal
 from robot.description.limits import JointBounds
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector
@@ -84,6 +84,32 @@ def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions
     if reason:
         raise refused(MoveItErrorCode.INVALID_MOTION_PLAN, reason)
     return trajectory
+
+
+def check_speed(message: Message, robot: RobotModel, held_rad: Positions, limit: float) -> None:
+    """Check a trajectory_msgs/JointTrajectory against the arm's speed limit, with the tolerance that plans have.
+
+    Args:
+        message: the trajectory, which :func:`external_trajectory` accepts.
+        robot: the arm.
+        held_rad: position of every movable joint that the arm holds [rad].
+        limit: share of the velocity limits.
+
+    Raises:
+        RefusedError: a joint would be faster.
+    """
+    trajectory = read_joint_trajectory(message, robot, held_rad)
+    for name, speed_rad_s in zip(trajectory.joint_names, trajectory.peak_speed_rad_s.tolist(), strict=True):
+        limit_rad_s = limit * robot.joints[name].max_velocity
+        if speed_rad_s > limit_rad_s * VELOCITY_TOLERANCE:
+            unit = f"{robot.joints[name].unit}/s"
+            raise _invalid(
+                f"points move joint {name} at {speed_rad_s:.3g} {unit}, above {limit_rad_s:.3g} {unit}, the speed limit"
+                f" of {limit:g} times its velocity limit; moveit.faster_trajectories = slow plays it slower",
+                joint=name,
+                speed_rad_s=speed_rad_s,
+                limit_rad_s=limit_rad_s,
+            )
 
 
 def smallest_group(robot: RobotModel, joint_names: tuple[str, ...]) -> Group | None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -714,3 +715,66 @@ def test_a_motion_that_cannot_take_anothers_place_leaves_it_alone() -> None:
     assert (ended.motion_id, ended.outcome) == (8, Outcome.REFUSED)
     ended, _ = rig.until_end()
     assert (ended.motion_id, ended.outcome) == (7, Outcome.REACHED)
+
+
+LIMIT = 0.1
+
+
+def limited(**joints: tuple[float, float]) -> Rig:
+    rig = Rig()
+    rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
+    rig.controller.execute(Execute(1, move(**joints)))
+    return rig
+
+
+def test_no_joint_of_a_motion_is_faster_than_the_speed_limit() -> None:
+    rig = limited(shoulder_pan=(0.0, 1.0), wrist_roll=(0.0, -1.0))
+    ended, _ = rig.until_end()
+    assert ended.outcome is Outcome.REACHED
+    assert (rig.largest_step() <= LIMIT * BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN).all()
+    assert rig.controller.goal_rad[0] == pytest.approx(1.0)
+
+
+def test_a_motion_that_is_slow_enough_is_played_as_planned_under_a_speed_limit() -> None:
+    _, seconds = limited(shoulder_pan=(0.0, 0.05)).until_end()
+    assert seconds == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_speed_limit_that_is_lowered_slows_the_motion_in_progress() -> None:
+    rig = Rig()
+    rig.controller.execute(Execute(1, move(shoulder_pan=(0.0, 1.0))))
+    for _ in range(100):
+        rig.tick()
+    rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
+    for _ in range(50):
+        rig.tick()
+    rig.goals = rig.goals[-2:]
+    rig.until_end()
+    assert rig.largest_step()[0] <= LIMIT * BOUNDS.max_velocity[0] * PERIOD_S * STEP_MARGIN
+
+
+def test_no_joint_of_a_stream_is_faster_than_the_speed_limit() -> None:
+    rig = Rig()
+    rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
+    rig.controller.stream(Stream(1, ("shoulder_pan", "wrist_roll")))
+    for _ in range(60):
+        rig.controller.steer(Setpoint(1, np.array([1.5, -1.0])))
+        rig.tick()
+    pan, roll = (rig.largest_step()[joint] / BOUNDS.max_velocity[joint] / PERIOD_S for joint in (0, 4))
+    assert max(pan, roll) == pytest.approx(LIMIT, rel=0.02)
+    assert rig.largest_step()[4] / rig.largest_step()[0] == pytest.approx(1.0 / 1.5, rel=0.05)
+
+
+def test_a_grip_keeps_to_the_speed_limit() -> None:
+    rig = Rig()
+    rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
+    rig.controller.execute(Execute(1, move(gripper=(0.0, 1.0)), gripping=True))
+    rig.until_end()
+    assert rig.largest_step()[5] <= LIMIT * BOUNDS.max_velocity[5] * PERIOD_S * STEP_MARGIN
+
+
+@pytest.mark.parametrize("limit", [0.0, 1.5, -1.0, math.nan])
+def test_a_speed_limit_out_of_its_range_is_ignored(limit: float) -> None:
+    rig = Rig()
+    rig.controller.change_pace(ChangePace(speed_limit=limit))
+    assert rig.controller.pace.speed_limit == 1.0

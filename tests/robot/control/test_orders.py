@@ -322,6 +322,7 @@ def test_an_emergency_stop_cuts_torque_before_the_write_that_it_interrupts_is_un
     before = len(read_write_log(log))
     rig.begin(Order.EMERGENCY_STOP)
     addresses = [entry["address"] for entry in read_write_log(log)[before:]]
+    emulator.end()
     assert addresses[0] == Register.TORQUE_ENABLE
     assert addresses[-1] == Register.LOCK
 

@@ -47,13 +47,13 @@ def problem(**fields) -> PlanningProblem:
     return read.problem
 
 
-def test_a_request_with_only_a_goal_is_planned_by_the_parameters_at_full_speed() -> None:
+def test_a_request_with_only_a_goal_is_planned_by_the_parameters() -> None:
     assert problem() == PlanningProblem(
         "arm",
         HOME,
         JointGoal({"elbow_flex": 0.5}, PARAMETERS.joint_tolerance),
-        velocity_scaling=1.0,
-        acceleration_scaling=1.0,
+        velocity_scaling=PARAMETERS.max_velocity_scaling,
+        acceleration_scaling=PARAMETERS.max_acceleration_scaling,
         allowed_time_s=PARAMETERS.allowed_planning_time,
         attempts=PARAMETERS.num_planning_attempts,
         optimization_time_s=PARAMETERS.optimization_time,

@@ -39,6 +39,7 @@ from planners.servo.velocity_limits import (
     bounded_least_squares,
     regularized,
     velocity_bounds,
+    within_reach,
 )
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
@@ -156,15 +157,17 @@ def _servo_state(
     names, limits = robot.groups[question.group].joints, question.limits
     columns = np.array([collision.joint_names.index(name) for name in names])
     lower, upper = collision.lower_rad[columns], collision.upper_rad[columns]
-    bounds = velocity_bounds(q[columns], lower, upper, columns, collision.near_pairs(q, WATCHED_M), limits)
     joints = [robot.joints[name] for name in names]
+    max_change = ACCELERATION_SHARE * question.period_s * np.array([joint.max_acceleration for joint in joints])
+    pairs = collision.near_pairs(q, WATCHED_M)
+    bounds = velocity_bounds(q[columns], lower, upper, columns, pairs, limits, max_change, question.period_s)
     jacobian = forward.jacobian(q, question.link)[:, columns]
     return ServoState(
         q,
         columns,
         jacobian,
         limits.velocity_scaling * np.array([joint.max_velocity for joint in joints]),
-        ACCELERATION_SHARE * question.period_s * np.array([joint.max_acceleration for joint in joints]),
+        max_change,
         np.array([question.velocity_rad_s.get(name, 0.0) for name in names]),
         forward.placement(question.link).copy(),
         bounds,
@@ -248,10 +251,19 @@ def _turned(
 
 
 def _ramped(outcome: Outcome, state: ServoState) -> Outcome:
-    """Limit the change of all joints' velocities alike: the tip keeps its direction while the slowest speeds up."""
+    """Limit the change of the joints' velocities.
+
+    All joints change alike where the velocity bounds allow it: the tip keeps its direction while the slowest joint
+    speeds up. Elsewhere a joint that reverses would hold up another's braking, so that each joint changes as fast as
+    the bounds need.
+    """
     change = outcome.velocity_rad_s - state.velocity_rad_s
-    share = 1.0 / max(1.0, float(np.max(np.abs(change) / state.max_change)))
-    return replace(outcome, velocity_rad_s=state.velocity_rad_s + share * change)
+    wanted = change / max(1.0, float(np.max(np.abs(change) / state.max_change)))
+    # A joint that rests, and is to rest, helps no other.
+    reach = np.where((state.velocity_rad_s != 0.0) | (outcome.velocity_rad_s != 0.0), state.max_change, 0.0)
+    rows, bounds = state.velocity_bounds.rows, state.velocity_bounds.bounds
+    change = within_reach(wanted, reach, rows, bounds - rows @ state.velocity_rad_s)
+    return replace(outcome, velocity_rad_s=state.velocity_rad_s + change)
 
 
 def _share_of_speed(velocity: Vector, max_velocity: Vector) -> float:

@@ -1,0 +1,69 @@
+"""Sticks moved at random above a table, whose distance is kept whatever the other joints do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planners.geometry.collision import CollisionModel
+from planners.pipeline import Planner
+from planners.scene import Box
+from planners.servo.question import ServoLimits, TipTwist
+from planners.servo.velocity_limits import WATCHED_M
+from tests.planners.scenes import scene, thing
+from tests.planners.servo.steering import SteeredArm
+
+LIMITS = ServoLimits()
+HOLD_S, TRIAL_S = 0.4, 3.2
+
+# The shapes of neighbouring ticks, and the arm that rounds its corners.
+ROUNDING_M = 0.0005
+
+
+@pytest.fixture
+def table(planner: Planner, robot) -> CollisionModel:
+    around = scene(thing(Box((1.0, 1.0, 0.04)), 0.3, 0.0, -0.03))
+    assert planner.set_scene(around) is None
+    collision = CollisionModel(robot)
+    collision.set_scene(around)
+    return collision
+
+
+def least_distance_m(arm: SteeredArm, collision: CollisionModel) -> float:
+    """The least distance of the arm from the table on the way of its goals [m]."""
+    least_m = WATCHED_M
+    for joints_rad in arm.joints_rad:
+        positions = arm.positions_rad | dict(zip(arm._names, joints_rad.tolist(), strict=True))
+        near = collision.near_pairs(np.array([positions[name] for name in collision.joint_names]), WATCHED_M)
+        least_m = min([least_m, *(pair.distance_m for pair in near if pair.by_object)])
+    return least_m
+
+
+def stick(turns: list[tuple[float, float, float]], downwards: list[tuple[float, float, float]]):
+    """A stick that is held for a while, then moved to another place."""
+
+    def command(at_s: float) -> TipTwist:
+        number = round(at_s / HOLD_S - 0.5) % len(turns)
+        linear = np.array(downwards[number]) * LIMITS.linear_m_s
+        angular = np.array(turns[number]) * LIMITS.angular_rad_s
+        return TipTwist((linear[0], linear[1], linear[2]), (angular[0], angular[1], angular[2]))
+
+    return command
+
+
+def test_a_turn_that_is_reversed_on_the_way_down_keeps_the_distance(planner, robot, table) -> None:
+    arm = SteeredArm(planner, robot)
+    arm.steer(stick([(0.0, 1.0, 0.0), (0.0, -1.0, 0.0)], [(0.0, 0.0, -1.0)] * 2), TRIAL_S)
+    assert least_distance_m(arm, table) > LIMITS.scene_distance_m - ROUNDING_M
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_sticks_keep_the_distance(planner, robot, table, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    count = round(TRIAL_S / HOLD_S)
+    drawn = random.normal(size=(2, count, 3))
+    drawn /= np.linalg.norm(drawn, axis=2, keepdims=True)
+    drawn[1, :, 2] = -np.abs(drawn[1, :, 2])
+    arm = SteeredArm(planner, robot)
+    arm.steer(stick([tuple(turn) for turn in drawn[0]], [tuple(way) for way in drawn[1]]), TRIAL_S)
+    assert least_distance_m(arm, table) > LIMITS.scene_distance_m - ROUNDING_M

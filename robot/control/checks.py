@@ -12,7 +12,9 @@ from dataclasses import fields, replace
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
+from robot.control.pacing import PERIOD_S
 from robot.description.limits import JointBounds
 from robot.messages import MIN_SPEED_LIMIT, ArmConfig, GuardLimits
 from robot.trajectory import Trajectory, Vector
@@ -59,6 +61,10 @@ LIMIT_TOLERANCE_RAD = 0.002
 # Timing laws meet velocity limits only to a few per cent between their grid points.
 VELOCITY_TOLERANCE = 1.05
 
+# A profile that switches from full acceleration to full braking between two samples keeps the limit, but the cubic
+# through them has up to 5/3 of it: 8x - 6x^2 - 1 at the first sample, for a switch at the share x of the time between.
+ACCELERATION_TOLERANCE = 1.7
+
 # 100 Hz for half an hour.
 MAX_SAMPLES = 180_000
 
@@ -72,23 +78,34 @@ def checked(config: ArmConfig) -> ArmConfig:
     )
 
 
-def refusal(trajectory: Trajectory, names: tuple[str, ...], bounds: JointBounds, held_rad: Vector) -> str:
+def refusal(
+    trajectory: Trajectory, names: tuple[str, ...], bounds: JointBounds, held_rad: Vector, *, in_motion: bool = False
+) -> str:
     """Check a trajectory; return the reason to refuse it, empty for none.
+
+    The curve between the samples is checked as it is played, with its velocities and accelerations.
 
     Args:
         trajectory: trajectory to play.
         names: the arm's joints, order of the arrays.
         bounds: limits of the joints.
         held_rad: goals at which the arm holds, shape (joints,) [rad].
+        in_motion: True for a trajectory that continues a motion; any other begins at rest.
     """
     malformed = _malformed(trajectory, names)
     if malformed:
         return malformed
-    for column, name in enumerate(trajectory.joint_names):
-        reason = _joint_refusal(trajectory, column, bounds, names.index(name), held_rad)
-        if reason:
-            return reason
-    return ""
+    columns = np.array([names.index(name) for name in trajectory.joint_names])
+    chosen, held = bounds.of_columns(columns), held_rad[columns]
+    away = np.abs(trajectory.positions_rad[0] - held)
+    if away.max() > START_TOLERANCE_RAD:
+        column = int(np.argmax(away))
+        return (
+            f"the motion starts with joint {trajectory.joint_names[column]} at "
+            f"{trajectory.positions_rad[0, column]:.3f} rad, but the arm holds it at {held[column]:.3f} rad "
+            f"(tolerance {START_TOLERANCE_RAD} rad)"
+        )
+    return _rest_refusal(trajectory, chosen, in_motion=in_motion) or _curve_refusal(trajectory, chosen, held)
 
 
 def names_refusal(names: tuple[str, ...], known: tuple[str, ...]) -> str:
@@ -114,25 +131,115 @@ def _corrections(values: ArmConfig | GuardLimits, ranges: Ranges) -> dict[str, A
     return found
 
 
-def _joint_refusal(trajectory: Trajectory, column: int, bounds: JointBounds, joint: int, held_rad: Vector) -> str:
-    """Check one joint's limits, start and speed; return the reason to refuse the trajectory, empty for none."""
-    name, positions, held = trajectory.joint_names[column], trajectory.positions_rad[:, column], held_rad[joint]
-    # An arm that was switched on outside its soft limits may be brought back inside.
-    lower = min(bounds.lower_rad[joint], held) - LIMIT_TOLERANCE_RAD
-    upper = max(bounds.upper_rad[joint], held) + LIMIT_TOLERANCE_RAD
-    outside = positions[(positions < lower) | (positions > upper)]
-    if outside.size:
-        return f"joint {name} would go to {outside[0]:.3f} rad, beyond its limits {lower:.3f} to {upper:.3f} rad"
-    if abs(positions[0] - held) > START_TOLERANCE_RAD:
-        return (
-            f"the motion starts with joint {name} at {positions[0]:.3f} rad, but the arm holds it at "
-            f"{held:.3f} rad (tolerance {START_TOLERANCE_RAD} rad)"
-        )
-    speeds = np.abs(np.diff(positions)) / np.diff(trajectory.time_s)
-    limit = bounds.max_velocity[joint] * VELOCITY_TOLERANCE
-    if speeds.size and speeds.max() > limit:
-        return f"joint {name} would move at {speeds.max():.2f} rad/s, above its limit of {limit:.2f} rad/s"
+def _rest_refusal(trajectory: Trajectory, bounds: JointBounds, *, in_motion: bool) -> str:
+    """Check that a trajectory begins and ends at rest; its joints would change their speed within a tick."""
+    limits = ACCELERATION_TOLERANCE * bounds.max_acceleration * PERIOD_S
+    for sample, word in ((-1, "end"),) if in_motion else ((0, "begin"), (-1, "end")):
+        speeds = np.abs(trajectory.velocities_rad_s[sample])
+        column = int(np.argmax(speeds - limits))
+        if speeds[column] > limits[column]:
+            return (
+                f"joint {trajectory.joint_names[column]} would {word} at {trajectory.time_s[sample]:.3f} s with "
+                f"{speeds[column]:.2f} rad/s; it must be at rest there (tolerance {limits[column]:.2f} rad/s)"
+            )
     return ""
+
+
+def _curve_refusal(trajectory: Trajectory, bounds: JointBounds, held_rad: Vector) -> str:
+    """Check the curve between the samples; return the reason to refuse it, empty for none.
+
+    Args:
+        trajectory: trajectory to play.
+        bounds: limits of its joints.
+        held_rad: goals at which the arm holds its joints, shape (joints,) [rad].
+    """
+    # An arm that was switched on outside its soft limits may be brought back inside.
+    lower = np.minimum(bounds.lower_rad, held_rad) - LIMIT_TOLERANCE_RAD
+    upper = np.maximum(bounds.upper_rad, held_rad) + LIMIT_TOLERANCE_RAD
+    fastest = bounds.max_velocity * VELOCITY_TOLERANCE
+    strongest = bounds.max_acceleration * ACCELERATION_TOLERANCE
+    positions, velocities, accelerations = _control_points(trajectory)
+    spans, columns = np.nonzero(
+        ((positions < lower) | (positions > upper)).any(axis=0)
+        | (np.abs(velocities) > fastest).any(axis=0)
+        | (np.abs(accelerations) > strongest).any(axis=0)
+    )
+    at_s, position, velocity, acceleration = _extremes(trajectory, spans, columns)
+    speed, change = np.abs(velocity), np.abs(acceleration)
+    outside = (position < lower[columns, np.newaxis]) | (position > upper[columns, np.newaxis])
+    too_fast, too_strong = speed > fastest[columns, np.newaxis], change > strongest[columns, np.newaxis]
+    for wrong in (outside, too_fast, too_strong):
+        if not wrong.any():
+            continue
+        index = tuple(np.argwhere(wrong)[0])
+        column = columns[index[0]]
+        who, when = f"joint {trajectory.joint_names[column]} would", f"at {at_s[index]:.3f} s"
+        if wrong is outside:
+            return (
+                f"{who} go to {position[index]:.3f} rad, beyond its limits {lower[column]:.3f} to "
+                f"{upper[column]:.3f} rad, {when}"
+            )
+        if wrong is too_fast:
+            return f"{who} move at {speed[index]:.2f} rad/s, above its limit of {fastest[column]:.2f} rad/s, {when}"
+        limit = f"its limit of {strongest[column]:.2f} rad/s^2"
+        return f"{who} accelerate by {change[index]:.2f} rad/s^2, above {limit}, {when}"
+    return ""
+
+
+def _control_points(trajectory: Trajectory) -> tuple[Vector, Vector, Vector]:
+    """Return the Bezier control points of each span's positions, velocities and accelerations.
+
+    The curve stays between them, so a span whose control points keep the limits keeps them. Source: Farin, Curves and
+    Surfaces for CAGD, 5th edition, 4.3 (convex hull property) and 5.3 (derivatives).
+
+    Returns:
+        Positions [rad], velocities [rad/s] and accelerations [rad/s^2]: four, three and two points a span, shape
+        (points, spans, joints) each.
+    """
+    positions, velocities = trajectory.positions_rad, trajectory.velocities_rad_s
+    if len(positions) == 1:
+        return positions[np.newaxis], velocities[np.newaxis], np.zeros((1, 1, positions.shape[1]))
+    third_s = np.diff(trajectory.time_s)[:, np.newaxis] / 3.0
+    first, last = positions[:-1], positions[1:]
+    hull = np.stack((first, first + third_s * velocities[:-1], last - third_s * velocities[1:], last))
+    speeds = np.diff(hull, axis=0) / third_s
+    return hull, speeds, np.diff(speeds, axis=0) / (1.5 * third_s)
+
+
+def _extremes(
+    trajectory: Trajectory, spans: NDArray[np.intp], columns: NDArray[np.intp]
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return the curve where it may be extreme: at the ends of spans, and where velocity or acceleration is zero.
+
+    Args:
+        trajectory: trajectory to play.
+        spans: index of the sample at which each span begins, shape (k,).
+        columns: joint of each span, likewise.
+
+    Returns:
+        Times [s], positions [rad], velocities [rad/s] and accelerations [rad/s^2], each of shape (k, 5).
+    """
+    ends = np.minimum(spans + 1, len(trajectory.time_s) - 1)
+    # The one sample of a trajectory without spans is at rest.
+    span_s = np.where(ends > spans, trajectory.time_s[ends] - trajectory.time_s[spans], 1.0)
+    first = trajectory.positions_rad[spans, columns]
+    rise = trajectory.positions_rad[ends, columns] - first
+    m0, m1 = (span_s * trajectory.velocities_rad_s[sample, columns] for sample in (spans, ends))
+    # As Trajectory.sample interpolates.
+    c2, c3 = 3.0 * rise - 2.0 * m0 - m1, m0 + m1 - 2.0 * rise
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Both roots without a difference of near numbers: Press et al., Numerical Recipes, 3rd edition, 5.6.
+        larger = -(c2 + np.copysign(np.sqrt(c2**2 - 3.0 * c3 * m0), c2))
+        turns = np.column_stack((-c2 / (3.0 * c3), larger / (3.0 * c3), m0 / larger))
+    inside = np.where((turns > 0.0) & (turns < 1.0), turns, 0.0)
+    u = np.column_stack((np.zeros_like(c2), np.ones_like(c2), inside))
+    first, m0, c2, c3, span_s = (array[:, np.newaxis] for array in (first, m0, c2, c3, span_s))
+    return (
+        trajectory.time_s[spans, np.newaxis] + u * span_s,
+        first + u * (m0 + u * (c2 + u * c3)),
+        (m0 + u * (2.0 * c2 + 3.0 * u * c3)) / span_s,
+        (2.0 * c2 + 6.0 * u * c3) / span_s**2,
+    )
 
 
 def _malformed(trajectory: Trajectory, known: tuple[str, ...]) -> str:

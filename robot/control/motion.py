@@ -342,7 +342,7 @@ def splice_refusal(
         return f"motion {former.motion_id} is one of other joints, or a grip: none can take its place"
     begins_rad = goal_rad.copy()
     begins_rad[former.columns] = former.playback.trajectory.sample(continues.from_s)[0]
-    reason = checks.refusal(command.trajectory, names, bounds, begins_rad)
+    reason = checks.refusal(command.trajectory, names, bounds, begins_rad, in_motion=True)
     if reason or former.playback.can_splice(command.trajectory, continues.from_s):
         return reason
     return f"motion {former.motion_id} is no longer where another could take its place"

@@ -10,10 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.control.checks import CONFIG_RANGES, GUARD_RANGES, checked, refusal
+from robot.control.checks import (
+    ACCELERATION_TOLERANCE,
+    CONFIG_RANGES,
+    GUARD_RANGES,
+    VELOCITY_TOLERANCE,
+    checked,
+    refusal,
+)
 from robot.description.limits import JointBounds
 from robot.hardware.config import IdealConfig
 from robot.messages import ArmConfig, GuardLimits
+from robot.trajectory import Trajectory, rest_to_rest
 from tests.helpers.arm_rig import NAMES
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101
@@ -66,3 +74,92 @@ def test_times_that_are_no_numbers_are_refused(value: float) -> None:
     move = smooth_move({"elbow_flex": (0.0, 0.5)}, 2.0)
     move.time_s[-1] = value
     assert "finite" in refusal(move, NAMES, BOUNDS, np.zeros(6))
+
+
+PAN = "shoulder_pan"
+
+
+def curve(time_s: list[float], positions: list[float], velocities: list[float]) -> Trajectory:
+    """A trajectory of the pan through some points."""
+    columns = (np.array(values)[:, np.newaxis] for values in (positions, velocities, [0.0] * len(time_s)))
+    return Trajectory((PAN,), np.array(time_s), *columns)
+
+
+def reason_of(trajectory: Trajectory, *, in_motion: bool = False) -> str:
+    return refusal(trajectory, NAMES, BOUNDS, np.zeros(6), in_motion=in_motion)
+
+
+def test_a_velocity_that_swings_the_curve_beyond_its_points_is_refused() -> None:
+    reason = reason_of(curve([0.0, 0.5, 1.0], [0.0, 0.25, 0.5], [0.0, 8.0, 0.0]))
+    assert reason == "joint shoulder_pan would move at 8.00 rad/s, above its limit of 2.10 rad/s, at 0.500 s"
+
+
+def test_a_velocity_that_is_above_its_limit_only_between_the_points_is_refused() -> None:
+    reason = reason_of(curve([0.0, 1.0], [0.0, 1.5], [0.0, 0.0]))
+    assert reason == "joint shoulder_pan would move at 2.25 rad/s, above its limit of 2.10 rad/s, at 0.500 s"
+
+
+def test_a_zigzag_within_the_velocity_limit_is_refused_for_its_acceleration() -> None:
+    time_s, zigzag = [0.01 * number for number in range(21)], [0.01 * (number % 2) for number in range(21)]
+    reason = reason_of(curve(time_s, zigzag, [0.0] * 21))
+    assert (
+        reason == "joint shoulder_pan would accelerate by 600.00 rad/s^2, above its limit of 10.20 rad/s^2, at 0.000 s"
+    )
+
+
+@pytest.mark.parametrize(
+    ("velocities", "word"), [([0.5, 0.5, 0.0], "begin at 0.000"), ([0.0, 0.5, 0.5], "end at 2.000")]
+)
+def test_a_trajectory_begins_and_ends_at_rest(velocities: list[float], word: str) -> None:
+    reason = reason_of(curve([0.0, 1.0, 2.0], [0.0, 0.5, 1.0], velocities))
+    assert (
+        reason == f"joint shoulder_pan would {word} s with 0.50 rad/s; it must be at rest there (tolerance 0.10 rad/s)"
+    )
+
+
+def test_a_trajectory_that_continues_a_motion_may_begin_in_motion() -> None:
+    moving = curve([0.0, 1.0, 2.0], [0.0, 0.5, 0.75], [0.5, 0.5, 0.0])
+    assert reason_of(moving) != ""
+    assert reason_of(moving, in_motion=True) == ""
+
+
+def test_a_profile_at_the_limits_is_accepted_however_it_is_sampled() -> None:
+    profile = rest_to_rest(PAN, 0.0, 1.2, float(BOUNDS.max_velocity[0]), float(BOUNDS.max_acceleration[0]))
+    assert reason_of(profile) == ""
+    for rate_hz in (3.0, 7.0, 10.0, 31.0, 100.0):
+        time_s = np.unique(np.append(np.arange(0.0, profile.duration_s, 1.0 / rate_hz), profile.duration_s))
+        samples = [profile.sample(float(at_s)) for at_s in time_s]
+        positions, velocities = ([float(sample[kind][0]) for sample in samples] for kind in (0, 1))
+        assert reason_of(curve(time_s.tolist(), positions, velocities)) == ""
+
+
+SPEEDS = st.lists(st.floats(min_value=-2.0, max_value=2.0), min_size=2, max_size=6)
+
+
+@given(SPEEDS, st.lists(st.floats(min_value=-0.3, max_value=0.3), min_size=6, max_size=6), st.floats(0.1, 1.0))
+def test_a_curve_is_refused_exactly_where_it_leaves_the_limits(
+    speeds: list[float], places: list[float], span_s: float
+) -> None:
+    time_s = [span_s * number for number in range(len(speeds) + 2)]
+    positions = [0.0, *places[: len(speeds)], 0.0]
+    trajectory = curve(time_s, positions, [0.0, *speeds, 0.0])
+    inside = np.nextafter(np.array(time_s)[1:], 0.0)
+    sampled = [trajectory.sample(float(at_s)) for at_s in (*np.linspace(1e-9, inside[-1], 3000), *inside)]
+    position, velocity, acceleration = (np.array([float(each[kind][0]) for each in sampled]) for kind in range(3))
+    shares = np.array(
+        [
+            np.abs(position).max() / (BOUNDS.upper_rad[0] + 0.002),
+            np.abs(velocity).max() / (BOUNDS.max_velocity[0] * VELOCITY_TOLERANCE),
+            np.abs(acceleration).max() / (BOUNDS.max_acceleration[0] * ACCELERATION_TOLERANCE),
+        ]
+    )
+    if shares.max() > 1.0 + 1e-6:
+        assert reason_of(trajectory) != ""
+    elif shares.max() < 1.0 - 1e-3:
+        assert reason_of(trajectory) == ""
+
+
+def test_ten_thousand_samples_are_checked_as_one_array() -> None:
+    whole = smooth_move(dict.fromkeys(NAMES, (0.0, 0.5)), 100.0)
+    assert len(whole.time_s) > 10_000
+    assert reason_of(whole) == ""

@@ -306,16 +306,17 @@ def test_an_arm_found_outside_its_soft_limits_may_be_brought_back_inside() -> No
     assert np.array(rig.goals)[:, 0].max() <= outside
 
 
-def test_a_curve_that_swings_beyond_a_limit_between_its_samples_is_cut_off_there() -> None:
+def test_a_curve_that_swings_beyond_a_limit_between_its_samples_is_refused() -> None:
     limit = float(BOUNDS.upper_rad[0])
     rig = Rig([limit - 0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
-    samples = np.full((2, 1), limit - 0.02)
-    fast_out_and_in = np.array([[1.5], [-1.5]])
-    swinging = Trajectory(("shoulder_pan",), np.array([0.0, 0.4]), samples, fast_out_and_in, np.zeros((2, 1)))
-    assert swinging.sample(0.2)[0][0] > limit
-    assert rig.controller.execute(Execute(1, swinging)) is None
-    rig.until_end()
-    assert np.array(rig.goals)[:, 0].max() == pytest.approx(limit)
+    positions = limit - np.array([[0.02], [0.01], [0.01], [0.02]])
+    out_and_in = np.array([[0.0], [0.2], [-0.2], [0.0]])
+    time_s = np.array([0.0, 0.3, 0.7, 1.0])
+    swinging = Trajectory(("shoulder_pan",), time_s, positions, out_and_in, np.zeros((4, 1)))
+    assert swinging.sample(0.5)[0][0] > limit + 0.009
+    refused = rig.controller.execute(Execute(1, swinging))
+    assert refused is not None
+    assert refused.message.startswith("joint shoulder_pan would go to 1.930 rad, beyond its limits")
 
 
 def test_progress_is_reported_while_moving() -> None:

@@ -285,6 +285,12 @@ def refusal(**changes: Any) -> RefusedError | None:
     return None
 
 
+def at_rest(time_s: float, position_rad: float) -> dict[str, Any]:
+    """A point with velocity 0."""
+    stamp = {"sec": int(time_s), "nanosec": round((time_s - int(time_s)) * 1e9)}
+    return {"positions": [position_rad], "velocities": [0.0], "time_from_start": stamp}
+
+
 REFUSED = {
     "no points": ({"points": []}, FollowCode.INVALID_GOAL, "points is empty"),
     "unknown joint": ({"joint_names": ["knee"]}, FollowCode.INVALID_JOINTS, "'knee'"),
@@ -303,6 +309,16 @@ REFUSED = {
         "points[1].time_from_start",
     ),
     "beyond the limits": ({"points": [{**POINT, "positions": [9.0]}]}, FollowCode.INVALID_GOAL, "9.000 rad"),
+    "a swing between its points": (
+        {"points": [at_rest(0, 0.0), {**at_rest(1, 0.25), "velocities": [8.0]}, at_rest(2, 0.5)]},
+        FollowCode.INVALID_GOAL,
+        "would move at 8.00 rad/s, above its limit of 1.68 rad/s, at 1.000 s",
+    ),
+    "a zigzag": (
+        {"points": [at_rest(0.01 * step, 0.01 * (step % 2)) for step in range(21)]},
+        FollowCode.INVALID_GOAL,
+        "would accelerate by 600.00 rad/s^2",
+    ),
 }
 
 

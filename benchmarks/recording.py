@@ -90,6 +90,8 @@ async def _measure(rate_hz: int, file: Path | None) -> Cost:
     graph.advertise(talker, "/joint_states", "sensor_msgs/JointState")
     graph.subscribe(Node("listener"), "/joint_states", None, Subscriber(_encode))
     recorder = None if file is None else Recorder(graph, file)
+    if recorder is not None:
+        recorder.start()
     # As the server does it: what lives as long as the process is not looked at again.
     gc.collect()
     gc.freeze()

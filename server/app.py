@@ -202,7 +202,7 @@ class App:
             else SharedPlanners(robot, inherited.planners)
         )
 
-        # Behind all that may refuse, so that no file is begun in vain; ahead of the parts that latch messages.
+        # Ahead of the parts that latch messages; its file is opened when nothing can refuse the start any more.
         self._log_ring = LogRing()
         self._recorder = open_recorder(settings.recording, graph, robot.name)
         EpisodeServices(graph, lambda: self._recorder is not None and not self._recorder.ended)
@@ -280,7 +280,7 @@ class App:
         ending, hurry = stop_signals()
         on_hangup(self._listener.reload_certificate, ending.set)
         on_debug_signal()
-        # What records has done so since it was made, and does to the end.
+        # The recorder has taken messages since it was made, and is stopped last.
         started = [Part("the recording", stop=self._close_recording, deadline_s=0.8)]
         try:
             if await unless_ended(ending, start_in_order(self._parts(), started)):
@@ -361,6 +361,8 @@ class App:
             Part("memory", memory.start, memory.stop),
             # Ready without them: whoever comes first waits for a type of his own, at most 20 ms.
             Part("message types", message_types.start, message_types.stop),
+            # A start that was refused leaves no file.
+            Part("the recording's file", self._open_recording),
         ]
         if self._bridge is not None:
             bridge = BackgroundTask("zenoh", self._bridge.run)
@@ -404,6 +406,10 @@ class App:
         if self._arms is not None:
             self._arms.close()
         await self._listener.close()
+
+    async def _open_recording(self) -> None:
+        if self._recorder is not None:
+            self._recorder.start()
 
     async def _close_recording(self) -> None:
         """Write the last messages, those of the stop among them."""
@@ -491,7 +497,7 @@ def _what_arm_runs(arm: ArmInterface, serial: str | None, name: str, description
 
 
 def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) -> Recorder | None:
-    """Begin to record, if the settings name a file.
+    """Begin to take messages for the recording, if the settings name a file; `Recorder.start` opens it.
 
     Args:
         settings: the section ``recording``.
@@ -499,8 +505,7 @@ def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) ->
         robot_name: for whoever reads the file.
 
     Raises:
-        ConfigurationError: at its path is something else than a file.
-        StartError: the file cannot be written.
+        ConfigurationError: at its path is something else than a file, or its folder cannot be written to.
     """
     if settings.file is None:
         return None

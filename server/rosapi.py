@@ -22,7 +22,7 @@ from server.access.permissions import NameFilter
 from server.errors import ServiceError
 from server.graph.index import TypedNames
 from server.graph.node import Node
-from server.graph.services import LOCAL_TIMEOUT_S, Call, failure_told
+from server.graph.services import Call, failure_told
 from server.graph.topics import Graph
 
 NODE = Node("rosapi")
@@ -142,7 +142,7 @@ class RosApi:
             **self.parameters.handlers,
         }
         for name, (type_name, handler) in handlers.items():
-            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler), LOCAL_TIMEOUT_S)
+            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler))
 
     # Topics.
 

@@ -251,8 +251,8 @@ class GoalExecutor:
             return None
         report(Progress(GoalState.PLANNING, "; ".join(("planning in motion", *request.warnings))))
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
-        asking = asyncio.wait_for(self._pool.ask(moving, scene), outgoing.until_s - time.monotonic())
-        plan = await self._unless_cancelled(_in_time(asking))
+        ask = functools.partial(self._pool.ask, moving, scene)
+        plan = await self._unless_cancelled(_in_time(ask, outgoing.until_s - time.monotonic()))
         if not isinstance(plan, Plan) or plan.trajectory.duration_s > self._time_limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
@@ -522,10 +522,10 @@ def _with_more_to_come(report: Callable[[Progress], None], to_come_s: float) -> 
     return lambda progress: report(replace(progress, remaining_s=progress.remaining_s + to_come_s))
 
 
-async def _in_time(asking: Coroutine[Any, Any, Result]) -> Result | None:
-    """Return the result of some work that is bounded, None when it takes too long."""
+async def _in_time(work: Callable[[], Awaitable[Result]], limit_s: float) -> Result | None:
+    """Return the result of some work, None when it takes longer than the limit [s]; it begins when this is awaited."""
     try:
-        return await asking
+        return await asyncio.wait_for(work(), limit_s)
     except TimeoutError:
         return None
 

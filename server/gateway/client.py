@@ -68,7 +68,7 @@ class Client:
         self._graph = context.graph
         self._authorizer = auth.access.authorizer(context.node, context.graph)
         self._topics = ClientTopics(context, self._authorizer)
-        self._services = ClientServices(context)
+        self._services = ClientServices(context, self._authorizer.arms)
         self._actions = ClientActions(context)
         self._auth = ClientAuth(context, auth, self._authorizer)
         self.inbox = Inbox(self, context.session, context.graph.message_types, scheduling, reader, context.clock)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Collection
 
 from protocol.errors import NothingToDoError, OperationError
 from protocol.operations import AdvertiseService, CallService, ServiceResponse, UnadvertiseService, qualify
@@ -23,10 +24,12 @@ class ClientServices:
 
     Args:
         context: the parts of the client.
+        arms: names of several arms; empty for one.
     """
 
-    def __init__(self, context: ClientContext) -> None:
+    def __init__(self, context: ClientContext, arms: Collection[str]) -> None:
         self._client = context
+        self._arms = arms
         self._node = context.node
         self._services = context.graph.services
         self._limits = context.session.limits
@@ -54,6 +57,7 @@ class ClientServices:
             operation.type,
             lambda call: self._request(operation.service, call),
             self._limits.call_timeout_s,
+            limits=None,
         )
         self._offered.add(name)
         if former not in (None, self._node):
@@ -109,7 +113,7 @@ class ClientServices:
         """
         name, id_ = _name_and_id(operation)
         self._client.translator.detect_dialect(operation.type, "srv")
-        type_name, plans = self._services.type_of(name), rule_of_service(name).plans
+        type_name, plans = self._services.type_of(name), rule_of_service(name, self._arms).plans
 
         def answer(response: Response) -> None:
             fields = {

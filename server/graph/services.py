@@ -160,9 +160,6 @@ def failure_told(call: Call) -> Iterator[None]:
         call.fail(f"Service {call.service} failed inside the server")
 
 
-# rosbridge_server's default_call_service_timeout, for services of clients.
-DEFAULT_TIMEOUT_S = 5.0
-
 # A local part may plan a motion meanwhile; the planners' own deadline is shorter.
 LOCAL_TIMEOUT_S = 60.0
 
@@ -239,13 +236,13 @@ class Services(ProviderDirectory[ServiceProvider]):
         name: str,
         type_name: str,
         start: Callable[[Call], None],
-        timeout_s: float = DEFAULT_TIMEOUT_S,
-        limits: ListLimits | None = None,
+        timeout_s: float = LOCAL_TIMEOUT_S,
+        limits: ListLimits | None = DEFAULT_LIMITS,
     ) -> None:
         """Offer a service whose calls are handed over one by one, to be ended by `Call.succeed` or `Call.fail`.
 
-        A client takes the place of a client that offered the service before. Only limits of parts of the server are
-        given: what another client answers costs the server no more than to pass it on.
+        A client takes the place of a client that offered the service before. Its requests have no limits, None: what
+        another client answers costs the server no more than to pass it on.
 
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.

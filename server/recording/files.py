@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import re
 import stat
 from collections import deque
@@ -69,21 +70,23 @@ def check_path(path: Path) -> None:
         path: file to record to; one that exists is left alone.
 
     Raises:
-        ConfigurationError: it is a directory, a device or the like, or a link to nothing.
+        ConfigurationError: it is a directory, a device or the like, or a link to nothing, or its folder is missing
+            or cannot be written to.
     """
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        if not path.is_symlink():
-            return
-        kind = "a symbolic link to nothing"
+        kind = "a symbolic link to nothing" if path.is_symlink() else None
     except OSError as error:
         raise ConfigurationError(f"recording.file: {path} cannot be used: {error.strerror or error}") from error
     else:
-        if stat.S_ISREG(mode):
-            return
-        kind = next((name for test, name in _KINDS.items() if test(mode)), "something else")
-    raise ConfigurationError(f"recording.file: {path} must be a regular file or not exist; it is {kind}")
+        kind = next(
+            (name for test, name in _KINDS.items() if test(mode)), None if stat.S_ISREG(mode) else "something else"
+        )
+    if kind is not None:
+        raise ConfigurationError(f"recording.file: {path} must be a regular file or not exist; it is {kind}")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise ConfigurationError(f"recording.file: {path} cannot be written: there is no writable folder {path.parent}")
 
 
 class RecordedMessage(NamedTuple):

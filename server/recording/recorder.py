@@ -44,7 +44,7 @@ CLOSE_TIMEOUT_S = 2.0
 
 
 class Recorder:
-    """Records a graph from its construction to :meth:`close`.
+    """Records a graph from its construction to :meth:`close`; messages wait in memory until :meth:`start`.
 
     Args:
         graph: topics to record.
@@ -54,9 +54,6 @@ class Recorder:
         facts: further metadata of each file.
         clock_ns: monotonic time [ns].
         wall_clock_ns: time since the epoch [ns].
-
-    Raises:
-        StartError: the file cannot be written.
     """
 
     def __init__(
@@ -72,18 +69,27 @@ class Recorder:
         self._graph = graph
         self._registry = graph.message_types.registry
         self._path = path
+        self._limit_bytes = None if limit_mb is None else limit_mb * BYTES_PER_MB
+        self._keep_files = keep_files
+        self._facts = facts or {}
         self._clock_ns = clock_ns
         # A wall clock that is set during a recording would tear a gap into it.
         self._epoch_ns = wall_clock_ns() - clock_ns()
         self._unknown_types = LogLimiter()
-        limit_bytes = None if limit_mb is None else limit_mb * BYTES_PER_MB
-        try:
-            files = FileSeries(path, self._registry, facts or {}, limit_bytes, keep_files)
-        except OSError as error:
-            raise StartError(f"recording.file: {path} cannot be written: {error.strerror or error}") from error
-        self._writer = WriterThread(files, self._registry)
-        self._writer.start()
+        self._writer = WriterThread(self._registry)
         graph.watch(self._record)
+
+    def start(self) -> None:
+        """Open the file, and write to it from now on.
+
+        Raises:
+            StartError: the file cannot be written.
+        """
+        try:
+            files = FileSeries(self._path, self._registry, self._facts, self._limit_bytes, self._keep_files)
+        except OSError as error:
+            raise StartError(f"recording.file: {self._path} cannot be written: {error.strerror or error}") from error
+        self._writer.start(files)
 
     @property
     def dropped(self) -> int:
@@ -101,7 +107,7 @@ class Recorder:
         return self._writer.ended
 
     async def close(self) -> None:
-        """Stop recording, and end the file."""
+        """Stop recording, and end the file; there is none without :meth:`start`."""
         self._graph.unwatch(self._record)
         if not await asyncio.to_thread(self._writer.close):
             log.error("recording: %s was not ended within %g s; what is in it can be read", self._path, CLOSE_TIMEOUT_S)
@@ -139,7 +145,6 @@ class WriterThread:
     An error ends the recording, and nothing else.
 
     Args:
-        files: files to write to.
         registry: types.
         clock: monotonic time [s].
 
@@ -147,8 +152,7 @@ class WriterThread:
         dropped: messages that found no room in the queue.
     """
 
-    def __init__(self, files: FileSeries, registry: Registry, clock: Callable[[], float] = time.monotonic) -> None:
-        self._files = files
+    def __init__(self, registry: Registry, clock: Callable[[], float] = time.monotonic) -> None:
         self._registry = registry
         self._clock = clock
         self._queue: deque[QueuedMessage] = deque()
@@ -160,7 +164,7 @@ class WriterThread:
         self._drops_logged_at_s = -DROPS_LOG_PERIOD_S
         self._stopping = threading.Event()
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._thread: threading.Thread | None = None
 
     @property
     def queued(self) -> int:
@@ -172,8 +176,13 @@ class WriterThread:
         """True once nothing more will be written."""
         return self._ended.is_set()
 
-    def start(self) -> None:
-        """Start the thread."""
+    def start(self, files: FileSeries) -> None:
+        """Start the thread.
+
+        Args:
+            files: files to write to.
+        """
+        self._thread = threading.Thread(target=self._run, args=(files,), name="recording", daemon=True)
         self._thread.start()
 
     def put(self, message: QueuedMessage) -> None:
@@ -187,44 +196,47 @@ class WriterThread:
 
     def close(self) -> bool:
         """Write the queued messages and end the file; returns False if that takes longer than `CLOSE_TIMEOUT_S`."""
+        if self._thread is None:
+            self._ended.set()
+            return True
         self._stopping.set()
         self._thread.join(CLOSE_TIMEOUT_S)
         return not self._thread.is_alive()
 
-    def _run(self) -> None:
+    def _run(self, files: FileSeries) -> None:
         try:
-            self._write_until_stopped()
-            self._files.end({"dropped_messages": str(self.dropped)})
+            self._write_until_stopped(files)
+            files.end({"dropped_messages": str(self.dropped)})
         except OSError as error:
-            self._files.abandon()
+            files.abandon()
             log.error(  # noqa: TRY400 - what matters is the sentence
-                "recording ended: %s cannot be written any further: %s", self._files.path, error.strerror or error
+                "recording ended: %s cannot be written any further: %s", files.path, error.strerror or error
             )
         else:
-            log.info("recording ended: %s", self._files.path)
+            log.info("recording ended: %s", files.path)
         finally:
             self._ended.set()
             self._queue.clear()
 
-    def _write_until_stopped(self) -> None:
+    def _write_until_stopped(self, files: FileSeries) -> None:
         flush_at_s = self._clock() + FLUSH_PERIOD_S
         stopping = False
         # Once more after the stop, for messages that came until then.
         while not stopping:
             stopping = self._stopping.wait(POLL_PERIOD_S)
-            self._write_queued()
+            self._write_queued(files)
             if self._clock() >= flush_at_s:
-                self._files.flush()
+                files.flush()
                 flush_at_s = self._clock() + FLUSH_PERIOD_S
             self._log_drops()
 
-    def _write_queued(self) -> None:
+    def _write_queued(self, files: FileSeries) -> None:
         """Write the messages that are in the queue now; later ones are left to the next call."""
         for number in range(len(self._queue)):
             if number % MESSAGES_AT_A_TIME == MESSAGES_AT_A_TIME - 1:
                 time.sleep(PAUSE_S)
             message = self._queue.popleft()
-            self._files.add(self._recorded(message))
+            files.add(self._recorded(message))
             self._written_bytes += message.size_bytes
 
     def _recorded(self, message: QueuedMessage) -> RecordedMessage:

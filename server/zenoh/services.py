@@ -195,7 +195,7 @@ class CalledService:
         self._sent = 0
         self._in_progress = 0
         services = network.graph.services
-        services.offer_calls(network.node, name, endpoint.type_name, self._start, LOCAL_TIMEOUT_S)
+        services.offer_calls(network.node, name, endpoint.type_name, self._start, limits=None)
         self._declaration = network.declare(self._declare)
 
     def close(self) -> None:

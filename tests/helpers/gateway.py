@@ -77,6 +77,7 @@ class InProcess:
         rosapi: bool = False,
         interfaces: bool = False,
         access: AccessSettings | None = None,
+        arms: tuple[str, ...] = (),
     ) -> None:
         self.clock = FakeClock()
         registry = USER_REGISTRY if interfaces else REGISTRY
@@ -86,7 +87,13 @@ class InProcess:
         if rosapi:
             RosApi(self.graph, self.clock)
         self.busy: RunningGoal | None = None
-        self.access = Access(access or AccessSettings(control="shared"), self.clock, self.clock, lambda: self.busy)
+        self.access = Access(
+            access or AccessSettings(control="shared"),
+            self.clock,
+            self.clock,
+            lambda: self.busy,
+            arms=dict.fromkeys(arms, lambda: self.busy),
+        )
         self.closed: dict[str, str] = {}
         self.scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
         self._limits = limits or Limits()

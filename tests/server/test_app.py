@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ def test_without_a_file_nothing_is_recorded() -> None:
 
 
 def test_a_recording_that_cannot_be_written_prevents_the_start(tmp_path: Path) -> None:
-    with pytest.raises(StartError, match=r"recording\.file: .* cannot be written"):
+    with pytest.raises(ConfigurationError, match=r"recording\.file: .* cannot be written"):
         open_recorder(RecordingSettings(file=tmp_path / "no" / "run.mcap"), Graph(Registry.load()), "so101")
 
 
@@ -36,6 +37,7 @@ async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
 
 async def test_a_recording_has_what_the_server_latches_when_it_is_made(tmp_path: Path) -> None:
     app = App(Settings(recording=RecordingSettings(file=tmp_path / "run.mcap")))
+    await app._open_recording()
     await app._close_recording()
     recorded = {topic.topic for topic in Recording(tmp_path / "run.mcap").summary().topics}
     assert {"/arm/state", "/arm/joint_limits"} <= recorded
@@ -56,6 +58,18 @@ async def test_settings_that_are_refused_leave_no_recording_behind(tmp_path: Pat
     settings = Settings.model_validate({"recording": {"file": tmp_path / "run.mcap"}, **wrong})
     with pytest.raises(ConfigurationError):
         App(settings)
+    assert not (tmp_path / "run.mcap").exists()
+
+
+async def test_a_start_that_is_refused_leaves_no_recording_behind(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        server = ServerSettings(host="127.0.0.1", port=taken.getsockname()[1])
+        app = App(Settings(server=server, recording=RecordingSettings(file=tmp_path / "run.mcap")))
+        assert [part.name for part in app._parts()][-1] == "the recording's file"
+        with pytest.raises(StartError, match="in use"):
+            await app.run()
     assert not (tmp_path / "run.mcap").exists()
 
 

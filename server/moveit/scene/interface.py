@@ -395,7 +395,7 @@ class SceneServices:
             end(error)
             return
         positions_rad = assumed.completed(assumed_rad, self._current.positions_rad())
-        self._state.submit(self._state.diff(scene), positions_rad, end)
+        self._state.submit(self._state.diff(scene), positions_rad, end, lambda: call.ended)
 
 
 class SceneInterface:

@@ -62,6 +62,10 @@ class SceneChange:
 # Called with the reason if a change was refused, or with None.
 Done = Callable[[RefusedError | None], None]
 
+# Returns True once the request for a change has ended, such as by its timeout. The change was then reported as
+# failed, and must not be applied.
+Ended = Callable[[], bool]
+
 
 class SceneState:
     """The planning scene. A message changes it as a whole or, when it is rejected, not at all.
@@ -86,7 +90,7 @@ class SceneState:
         self._srdf_matrix = AllowedCollisionMatrix.of_robot(robot)
         self._versions = itertools.count(EMPTY_SCENE.version + 1)
         self._callbacks: list[Callable[[], None]] = []
-        self._waiting: deque[tuple[SceneChange, Positions, Done]] = deque()
+        self._waiting: deque[tuple[SceneChange, Positions, Done, Ended]] = deque()
         self._applying: asyncio.Task[None] | None = None
         self.frame = robot.root_link
         self.contents = SceneContents(self._srdf_matrix)
@@ -123,35 +127,43 @@ class SceneState:
         elements = _elements([message["object"]])
         return SceneChange(lambda draft: apply_attached_object(draft, message, "attached_object"), elements)
 
-    def submit(self, change: SceneChange, positions_rad: Positions, done: Done) -> None:
+    def submit(self, change: SceneChange, positions_rad: Positions, done: Done, ended: Ended = lambda: False) -> None:
         """Apply a change in its turn: at once if it is small and none waits.
 
         Args:
             change: the change.
             positions_rad: position of every movable joint [rad], None while they are not known.
             done: called once it is applied or refused.
+            ended: returns True once the change is no longer to be applied; it is then refused.
         """
         if self._applying is None and change.elements <= AT_ONCE_ELEMENTS:
             done(self._refusal(change, positions_rad))
             return
-        elements = sum(waiting.elements for waiting, _, _ in self._waiting) + change.elements
+        elements = sum(waiting.elements for waiting, *_ in self._waiting) + change.elements
         if self._waiting and elements > MAX_WAITING_ELEMENTS:
             text = f"changes of the scene with {elements} elements would wait; the limit is {MAX_WAITING_ELEMENTS}"
             done(RefusedError(PlanningFailure(MoveItErrorCode.FAILURE, text)))
             return
-        self._waiting.append((change, positions_rad, done))
+        self._waiting.append((change, positions_rad, done, ended))
         if self._applying is None:
             self._applying = asyncio.create_task(self._apply_waiting(), name="planning scene")
 
     async def change(self, change: SceneChange, positions_rad: Positions) -> None:
         """Apply a change in its turn, and wait until it is applied; arguments are those of :meth:`submit`.
 
+        A change whose wait is cancelled is not applied any more.
+
         Raises:
             RefusedError: it cannot be applied.
         """
         applied: asyncio.Future[RefusedError | None] = asyncio.get_running_loop().create_future()
-        self.submit(change, positions_rad, applied.set_result)
-        refusal = await asyncio.shield(applied)
+
+        def done(refusal: RefusedError | None) -> None:
+            if not applied.cancelled():
+                applied.set_result(refusal)
+
+        self.submit(change, positions_rad, done, applied.cancelled)
+        refusal = await applied
         if refusal is not None:
             raise refusal
 
@@ -164,7 +176,8 @@ class SceneState:
         """Wait until the changes that have been submitted until now are applied or refused."""
         if self._applying is not None:
             turn = asyncio.get_running_loop().create_future()
-            self._waiting.append((SceneChange(lambda _draft: None, 0), None, lambda _refusal: turn.set_result(None)))
+            nothing = SceneChange(lambda _draft: None, 0)
+            self._waiting.append((nothing, None, lambda _refusal: turn.set_result(None), lambda: False))
             await asyncio.shield(turn)
 
     def close(self) -> None:
@@ -204,23 +217,25 @@ class SceneState:
     async def _apply_waiting(self) -> None:
         try:
             while self._waiting:
-                change, positions_rad, done = self._waiting[0]
-                if change.elements <= AT_ONCE_ELEMENTS:
+                change, positions_rad, done, ended = self._waiting[0]
+                if change.elements <= AT_ONCE_ELEMENTS and not ended():
                     refusal = self._refusal(change, positions_rad)
                 else:
-                    refusal = await self._applied_in_thread(change, positions_rad)
+                    refusal = await self._applied_in_thread(change, positions_rad, ended)
                 self._waiting.popleft()
                 done(refusal)
         finally:
             self._applying = None
 
-    async def _applied_in_thread(self, change: SceneChange, positions_rad: Positions) -> RefusedError | None:
+    async def _applied_in_thread(
+        self, change: SceneChange, positions_rad: Positions, ended: Ended
+    ) -> RefusedError | None:
         """Apply a change read by a thread, once more if the scene has become another meanwhile."""
         try:
-            while True:
+            while not ended():
                 before = self.contents
                 contents, scene = await asyncio.to_thread(self._changed_and_written, before, change, positions_rad)
-                if self.contents is before:
+                if self.contents is before and not ended():
                     self._commit(contents, scene)
                     return None
         except RefusedError as refusal:
@@ -229,6 +244,8 @@ class SceneState:
             log.exception("a change of the planning scene failed")
             text = f"the change failed inside the server: {type(error).__name__}"
             return RefusedError(PlanningFailure(MoveItErrorCode.FAILURE, text))
+        text = "its request ended before the change was applied"
+        return RefusedError(PlanningFailure(MoveItErrorCode.TIMED_OUT, text))
 
     def _changed_and_written(
         self, before: SceneContents, change: SceneChange, positions_rad: Positions

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import signal
 from collections import defaultdict
@@ -560,6 +561,21 @@ async def test_a_goal_that_is_cancelled_before_the_replacement_leaves_the_arm_at
     stage.executor.cancel("cancelled by a test")
     assert (await stage.answer()).code is MoveItErrorCode.PREEMPTED
     assert stage.arm.stops
+
+
+async def test_a_goal_that_is_cancelled_as_its_replacement_is_to_be_planned_asks_no_planner(stage: Stage) -> None:
+    await under_way(stage)
+    asked = len(stage.problems)
+
+    def report(progress: Progress) -> None:
+        if progress.message == "planning in motion":
+            stage.executor.cancel("cancelled by a test")
+
+    answer = await asyncio.wait_for(stage.executor.run(to(shoulder_pan=-0.2), report, 0), TIMEOUT_S)
+    # A question that is never awaited is an error of the test run.
+    gc.collect()
+    assert answer.code is MoveItErrorCode.PREEMPTED
+    assert len(stage.problems) == asked
 
 
 def test_a_recording_is_a_trajectory_from_time_0() -> None:

@@ -141,6 +141,21 @@ def test_calls_of_services_that_plan_are_limited_by_role(role: Role, limit: int)
     assert len(started) == limit + 1
 
 
+def test_calls_below_the_name_of_one_of_several_arms_are_limited_as_well() -> None:
+    world = InProcess(arms=("left", "right"))
+    started: list[Call] = []
+    world.graph.services.offer_calls(
+        Node("planner"), "/left/moveit_goal", "armbridge_msgs/srv/MoveitGoal", started.append
+    )
+    world.enter("c", Identity("c", Role.OPERATE))
+    for number in range(65):
+        world.say("c", op="call_service", service="/left/moveit_goal", args={"plan_only": True}, id=number)
+    assert len(started) == 64
+    (refused,) = world.heard("c")
+    assert (refused["id"], refused["result"]) == (64, False)
+    assert "the limit of its role is 64" in refused["values"]
+
+
 def test_a_client_that_has_left_is_answered_nothing() -> None:
     world = InProcess()
     started: list[Call] = []
@@ -155,7 +170,9 @@ def test_a_client_that_has_left_is_answered_nothing() -> None:
 def test_a_request_that_is_completed_in_the_background_counts_once() -> None:
     world = InProcess(Limits(max_calls_in_flight=1))
     started: list[Call] = []
-    world.graph.services.offer_calls(Node("p"), "/check_goals", "armbridge_msgs/srv/CheckGoals", started.append)
+    world.graph.services.offer_calls(
+        Node("p"), "/check_goals", "armbridge_msgs/srv/CheckGoals", started.append, limits=None
+    )
     poses = {"poses": [{}] * 1500}
     world.say("c", op="call_service", service="/check_goals", args=poses)
     assert len(started) == 1

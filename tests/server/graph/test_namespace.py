@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+from inspect import signature
 from typing import Any
+
+import pytest
 
 from protocol.registry import Registry
 from server.graph.actions import Goal, GoalStatus
-from server.graph.namespace import Namespace
+from server.graph.namespace import Namespace, _ServicesBelow
 from server.graph.node import Node
+from server.graph.services import Services
 from server.graph.topics import Graph, Subscriber
 
 
@@ -50,6 +54,12 @@ def test_what_is_left_again_is_gone() -> None:
     left.unsubscribe(part, "/said")
     left.unadvertise(part, "/said")
     assert graph.publishers("/left/said") == graph.subscribers("/left/said") == []
+
+
+@pytest.mark.parametrize("offer", ["offer", "offer_calls"])
+def test_an_offer_has_the_same_defaults_below_the_prefix(offer: str) -> None:
+    whole, below = signature(getattr(Services, offer)), signature(getattr(_ServicesBelow, offer))
+    assert below.parameters == whole.parameters
 
 
 def test_services_stand_below_the_prefix() -> None:

@@ -11,7 +11,6 @@ from server.errors import GraphError, ServiceError
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.services import (
-    DEFAULT_TIMEOUT_S,
     LOCAL_TIMEOUT_S,
     MAX_SERVICES,
     MAX_TIMEOUT_S,
@@ -214,7 +213,7 @@ def test_only_the_first_end_counts(services: Services) -> None:
 
 @pytest.mark.parametrize(
     ("timeout_s", "bound_s"),
-    [(None, DEFAULT_TIMEOUT_S), (0.5, 0.5), (0.0, MAX_TIMEOUT_S), (1e9, MAX_TIMEOUT_S)],
+    [(None, LOCAL_TIMEOUT_S), (0.5, 0.5), (0.0, MAX_TIMEOUT_S), (1e9, MAX_TIMEOUT_S)],
 )
 def test_every_call_ends_in_time(services: Services, clock: FakeClock, timeout_s: float | None, bound_s: float) -> None:
     Provider(services)

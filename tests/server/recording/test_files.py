@@ -235,6 +235,11 @@ def test_a_path_below_a_file_is_refused(tmp_path: Path) -> None:
         check_path(tmp_path / "file" / "run.mcap")
 
 
+def test_a_path_in_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"run\.mcap cannot be written: there is no writable folder .*/no"):
+        check_path(tmp_path / "no" / "run.mcap")
+
+
 def test_a_path_of_a_file_of_a_link_to_one_or_of_nothing_is_taken(tmp_path: Path) -> None:
     (tmp_path / "file.mcap").touch()
     (tmp_path / "link.mcap").symlink_to(tmp_path / "file.mcap")

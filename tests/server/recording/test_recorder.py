@@ -30,6 +30,7 @@ def graph() -> Graph:
 async def recorded(graph: Graph, path: Path, publish: Callable[[], None]) -> list[RecordedMessage]:
     """Return the messages in the file after something was published."""
     recorder = Recorder(graph, path)
+    recorder.start()
     publish()
     await recorder.close()
     return [each for chunk in Recording(path).chunks() for each in chunk]
@@ -52,6 +53,7 @@ async def test_times_are_of_the_epoch_and_do_not_jump_with_the_wall_clock(graph:
     recorder = Recorder(
         graph, tmp_path / "run.mcap", clock_ns=lambda: next(monotonic_ns), wall_clock_ns=lambda: 1_000_005
     )
+    recorder.start()
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
     graph.publish(TALKER, "/a", {})
     graph.publish(TALKER, "/a", {})
@@ -78,6 +80,7 @@ async def test_the_recorder_tells_its_state_and_its_queue(
 ) -> None:
     monkeypatch.setattr(recorder_module, "POLL_PERIOD_S", 60.0)
     recorder = Recorder(graph, tmp_path / "run.mcap")
+    recorder.start()
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
     graph.publish(TALKER, "/a", {})
     assert (recorder.ended, recorder.queued) == (False, 1)
@@ -95,7 +98,25 @@ async def test_after_its_end_nothing_is_taken(graph: Graph, tmp_path: Path) -> N
 
 def test_a_file_that_cannot_be_written_is_refused_with_its_name(graph: Graph, tmp_path: Path) -> None:
     with pytest.raises(StartError, match=r"recording\.file: .*nowhere/run\.mcap cannot be written: No such file"):
-        Recorder(graph, tmp_path / "nowhere" / "run.mcap")
+        Recorder(graph, tmp_path / "nowhere" / "run.mcap").start()
+
+
+async def test_what_is_published_before_the_file_is_opened_is_in_it(graph: Graph, tmp_path: Path) -> None:
+    recorder = Recorder(graph, tmp_path / "run.mcap")
+    graph.advertise(TALKER, "/a", "std_msgs/Empty")
+    graph.publish(TALKER, "/a", {})
+    assert not (tmp_path / "run.mcap").exists()
+    recorder.start()
+    graph.publish(TALKER, "/a", {})
+    await recorder.close()
+    assert [each.topic for each in recorded_messages(tmp_path / "run.mcap")] == ["/a", "/a"]
+
+
+async def test_a_recorder_that_was_never_started_leaves_no_file(graph: Graph, tmp_path: Path) -> None:
+    recorder = Recorder(graph, tmp_path / "run.mcap")
+    await recorder.close()
+    assert recorder.ended
+    assert not (tmp_path / "run.mcap").exists()
 
 
 # The thread.
@@ -132,8 +153,8 @@ def queued(number: int = 0, size_bytes: int = 20) -> QueuedMessage:
 
 
 def test_queued_messages_are_in_the_file_in_order(tmp_path: Path) -> None:
-    writer = WriterThread(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0), REGISTRY)
-    writer.start()
+    writer = WriterThread(REGISTRY)
+    writer.start(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0))
     for number in range(100):
         writer.put(queued(number))
     assert writer.close()
@@ -150,8 +171,8 @@ def test_a_disk_that_stands_still_costs_messages_and_not_memory(
 ) -> None:
     monkeypatch.setattr(recorder_module, limit, value)
     files = BlockedFiles(tmp_path / "run.mcap")
-    writer = WriterThread(files, REGISTRY)
-    writer.start()
+    writer = WriterThread(REGISTRY)
+    writer.start(files)
     writer.put(queued())
     assert files.reached.wait(30.0)
     for number in range(1, 11):
@@ -164,8 +185,8 @@ def test_a_disk_that_stands_still_costs_messages_and_not_memory(
 
 
 def test_a_full_disk_ends_the_recording_with_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    writer = WriterThread(FullDisk(tmp_path / "run.mcap", REGISTRY, {}, None, 0), REGISTRY)
-    writer.start()
+    writer = WriterThread(REGISTRY)
+    writer.start(FullDisk(tmp_path / "run.mcap", REGISTRY, {}, None, 0))
     for number in range(10):
         writer.put(queued(number))
     assert wait_until(lambda: writer.ended)
@@ -180,8 +201,8 @@ def test_a_recent_message_can_be_read_while_the_recording_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder_module, "FLUSH_PERIOD_S", 0.01)
-    writer = WriterThread(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0), REGISTRY)
-    writer.start()
+    writer = WriterThread(REGISTRY)
+    writer.start(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0))
     writer.put(queued())
     assert wait_until(lambda: len(recorded_messages(tmp_path / "run.mcap")) == 1)
     assert writer.close()
@@ -190,8 +211,8 @@ def test_a_recent_message_can_be_read_while_the_recording_goes_on(
 def test_a_disk_that_never_answers_holds_nobody_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "CLOSE_TIMEOUT_S", 0.1)
     files = BlockedFiles(tmp_path / "run.mcap")
-    writer = WriterThread(files, REGISTRY)
-    writer.start()
+    writer = WriterThread(REGISTRY)
+    writer.start(files)
     writer.put(queued())
     assert not writer.close()
     files.go_on.set()

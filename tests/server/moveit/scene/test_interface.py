@@ -45,7 +45,7 @@ from server.moveit.scene.interface import (
     scene_message,
     subscribe_to_scene_topics,
 )
-from server.moveit.scene.scene_state import AssumedStates, SceneState
+from server.moveit.scene.scene_state import AT_ONCE_ELEMENTS, AssumedStates, SceneChange, SceneState
 from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS
@@ -162,7 +162,8 @@ class Client:
 
     def __init__(self):
         self.state, self.assumed = SceneState(ROBOT), AssumedStates(ROBOT)
-        self.graph = Graph(REGISTRY, call_later=FakeClock().call_later)
+        self.clock = FakeClock()
+        self.graph = Graph(REGISTRY, call_later=self.clock.call_later)
         self.node = Node("client", remote=True)
         SceneServices(self.graph, Node("scene"), ROBOT, self.state, self.assumed, current_state())
 
@@ -234,6 +235,39 @@ async def test_a_call_for_the_scene_waits_for_a_large_change_that_came_before():
             await asyncio.sleep(0.001)
     assert answers[0].values == {"success": True}
     assert len(answers[1].values["scene"]["world"]["collision_objects"]) == 100
+
+
+MANY = [box(str(number), at=pose(2.0)) for number in range(100)]
+
+
+@pytest.mark.parametrize("waited_s", [1.0, 59.0])
+async def test_a_large_scene_may_take_longer_than_a_call_of_a_client(waited_s):
+    client, answers = Client(), []
+    for service, request in ((APPLY, {"scene": {"is_diff": True, "world": {"collision_objects": MANY}}}), (GET, {})):
+        client.graph.services.call(client.node, service, request, answers.append)
+    client.clock.advance(waited_s)
+    await asyncio.wait_for(client.state.settled(), 30.0)
+    while len(answers) < 2:
+        await asyncio.sleep(0)
+    assert [answer.ok for answer in answers] == [True, True]
+    assert len(client.state.contents.objects) == 100
+
+
+@pytest.mark.parametrize("objects", [MANY, MANY[:1]])
+async def test_a_scene_whose_call_was_answered_with_a_failure_is_not_applied_afterwards(objects, caplog):
+    client, answers = Client(), []
+    assert client.apply(world={"collision_objects": [box("cup")]})
+    contents = client.state.contents
+    # Behind another change that takes a thread, also a small one waits for its turn.
+    client.state.submit(SceneChange(lambda _draft: None, AT_ONCE_ELEMENTS + 1), None, lambda _refusal: None)
+    scene = {"is_diff": True, "world": {"collision_objects": objects}, "robot_state": state_of(0.1)}
+    client.graph.services.call(client.node, APPLY, {"scene": scene}, answers.append, timeout_s=2.0)
+    client.clock.advance(2.1)
+    assert [answer.ok for answer in answers] == [False]
+    await asyncio.wait_for(client.state.settled(), 30.0)
+    assert client.state.contents.objects.keys() == contents.objects.keys()
+    assert client.joints() != dict.fromkeys(JOINTS, 0.1)
+    assert "nothing is changed: its request ended before the change was applied" in caplog.text
 
 
 @pytest.mark.parametrize("topic", sorted(TOPICS.keys() - {MONITORED_TOPIC}))

@@ -21,8 +21,8 @@ from typing import Any, Protocol, TypeVar
 from robot.calibration import Calibration
 from robot.logs import LogLimiter
 from robot.messages import (
-    END_TIMEOUT_S,
-    PARKING_TIMEOUT_S,
+    END_LIMIT_S,
+    TORQUE_LEFT_ON,
     ArmConfig,
     ArmHealth,
     ArmState,
@@ -82,7 +82,7 @@ RESTART_LINES = 10
 RESTART_LINES_PER_S = 1.0 / 600.0
 
 # Longer than the arm process itself takes to brake, park, relax and end, by the arm's clock; it ends by itself before.
-CLOSE_TIMEOUT_S = END_TIMEOUT_S + PARKING_TIMEOUT_S + 1.0
+CLOSE_TIMEOUT_S = END_LIMIT_S + 1.0
 
 # An arm that is to hold has come to rest before, and holds whatever becomes of its process: one that hangs holds up the
 # end of the server for no longer.
@@ -396,7 +396,9 @@ class Arm:
                 if ended.done():
                     await self._process.leave()
                 else:
-                    log.warning("the arm process does not end and is killed; its servos hold their last goals")
+                    # The last state does not tell: the process may have hung while it relaxed.
+                    advice = "" if self._config.hardware.simulated else f". {TORQUE_LEFT_ON}"
+                    log.warning("the arm process does not end and is killed; torque may be on at every joint%s", advice)
             await self._process.kill()
         except asyncio.CancelledError:
             self._process.send(Shutdown(hurry=True))

@@ -69,11 +69,18 @@ class GuardLimits:
     settle_timeout_s: float = 1.0
 
 
-# Longest times of the arm's end by its clock, after which its process ends in any state [s]. Braking takes a second at
-# most, relaxing 1.5 s, checking that torque is off up to a second where a servo does not answer. Parking comes before
-# that: an SO-101 needs 2 to 5 s from one end of its workspace.
+# Longest times of the arm's end, counted in ticks, after which its process ends in any state [s]. Braking takes a
+# second at most, relaxing 1.5 s, checking that torque is off up to a second where a servo does not answer. Parking
+# comes before that: an SO-101 needs 2 to 5 s from one end of its workspace.
 END_TIMEOUT_S = 5.0
 PARKING_TIMEOUT_S = 15.0
+
+# A starved arm has fewer ticks a second. By its clock its end takes no longer than this [s]: systemd and Docker end the
+# process after 30 s, as they are set up in the docs.
+END_LIMIT_S = 25.0
+
+# Advice on a real arm whose process ended with torque on, or perhaps on.
+TORQUE_LEFT_ON = "Hold the arm, and switch the servos' supply off, or start the server again and relax it"
 
 
 class EndState(Enum):

@@ -24,11 +24,13 @@ from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import LoopClock
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
-from robot.hardware.interface import HardwareInterface, Steps
+from robot.hardware.interface import HardwareInterface, Steps, run_to_end
 from robot.logs import LogLimiter, suppressed_note
 from robot.messages import (
+    END_LIMIT_S,
     END_TIMEOUT_S,
     PARKING_TIMEOUT_S,
+    TORQUE_LEFT_ON,
     ArmConfig,
     ArmHealth,
     ArmState,
@@ -270,6 +272,7 @@ class Supervisor:
         self._reported_fault: Fault | None = None
         self._end: EndState | None = None
         self._end_begun_s: float | None = None
+        self._end_ticks = 0
         self._parking = Parking(self._joint_names)
 
     @property
@@ -367,6 +370,7 @@ class Supervisor:
         arm, now_s = self.arm, self._clock()
         if arm is None:
             return
+        self._end_ticks += ticks if self._end is not None else 0
         ended = arm.tick()
         self._parking.take(ended)
         self._report(ended)
@@ -429,13 +433,37 @@ class Supervisor:
             return True
         self._end_begun_s = self._end_begun_s or now_s
         driven = self._end is not EndState.HOLD and controller.driven
-        resting = not controller.moving and self._task is None and not driven
-        timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
-        if not resting and now_s - self._end_begun_s > timeout_s:
-            log.error("the arm is not in its end state (%s) after %g s; the process ends", self._end.value, timeout_s)
-            self._interrupt("the server is ending")
+        if not controller.moving and self._task is None and not driven:
             return True
-        return resting
+        timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
+        taken_s = now_s - self._end_begun_s
+        if self._end_ticks * PERIOD_S <= timeout_s and taken_s <= END_LIMIT_S:
+            return False
+        self._interrupt("the server is ending")
+        log.error(
+            "the arm is not in its end state (%s) after %.0f s, in which it had %d ticks; the process ends: %s",
+            self._end.value,
+            taken_s,
+            self._end_ticks,
+            self._torque_left(),
+        )
+        return True
+
+    def _torque_left(self) -> str:
+        """Read where torque is on, and say what to do about it."""
+        if self.arm is None:
+            return ""
+        hardware = self.arm.hardware
+        try:
+            driven = run_to_end(hardware.driven(), lambda _wait_s: None)
+        except RobotError as error:
+            where = f"torque may be on at every joint: {error}"
+        else:
+            labels = [hardware.label(joint) for joint in np.flatnonzero(driven).tolist()]
+            if not labels:
+                return "torque is off at every joint"
+            where = f"torque is on at {', '.join(labels)}"
+        return where if self._config.hardware.simulated else f"{where}. {TORQUE_LEFT_ON}"
 
     def lose_server(self) -> None:
         """Begin to bring the arm to its end state: the server's process is gone."""

@@ -1,13 +1,19 @@
 from __future__ import annotations
 
+import contextlib
+import socket
 import subprocess
 import sys
+import time
 
 import pytest
 
-from robot.control.loop import hardware_source
+from robot.channel import Channel
+from robot.control.loop import ArmLoop, hardware_source
+from robot.control.pacing import Pacer
 from robot.description.limits import within_calibration
 from robot.errors import PortError, PortNotFound
+from robot.hardware.clock import MAX_TICK_S
 from robot.hardware.config import (
     DynamixelConfig,
     EmulatedConfig,
@@ -16,7 +22,7 @@ from robot.hardware.config import (
     HardwareConfig,
     IdealConfig,
 )
-from robot.messages import ArmConfig
+from robot.messages import ArmConfig, Mode
 from tests.helpers import dynamixel
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import nominal_calibration, so101
@@ -70,6 +76,25 @@ def test_an_unknown_adapter_is_an_error_when_it_is_opened() -> None:
     source = hardware_source(ArmConfig(ROBOT, FeetechConfig(CALIBRATION, "usb:0000:0001")), SteppedClock())
     with pytest.raises(PortError, match="0000:0001"):
         source.open()
+
+
+def test_sequences_go_on_when_every_tick_is_late() -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        loop = ArmLoop(Channel(theirs), ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)), real_time=False)
+        supervisor = loop._supervisor
+        supervisor.connect(loop._open())
+        for tick in range(1000):
+            late = Pacer(time.monotonic() - 1.0)
+            loop._between_ticks(late)
+            loop._clock.start_tick(time.monotonic() + tick * MAX_TICK_S)
+            supervisor.tick(late, server_gone=False)
+            ours.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                ours.recv(1 << 20)
+            if supervisor.mode is Mode.HOLDING:
+                break
+        assert supervisor.mode is Mode.HOLDING
 
 
 def test_the_ideal_arm_loads_no_serial_library() -> None:

@@ -16,12 +16,14 @@ from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.hardware import FeetechHardware
 from robot.hardware.feetech.registers import Register
 from robot.messages import (
+    END_LIMIT_S,
     ArmHealth,
     ArmState,
     Command,
     EmergencyPolicy,
     EndState,
     GuardLimits,
+    Heartbeat,
     Mode,
     Order,
     Outcome,
@@ -524,6 +526,56 @@ def test_at_its_end_the_arm_is_left_as_configured(start_rig: Start, end: EndStat
     rig.until(lambda: rig.supervisor.finished())
     assert [ended.outcome for ended in rig.ended] == [Outcome.STOPPED]
     assert rig.torque() == torque
+
+
+# Far longer than a tick: a machine that is too busy for the arm.
+STARVED_S = 0.1
+
+
+def end_starved(rig: ArmRig, tick_s: float = STARVED_S) -> None:
+    """Bring the arm to its end on a machine on which each tick, and a step of a sequence, takes so long."""
+    rig.supervisor.handle(Shutdown())
+    while not rig.supervisor.finished():
+        rig.clock.advance(tick_s)
+        rig.supervisor.work()
+        rig.pacer.start_tick(rig.clock())
+        rig.supervisor.handle(Heartbeat(observed=True))
+        rig.supervisor.tick(rig.pacer, server_gone=False)
+
+
+def test_a_starved_arm_has_the_time_of_its_end_in_ticks(start_rig: Start) -> None:
+    rig = start_rig(on_exit=EndState.RELAX)
+    rig.until_mode(Mode.HOLDING)
+    end_starved(rig)
+    assert rig.torque() == [0] * 6
+
+
+def given_up(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> str:
+    """The log line of an arm that is not in its end state in time."""
+    caplog.clear()
+    end_starved(rig, END_LIMIT_S)
+    (line,) = [record.getMessage() for record in caplog.records if "end state" in record.getMessage()]
+    return line
+
+
+def test_an_arm_that_is_not_in_its_end_state_in_time_reports_where_torque_is_on(
+    start_rig: Start, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = start_rig(on_exit=EndState.RELAX)
+    rig.until_mode(Mode.HOLDING)
+    rig.bus.write(2, Register.TORQUE_ENABLE, 0)
+    line = given_up(rig, caplog)
+    assert "torque is on at shoulder_pan (id 1), elbow_flex (id 3), " in line
+    assert "Hold the arm, and switch the servos' supply off" in line
+
+
+def test_an_arm_that_cannot_be_read_at_its_end_is_reported_as_possibly_driven(
+    emulator: SteppedEmulator, start_rig: Start, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = start_rig(on_exit=EndState.RELAX)
+    rig.until_mode(Mode.HOLDING)
+    emulator.command(offline=[1, 2, 3, 4, 5, 6])
+    assert "torque may be on at every joint: " in given_up(rig, caplog)
 
 
 def test_a_lost_bus_ends_the_motion_and_a_new_one_adopts_the_arm(moving: ArmRig) -> None:

@@ -13,7 +13,7 @@ from planners.geometry.contacts import Broadphase, ExactShapes, deeper_than, nea
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import convex, robot_shapes, urdf_shapes
-from planners.scene import Box
+from planners.scene import Box, Sphere
 from robot.description import model
 from tests.helpers import robots
 from tests.helpers.resources import in_proportion
@@ -215,6 +215,15 @@ def test_touching_the_mesh_is_a_contact(crane):
     assert [pair.links for pair in collision.colliding_pairs(q)] == [BETWEEN]
     assert not collision.tight_pairs(q)
     assert collision.in_collision(q, closer={BETWEEN: Closeness.SURFACES})
+
+
+def test_what_is_wholly_in_a_mesh_is_a_contact(crane):
+    collision, q = CollisionModel(crane), np.zeros(3)
+    collision.set_scene(scene(thing(Sphere(0.001), 0.285, 0.005, 0.275)))
+    assert [pair.links for pair in collision.colliding_pairs(q)] == [BETWEEN]
+    assert not collision.tight_pairs(q)
+    collision.set_scene(scene(thing(Sphere(0.001), 0.27, 0.005, 0.275)))
+    assert not collision.collides(q)
 
 
 def test_padding_counts_between_meshes_too(crane):

@@ -7,9 +7,12 @@ import pinocchio as pin
 import pytest
 
 from planners.geometry import surfaces
+from planners.geometry.certificate import certify
 from planners.geometry.collision import Closeness, CollisionModel
+from planners.geometry.joint_space import JointSpace
 from planners.geometry.plain_urdf import kinematic_urdf
-from planners.scene import Sphere
+from planners.scene import AttachedObject, Cylinder, Mesh, Sphere
+from robot.trajectory import Trajectory
 from tests.helpers.meshes import ball
 from tests.helpers.resources import in_proportion
 from tests.planners.scenes import scene, thing
@@ -82,6 +85,47 @@ def test_a_sphere_outside_of_every_link_is_free_by_the_surfaces(collision, links
             assert touched == [], point_m
 
 
+def point_in_the_material(pieces: surfaces.Pieces, random: np.random.Generator) -> np.ndarray:
+    """A point inside a surface, further from its vertices than a sphere of 2 mm reaches [m]."""
+    while True:
+        point_m = drawn(pieces, random)
+        if np.linalg.norm(pieces._vertices_m - point_m, axis=1).min() > 0.002 and pieces.encloses(point_m[np.newaxis]):
+            return point_m
+
+
+@pytest.mark.parametrize("shape", [Cylinder(0.001, 0.001), Mesh(*ball(0.001, 8))], ids=["Cylinder", "Mesh"])
+def test_a_small_body_of_any_shape_inside_a_link_is_in_contact_with_it(collision, links, shape) -> None:
+    random, q = np.random.default_rng(2), np.zeros(len(collision.joint_names))
+    for name, (pieces, place) in links.items():
+        collision.set_scene(scene(thing(shape, *place.act(point_in_the_material(pieces, random)).tolist())))
+        assert {"thing", name} in [pair.links for pair in collision.colliding_pairs(q)]
+
+
+def test_a_small_attached_body_inside_another_link_is_in_contact_with_it(robot, collision, links) -> None:
+    pieces, place = links["gripper_link"]
+    point_m = place.act(point_in_the_material(pieces, np.random.default_rng(2)))
+    held = AttachedObject(thing(Sphere(0.001), *point_m.tolist()), robot.root_link)
+    collision.set_scene(scene(attached=(held,)))
+    pairs = collision.colliding_pairs(np.zeros(len(collision.joint_names)))
+    assert {"thing", "gripper_link"} in [pair.links for pair in pairs]
+
+
+def test_no_motion_is_certified_along_which_a_small_body_stays_inside_a_link(robot, collision, links) -> None:
+    pieces, place = links["gripper_link"]
+    point_m = place.act(point_in_the_material(pieces, np.random.default_rng(2)))
+    collision.set_scene(scene(thing(Sphere(0.001), *point_m.tolist())))
+    # The surface moves by 0.02 mm at most, so it never touches the sphere.
+    start, end = np.zeros(5), np.array([0.0, 0.0, 0.0, 0.0, 1e-4])
+    space = JointSpace(collision, robot.groups["arm"], np.zeros(len(collision.joint_names)))
+    rest = np.zeros((2, 5))
+    motion = Trajectory(robot.groups["arm"].joints, np.array([0.0, 0.1]), np.array([start, end]), rest, rest)
+    assert not space.free(start)
+    assert not space.line_free(end, start)
+    contact = certify(space, motion)
+    assert contact is not None
+    assert contact.time_s == 0.0
+
+
 def closed_ball() -> surfaces.Pieces:
     """A ball about the origin whose triangles all face outwards."""
     vertices_m, triangles = ball(0.05, 60)
@@ -110,3 +154,16 @@ def test_each_connected_body_of_a_surface_has_one_point() -> None:
     pieces = surfaces.Pieces(two_m, both)
     assert len(pieces.points_m) == 2
     assert np.ptp(pieces.points_m[:, 0]) > 0.1
+
+
+def test_a_cavity_is_outside_and_a_mirrored_surface_has_the_same_inside() -> None:
+    ball_m = closed_ball()
+    vertices_m, triangles, count = ball_m._vertices_m, ball_m._triangles, len(ball_m._vertices_m)
+    hollow = surfaces.Pieces(
+        np.vstack((vertices_m, 0.4 * vertices_m)), np.vstack((triangles, triangles[:, ::-1] + count))
+    )
+    mirrored = surfaces.Pieces(vertices_m, triangles[:, ::-1])
+    middle, between = np.zeros((1, 3)), np.array([[0.035, 0.0, 0.0]])
+    assert not hollow.encloses(middle)
+    assert hollow.encloses(between)
+    assert mirrored.encloses(middle)

@@ -9,7 +9,7 @@ import pytest
 
 from robot.arm import MAX_EARLY_ORDERS, ArmProcess, ArmStream, start_arm_process
 from robot.hardware.config import FeetechConfig
-from robot.messages import ArmConfig, ArmState, Command, CommandDone, MotionEnded, Order, Outcome, Setpoint
+from robot.messages import ArmConfig, ArmState, Command, CommandDone, MotionEnded, Order, Outcome, Setpoint, Stop
 from robot.processes import StartedChild
 from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.waiting import until
@@ -44,7 +44,7 @@ async def rig() -> AsyncIterator[ProcessRig]:
 async def test_an_order_that_comes_before_the_configuration_is_kept_for_it(rig: ProcessRig) -> None:
     assert rig.process.order(Command(1, Order.EMERGENCY_STOP))
     assert not rig.process.configured
-    rig.process.configure(CONFIG)
+    rig.process.configure(CONFIG, Stop())
     answer = await rig.until_message(CommandDone)
     assert (answer.number, answer.done) == (1, False)
     assert "not connected" in answer.message
@@ -57,7 +57,7 @@ async def test_orders_are_kept_up_to_a_bound(rig: ProcessRig) -> None:
 
 async def test_what_is_said_before_the_configuration_does_not_take_its_place(rig: ProcessRig) -> None:
     rig.process.send("hello")
-    rig.process.configure(CONFIG)
+    rig.process.configure(CONFIG, Stop())
     assert "/dev/does-not-exist" in (await rig.until_message(ArmState)).reason
 
 
@@ -67,7 +67,7 @@ async def test_a_process_that_was_started_ahead_is_the_first_and_only_the_first(
     await rig.process.launch()
     try:
         assert rig.process.pid == started.process.pid
-        rig.process.configure(CONFIG)
+        rig.process.configure(CONFIG, Stop())
         await rig.until_message(ArmState)
         await rig.process.kill()
         await rig.process.launch()
@@ -77,11 +77,11 @@ async def test_a_process_that_was_started_ahead_is_the_first_and_only_the_first(
 
 
 async def test_a_process_that_has_died_takes_no_orders(rig: ProcessRig) -> None:
-    rig.process.configure(CONFIG)
+    rig.process.configure(CONFIG, Stop())
     await rig.process.kill()
     assert (rig.exits, rig.process.configured) == (1, False)
     assert not rig.process.order(Command(1, Order.ENABLE))
-    rig.process.configure(CONFIG)
+    rig.process.configure(CONFIG, Stop())
     assert not rig.process.configured
 
 

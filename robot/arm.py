@@ -487,6 +487,8 @@ class Arm:
 
     def _with_speed_limit(self, state: ArmState) -> ArmState:
         """Return a state with the limit in force: a process without hardware does not report it."""
+        if state.pace.speed_limit == self._config.speed_limit:
+            return state
         return replace(state, pace=replace(state.pace, speed_limit=self._config.speed_limit))
 
     def _take_state(self, state: ArmState) -> None:

@@ -345,6 +345,7 @@ class Inbox:
             if not self._stops:
                 self._call_later(self._next_stop_s - self._clock(), self._work_off_stops)
             self._stops.append(ahead)
+            self._hold_or_release()
         else:
             self._next_stop_s = self._clock() + STOP_PERIOD_S
             self._carry_out(ahead, operation)
@@ -353,6 +354,8 @@ class Inbox:
 
     def _work_off_stops(self) -> None:
         """Carry out stops of the lane for their share of a period."""
+        if self._closed:
+            return
         until_s = self._clock() + STOP_TURN_S
         while self._stops and self._clock() < until_s:
             stop = self._stops.popleft()

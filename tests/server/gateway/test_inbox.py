@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.codecs import png
-from protocol.operations import Auth, CallService, Operation, Publish
+from protocol.operations import Auth, CallService, CancelActionGoal, Operation, Publish
 from protocol.registry import Registry
 from protocol.session import Packed, Refusal, Session
 from robot.stop_epochs import STOP_EPOCHS
+from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE, SERVICES, TOPICS
 from server.arrival import arrival_epoch
 from server.gateway.client_topics import StrictPublication, StrictTopic
 from server.gateway.inbox import (
@@ -293,6 +294,25 @@ def test_stops_that_come_faster_are_carried_out_one_after_the_other_in_a_share_o
         assert world.done.count("/stop") <= 1 + 5 * period
     world.run()
     assert (world.done.count("/stop"), world.done.count("no /goal")) == (20, 20)
+
+
+def test_a_flood_of_stops_is_not_read_beyond_the_bound_and_ends_with_its_client(world: World) -> None:
+    client = world.client(step_s=STOP_TURN_S)
+    for _ in range(MAX_WAITING + 5):
+        client.publish("/stop")
+    assert client.socket.held
+    client.inbox.close()
+    done = len(world.done)
+    world.clock.advance(STOP_PERIOD_S)
+    assert len(world.done) == done
+
+
+def test_the_names_of_all_stops_and_cancels_have_a_word_that_is_looked_for_in_unread_frames() -> None:
+    rules = {**SERVICES, **TOPICS}
+    urgent = [name for name, rule in rules.items() if rule.stops and rule.at_once_data is None]
+    assert len(urgent) > 5
+    for name in (*urgent, CANCEL_SERVICE, ACTIONLIB_CANCEL, CancelActionGoal.model_fields["op"].default, "stop"):
+        assert "stop" in name or "cancel" in name
 
 
 def test_a_stop_goes_ahead_of_two_megabytes_that_its_client_sent_before(world: World) -> None:

@@ -11,6 +11,9 @@ from enum import IntEnum
 
 from planners.scene import Point, Pose
 
+# With a longer period the arm moves too far between two commands.
+MAX_PERIOD_S = 0.1
+
 ZERO: Point = (0.0, 0.0, 0.0)
 
 
@@ -110,7 +113,7 @@ class ServoQuestion:
         link: the tip.
         positions_rad: commanded position of every movable joint [rad].
         velocity_rad_s: the last answer's; joints not named rest [rad/s].
-        period_s: time since that [s].
+        period_s: time between two answers, above 0 to ``MAX_PERIOD_S`` [s].
         command: the command.
         anchor: of the last answer to the same steering; None at its beginning.
         limits: limits of the motion.

@@ -22,6 +22,7 @@ from planners.ik.goal_checks import invalid_goal
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Point, Pose
 from planners.servo.question import (
+    MAX_PERIOD_S,
     Anchor,
     JointVelocities,
     ServoAnswer,
@@ -46,9 +47,6 @@ from robot.trajectory import Vector
 
 # The tip's position has so many directions; an arm with fewer joints cannot be steered by its tip.
 POSITION_DIRECTIONS = 3
-
-# With a longer period the arm moves too far between two commands.
-MAX_PERIOD_S = 0.1
 
 # A quaternion whose length is further from 1 is none.
 UNIT_TOLERANCE = 1e-3

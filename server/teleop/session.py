@@ -272,7 +272,7 @@ class FollowingSession:
         goals = self._servo.positions_rad()
         if not goals:
             return
-        velocities = tracking_velocities(goals, steered, self._velocities(pose), self._limits)
+        velocities = tracking_velocities(goals, steered, self._velocities(pose), self._limits, self._servo.latency_s)
         self._servo.set_command(JointVelocities(velocities), STALE_S)
         self._follow_with_gripper(targets)
         self._read_at_s = now_s - pose.latency_s

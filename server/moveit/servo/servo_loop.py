@@ -7,6 +7,7 @@ import contextlib
 import logging
 import math
 import time
+from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -16,6 +17,7 @@ import numpy as np
 from planners.problem import PlanningFailure
 from planners.scene import Point, Pose
 from planners.servo.question import (
+    MAX_PERIOD_S,
     Anchor,
     JointVelocities,
     ServoAnswer,
@@ -53,8 +55,11 @@ UNITLESS = "unitless"
 # Sticks are not calibrated exactly.
 UNITLESS_TOLERANCE = 1e-3
 
-# Two ticks of the arm, from reading its setpoint to the planners' answer reaching it.
+# Two ticks of the arm: its goals are read once a tick, and the planners' answer takes effect at the next one.
 LEAD_S = 0.02
+
+# The planners' latency is forgotten in so many answers, more slowly than it is noticed.
+LATENCY_ANSWERS = 10
 
 # Periods after which a step is made without a command, where commands are followed when they come.
 LATE = 1.5
@@ -232,12 +237,18 @@ class ServoSession:
         self._task: asyncio.Task[None] | None = None
         self._stream: StreamInterface | None = None
         self._released = False
+        self._latencies_s: deque[float] = deque(maxlen=LATENCY_ANSWERS)
         # Set by what the next step does not wait for: the end of the stream, and a command that is followed at once.
         self._due = asyncio.Event()
         self._longest_s = (LATE if setup.at_once else 1.0) * setup.period_s
 
+    @property
+    def latency_s(self) -> float:
+        """Longest time that the planners have taken for one of the last answers [s]."""
+        return max(self._latencies_s, default=0.0)
+
     def positions_rad(self) -> dict[str, float]:
-        """Return the commanded position of every movable joint [rad]."""
+        """Return the position of every movable joint [rad]: where it is commanded to be when the next answer comes."""
         state = self._arm.state
         if state.goal_rad is None:
             return {}
@@ -245,7 +256,7 @@ class ServoSession:
         positions = (beside or {}) | dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
         commanded = self._stream.commanded if self._stream is not None else None
         if commanded is not None:
-            ahead = commanded.position_rad + LEAD_S * commanded.velocity_rad_s
+            ahead = commanded.position_rad + (LEAD_S + self.latency_s) * commanded.velocity_rad_s
             positions |= dict(zip(self._setup.joints, ahead.tolist(), strict=True))
         return positions
 
@@ -339,18 +350,26 @@ class ServoSession:
     async def _answer(
         self, positions_rad: Positions, velocity: Mapping[str, float], command: ServoCommand, anchor: Anchor | None
     ) -> ServoAnswer:
-        """Ask the planners; their failure is answered by zero velocities."""
+        """Ask the planners; where they fail, or are so late that the arm is elsewhere by now, velocities are 0."""
+        period_s = min(max(self._setup.period_s, self.latency_s), MAX_PERIOD_S)
         question = ServoQuestion(
             self._setup.group,
             self._setup.link,
             positions_rad,
             velocity,
-            self._setup.period_s,
+            period_s,
             command,
             anchor,
             self._setup.limits,
         )
+        asked_s = self._clock()
         answer = await self._ask(question)
+        took_s = self._clock() - asked_s
+        self._latencies_s.append(took_s)
         if isinstance(answer, PlanningFailure):
-            return ServoAnswer(dict.fromkeys(self._setup.joints, 0.0), ServoStatus.INVALID, answer.message, 0.0)
-        return answer
+            refusal = answer.message
+        elif took_s > MAX_PERIOD_S:
+            refusal = f"the planners took {took_s:.2f} s for an answer, more than {MAX_PERIOD_S:g} s: the arm brakes"
+        else:
+            return answer
+        return ServoAnswer(dict.fromkeys(self._setup.joints, 0.0), ServoStatus.INVALID, refusal, 0.0)

@@ -106,7 +106,7 @@ def test_goals_never_jump_however_the_leader_moves(places: list[float], ticks_ea
         for tick in range(ticks_each):
             if tick % 2 == 0:
                 goal = {"a": float(arm.position_rad[0])}
-                wanted = tracking_velocities(goal, {"a": place}, {"a": 0.0}, LIMITS)
+                wanted = tracking_velocities(goal, {"a": place}, {"a": 0.0}, LIMITS, 0.0)
                 arm.set_target(np.array([wanted["a"]]))
             arm.advance(TICK_S)
             assert abs(arm.position_rad[0] - position) <= limits.velocity_rad_s * TICK_S + 1e-6
@@ -125,7 +125,7 @@ def test_a_follower_arrives_at_a_resting_leader_without_swinging_past(distance_r
     arm, farthest = VelocityTracking(bounds, np.zeros(1)), 0.0
     for tick in range(400):
         if tick % 2 == 0:
-            wanted = tracking_velocities({"a": float(arm.position_rad[0])}, {"a": distance_rad}, {}, LIMITS)
+            wanted = tracking_velocities({"a": float(arm.position_rad[0])}, {"a": distance_rad}, {}, LIMITS, 0.0)
             arm.set_target(np.array([wanted["a"]]))
         farthest = max(farthest, float(arm.advance(TICK_S)[0]))
     assert arm.position_rad[0] == pytest.approx(distance_rad, abs=2e-3)
@@ -137,7 +137,7 @@ def test_a_steady_leader_is_followed_without_lag() -> None:
     arm, place = VelocityTracking(bounds, np.zeros(1)), 0.0
     for _ in range(400):
         place += 1.0 * TICK_S
-        wanted = tracking_velocities({"a": float(arm.position_rad[0])}, {"a": place}, {"a": 1.0}, LIMITS)
+        wanted = tracking_velocities({"a": float(arm.position_rad[0])}, {"a": place}, {"a": 1.0}, LIMITS, 0.0)
         arm.set_target(np.array([wanted["a"]]))
         arm.advance(TICK_S)
     assert arm.position_rad[0] == pytest.approx(place, abs=0.02)

@@ -10,10 +10,6 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Several servers, machines that come and go, processes that are killed.
-MANY_PROCESSES := tests/test_campaign.py tests/test_survival.py tests/test_zenoh_end_to_end.py \
-	tests/planners/files/test_batch.py
-
 .PHONY: install install-dev run page page-if-npm test test-processes test-page pictures test-clients fuzz lint check bench bench-planning campaign campaign-planners lock clean
 
 install: $(VENV)/.installed
@@ -50,25 +46,22 @@ $(PAGE)/node_modules/.package-lock.json: $(PAGE)/package-lock.json
 page-if-npm:
 	@! command -v npm >/dev/null || $(MAKE) -s page || echo "the page could not be built; the server starts without" >&2
 
-# The page's tests come along where the page is built; they skip, and say why, where there is no chromium.
-TESTS := --ignore tests/clients --ignore tests/examples $(MANY_PROCESSES:%=--ignore %) \
-	$(if $(wildcard server/page/dist/index.html),,--ignore tests/page)
+# Three rings, by what a test may depend on (docs/testing.md): logic, protocol and planning; several processes and real
+# time; the page in a browser, and the clients of others. Each prints its ten slowest tests.
+PYTEST := $(BIN)/python -m pytest --durations=10
 
-# Two workers side by side, then what needs the machine to itself. ARGS may select tests of one pass alone: pytest's exit
-# code 5 says that a pass has none.
 test: install-dev
-	$(BIN)/python -m pytest $(TESTS) -n 2 --dist worksteal $(ARGS) -m "not real_time"; beside=$$?; \
-	[ $$beside -eq 0 ] || [ $$beside -eq 5 ] || exit $$beside; \
-	$(BIN)/python -m pytest $(TESTS) $(ARGS) -n 0 -m real_time; alone=$$?; \
-	if [ $$alone -eq 5 ]; then exit $$beside; else exit $$alone; fi
+	$(PYTEST) --ignore tests/processes --ignore tests/page --ignore tests/clients --ignore tests/examples \
+		-n 2 --dist worksteal $(ARGS)
 
+# A module's server is started once.
 test-processes: install-dev
-	$(BIN)/python -m pytest $(MANY_PROCESSES) $(ARGS)
+	$(PYTEST) tests/processes -n 2 --dist loadfile $(ARGS)
 
 # The page from its lock: types and build, then its logic, then in the browser.
 test-page: install-dev page
 	cd $(PAGE) && npm test
-	$(BIN)/python -m pytest tests/page $(ARGS)
+	$(PYTEST) tests/page $(ARGS)
 
 # The pictures of docs/page.md.
 pictures: install-dev page
@@ -77,7 +70,7 @@ pictures: install-dev page
 
 # The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
 test-clients: install-dev build/compas_fab/.installed build/ros_mcp/.installed
-	$(BIN)/python -m pytest tests/clients tests/examples $(ARGS)
+	$(PYTEST) tests/clients tests/examples $(ARGS)
 
 build/compas_fab/.installed:
 	$(PYTHON) -m venv build/compas_fab

@@ -10,6 +10,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = ("server", "planners", "robot", "protocol")
 
+# Where the tests of a folder lie: what needs several processes, or real time, in the second.
+RINGS = ("tests", "tests/processes")
+
 # Modules that hold only data or names, or run what others define; and the one process main that end-to-end tests run.
 WITHOUT_TEST = {
     "planners.messages",
@@ -36,7 +39,7 @@ def imported_by(path: Path) -> set[str]:
     return names
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def imports() -> dict[str, set[str]]:
     """Imports of each module of the source and of the tests' helpers, by its full name."""
     places = (*ROOMS, "tests")
@@ -44,15 +47,17 @@ def imports() -> dict[str, set[str]]:
     return {".".join(path.relative_to(ROOT).with_suffix("").parts): imported_by(path) for path in paths}
 
 
-@pytest.mark.parametrize("folder", [str(folder.relative_to(ROOT)) for folder in folders()])
-def test_every_module_is_reached_by_the_tests_of_its_folder(folder: str, imports: dict[str, set[str]]) -> None:
-    reached: set[str] = set()
-    found = set().union(*(imported_by(path) for path in (ROOT / "tests" / folder).glob("*.py"))) & imports.keys()
-    while found:
-        reached |= found
-        found = set().union(*(imports[name] for name in found)) & imports.keys() - reached
-    modules = {f"{folder.replace('/', '.')}.{path.stem}" for path in (ROOT / folder).glob("[!_]*.py")}
-    assert modules - reached - WITHOUT_TEST == set()
+def test_every_module_is_reached_by_the_tests_of_its_folder(imports: dict[str, set[str]]) -> None:
+    missed: set[str] = set()
+    for folder in (path.relative_to(ROOT) for path in folders()):
+        tests = [path for ring in RINGS for path in (ROOT / ring / folder).glob("*.py")]
+        reached: set[str] = set()
+        found = set().union(*(imported_by(path) for path in tests)) & imports.keys()
+        while found:
+            reached |= found
+            found = set().union(*(imports[name] for name in found)) & imports.keys() - reached
+        missed |= {".".join((*folder.parts, path.stem)) for path in (ROOT / folder).glob("[!_]*.py")} - reached
+    assert missed - WITHOUT_TEST == set()
 
 
 def test_every_motion_that_the_server_sends_to_an_arm_names_the_stop_epoch_of_its_request() -> None:

@@ -1,15 +1,9 @@
 from __future__ import annotations
 
-import asyncio
-import json
-import os
 import re
-import signal
-from pathlib import Path
 from typing import Any
 
 import pytest
-from websockets.asyncio.client import connect
 
 from protocol.errors import MessageError
 from protocol.registry import Registry
@@ -17,10 +11,10 @@ from robot.messages import ChangePace
 from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, STEP_BACK, ArmPace
 from server.graph.node import Node
 from server.graph.topics import Graph
-from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.fake_arm import FakeArm
-from tests.helpers.server import ServerOnBus, read_write_log, server_on_bus
-from tests.server.conftest import FAST, JOINTS
+from tests.helpers.server import ServerOnBus
+from tests.server.conftest import JOINTS
 
 JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
 RESULT = "/moveit_goal_result"
@@ -112,55 +106,6 @@ async def test_a_fault_cannot_be_reset_while_its_cause_lasts(client: ArmClient, 
     refused = await client.call("/arm/reset_fault")
     assert not refused["success"]
     assert "elbow_flex" in refused["message"]
-
-
-async def test_an_emergency_stop_gets_through_a_flood(client: ArmClient, served: ServerOnBus) -> None:
-    await begin_to_move(client)
-    points = [{"positions": [0.1] * 6} for _ in range(200)]
-    frame = json.dumps(
-        {"op": "publish", "topic": "/flood", "type": "trajectory_msgs/JointTrajectory", "msg": {"points": points}}
-    )
-    await client.say("advertise", topic="/flood", type="trajectory_msgs/JointTrajectory")
-    flooding = asyncio.Event()
-
-    async def flood() -> None:
-        websocket = await connect(served.server.url)
-        try:
-            while True:
-                await websocket.send(frame)
-                flooding.set()
-        finally:
-            websocket.transport.abort()
-
-    floods = [asyncio.create_task(flood()) for _ in range(3)]
-    await flooding.wait()
-    try:
-        stopped = await client.call("/arm/emergency_stop")
-    finally:
-        for task in floods:
-            task.cancel()
-        await asyncio.gather(*floods, return_exceptions=True)
-    assert stopped["success"]
-
-
-async def test_a_fault_outlives_the_arm_process(client: ArmClient, served: ServerOnBus) -> None:
-    await client.call("/arm/emergency_stop")
-    pid = next(int(found[1]) for line in served.server.lines if (found := re.search(r"\(process (\d+), 100 Hz", line)))
-    os.kill(pid, signal.SIGKILL)
-    await client.until_mode("disconnected")
-    assert values_of(await client.until_mode("fault"))["fault"] == "emergency_stop"
-
-
-@pytest.mark.real_time
-async def test_an_arm_that_is_not_to_be_enabled_starts_relaxed_and_ends_relaxed(tmp_path: Path) -> None:
-    log = tmp_path / "writes.jsonl"
-    with server_on_bus(EMULATOR__WRITE_LOG=str(log), ARM__START_ENABLED="false", ARM__ON_EXIT="relax", **FAST) as made:
-        async with arm_client(made.server.url) as client:
-            await client.until_mode("relaxed")
-            assert (await client.call("/arm/enable"))["success"]
-            await begin_to_move(client)
-        assert made.server.end(signal.SIGTERM)[0] == 0
-        assert set(read_write_log(log)[-1]["torque"].values()) == {0}
 
 
 CLIENT = Node("client")

@@ -1,24 +1,14 @@
 from __future__ import annotations
 
-import contextlib
 import json
 
 from robot.calibration import save
 from robot.commissioning.doctor import EXPERIMENTS
-from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import Register
 from server import cli
 from server.commands.terminal import ExitCode
 from tests.helpers.robots import nominal_calibration
 from tests.helpers.server import read_write_log
-
-
-def test_an_arm_that_is_well_is_a_table_and_exit_0(armbridge_on_terminal):
-    answer = armbridge_on_terminal("scan")
-    assert answer.returncode == ExitCode.DONE
-    assert len(answer.stdout.splitlines()) == 7
-    assert "elbow_flex" in answer.stdout
-    assert answer.stderr.count("\n") == 1
 
 
 def test_a_missing_servo_is_named_with_its_cause_and_exit_3(emulator, armbridge):
@@ -35,12 +25,6 @@ def test_a_port_that_is_not_there_is_one_line_and_exit_1(capsys, tmp_path):
     assert capsys.readouterr().err.splitlines()[-1].startswith("armbridge: serial port")
 
 
-def test_a_bus_in_use_is_told_from_one_that_is_not_there(terminal, capsys):
-    with contextlib.closing(Bus.open(terminal.port)):
-        assert cli.main(["scan", "--serial", terminal.port]) == ExitCode.FAILED
-    assert "in use by another process" in capsys.readouterr().err
-
-
 def test_every_baud_rate_is_looked_at_on_request(armbridge, bus):
     for register, value in ((55, 0), (6, 1)):
         bus.sync_write(register, {5: bytes([value])})
@@ -54,15 +38,6 @@ QUICK = ("--cycles", "20")
 
 def findings(text):
     return {each["check"]: each for each in json.loads(text)}
-
-
-def test_every_check_and_every_question_has_a_finding(armbridge_on_terminal):
-    answer = armbridge_on_terminal("doctor", "--yes", "--json", *QUICK)
-    found = findings(answer.stdout)
-    assert {experiment.name for experiment in EXPERIMENTS} < set(found)
-    assert found["servos"]["verdict"] == found["long reads"]["verdict"] == "good"
-    assert found["torque at power-up"]["says"] == "not asked"
-    assert "it works" in found["return delay register"]["says"]
 
 
 def test_nothing_is_asked_of_the_arm_without_a_yes(armbridge):
@@ -130,16 +105,6 @@ def hold(bus):
 
 def torque(bus):
     return [bus.read(servo_id, Register.TORQUE_ENABLE) for servo_id in IDS]
-
-
-def test_an_arm_that_holds_is_relaxed(terminal, armbridge_on_terminal):
-    with contextlib.closing(Bus.open(terminal.port)) as bus:
-        hold(bus)
-    answer = armbridge_on_terminal("relax")
-    assert answer.returncode == ExitCode.DONE
-    assert answer.stderr.splitlines()[-1] == "torque is off on all servos"
-    with contextlib.closing(Bus.open(terminal.port)) as bus:
-        assert torque(bus) == [0] * 6
 
 
 def test_an_arm_that_is_relaxed_is_left_alone(armbridge, write_log):

@@ -5,16 +5,14 @@ import json
 import logging
 import mmap
 import os
-import signal
 import subprocess
 import sys
 import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,8 +54,7 @@ from server.monitoring.monitor import (
 from server.monitoring.systemd import SystemdNotifier
 from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.clock import SteppedLoop
-from tests.helpers.server import RunningServer, ServerOnBus
-from tests.helpers.systemd import Systemd
+from tests.helpers.server import ServerOnBus
 from tests.server.monitoring.watched_parts import (
     WatchedArm,
     WatchedPlanners,
@@ -399,9 +396,6 @@ def test_a_process_that_has_ended_uses_nothing() -> None:
 
 TIMEOUT_S = 30.0
 
-# On a busy machine [s].
-LOADING_S = 60.0
-
 
 def ask(port: int, path: str) -> tuple[int, bytes]:
     """Status and body of what is answered over HTTP."""
@@ -481,85 +475,6 @@ async def test_levels_of_the_log_are_changed_while_the_server_runs(served: Serve
         done = await client.call("/armbridge/set_logger_levels", levels=levels)
         assert done["results"] == [{"successful": True, "reason": ""}]
     assert served.server.has_logged("the level of armbridge.operations_test is debug now")
-
-
-@pytest.fixture(scope="module")
-def systemd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Systemd]:
-    listening = Systemd(tmp_path_factory.mktemp("systemd") / "notify")
-    yield listening
-    listening.close()
-
-
-@pytest.fixture(scope="module")
-def service(systemd: Systemd) -> Iterator[RunningServer]:
-    """A server as systemd starts it, with JSON for journald's readers."""
-    settings = {
-        "NOTIFY_SOCKET": systemd.address,
-        "WATCHDOG_USEC": "300000",
-        "ARMBRIDGE_SERVER__LOG_FORMAT": "json",
-    }
-    with RunningServer(settings=settings) as running:
-        yield running
-
-
-@pytest.mark.real_time
-def test_systemd_hears_that_the_server_is_ready_and_again_and_again_that_it_lives(
-    service: RunningServer, systemd: Systemd
-) -> None:
-    assert systemd.has_heard("READY=1")
-    assert systemd.has_heard("WATCHDOG=1", times=systemd.heard.count("WATCHDOG=1") + 3)
-    assert any(words.startswith("STATUS=the server is starting") for words in systemd.heard)
-
-
-def children_of(service: RunningServer) -> list[int]:
-    pid = service.process.pid
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-@pytest.mark.real_time
-def test_children_do_not_speak_for_the_server(service: RunningServer) -> None:
-    assert len(children_of(service)) >= 3
-    for child in children_of(service):
-        assert b"NOTIFY_SOCKET" not in Path(f"/proc/{child}/environ").read_bytes()
-
-
-def until_it_ignores(pid: int, number: signal.Signals) -> None:
-    """Wait until a process ignores a signal, which planners do once they have loaded their libraries."""
-    until_s = time.monotonic() + LOADING_S
-    while not ignored_by(pid) >> number - 1 & 1:
-        assert time.monotonic() < until_s
-        time.sleep(0.02)
-
-
-def ignored_by(pid: int) -> int:
-    """The signals that a process ignores, the first in the lowest bit (SigIgn in proc_pid_status(5))."""
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return int(next(line for line in lines if line.startswith("SigIgn:")).split()[1], 16)
-
-
-@pytest.mark.real_time
-def test_a_signal_to_all_processes_changes_the_level_and_ends_none(service: RunningServer) -> None:
-    children = children_of(service)
-    for child in children:
-        until_it_ignores(child, signal.SIGUSR1)
-    for words in ("is debug now", "again what the settings say"):
-        for pid in (service.process.pid, *children):
-            os.kill(pid, signal.SIGUSR1)
-        assert service.has_logged(words)
-    assert children_of(service) == children
-
-
-@pytest.mark.real_time
-def test_every_line_of_the_log_is_json_also_those_of_children(service: RunningServer) -> None:
-    lines = [json.loads(line) for line in list(service.lines)]
-    assert {line["process"] for line in lines} >= {"server", "robot.control.loop"}
-    assert {"time", "level", "logger", "message", "process", "pid"} <= set.intersection(*(set(line) for line in lines))
-
-
-@pytest.mark.real_time
-def test_systemd_hears_that_the_server_ends(service: RunningServer, systemd: Systemd) -> None:
-    assert service.end(signal.SIGTERM)[0] == 0
-    assert systemd.has_heard("STOPPING=1")
 
 
 # The event loop.

@@ -4,8 +4,6 @@ import asyncio
 import json
 import math
 import os
-import signal
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +17,8 @@ from server.moveit.scene import saved_scene
 from server.moveit.scene.interface import EVERYTHING, NO_STATE, scene_message
 from server.moveit.scene.saved_scene import DELAY_S, WRITING_SHARE, SavedScene, SceneFile, encoded
 from server.moveit.scene.scene_state import SceneState
-from tests.helpers.clients import arm_client
 from tests.helpers.clock import FakeClock
 from tests.helpers.moveit import BENT, REGISTRY, ROBOT, box, diff, held, message, pose
-from tests.helpers.server import RunningServer
 
 CORNERS = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.1, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.1, "z": 0.0}]
 MESH = {"triangles": [{"vertex_indices": [0, 1, 2]}], "vertices": CORNERS}
@@ -299,39 +295,3 @@ def test_a_mesh_is_encoded_in_small_pieces() -> None:
 
 def test_numbers_that_are_not_finite_come_back() -> None:
     assert math.isnan(json.loads(b"".join(encoded({"weight": math.nan})))["weight"])
-
-
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
-async def test_a_server_that_was_ended_or_killed_starts_with_its_scene_though_it_touches_the_arm(
-    tmp_path: Path, end: signal.Signals
-) -> None:
-    settings = {"ARMBRIDGE_SCENE__FILE": str(tmp_path / "scene.json")}
-    around = {"collision_objects": [box("around the arm", at=pose(z=0.1))]}
-    scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": around}
-    with RunningServer(settings=settings) as first:
-        async with arm_client(first.url) as client:
-            assert (await client.call("/apply_planning_scene", scene=scene))["success"]
-        if end is signal.SIGKILL:
-            await until_there(lambda: (tmp_path / "scene.json").exists())
-        first.end(end)
-    with RunningServer(settings=settings) as second:
-        assert second.has_logged("the planning scene is restored from")
-        async with arm_client(second.url) as client:
-            shown = (await client.call("/get_planning_scene"))["scene"]
-        assert [each["id"] for each in shown["world"]["collision_objects"]] == ["around the arm"]
-
-
-async def until_there(there: Callable[[], bool]) -> None:
-    async with asyncio.timeout(30.0):
-        while not there():
-            await asyncio.sleep(0.02)
-
-
-async def test_a_server_that_keeps_no_scene_writes_none(tmp_path: Path) -> None:
-    settings = {"ARMBRIDGE_SCENE__FILE": str(tmp_path / "scene.json"), "ARMBRIDGE_SCENE__KEEP": "false"}
-    scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [box("wall")]}}
-    with RunningServer(settings=settings) as server:
-        async with arm_client(server.url) as client:
-            assert (await client.call("/apply_planning_scene", scene=scene))["success"]
-        server.end(signal.SIGTERM)
-    assert os.listdir(tmp_path) == []  # noqa: PTH208

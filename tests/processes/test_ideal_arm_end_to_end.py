@@ -17,8 +17,6 @@ from tests.helpers.clients import FrameClient, arm_client, frame_client, values_
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.helpers.server import RunningServer
 
-pytestmark = pytest.mark.real_time
-
 # The last joint moves the hand along its axis instead of about it.
 TURNS = '<axis xyz="0 0 1"/><limit lower="-2.9" upper="2.9" velocity="4" effort="9"/>'
 SLIDES = '<axis xyz="0 0 1"/><limit lower="-0.02" upper="0.2" velocity="0.3" effort="9"/>'

@@ -14,8 +14,6 @@ from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.robots import so101
 from tests.helpers.server import FAST, ROOT, EmulatorControl, RunningServer
 
-pytestmark = pytest.mark.real_time
-
 STATE, CONTROLLER = "/teleop/state", "/follower/arm_controller/controller_state"
 TIMEOUT_S = 60.0
 SERVOS = [1, 2, 3, 4, 5, 6]

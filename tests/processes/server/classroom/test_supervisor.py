@@ -18,8 +18,6 @@ from server.classroom.supervisor import Member
 from tests.helpers.server import ROOT
 from tests.helpers.waiting import wait_until
 
-pytestmark = pytest.mark.real_time
-
 SOON_S = 30.0
 
 # Members that say when they wait for SIGTERM or ignore it, and one that writes to its log, and ends after a while.

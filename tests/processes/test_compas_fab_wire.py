@@ -12,7 +12,7 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from tests.helpers.server import RunningServer
 
-STEPS = json.loads((Path(__file__).parent / "server" / "moveit" / "compas_fab_wire.json").read_text())
+STEPS = json.loads((Path(__file__).parent / "compas_fab_wire.json").read_text())
 ANSWER_TIMEOUT_S = 60.0
 
 

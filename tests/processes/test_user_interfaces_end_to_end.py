@@ -21,8 +21,6 @@ from tests.conformance.cases import INTERFACES
 from tests.helpers.clients import ANSWER_TIMEOUT_S, ArmClient
 from tests.helpers.server import RunningServer
 
-pytestmark = pytest.mark.real_time
-
 REGISTRY = read_packages([INTERFACES]).registry()
 SAMPLE = {
     "header": {"stamp": {"sec": 5, "nanosec": 6}, "frame_id": "bench"},

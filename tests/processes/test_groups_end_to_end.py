@@ -18,8 +18,6 @@ from tests.helpers.clients import ArmClient, FrameClient, arm_client, frame_clie
 from tests.helpers.robots import LIFTED_GRIPPER, LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF, folder_arguments
 from tests.helpers.server import RunningServer
 
-pytestmark = pytest.mark.real_time
-
 LIFTED, PAIR = model.parse(LIFTED_URDF, LIFTED_SRDF), model.parse(PAIR_URDF, PAIR_SRDF)
 BENT = dict(LIFTED.named_states["arm"]["bent"])
 

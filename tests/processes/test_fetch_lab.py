@@ -21,8 +21,6 @@ from robot.description import robot_folder
 from robot.description.forward_kinematics import ForwardPlacements
 from tests.helpers.server import FAST, ROOT, RunningServer
 
-pytestmark = pytest.mark.real_time
-
 # Each wave is over within this time, or is cancelled.
 DEADLINE_S = 30.0
 TOLERANCE = 0.01

@@ -16,8 +16,6 @@ from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.robots import so101
 from tests.helpers.server import EmulatorControl, RunningServer
 
-pytestmark = pytest.mark.real_time
-
 RESULT, ERROR_CODES = "/moveit_goal_result", "moveit_msgs/MoveItErrorCodes"
 JOINTS = tuple(joint.name for joint in so101().movable_joints)
 SUCCESS, COLLISION_AT_GOAL, INVALID_GROUP, CONTROL_FAILED = 1, -12, -15, -4

@@ -10,8 +10,6 @@ from tests.helpers.clients import FrameClient, arm_client, frame_client
 from tests.helpers.dynamixel import KOCH
 from tests.helpers.server import RunningServer
 
-pytestmark = pytest.mark.real_time
-
 # Droop under the links' weight, and backlash of the goal's ticks [rad].
 ARRIVED = 0.03
 

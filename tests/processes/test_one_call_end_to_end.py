@@ -14,8 +14,6 @@ from websockets.asyncio.client import connect
 from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.server import RunningServer
 
-pytestmark = pytest.mark.real_time
-
 NAME, ACTION_TYPE = "/moveit_goal", "armbridge_msgs/action/MoveitGoal"
 PAN_RAD = 0.4
 TURNED = {"joints": {"name": ["shoulder_pan"], "position": [PAN_RAD]}}

@@ -28,8 +28,6 @@ from tests.helpers.clients import FrameClient, frame_client, goal_is, status_sta
 from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.server import RunningServer, read_write_log
 
-pytestmark = pytest.mark.real_time
-
 # What the Unreal client sends, to the letter.
 SUBSCRIBE = '{"op":"subscribe","topic":"/joint_states","type":"sensor_msgs/JointState"}'
 ADVERTISE = [

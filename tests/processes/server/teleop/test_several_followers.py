@@ -12,8 +12,6 @@ import pytest
 from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.server import FAST, EmulatorControl, RunningServer
 
-pytestmark = pytest.mark.real_time
-
 CONFIG = """
 [arms.left]
 base_xyz_m = [0.0, 0.7, 0.0]

@@ -19,8 +19,6 @@ from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.server import RunningServer, ServerOnBus, read_write_log, server_on_bus
 from tests.server.conftest import FAST, JOINTS
 
-pytestmark = pytest.mark.real_time
-
 REST = built_in("so101").model.named_states["arm"]["rest"]
 
 # A relaxed elbow sinks until its stop holds it.

@@ -16,8 +16,6 @@ from tests.helpers.moveit import box, pose
 from tests.helpers.robots import so101
 from tests.helpers.server import EmulatorControl, RunningServer
 
-pytestmark = pytest.mark.real_time
-
 JOINTS = tuple(joint.name for joint in so101().movable_joints)
 TIMEOUT_S = 60.0
 STATE, TOPIC = "/teleop/state", "/glove/joint_states"

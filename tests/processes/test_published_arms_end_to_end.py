@@ -18,7 +18,6 @@ from tests.helpers.clients import arm_client, frame_client
 from tests.helpers.server import RunningServer
 
 pytestmark = [
-    pytest.mark.real_time,
     pytest.mark.skipif(find_example("panda") is None, reason="the package example-robot-data is not installed"),
 ]
 

@@ -23,8 +23,6 @@ from server import cli
 from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.server import FAST, ROOT
 
-pytestmark = pytest.mark.real_time
-
 STUDENTS = 3
 START_TIMEOUT_S = 120.0
 END_TIMEOUT_S = 30.0

@@ -1,0 +1,92 @@
+"""A server under systemd: its notifications, signals and log."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.server import RunningServer
+from tests.helpers.systemd import Systemd
+
+# On a busy machine [s].
+LOADING_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def systemd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Systemd]:
+    listening = Systemd(tmp_path_factory.mktemp("systemd") / "notify")
+    yield listening
+    listening.close()
+
+
+@pytest.fixture(scope="module")
+def service(systemd: Systemd) -> Iterator[RunningServer]:
+    """A server as systemd starts it, with JSON for journald's readers."""
+    settings = {
+        "NOTIFY_SOCKET": systemd.address,
+        "WATCHDOG_USEC": "300000",
+        "ARMBRIDGE_SERVER__LOG_FORMAT": "json",
+    }
+    with RunningServer(settings=settings) as running:
+        yield running
+
+
+def test_systemd_hears_that_the_server_is_ready_and_again_and_again_that_it_lives(
+    service: RunningServer, systemd: Systemd
+) -> None:
+    assert systemd.has_heard("READY=1")
+    assert systemd.has_heard("WATCHDOG=1", times=systemd.heard.count("WATCHDOG=1") + 3)
+    assert any(words.startswith("STATUS=the server is starting") for words in systemd.heard)
+
+
+def children_of(service: RunningServer) -> list[int]:
+    pid = service.process.pid
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def test_children_do_not_speak_for_the_server(service: RunningServer) -> None:
+    assert len(children_of(service)) >= 3
+    for child in children_of(service):
+        assert b"NOTIFY_SOCKET" not in Path(f"/proc/{child}/environ").read_bytes()
+
+
+def until_it_ignores(pid: int, number: signal.Signals) -> None:
+    """Wait until a process ignores a signal, which planners do once they have loaded their libraries."""
+    until_s = time.monotonic() + LOADING_S
+    while not ignored_by(pid) >> number - 1 & 1:
+        assert time.monotonic() < until_s
+        time.sleep(0.02)
+
+
+def ignored_by(pid: int) -> int:
+    """The signals that a process ignores, the first in the lowest bit (SigIgn in proc_pid_status(5))."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return int(next(line for line in lines if line.startswith("SigIgn:")).split()[1], 16)
+
+
+def test_a_signal_to_all_processes_changes_the_level_and_ends_none(service: RunningServer) -> None:
+    children = children_of(service)
+    for child in children:
+        until_it_ignores(child, signal.SIGUSR1)
+    for words in ("is debug now", "again what the settings say"):
+        for pid in (service.process.pid, *children):
+            os.kill(pid, signal.SIGUSR1)
+        assert service.has_logged(words)
+    assert children_of(service) == children
+
+
+def test_every_line_of_the_log_is_json_also_those_of_children(service: RunningServer) -> None:
+    lines = [json.loads(line) for line in list(service.lines)]
+    assert {line["process"] for line in lines} >= {"server", "robot.control.loop"}
+    assert {"time", "level", "logger", "message", "process", "pid"} <= set.intersection(*(set(line) for line in lines))
+
+
+def test_systemd_hears_that_the_server_ends(service: RunningServer, systemd: Systemd) -> None:
+    assert service.end(signal.SIGTERM)[0] == 0
+    assert systemd.has_heard("STOPPING=1")

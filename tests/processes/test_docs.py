@@ -1,0 +1,98 @@
+"""Programs, commands and messages of the docs, run against a server and sent to it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+
+import pytest
+from websockets.sync.client import connect
+
+from tests.helpers.server import ROOT, RunningServer
+from tests.test_docs import EXAMPLES, PAGES
+from tests.test_readme import blocks
+
+SERVER_PORT = "9090"
+
+
+RUN_TIMEOUT_S = 60
+
+
+ANSWER_TIMEOUT_S = 60
+
+
+# Pages whose JSON blocks hold only messages to the server; the page of the protocol also shows answers.
+SENT = ("browser.md", "goals.md", "operations.md", "unity.md", "unreal.md")
+
+
+WITH_CODE = ("browser.md", "unity.md", "unreal.md")
+
+
+PROGRAMS = [(page.name, block) for page in PAGES for block in blocks(page, "python")]
+
+
+def run_python(arguments: list[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=RUN_TIMEOUT_S, check=False
+    )
+
+
+@pytest.mark.parametrize("program", [block for _, block in PROGRAMS], ids=[page for page, _ in PROGRAMS])
+def test_a_python_program_of_the_docs_runs(program: str, simulated_server: RunningServer) -> None:
+    assert f"port={SERVER_PORT}" in program
+    done = run_python(["-c", program.replace(SERVER_PORT, str(simulated_server.port))])
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
+@pytest.mark.parametrize("command", EXAMPLES)
+def test_a_command_with_an_example_succeeds(command: str, simulated_server: RunningServer) -> None:
+    _, *arguments = shlex.split(command)
+    port = str(simulated_server.port)
+    arguments = [port if word == SERVER_PORT else word for word in arguments]
+    done = run_python(arguments if port in arguments else [*arguments, "--port", port])
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def messages_in_code(page: str) -> list[str]:
+    """Operations that the code on a page (C++, C# or JavaScript) sends after connecting."""
+    text = (ROOT / "docs" / page).read_text()
+    frames = re.findall(r"TEXT\(R\"\((.*?)\)\"\)", text)
+    frames += [line.replace('""', '"') for line in re.findall(r"@\"(\{.*\})\"", text)]
+    for name, type_name in re.findall(r"name: \"(/\w+)\", messageType: \"([\w/]+)\"", text):
+        frames += [json.dumps({"op": op, "topic": name, "type": type_name}) for op in ("advertise", "subscribe")]
+    return frames
+
+
+@pytest.mark.parametrize("page", SENT)
+def test_the_messages_of_a_page_are_taken_without_complaint(page: str, simulated_server: RunningServer) -> None:
+    frames = [line for block in blocks(ROOT / "docs" / page, "json") for line in block.splitlines()]
+    assert frames
+    in_code = messages_in_code(page)
+    assert bool(in_code) is (page in WITH_CODE)
+    frames += in_code
+    calls = {frame["id"] for frame in map(json.loads, frames) if frame["op"] == "call_service"}
+    complaints = []
+    with connect(f"ws://127.0.0.1:{simulated_server.port}") as client:
+
+        def call_and_wait(service: str, waited_for: set[str]) -> None:
+            client.send(json.dumps({"op": "call_service", "service": service, "id": service}))
+            left = {service, *waited_for}
+            while left:
+                operation = json.loads(client.recv(timeout=ANSWER_TIMEOUT_S))
+                refused = operation["op"] == "service_response" and not operation["result"]
+                if operation["op"] == "status" or refused:
+                    complaints.append(operation)
+                left.discard(operation.get("id"))
+                calls.discard(operation.get("id"))
+
+        client.send(json.dumps({"op": "set_level", "level": "warning"}))
+        for frame in frames:
+            client.send(frame)
+            # A stop overtakes what waits: the frame is carried out before the next is sent, as where a person sends.
+            call_and_wait("/rosapi/get_time", set())
+        call_and_wait("/arm/stop", calls)
+    assert complaints == []

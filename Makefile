@@ -101,11 +101,11 @@ bench-planning: install-dev
 
 campaign-planners: install-dev
 	mkdir -p build
-	$(BIN)/python -m benchmarks.planner_campaign $(ARGS) 2>build/campaign-planners.log
+	$(BIN)/python -m tests.processes.planner_campaign $(ARGS) 2>build/campaign-planners.log
 
 # Every fault that there is, seed by seed, on the emulated arm; ten minutes on two cores.
 campaign: install-dev
-	$(BIN)/python -m benchmarks.campaign $(ARGS)
+	$(BIN)/python -m tests.processes.campaign $(ARGS)
 
 # The locks name no index: whoever installs them uses the index configured on the machine.
 lock: install-dev

@@ -16,8 +16,8 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from benchmarks.figures import print_table
 from tests.helpers.clients import FrameClient, frame_client
+from tests.helpers.figures import print_table
 from tests.helpers.server import RunningServer
 
 GOALS = 40

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import psutil
 
-from benchmarks.figures import print_table
 from tests.helpers.clients import FrameClient, frame_client
+from tests.helpers.figures import print_table
 from tests.helpers.server import FAST, ROOT
 
 STUDENTS = 20

@@ -20,8 +20,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import psutil
 
-from benchmarks.figures import print_table
 from benchmarks.flood_clients import FLOODS
+from tests.helpers.figures import print_table
 from tests.helpers.server import ROOT, RunningServer
 
 SECONDS = 10.0

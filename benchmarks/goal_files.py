@@ -11,8 +11,8 @@ import os
 import tempfile
 from pathlib import Path
 
-from benchmarks.figures import print_table
 from tests.helpers.clients import frame_client
+from tests.helpers.figures import print_table
 from tests.helpers.server import RunningServer
 
 ROOT = Path(__file__).parents[1]

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.figures import percentiles, print_table
 from tests.helpers.clients import frame_client
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import RunningServer, read_write_log
 
 GOALS = 60

@@ -9,7 +9,7 @@ import time
 import psutil
 from websockets.asyncio.client import connect
 
-from benchmarks.figures import print_table
+from tests.helpers.figures import print_table
 from tests.helpers.server import RunningServer
 
 CONNECTIONS = 500

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from benchmarks.figures import percentiles, print_table
 from benchmarks.watch_states import watch
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import RunningServer
 
 SECONDS = 10.0

@@ -26,10 +26,10 @@ from benchmarks.attack_clients import ClientProcess, Observation, Order, Outcome
 from benchmarks.costly_frames import Attack, Frame, joined, known_attacks
 from benchmarks.costly_operations import operations_of_every_kind
 from benchmarks.costly_requests import FIRST_SHAPES, LARGER_SHAPES, ask_interfaces, requests_of_every_type
-from benchmarks.figures import print_table
 from benchmarks.floods import DrainedLog
 from protocol.registry import Registry
 from tests.helpers import clients
+from tests.helpers.figures import print_table
 from tests.helpers.server import RunningServer
 
 RATE_HZ = 100.0

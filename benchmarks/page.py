@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import psutil
 from websockets.sync.client import connect
 
-from benchmarks.figures import percentiles, print_table
 from tests.helpers.clients import call
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.page import BUILT, chromium, opened, what_is_missing
 from tests.helpers.server import RunningServer
 

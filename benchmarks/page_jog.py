@@ -7,11 +7,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.campaign.write_log import Entry, read_entries
-from benchmarks.figures import percentiles, print_table
 from tests.helpers.clients import goal
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.page import OpenPage, chromium, opened, what_is_missing
 from tests.helpers.server import RunningServer
+from tests.helpers.write_log import Entry, read_entries
 from tests.robot.conftest import RunningEmulator
 
 STROKES = 20

@@ -13,7 +13,6 @@ import psutil
 import uvloop
 
 from benchmarks.event_loop import Ticker
-from benchmarks.figures import percentiles, print_table
 from benchmarks.make_scenes import SCENES
 from planners import pool as pool_module
 from planners.files import problem_file
@@ -23,6 +22,7 @@ from planners.scene import Box, Pose, Scene, SceneObject
 from planners.worker import HARD_AFTER_S
 from robot.description.robot_folder import built_in
 from tests.helpers import broken_planner
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.motions import EASY, LONG, STATE, broken
 
 STARTS = 7

@@ -7,11 +7,11 @@ from collections import defaultdict
 
 import numpy as np
 
-from benchmarks.figures import percentiles, print_table
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningFailure, PlanningProblem
 from robot.description.robot_folder import built_in
+from tests.helpers.figures import percentiles, print_table
 
 PROBLEMS = 450
 SEED = 5

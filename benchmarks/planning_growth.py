@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.figures import percentiles, print_table
 from benchmarks.published_arms import UR5_GROUP, published
 from planners.geometry.collision import CollisionModel
 from planners.goals import JointGoal
@@ -20,6 +19,7 @@ from robot.description.joined import PlacedArm, joined, prefixed
 from robot.description.model import RobotModel
 from robot.description.robot_folder import built_in
 from robot.description.srdf import Group
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.meshes import ball
 
 SEED = 3

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.figures import percentiles, print_table
 from benchmarks.make_scenes import GRIPPER_RAD, JOINTS, TOLERANCE_M, Draw, Vector
 from benchmarks.scene_things import IN_TABLE, TABLE, Arrangement, Fields, box, thing
 from planners.files import problem_file
@@ -33,6 +32,7 @@ from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, Planni
 from planners.scene import Pose
 from planners.warm_up import warm_up
 from robot.description.robot_folder import built_in
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.resources import SHARED
 
 SEED = 1

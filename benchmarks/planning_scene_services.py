@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.figures import percentiles, print_table
 from protocol.codecs import json
 from protocol.registry import Registry
 from robot.description.robot_folder import built_in
@@ -24,6 +23,7 @@ from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.interface import APPLY, GET, SceneInterface
 from server.moveit.scene.scene_state import AssumedStates, SceneState
+from tests.helpers.figures import percentiles, print_table
 
 OBJECTS = 50
 

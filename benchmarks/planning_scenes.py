@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks import mplib_side
-from benchmarks.figures import percentiles, print_table
 from benchmarks.make_scenes import SCENES
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Outcome
 from planners.motions.motion import STRAIGHT_LINE
 from planners.problem import Plan
 from robot.description.robot_folder import built_in
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.full_meshes import Judge
 from tests.helpers.resources import SHARED
 

@@ -6,7 +6,7 @@ import time
 
 import psutil
 
-from benchmarks.figures import percentiles, print_table
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import RunningServer
 
 STARTS = 5

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.figures import percentiles, print_table
 from benchmarks.planning import BLOCKED_LINES
 from planners.goals import JointGoal
 from planners.pool import PlannerPool
@@ -25,6 +24,7 @@ from server.execution.motions import Motion, PlannedMotion
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, QueuedGoal
 from server.moveit.scene.scene_state import SceneState
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.robots import nominal_calibration, so101
 
 STARTING_TIMEOUT_S = 30.0

@@ -20,8 +20,6 @@ import numpy as np
 import psutil
 import uvloop
 
-from benchmarks.campaign.write_log import Entry, read_entries
-from benchmarks.figures import percentiles, print_table
 from benchmarks.planning import blocked_problem
 from planners.pool import PlannerPool
 from robot.arm import Arm
@@ -33,7 +31,9 @@ from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
 from robot.trajectory import rest_to_rest
 from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import RunningServer
+from tests.helpers.write_log import Entry, read_entries
 from tests.robot.conftest import RunningEmulator
 
 CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)

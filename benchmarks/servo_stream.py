@@ -18,8 +18,6 @@ from typing import Any
 import numpy as np
 import uvloop
 
-from benchmarks.campaign.write_log import Entry, read_entries
-from benchmarks.figures import percentiles, print_table
 from benchmarks.planning import blocked_problem
 from planners.pool import PlannerPool
 from planners.servo.question import ServoAnswer, ServoQuestion, TipTwist
@@ -32,7 +30,9 @@ from robot.description.robot_folder import built_in
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, Commanded
 from tests.helpers.clients import ArmClient, arm_client
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import RunningServer
+from tests.helpers.write_log import Entry, read_entries
 from tests.robot.conftest import RunningEmulator
 
 CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from benchmarks.figures import percentiles, print_table
 from tests.helpers.clients import ArmClient, arm_client, values_of
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import FAST, ROOT, RunningServer
 
 SECONDS = 15.0

@@ -18,9 +18,9 @@ import numpy as np
 import psutil
 from websockets.asyncio.client import connect
 
-from benchmarks.figures import print_table
 from server.moveit.gripper import GRIPPER_ACTION
 from tests.helpers.clients import FrameClient, frame_client
+from tests.helpers.figures import print_table
 from tests.helpers.server import RunningServer
 
 SECONDS = 60.0

@@ -20,8 +20,8 @@ from typing import Any
 
 from websockets.asyncio.client import connect
 
-from benchmarks.figures import percentiles, print_table
 from tests.helpers.clients import GOAL_TYPES
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import READY, ROOT, free_port
 
 STARTS = 9

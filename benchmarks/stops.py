@@ -13,8 +13,8 @@ from typing import Any
 import bson
 from websockets.asyncio.client import connect
 
-from benchmarks.figures import percentiles, print_table
 from tests.helpers.clients import FrameClient, frame_client
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import RunningServer, free_port
 
 TRIALS = 8

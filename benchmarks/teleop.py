@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.figures import percentiles, print_table
 from tests.helpers.clients import arm_client
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import FAST, ROOT, EmulatorControl, RunningServer
 
 SECONDS = 20.0

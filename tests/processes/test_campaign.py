@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.campaign.scenario import Happening, scenario_of
-from benchmarks.campaign.seed_run import run_seed
 from robot.emulator.populations import POPULATIONS
+from tests.processes.campaign.scenario import Happening, scenario_of
+from tests.processes.campaign.seed_run import run_seed
 
 SEEDS = {
     Happening.UNPLUG: 2,

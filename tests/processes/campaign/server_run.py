@@ -9,14 +9,14 @@ from pathlib import Path
 
 import psutil
 
-from benchmarks.campaign import checks
-from benchmarks.campaign.emulator import CampaignBus, campaign_bus
-from benchmarks.campaign.result import Result
-from benchmarks.campaign.scenario import Happening, Scenario, random_goal
-from benchmarks.campaign.write_log import Entry
 from robot.messages import EndState
 from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.server import RunningServer
+from tests.helpers.write_log import Entry
+from tests.processes.campaign import checks
+from tests.processes.campaign.emulator import CampaignBus, campaign_bus
+from tests.processes.campaign.result import Result
+from tests.processes.campaign.scenario import Happening, Scenario, random_goal
 
 RESULT_TOPIC = "/moveit_goal_result"
 SUCCESS = 1

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.campaign``: run seeds, print a table and every seed with a violation."""
+"""``python -m tests.processes.campaign``: run seeds, print a table and every seed with a violation."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-from benchmarks.campaign.result import Result
-from benchmarks.campaign.scenario import Happening
-from benchmarks.campaign.seed_run import run_seed
-from benchmarks.figures import print_table
 from robot.emulator.populations import POPULATIONS
+from tests.helpers.figures import print_table
+from tests.processes.campaign.result import Result
+from tests.processes.campaign.scenario import Happening
+from tests.processes.campaign.seed_run import run_seed
 
 SEEDS = 200
 
@@ -24,7 +24,7 @@ JOBS = 6
 
 def main() -> int:
     """Run the campaign; the exit code is 0 if no run has a violation."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.processes.campaign", description=main.__doc__)
     parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help=f"how many seeds (default {SEEDS})")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of them (default 0)")
     parser.add_argument("--seed", type=int, metavar="SEED", help="this one alone")

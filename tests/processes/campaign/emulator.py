@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.campaign.scenario import NAMES, START_RAD, Scenario, calm
-from benchmarks.campaign.write_log import Entry, read_entries
 from robot.hardware.interface import StatusFlag
+from tests.helpers.write_log import Entry, read_entries
+from tests.processes.campaign.scenario import NAMES, START_RAD, Scenario, calm
 from tests.robot.conftest import RunningEmulator
 
 

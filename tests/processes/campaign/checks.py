@@ -7,13 +7,13 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from benchmarks.campaign.scenario import CALIBRATION
-from benchmarks.campaign.write_log import Entry, pairs
 from robot.control.controller import STEP_MARGIN
 from robot.description.limits import JointBounds, within_calibration
 from robot.description.robot_folder import built_in
 from robot.hardware.clock import MAX_TICK_S
 from robot.messages import ArmState
+from tests.helpers.write_log import Entry, pairs
+from tests.processes.campaign.scenario import CALIBRATION
 
 # Torque must come on with the joint at its goal.
 TORQUE_ON_WITHIN_TICKS = 30

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.planner_campaign``: random faults in the planner processes of one pool.
+"""``python -m tests.processes.planner_campaign``: random faults in the planner processes of one pool.
 
 Each round requests a motion, injects a fault, and then requests a motion that must be planned, with the same result as
 without a fault; a fault may cost one motion, not two. Ends with a table, or with the first round that broke the pool.
@@ -19,12 +19,12 @@ import numpy as np
 import psutil
 import uvloop
 
-from benchmarks.figures import percentiles, print_table
 from planners import pool as pool_module
 from planners.pool import LOAD_TIMEOUT_S, OVERTIME_S, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem
 from robot.description.robot_folder import built_in
 from tests.helpers.broken_planner import FAULTS
+from tests.helpers.figures import percentiles, print_table
 from tests.helpers.motions import EASY, LONG, STATE, broken
 
 MEMORY_LIMIT_BYTES = 300_000_000
@@ -164,7 +164,7 @@ def _report(campaign: Campaign) -> None:
 
 def main() -> None:
     """Run rounds for the time that the command line gives."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.planner_campaign", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.processes.planner_campaign", description=__doc__)
     parser.add_argument("--seconds", type=float, default=120.0, help="for so long (120)")
     parser.add_argument("--seed", type=int, default=1, help="of the choice of faults (1)")
     options = parser.parse_args()

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-from benchmarks.campaign.arm_run import run_arm, run_refused
-from benchmarks.campaign.result import Result
-from benchmarks.campaign.scenario import OF_SERVER, REFUSED, scenario_of
-from benchmarks.campaign.server_run import run_server
+from tests.processes.campaign.arm_run import run_arm, run_refused
+from tests.processes.campaign.result import Result
+from tests.processes.campaign.scenario import OF_SERVER, REFUSED, scenario_of
+from tests.processes.campaign.server_run import run_server
 
 
 def run_seed(seed: int, folder: Path, population: str | None = None) -> Result:

@@ -134,7 +134,7 @@ async def _run(seconds: float, seed: int) -> None:
         while time.monotonic() < until_s:
             await campaign.round()
         async with asyncio.timeout(RECOVERY_TIMEOUT_S):
-            while pool.idle_count < len(pool.pids):  # noqa: ASYNC110 - a benchmark may poll
+            while pool.idle_count < len(pool.pids):
                 await asyncio.sleep(0.05)
         grown_files, grown_bytes = process.num_fds() - files, process.memory_info().rss - memory
     finally:

@@ -205,13 +205,13 @@ def slower_s(writes: list[dict[str, Any]], sent_s: float) -> float:
     ]
     steps = [(at_s, abs(goal - before)) for (_, before), (at_s, goal) in itertools.pairwise(goals)]
     cruise = min([step for at_s, step in steps if at_s <= sent_s][-CRUISE_WRITES:])
-    return next(at_s - sent_s for at_s, step in steps if at_s > sent_s and step < cruise)
+    return next(float(at_s) - sent_s for at_s, step in steps if at_s > sent_s and step < cruise)
 
 
 def cut_s(writes: list[dict[str, Any]], sent_s: float) -> float:
     """Return the time from an emergency stop to the write that switches torque off [s]."""
     cuts = (
-        entry["machine_t"]
+        float(entry["machine_t"])
         for entry in writes
         if entry["address"] == TORQUE_ADDRESS and any(data[0] == 0 for data in entry["data"].values())
     )

@@ -319,7 +319,7 @@ class WebSocket(ServerConnection):
         self._unsent.clear()
         self._unsent_bytes = 0
 
-    def _write(self, pieces: list[bytes]) -> None:
+    def _write(self, pieces: Sequence[bytes]) -> None:
         try:
             self.transport.writelines(pieces)
         except MemoryError:

@@ -493,6 +493,7 @@ class ArmHealth:
         round_trip_s: time that block reads took in the last second: p50, p99, greatest [s].
         real_time: True if the process has real-time priority.
         real_time_factor: arm's time per machine's time; below 1 a simulated arm is slow because the machine is busy.
+        memory_locked: True if the process's memory cannot be swapped out.
         limits_rad: soft limits in force, shape (joints, 2) [rad]; None before the survey.
     """
 
@@ -505,6 +506,7 @@ class ArmHealth:
     round_trip_s: tuple[float, float, float]
     real_time: bool
     real_time_factor: float = 1.0
+    memory_locked: bool = False
     limits_rad: Vector | None = None
     fault: Fault | None = None
     reason: str = ""

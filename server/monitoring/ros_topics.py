@@ -122,6 +122,7 @@ def _arm_values(health: ArmHealth) -> dict[str, str]:
     values = {
         "port": health.port,
         "real_time_priority": str(health.real_time).lower(),
+        "memory_locked": str(health.memory_locked).lower(),
         "real_time_factor": f"{health.real_time_factor:.2f}",
         "loop_lateness_ms": _percentiles_ms(health.lateness_s),
     }

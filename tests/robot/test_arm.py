@@ -313,6 +313,34 @@ async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can
     await rig.arm.close()
 
 
+class NotedDelay(RestartDelay):
+    """Keeps for how long the processes ran."""
+
+    def __init__(self) -> None:
+        super().__init__(0.0, 0.0)
+        self.ran_s: list[float] = []
+
+    def after(self, ran_s: float) -> float:
+        self.ran_s.append(ran_s)
+        return super().after(ran_s)
+
+
+async def test_the_run_of_an_arm_process_begins_with_its_first_state(tmp_path: Path) -> None:
+    delay = NotedDelay()
+    rig = ArmOnServos(tmp_path, delay)
+    await rig.arm.launch()
+    for number in (1, 2):
+        assert rig.arm.pid is not None
+        os.kill(rig.arm.pid, signal.SIGKILL)
+        await until(lambda number=number: len(delay.ran_s) == number)
+        if number == 1:
+            await rig.arm.start(SOON_S)
+            await until(lambda: rig.arm.state.position_rad is not None)
+    assert delay.ran_s[0] == 0.0
+    assert delay.ran_s[1] > 0.0
+    await rig.arm.close()
+
+
 async def test_starts_that_fail_without_end_do_not_fill_the_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

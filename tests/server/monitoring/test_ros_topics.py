@@ -69,6 +69,12 @@ def test_an_ideal_joint_has_neither_temperature_nor_bus() -> None:
     assert not [key for key in values_of(arm) if key.startswith("bus")]
 
 
+def test_priority_and_memory_of_the_arm_process_are_reported() -> None:
+    values = values_of(statuses(health=replace(HEALTH, memory_locked=True))[0])
+    assert (values["real_time_priority"], values["memory_locked"]) == ("true", "true")
+    assert values_of(statuses()[0])["memory_locked"] == "false"
+
+
 def test_a_simulated_arm_that_a_busy_machine_slows_down_says_so() -> None:
     arm, servo = statuses(health=replace(HEALTH, real_time_factor=0.42))
     assert (arm["level"], arm["message"]) == (1, "the arm holds, at 42% of real time: this machine is busy")

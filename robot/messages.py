@@ -485,7 +485,7 @@ class ArmHealth:
     """Health of the arm, once a second.
 
     Attributes:
-        stamp_s: wall-clock time [s since the epoch].
+        monotonic_s: monotonic time of the machine, which all of its processes share [s].
         port: serial port of the arm; ``simulated`` or ``ideal`` where there is none.
         joints: one each, in the order of the arm's arrays.
         bus: counters of the bus since it was opened; None for hardware without one.
@@ -497,7 +497,7 @@ class ArmHealth:
         limits_rad: soft limits in force, shape (joints, 2) [rad]; None before the survey.
     """
 
-    stamp_s: float
+    monotonic_s: float
     mode: Mode
     port: str
     joints: tuple[JointHealth, ...]

@@ -123,7 +123,7 @@ def arm_health(
     bounds = None if controller is None else controller.bounds
     limits = None if bounds is None else np.stack((bounds.lower_rad, bounds.upper_rad), axis=1)
     return ArmHealth(
-        stamp_s=time.time(),
+        monotonic_s=time.monotonic(),
         mode=state.mode,
         port=port,
         joints=tuple(_joint_health(arm, joint) for joint in range(len(arm.hardware.joint_names))),

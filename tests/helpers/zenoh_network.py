@@ -47,6 +47,7 @@ class Site:
         port: where the session listens; None to connect.
         to: ports that it connects to.
         access: the section of that name.
+        arms: names of several arms; empty for one.
         max_message_bytes: of what comes in [bytes].
         settings: further ones of the section ``zenoh``.
     """
@@ -56,6 +57,7 @@ class Site:
         port: int | None = None,
         to: tuple[int, ...] = (),
         access: AccessSettings | None = None,
+        arms: tuple[str, ...] = (),
         max_message_bytes: int = 10_000_000,
         **settings: Any,
     ) -> None:
@@ -66,7 +68,7 @@ class Site:
         self.namespace = settings.get("namespace", "")
         self.graph = Graph(REGISTRY)
         self.part, self.client = Node("part"), Node("client", remote=True)
-        self.access = Access(access or AccessSettings(control="shared"))
+        self.access = Access(access or AccessSettings(control="shared"), arms=dict.fromkeys(arms, lambda: None))
         chosen = {"mode": "peer", "publish": (), **endpoints, **settings}
         self.bridge = Bridge(self.graph, ZenohSettings(**chosen), self.access, max_message_bytes)
         self._tasks: list[asyncio.Task[None]] = []

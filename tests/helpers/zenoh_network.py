@@ -128,9 +128,10 @@ class RosMachine:
 
     Args:
         port: what it connects to.
+        domain_id: whose machines it sees.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, domain_id: int = 0) -> None:
         config = zenoh.Config()
         settings = {
             "connect/endpoints": [f"tcp/127.0.0.1:{port}"],
@@ -145,7 +146,7 @@ class RosMachine:
         self.session = zenoh.open(config)
         self.tokens: set[str] = set()
         self._declared: list[Any] = []
-        self.session.liveliness().declare_subscriber("@ros2_lv/0/**", self._on_token, history=True)
+        self.session.liveliness().declare_subscriber(f"@ros2_lv/{domain_id}/**", self._on_token, history=True)
 
     def __enter__(self) -> RosMachine:
         return self

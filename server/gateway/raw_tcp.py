@@ -149,7 +149,7 @@ class TcpStream(asyncio.Protocol):
         try:
             self._splitter.add(data)
         except MemoryError:
-            self._end_out_of_memory()
+            self.end_out_of_memory()
             return
         if not self._turn_waits:
             self._take_turn()
@@ -180,11 +180,11 @@ class TcpStream(asyncio.Protocol):
             self.end(str(error))
             return
         except MemoryError:
-            self._end_out_of_memory()
+            self.end_out_of_memory()
             return
         self._stop_reading()
 
-    def _end_out_of_memory(self) -> None:
+    def end_out_of_memory(self) -> None:
         """End this connection alone; what it holds is freed for the words."""
         self._splitter.clear()
         try:

@@ -323,7 +323,7 @@ class WebSocket(ServerConnection):
         try:
             self.transport.writelines(pieces)
         except MemoryError:
-            self._end_out_of_memory(mid_frame=True)
+            self.end_out_of_memory(mid_frame=True)
 
     def data_received(self, data: bytes) -> None:
         """Begin a turn with the bytes that the socket has received."""
@@ -342,7 +342,7 @@ class WebSocket(ServerConnection):
             else:
                 self._take(data)
         except MemoryError:
-            self._end_out_of_memory()
+            self.end_out_of_memory()
 
     def _open_at_once(self, data: bytes) -> bool:
         """Open the WebSocket for a plain request that is admitted; return False to leave the answer to websockets."""
@@ -469,12 +469,12 @@ class WebSocket(ServerConnection):
         try:
             self._take(data)
         except MemoryError:
-            self._end_out_of_memory()
+            self.end_out_of_memory()
             return
         if not self._unread and self._may_read:
             self.transport.resume_reading()
 
-    def _end_out_of_memory(self, *, mid_frame: bool = False) -> None:
+    def end_out_of_memory(self, *, mid_frame: bool = False) -> None:
         """End this connection alone; a loop that gets the error ends it with a traceback, or leaves it standing still.
 
         Args:

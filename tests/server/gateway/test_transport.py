@@ -168,6 +168,21 @@ async def test_a_connection_whose_message_cannot_be_read_for_want_of_memory_is_c
         assert link.client.close_code == 1011
 
 
+async def test_a_connection_whose_long_message_finds_no_memory_in_a_thread_is_closed_with_one_line(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with linked() as link:
+        await link.subscribe()
+
+        def fail(*_: object, **__: object) -> None:
+            raise MemoryError
+
+        monkeypatch.setattr("protocol.codecs.json.orjson.loads", fail)
+        await link.client.send(json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * 3_000_000}}))
+        await refused_for_memory(link, caplog)
+        assert link.client.close_code == 1011
+
+
 @pytest.mark.parametrize("burst_s", [-1.0, 60.0], ids=["at once", "at the end of the turn"])
 async def test_a_message_that_cannot_be_written_for_want_of_memory_ends_its_connection_alone(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, burst_s: float

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 import uvloop
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin
 
@@ -42,13 +42,10 @@ from server.gateway.listener import (
 )
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
-from server.rosapi import RosApi
-from tests.conformance.cases import cases, play
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import (
     TIMEOUT_S,
     UPGRADE,
-    USER_REGISTRY,
     exchange,
     limiter_of,
     listening,
@@ -309,59 +306,7 @@ def test_a_list_that_is_closed_publishes_no_more() -> None:
 
 
 REGISTRY = Registry.load()
-
-NOTHING_S = 0.02
 FRAME_TIMEOUT_S = 30.0
-
-# The server takes a frame from its queue and sends what comes of it in two or three.
-TURNS = 10
-
-
-class OverSockets:
-    """Real clients of a real listener."""
-
-    def __init__(self, listener: Listener) -> None:
-        self._listener = listener
-        self._clients: dict[str, ClientConnection] = {}
-
-    async def connect(self, client: str) -> ClientConnection:
-        if client not in self._clients:
-            self._clients[client] = await connect(f"ws://127.0.0.1:{self._listener.port}/any/path?x=1")
-        return self._clients[client]
-
-    async def send(self, client: str, frame: str | bytes) -> None:
-        websocket = await self.connect(client)
-        await websocket.send(frame)
-        # Once the pong is there, the server has the frame in its queue; it serves it in the next turns of its loop.
-        await asyncio.wait_for(await websocket.ping(), FRAME_TIMEOUT_S)
-        for _ in range(TURNS):
-            await asyncio.sleep(0)
-
-    async def next_frame(self, client: str) -> str | bytes | None:
-        with contextlib.suppress(TimeoutError):
-            return await asyncio.wait_for((await self.connect(client)).recv(), FRAME_TIMEOUT_S)
-        return None
-
-    async def nothing_comes(self, client: str) -> bool:
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for((await self.connect(client)).recv(), NOTHING_S)
-            return False
-        return True
-
-    async def close(self, client: str) -> None:
-        clients = self._listener.traffic.clients
-        await self._clients.pop(client).close()
-        # The server's side of the close is not ordered with what other clients send next.
-        async with asyncio.timeout(FRAME_TIMEOUT_S):
-            while self._listener.traffic.clients == clients:
-                await asyncio.sleep(0)
-
-    async def advance(self, seconds: float) -> None:
-        await asyncio.sleep(seconds)
-
-    async def end(self) -> None:
-        for websocket in self._clients.values():
-            await websocket.close()
 
 
 @contextlib.asynccontextmanager
@@ -377,20 +322,6 @@ async def open_listener(graph: Graph) -> AsyncIterator[Listener]:
 async def listener() -> AsyncIterator[Listener]:
     async with open_listener(Graph(REGISTRY)) as made:
         yield made
-
-
-@pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])
-async def test_conformance_over_sockets(case: dict[str, Any]) -> None:
-    registry = USER_REGISTRY if case.get("interfaces") else REGISTRY
-    graph = Graph(registry, relay_unknown_types=case.get("relay_unknown_types", False))
-    if case.get("rosapi", False):
-        RosApi(graph)
-    async with open_listener(graph) as listener:
-        player = OverSockets(listener)
-        try:
-            await play(case, player)
-        finally:
-            await player.end()
 
 
 async def test_any_subprotocol_may_be_offered(listener: Listener) -> None:

@@ -29,9 +29,7 @@ from server.gateway.raw_tcp import TcpStream
 from server.gateway.transport import OUT_OF_MEMORY, WRITE_LIMIT_BYTES
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.rosapi import RosApi
-from tests.conformance.cases import cases, play
-from tests.helpers.gateway import REGISTRY, TIMEOUT_S, USER_REGISTRY, until_empty
+from tests.helpers.gateway import REGISTRY, TIMEOUT_S, until_empty
 from tests.helpers.raw_tcp import RawClient
 from tests.helpers.resources import make_pair
 
@@ -541,78 +539,3 @@ class TestGuarded:
             assert await client.until_topic("/t") == {"data": "hello"}
             client.send(op="publish", topic="/moveit_goal_named", type="std_msgs/String", msg={"data": "ready"})
             assert (await client.receive())["op"] == "status"
-
-
-def by_one_encoding(case: dict[str, Any]) -> bool:
-    """True for a case whose clients each send JSON objects alone, or BSON documents alone."""
-    sent: dict[str, set[str]] = {}
-    for step in case["steps"]:
-        kinds = {key for key in step if key.startswith("send")}
-        if kinds:
-            sent.setdefault(step["client"], set()).update(kinds)
-    return all(kinds in ({"send"}, {"send_bson"}) for kinds in sent.values())
-
-
-class OverTcp:
-    """Real clients of the port of raw TCP; plays conformance cases."""
-
-    def __init__(self, listener: Listener, case: dict[str, Any]) -> None:
-        self._listener = listener
-        self._bson = {step["client"] for step in case["steps"] if "send_bson" in step}
-        self._clients: dict[str, RawClient] = {}
-
-    async def connect(self, name: str) -> RawClient:
-        if name not in self._clients:
-            self._clients[name] = await RawClient.connect(port_of(self._listener), speaks_bson=name in self._bson)
-            await self._until_read(self._clients[name])
-        return self._clients[name]
-
-    async def _until_read(self, client: RawClient) -> None:
-        """Wait until the server has read all that a client has sent."""
-        async with asyncio.timeout(TIMEOUT_S):
-            while True:
-                found = [each for each in streams_of(self._listener) if each.peer == client.address]
-                if found and found[0].received_bytes == client.sent_bytes:
-                    break
-                await asyncio.sleep(0.001)
-        for _ in range(10):
-            await asyncio.sleep(0)
-
-    async def send(self, client: str, frame: str | bytes) -> None:
-        stream = await self.connect(client)
-        stream.write(frame.encode() if isinstance(frame, str) else frame)
-        await self._until_read(stream)
-
-    async def next_frame(self, client: str) -> str | bytes | None:
-        return await (await self.connect(client)).next_frame()
-
-    async def nothing_comes(self, client: str) -> bool:
-        return await (await self.connect(client)).next_frame(0.02) is None
-
-    async def close(self, client: str) -> None:
-        clients = self._listener.traffic.clients
-        await self._clients.pop(client).close()
-        async with asyncio.timeout(TIMEOUT_S):
-            while self._listener.traffic.clients == clients:
-                await asyncio.sleep(0.001)
-
-    async def advance(self, seconds: float) -> None:
-        await asyncio.sleep(seconds)
-
-    async def end(self) -> None:
-        for client in self._clients.values():
-            await client.close()
-
-
-@pytest.mark.parametrize("case", [case for case in cases() if by_one_encoding(case)], ids=lambda case: case["name"])
-async def test_conformance_over_raw_tcp(case: dict[str, Any]) -> None:
-    registry = USER_REGISTRY if case.get("interfaces") else REGISTRY
-    graph = Graph(registry, relay_unknown_types=case.get("relay_unknown_types", False))
-    if case.get("rosapi", False):
-        RosApi(graph)
-    async with serving(graph, tcp_ros_version=2) as listener:
-        player = OverTcp(listener, case)
-        try:
-            await play(case, player)
-        finally:
-            await player.end()

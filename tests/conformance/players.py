@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
-from collections.abc import AsyncIterator
+from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 import bson
 from websockets.asyncio.client import ClientConnection, connect
 
+from server.access.authorization import Access
 from server.config import ServerSettings
 from server.gateway.listener import Listener
 from server.gateway.raw_tcp import TcpStream
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import play
-from tests.helpers.gateway import REGISTRY, TIMEOUT_S, USER_REGISTRY
+from tests.helpers.gateway import REGISTRY, TIMEOUT_S, USER_REGISTRY, listening
 from tests.helpers.raw_tcp import RawClient
 from tests.helpers.waiting import until
 
@@ -28,16 +28,9 @@ TURNS = 10
 PROBE = {"op": "call_service", "service": "/nobody", "id": "is there anything before this?"}
 
 
-@contextlib.asynccontextmanager
-async def serving(graph: Graph, **chosen: Any) -> AsyncIterator[Listener]:
+def serving(graph: Graph, access: Access | None = None, **chosen: Any) -> AbstractAsyncContextManager[Listener]:
     """A listener on a free port, and one for raw TCP."""
-    listener = Listener(graph, ServerSettings(port=0, tcp_port=0, **chosen))
-    await listener.bind()
-    await listener.open()
-    try:
-        yield listener
-    finally:
-        await listener.close()
+    return listening(ServerSettings(port=0, tcp_port=0, **chosen), graph=graph, access=access)
 
 
 class SocketPlayer:
@@ -116,24 +109,13 @@ class OverTcp(SocketPlayer):
             port = self._listener.tcp_port
             assert port is not None
             self._clients[name] = await RawClient.connect(port, speaks_bson=name in self._bson)
-            await self._until_read(self._clients[name])
+            await until_read(self._listener, self._clients[name])
         return self._clients[name]
-
-    async def _until_read(self, client: RawClient) -> None:
-        """Wait until the server has read all that a client has sent."""
-        await until(
-            lambda: any(
-                each.peer == client.address and each.received_bytes == client.sent_bytes
-                for each in streams_of(self._listener)
-            )
-        )
-        for _ in range(TURNS):
-            await asyncio.sleep(0)
 
     async def send(self, client: str, frame: str | bytes) -> None:
         stream = await self.connect(client)
         stream.write(frame.encode() if isinstance(frame, str) else frame)
-        await self._until_read(stream)
+        await until_read(self._listener, stream)
 
     async def next_frame(self, client: str) -> str | bytes | None:
         return await (await self.connect(client)).next_frame()
@@ -150,6 +132,17 @@ def streams_of(listener: Listener) -> set[TcpStream]:
     """The connections of raw TCP that are open."""
     assert listener._tcp is not None
     return listener._tcp._streams
+
+
+async def until_read(listener: Listener, client: RawClient) -> None:
+    """Wait until the server has read all that a client has sent, and has carried it out."""
+    await until(
+        lambda: any(
+            each.peer == client.address and each.received_bytes == client.sent_bytes for each in streams_of(listener)
+        )
+    )
+    for _ in range(TURNS):
+        await asyncio.sleep(0)
 
 
 async def play_on(player: type[OverWebSockets | OverTcp], case: dict[str, Any]) -> None:

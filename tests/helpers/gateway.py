@@ -33,6 +33,7 @@ from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import INTERFACES
 from tests.helpers.clock import FakeClock
+from tests.helpers.waiting import until
 
 REGISTRY = Registry.load()
 USER_REGISTRY = read_packages([INTERFACES]).registry()
@@ -170,9 +171,15 @@ UPGRADE = (
 
 
 @asynccontextmanager
-async def listening(settings: ServerSettings | None = None, http: HttpHandler | None = None) -> AsyncIterator[Listener]:
-    """A listener that serves."""
-    listener = Listener(Graph(REGISTRY), settings or ServerSettings(port=0), http)
+async def listening(
+    settings: ServerSettings | None = None,
+    http: HttpHandler | None = None,
+    *,
+    graph: Graph | None = None,
+    access: Access | None = None,
+) -> AsyncIterator[Listener]:
+    """A listener that serves, on a free port without settings."""
+    listener = Listener(graph or Graph(REGISTRY), settings or ServerSettings(port=0), http, access=access)
     await listener.bind()
     await listener.open()
     try:
@@ -187,9 +194,7 @@ def limiter_of(listener: Listener) -> ConnectionLimiter:
 
 async def until_empty(listener: Listener) -> None:
     """Wait until no connection is open."""
-    async with asyncio.timeout(TIMEOUT_S):
-        while limiter_of(listener).open_count:
-            await asyncio.sleep(0.005)
+    await until(lambda: not limiter_of(listener).open_count)
 
 
 def request(*lines: str, path: str = "/", host: str | None = "localhost") -> bytes:

@@ -15,8 +15,6 @@ from typing import Any
 import pytest
 import uvloop
 from websockets.asyncio.client import connect
-from websockets.exceptions import InvalidStatus
-from websockets.typing import Origin
 
 from protocol.limits import Limits
 from protocol.registry import Registry
@@ -361,20 +359,6 @@ async def test_the_limits_that_are_set_are_those_of_a_client() -> None:
     assert told["msg"] == "message of 100001 bytes, the limit is 100000"
 
 
-async def test_refused_connections_are_counted_by_reason(listener: Listener) -> None:
-    for origin in ("https://evil.example", "https://evil.example"):
-        with pytest.raises(InvalidStatus):
-            await connect(f"ws://127.0.0.1:{listener.port}", origin=Origin(origin))
-    assert listener.refused_connections() == {"origin": 2, "limit": 0}
-
-
-async def test_a_taken_port_is_told_with_its_number() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(StartError, match=f"port in use: 127.0.0.1:{port}"):
-            await Listener(Graph(REGISTRY), ServerSettings(port=port)).bind()
-
-
 async def test_an_address_that_is_not_ours_is_told() -> None:
     listener = listener_of(ServerSettings(host="192.0.2.1", port=0), AccessSettings(insecure=True))
     with pytest.raises(StartError, match=r"cannot listen on 192\.0\.2\.1:0"):
@@ -554,16 +538,6 @@ async def test_clients_beyond_the_files_that_the_system_allows_are_refused_and_t
 
 def listener_of(server: ServerSettings, access: AccessSettings | None = None) -> Listener:
     return Listener(Graph(REGISTRY), server, access=Access(access or AccessSettings()))
-
-
-def test_without_a_certificate_there_is_no_tls(pair: Pair) -> None:
-    assert listener_of(ServerSettings()).url.startswith("ws://")
-    assert listener_of(over_tls_with(pair)).url.startswith("wss://")
-
-
-def test_a_certificate_that_cannot_be_used_is_told_at_the_start() -> None:
-    with pytest.raises(ConfigurationError, match=r"server.tls_certificate: nowhere.pem cannot be read"):
-        listener_of(ServerSettings(tls_certificate=Path("nowhere.pem"), tls_key=Path("nowhere.pem")))
 
 
 @pytest.mark.parametrize(

@@ -390,6 +390,15 @@ def test_a_header_may_come_in_several_lines() -> None:
     assert not accepts_gzip(headers)
 
 
+@pytest.mark.parametrize("held", ['"name"', 'W/"name"', '"a", "name"', "*"])
+def test_content_that_is_there_already_is_not_sent(held: str) -> None:
+    answer = HttpResponse.of_file(FILE, "text/css", "no-cache")
+    sent = answer.response(Request("/", Headers({"If-None-Match": held})))
+    assert (sent.status_code, sent.body) == (HTTPStatus.NOT_MODIFIED, b"")
+    assert sent.headers["ETag"] == '"name"'
+    assert not {"Content-Type", "Content-Encoding", "Content-Length"} & set(sent.headers)
+
+
 def test_a_sentence_has_no_name_to_be_known_by() -> None:
     answer = HttpResponse.of_text(HTTPStatus.NOT_FOUND, "no \udcff")
     sent = answer.response(Request("/", Headers({"If-None-Match": "*"})))

@@ -15,6 +15,8 @@ from typing import Any
 import pytest
 import uvloop
 from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+from websockets.typing import Origin
 
 from protocol.limits import Limits
 from protocol.registry import Registry
@@ -99,6 +101,12 @@ def test_a_key_with_a_passphrase_is_refused_and_nobody_is_asked_for_it(
     assert "openssl pkey -in KEY -out NEW" in str(refused.value)
 
 
+def copied(pair: Pair, target: Pair) -> Pair:
+    for source, file in zip(pair, target, strict=True):
+        file.write_bytes(source.read_bytes())
+    return target
+
+
 def certificate_shown(tls: Tls) -> bytes:
     """The certificate, in DER, that a client gets that names no server."""
     trusting = ssl.create_default_context()
@@ -116,9 +124,7 @@ def test_a_new_pair_is_taken_and_a_broken_one_is_not(
     pairs: tuple[Pair, Pair], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     one, other = pairs
-    used = Pair(tmp_path / "certificate.pem", tmp_path / "key.pem")
-    used.certificate.write_bytes(one.certificate.read_bytes())
-    used.key.write_bytes(one.key.read_bytes())
+    used = copied(one, Pair(tmp_path / "certificate.pem", tmp_path / "key.pem"))
     tls = Tls(*used)
     first = certificate_shown(tls)
     assert first == ssl.PEM_cert_to_DER_cert(one.certificate.read_text())
@@ -131,9 +137,9 @@ def test_a_new_pair_is_taken_and_a_broken_one_is_not(
     assert certificate_shown(tls) == ssl.PEM_cert_to_DER_cert(other.certificate.read_text())
 
 
-@pytest.fixture(scope="module")
-def pair(tmp_path_factory: pytest.TempPathFactory) -> Pair:
-    return make_pair(tmp_path_factory.mktemp("tls"))
+@pytest.fixture
+def pair(pairs: tuple[Pair, Pair]) -> Pair:
+    return pairs[0]
 
 
 @pytest.fixture
@@ -229,16 +235,14 @@ async def test_a_client_without_tls_is_logged_once(encrypted: Listener, caplog: 
     assert caplog.text.count("a client speaks ws:// or http://, and here is wss:// and https://") == 1
 
 
-async def test_a_new_certificate_is_for_new_connections(pair: Pair, tmp_path: Path) -> None:
-    used, new = Pair(tmp_path / "certificate.pem", tmp_path / "key.pem"), make_pair(tmp_path / "new")
-    for source, target in zip(pair, used, strict=True):
-        target.write_bytes(source.read_bytes())
+async def test_a_new_certificate_is_for_new_connections(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
+    pair, new = pairs
+    used = copied(pair, Pair(tmp_path / "certificate.pem", tmp_path / "key.pem"))
     async with (
         listening(over_tls_with(used)) as listener,
         connect(listener.url, ssl=trusting(pair)) as client,
     ):
-        for source, target in zip(new, used, strict=True):
-            target.write_bytes(source.read_bytes())
+        copied(new, used)
         listener.reload_certificate()
         async with connect(listener.url, ssl=trusting(new)):
             await asyncio.wait_for(await client.ping(), TIMEOUT_S)
@@ -304,59 +308,45 @@ def test_a_list_that_is_closed_publishes_no_more() -> None:
 
 
 REGISTRY = Registry.load()
-FRAME_TIMEOUT_S = 30.0
-
-
-@contextlib.asynccontextmanager
-async def open_listener(graph: Graph) -> AsyncIterator[Listener]:
-    made = Listener(graph, ServerSettings(port=0))
-    await made.bind()
-    await made.open()
-    yield made
-    await made.close()
 
 
 @pytest.fixture
 async def listener() -> AsyncIterator[Listener]:
-    async with open_listener(Graph(REGISTRY)) as made:
+    async with listening() as made:
         yield made
 
 
 async def test_any_subprotocol_may_be_offered(listener: Listener) -> None:
-    async with connect(f"ws://127.0.0.1:{listener.port}", subprotocols=["anything"]) as websocket:  # type: ignore[list-item]
+    async with connect(listener.url, subprotocols=["anything"]) as websocket:  # type: ignore[list-item]
         assert websocket.subprotocol is None
 
 
 async def test_a_message_in_1024_byte_frames_is_one_message(listener: Listener) -> None:
-    async with connect(f"ws://127.0.0.1:{listener.port}", max_size=None) as websocket:
+    async with connect(listener.url, max_size=None) as websocket:
         await websocket.send(json.dumps({"op": "subscribe", "topic": "/t", "type": "std_msgs/String"}))
         frame = json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * 6_000_000}})
         await websocket.send(frame[start : start + 1024] for start in range(0, len(frame), 1024))
-        received = await asyncio.wait_for(websocket.recv(), FRAME_TIMEOUT_S)
+        received = await asyncio.wait_for(websocket.recv(), TIMEOUT_S)
     assert len(json.loads(received)["msg"]["data"]) == 6_000_000
 
 
-async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on(
-    listener: Listener, caplog: pytest.LogCaptureFixture
-) -> None:
-    limit = Limits().max_message_bytes
-    async with connect(f"ws://127.0.0.1:{listener.port}", max_size=None) as websocket:
+@pytest.mark.parametrize("limit", [None, 100_000], ids=["default", "set"])
+async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on(limit: int | None) -> None:
+    limits = SessionSettings() if limit is None else SessionSettings(max_message_bytes=limit)
+    limit = limit or Limits().max_message_bytes
+    async with listening(ServerSettings(port=0, limits=limits)) as made, connect(made.url, max_size=None) as websocket:
         await websocket.send(json.dumps({"op": "set_level", "level": "error"}))
         await websocket.send("x" * (limit + 1))
-        told = json.loads(await asyncio.wait_for(websocket.recv(), FRAME_TIMEOUT_S))
+        told = json.loads(await asyncio.wait_for(websocket.recv(), TIMEOUT_S))
+        await asyncio.wait_for(await websocket.ping(), TIMEOUT_S)
     assert told == {"op": "status", "level": "error", "msg": f"message of {limit + 1} bytes, the limit is {limit}"}
 
 
-async def test_the_limits_that_are_set_are_those_of_a_client() -> None:
-    made = Listener(Graph(REGISTRY), ServerSettings(port=0, limits=SessionSettings(max_message_bytes=100_000)))
-    await made.bind()
-    await made.open()
-    async with connect(f"ws://127.0.0.1:{made.port}", max_size=None) as websocket:
-        await websocket.send(json.dumps({"op": "set_level", "level": "error"}))
-        await websocket.send("x" * 100_001)
-        told = json.loads(await asyncio.wait_for(websocket.recv(), FRAME_TIMEOUT_S))
-    await made.close()
-    assert told["msg"] == "message of 100001 bytes, the limit is 100000"
+async def test_refused_connections_are_counted_by_reason(listener: Listener) -> None:
+    for origin in ("https://evil.example", "https://evil.example"):
+        with pytest.raises(InvalidStatus):
+            await connect(listener.url, origin=Origin(origin))
+    assert listener.refused_connections() == {"origin": 2, "limit": 0}
 
 
 async def test_an_address_that_is_not_ours_is_told() -> None:
@@ -394,9 +384,9 @@ async def test_without_a_certificate_there_is_nothing_to_read_again(
 
 
 async def test_closing_ends_every_connection(listener: Listener) -> None:
-    websocket = await connect(f"ws://127.0.0.1:{listener.port}")
-    await asyncio.wait_for(listener.close(), FRAME_TIMEOUT_S)
-    await asyncio.wait_for(websocket.wait_closed(), FRAME_TIMEOUT_S)
+    websocket = await connect(listener.url)
+    await asyncio.wait_for(listener.close(), TIMEOUT_S)
+    await asyncio.wait_for(websocket.wait_closed(), TIMEOUT_S)
     assert websocket.close_code == 1001
 
 

@@ -498,11 +498,8 @@ def test_services_that_plan_are_known() -> None:
 
 
 def test_actions_of_every_controller_drive() -> None:
-    for name in (
-        "left_gripper_controller/gripper_action",
-        "gripper_controller/gripper_cmd",
-        "a/follow_joint_trajectory",
-    ):
+    actions = ("left_gripper_controller/gripper_action", "gripper_controller/gripper_cmd")
+    for name in (*actions, "a_controller/follow_joint_trajectory"):
         assert authorization.rule_of_action(f"/{name}").goal, name
 
 

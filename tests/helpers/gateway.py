@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
+
+import pytest
 
 from protocol.interface_packages import read_packages
 from protocol.limits import Limits
@@ -221,3 +224,21 @@ async def exchange(port: int, sent: bytes) -> str:
 def status(answer: str) -> int:
     """The number of an answer; 0 for none."""
     return int(answer.split(" ", 2)[1]) if answer else 0
+
+
+class FullTransport:
+    """Transport that finds no memory for what is written."""
+
+    def __init__(self, real: Any) -> None:
+        self._real = real
+
+    def writelines(self, _: object) -> None:
+        raise MemoryError
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+
+def warnings_of(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """Lines of the log from the level of warnings on."""
+    return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]

@@ -8,7 +8,7 @@ import logging
 import time
 import weakref
 from collections.abc import AsyncIterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 from pydantic import SecretStr
@@ -25,18 +25,21 @@ from server.config import ServerSettings
 from server.gateway import listener as listener_module
 from server.gateway import transport
 from server.gateway.connection import Connection
+from server.gateway.listener import Listener
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import (
     TIMEOUT_S,
     UPGRADE,
+    FullTransport,
     exchange,
     limiter_of,
     listening,
     request,
     status,
     until_empty,
+    warnings_of,
 )
 from tests.helpers.waiting import until
 
@@ -125,14 +128,10 @@ class FullReader:
         raise MemoryError
 
 
-def lines_of_an_end(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
-
-
 async def refused_for_memory(link: Link, caplog: pytest.LogCaptureFixture) -> None:
     await asyncio.wait_for(link.client.wait_closed(), TIMEOUT_S)
-    await until(lambda: lines_of_an_end(caplog))
-    (line,) = lines_of_an_end(caplog)
+    await until(lambda: warnings_of(caplog))
+    (line,) = warnings_of(caplog)
     assert transport.OUT_OF_MEMORY in line
 
 
@@ -190,16 +189,7 @@ async def test_a_message_that_cannot_be_written_for_want_of_memory_ends_its_conn
     async with linked() as link:
         await link.subscribe()
         link.server._last_sent_s = time.monotonic()
-        real = link.server.transport
-
-        class FullTransport:
-            def writelines(self, _: object) -> None:
-                raise MemoryError
-
-            def __getattr__(self, name: str) -> Any:
-                return getattr(real, name)
-
-        link.server.transport = FullTransport()  # type: ignore[assignment]
+        link.server.transport = FullTransport(link.server.transport)  # type: ignore[assignment]
         link.graph.publish(TALKER, "/t", {"data": "hello"})
         await refused_for_memory(link, caplog)
 
@@ -305,49 +295,40 @@ async def read_to_end(reader: asyncio.StreamReader) -> bytes:
             return b""
 
 
-async def test_a_client_that_sends_no_request_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
-    async with listening() as listener:
-        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
-        assert await read_to_end(reader) == b""
-        writer.close()
-
-
 HALF_A_REQUEST = (b"G", b"GET / HTTP/1.1\r\n", b"GET / HTTP/1.1\r\nHost: localhost\r\n")
 
 
-@pytest.mark.parametrize("sent", HALF_A_REQUEST)
+async def answered(listener: Listener, sent: bytes, *, ended: bool) -> str:
+    """The answer to half a request, after which the connection ends."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+    writer.write(sent)
+    if ended:
+        writer.write_eof()
+    answer = (await read_to_end(reader)).decode()
+    await until_empty(listener)
+    writer.close()
+    return answer
+
+
+@pytest.mark.parametrize(
+    ("ended", "reason"),
+    [
+        (False, f"the request was not complete within {LOWEST_S:g} s\n"),
+        (True, "this is no complete HTTP request: connection closed while reading HTTP"),
+    ],
+    ids=["waits", "ends its stream"],
+)
 async def test_a_client_that_does_not_finish_its_request_is_answered_400_and_disconnected(
-    sent: bytes, monkeypatch: pytest.MonkeyPatch
+    ended: bool, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
-        answer = await exchange(listener.port, sent)
-        await until_empty(listener)
-    assert status(answer) == 400
-    assert answer.endswith(f"the request was not complete within {LOWEST_S:g} s\n")
-
-
-@pytest.mark.parametrize("sent", HALF_A_REQUEST)
-async def test_a_client_that_ends_its_stream_within_its_request_is_answered_400(sent: bytes) -> None:
-    async with listening() as listener:
-        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
-        writer.write(sent)
-        writer.write_eof()
-        answer = (await read_to_end(reader)).decode()
-        await until_empty(listener)
-        writer.close()
-    assert status(answer) == 400
-    assert "this is no complete HTTP request: connection closed while reading HTTP" in answer
-
-
-async def test_a_client_that_ends_its_stream_without_a_request_is_not_answered() -> None:
-    async with listening() as listener:
-        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
-        writer.write_eof()
-        assert await read_to_end(reader) == b""
-        await until_empty(listener)
-        writer.close()
+        # Without a byte of a request nothing is answered.
+        assert await answered(listener, b"", ended=ended) == ""
+        for sent in HALF_A_REQUEST:
+            answer = await answered(listener, sent, ended=ended)
+            assert status(answer) == 400, sent
+            assert reason in answer, sent
 
 
 async def test_a_client_that_stays_after_the_answer_to_a_broken_request_is_disconnected(

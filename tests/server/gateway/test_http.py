@@ -328,8 +328,9 @@ async def test_clients_that_do_not_read_take_a_bounded_part_of_memory(
         assert [(await site.ask(each))[0].status for each in ("/livez", "/")] == [200, 503]
         monkeypatch.setattr(gate, "MAX_UNREAD_BYTES", 20 << 20)
     async with asyncio.timeout(30.0):
+        # The end of the deaf client's connection is not ordered with the next request.
         while (await site.ask(path))[0].status != 200:
-            await asyncio.sleep(0.01)
+            pass
 
 
 def test_the_largest_mesh_has_the_time_it_needs_over_a_poor_wireless_link() -> None:

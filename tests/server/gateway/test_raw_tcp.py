@@ -5,7 +5,6 @@ import itertools
 import json
 import socket
 import ssl
-import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -228,16 +227,14 @@ async def test_what_came_before_an_error_is_carried_out(listener: Listener) -> N
         assert (await client.receive())["op"] == "status"
 
 
-async def test_a_client_that_has_said_its_last_still_gets_its_answers(graph: Graph, listener: Listener) -> None:
-    def slow(_request: dict[str, Any]) -> dict[str, Any]:
-        # Longer than a turn, so that most calls wait when the client's end is seen.
-        time.sleep(0.002)
-        return {}
-
-    graph.services.offer(TALKER, "/slow", "std_srvs/Trigger", slow)
+async def test_a_client_that_has_said_its_last_still_gets_its_answers(
+    listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A call a turn, so that most of them wait when the client's end is seen.
+    monkeypatch.setattr(raw_tcp, "TURN_S", 0.0)
     async with await RawClient.connect(port_of(listener)) as client:
         for number in range(50):
-            client.send(op="call_service", service="/slow", id=str(number))
+            client.send(op="call_service", service="/trigger", id=str(number))
         client.writer.write_eof()
         assert [(await client.receive())["id"] for _ in range(50)] == [str(number) for number in range(50)]
         assert await client.next_frame() is None

@@ -260,6 +260,18 @@ def test_what_is_behind_a_message_that_is_still_to_be_encoded_waits_for_it() -> 
     assert queue.size_bytes == 0
 
 
+@pytest.mark.parametrize("closed", [False, True])
+def test_topic_data_that_waits_alone_leaves_once_it_is_encoded_unless_nobody_wants_it_any_more(closed: bool) -> None:
+    queue, subscription, large = SendQueue(Limits()), Subscription("/a"), later(b"large")
+    queue.put_topic_data(subscription, large, 0.0)
+    assert queue.take_due(0.0, 1000) == []
+    assert queue.next_due(0.0) is None
+    subscription.closed = closed
+    large.encode()
+    assert taken(queue, 0.0) == ([] if closed else [b"large"])
+    assert queue.next_due(0.0) is None
+
+
 def test_a_message_that_could_not_be_encoded_holds_nobody_up() -> None:
     def fail() -> EncodedMessage:
         raise MessageError("a number", "nothing")

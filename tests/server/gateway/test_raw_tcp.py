@@ -281,6 +281,17 @@ async def test_a_client_that_closes_its_side_is_not_waited_for_any_longer(
     await until_empty(listener)
 
 
+async def test_a_connection_that_is_closing_is_not_waited_for(listener: Listener) -> None:
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.send(op="call_service", service="/trigger")
+        await client.receive()
+        (stream,) = streams_of(listener)
+        stream.abort()
+        stream.end("too late")
+        assert stream._end_timer is None
+        assert await client.next_frame() is None
+
+
 async def test_a_connection_that_is_held_reads_on_where_it_stopped(graph: Graph, listener: Listener) -> None:
     async with await RawClient.connect(port_of(listener)) as client:
         client.send(op="subscribe", topic="/t")

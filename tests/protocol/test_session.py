@@ -122,13 +122,6 @@ def test_nothing_that_comes_raises(frame):
 # What goes to the client
 
 
-def test_subscribers_share_the_bytes_of_a_frame():
-    first, second, published = subscribed(), subscribed(), message("x")
-    for session in (first, second):
-        session.deliver(published, 1.0)
-    assert first.data_to_send(1.0)[0].on_wire is second.data_to_send(1.0)[0].on_wire
-
-
 def test_after_unsubscribing_nothing_comes_not_even_what_waited():
     session = subscribed(throttle_rate=100, queue_length=10)
     for data in "xyz":
@@ -206,6 +199,14 @@ def test_replies_are_fragmented_too_each_under_an_id_of_its_own():
     ids = [json.loads(frame)["id"] for frame in sent(session)]
     assert len(ids) == 4
     assert len(set(ids)) == 2
+
+
+def test_of_several_subscriptions_the_least_fragment_size_counts_for_their_topic():
+    session = subscribed(id="x", fragment_size=300)
+    session.subscriptions.add(receive(session, op="subscribe", topic="/a", id="y", fragment_size=200))
+    session.subscriptions.add(receive(session, op="subscribe", topic="/a", id="z", fragment_size=2147483647))
+    session.deliver(big_publication(), 1.0)
+    assert max(len(json.loads(frame)["data"]) for frame in sent(session)) == 200
 
 
 @pytest.mark.parametrize("size", [0, -1, 1.5, "100", [100], True])

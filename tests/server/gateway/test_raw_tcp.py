@@ -71,22 +71,6 @@ async def test_a_client_subscribes_publishes_and_calls(listener: Listener, *, sp
         assert answer["values"] == {"success": True, "message": "done"}
 
 
-async def test_a_client_by_tcp_offers_a_service_that_another_one_calls(listener: Listener) -> None:
-    async with (
-        await RawClient.connect(port_of(listener), speaks_bson=True) as offering,
-        await RawClient.connect(port_of(listener)) as calling,
-    ):
-        offering.send(op="advertise_service", service="/mine", type="std_srvs/SetBool")
-        offering.send(op="call_service", service="/nobody")
-        assert (await offering.receive())["service"] == "/nobody"
-        calling.send(op="call_service", service="/mine", args={"data": True}, id="c")
-        call = await offering.receive()
-        assert (call["op"], call["service"], call["args"]) == ("call_service", "/mine", {"data": True})
-        values = {"success": True, "message": "set"}
-        offering.send(op="service_response", id=call["id"], service="/mine", result=True, values=values)
-        assert (await calling.receive())["values"] == values
-
-
 @pytest.mark.parametrize(("version", "stamp"), [(1, {"secs": 1, "nsecs": 2}), (2, {"sec": 1, "nanosec": 2})])
 async def test_clients_get_the_spelling_of_the_generation_that_is_set(version: int, stamp: dict[str, int]) -> None:
     graph = Graph(REGISTRY)
@@ -100,14 +84,6 @@ async def test_clients_get_the_spelling_of_the_generation_that_is_set(version: i
         header = await client.until_topic("/h")
         assert header["stamp"] == stamp
         assert ("seq" in header) is (version == 1)
-
-
-async def test_bytes_go_to_a_bson_client_as_binary(graph: Graph, listener: Listener) -> None:
-    graph.advertise(TALKER, "/image", "sensor_msgs/CompressedImage", latch=True)
-    graph.publish(TALKER, "/image", {"format": "jpeg", "data": "AAEC"})
-    async with await RawClient.connect(port_of(listener), speaks_bson=True) as client:
-        client.send(op="subscribe", topic="/image")
-        assert (await client.until_topic("/image"))["data"] == b"\x00\x01\x02"
 
 
 @settings(max_examples=20, deadline=None)

@@ -304,6 +304,17 @@ class TestWhatClientsLatch:
         graph.advertise(node, topic, "std_msgs/String")
         return graph.publish(node, topic, {"data": "x" * size_bytes}, latch=True)
 
+    def test_the_servers_messages_are_latched_whatever_clients_have_latched(self, graph: Graph) -> None:
+        for node in (self.FIRST, self.SECOND):
+            assert self.latch(graph, node, f"/of_{node}") is None
+        assert self.latch(graph, TALKER, "/planning_scene", 1900) is None
+        assert len(data_for_newcomer(graph, "/planning_scene")) == 1
+
+    def test_one_client_leaves_room_for_another(self, graph: Graph) -> None:
+        self.latch(graph, self.FIRST, "/a")
+        self.latch(graph, self.FIRST, "/b")
+        assert self.latch(graph, self.SECOND, "/c") is None
+
     def test_changing_names_use_nothing_up(self, graph: Graph) -> None:
         for number in range(10):
             assert self.latch(graph, self.FIRST, f"/t{number}") is None

@@ -25,6 +25,7 @@ from protocol.publication import (
     pack,
 )
 from protocol.registry import Registry
+from tests.helpers.messages import deserialize
 
 
 def text_frame(length):
@@ -149,6 +150,12 @@ def test_octets_are_binary_data_in_binary_encodings(encoding):
     msg = {"data": base64.b64encode(b"\x00\xff").decode()}
     frame = published("std_msgs/msg/UInt8MultiArray", msg).frame("/a", encoding)
     assert decoded(frame, encoding)["msg"]["data"] == b"\x00\xff"
+
+
+def test_cbor_raw_carries_the_time_of_receipt_and_the_serialized_message():
+    sent = cbor2.loads(published().frame("/chatter", "cbor-raw").data)["msg"]
+    assert (sent["secs"], sent["nsecs"]) == RECEIVED
+    assert deserialize(REGISTRY, "std_msgs/String", sent["bytes"]) == {"data": "hello"}
 
 
 @pytest.mark.parametrize("encoding", ["none", "png", "cbor", "bson"])

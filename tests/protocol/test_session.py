@@ -10,6 +10,7 @@ from protocol.messages import Stamp
 from protocol.operations import OPERATIONS, Operation, Publish
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
+from protocol.send_queue import BEHIND_S, BULKY_BYTES
 from protocol.session import DROPS_TOLD_EVERY_S, SEND_BUDGET_BYTES, Packed, Refusal, Session
 
 REGISTRY = Registry.load()
@@ -266,6 +267,15 @@ def test_a_clients_next_operations_wait_while_a_few_large_replies_do():
         session.reply({"op": "service_response", "values": "y" * 100_000})
         congested.append(session.congested)
     assert congested == [False, False, True]
+
+
+def test_a_result_does_not_overtake_feedback_however_large():
+    session = Session()
+    session.feedback({"op": "action_feedback", "values": "x" * BULKY_BYTES}, 0.0)
+    session.reply({"op": "action_result"})
+    for encoded in session.take_unready():
+        encoded.encode()
+    assert [json.loads(frame)["op"] for frame in sent(session, BEHIND_S + 1.0)] == ["action_feedback", "action_result"]
 
 
 def test_the_data_fetched_at_a_time_is_bounded():

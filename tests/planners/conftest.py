@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+from planners import pool as pool_module
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.ik.constraints import Joints
@@ -13,6 +14,7 @@ from planners.ik.goal_states import GoalStates
 from planners.pipeline import Planner
 from planners.problem import RateLimits
 from tests.helpers import resources
+from tests.helpers.fake_workers import Farm
 from tests.helpers.robots import so101
 
 
@@ -75,3 +77,11 @@ def shared_data():
 def empty_scene(shared_data):
     """Benchmark problems without obstacles."""
     return json.loads((shared_data / "planning_problems" / "empty.json").read_text())
+
+
+@pytest.fixture
+def farm(monkeypatch):
+    """Workers in place of the processes of every pool of a test."""
+    made = Farm()
+    monkeypatch.setattr(pool_module, "WorkerProcess", made.make)
+    return made

@@ -51,7 +51,7 @@ class FakeWorker:
         self.asked: list[Request] = []
         self._farm = farm
         self._on_loaded, self._on_exit = on_loaded, on_exit
-        self._scene_version = EMPTY_SCENE.version
+        self._scene = EMPTY_SCENE
         self._gone = False
 
     async def start(self) -> None:
@@ -66,15 +66,16 @@ class FakeWorker:
         return asyncio.get_running_loop().time() if self.waits_for_a_core else 0.0
 
     def has(self, scene: Scene) -> bool:
-        return self._scene_version == scene.version
+        return self._scene.version == scene.version
 
     async def ask(self, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
         assert self.usable
-        self._scene_version = scene.version
+        if not self.has(scene):
+            self._scene = scene
         self.asked.append(request)
         if not isinstance(request, PlanningProblem):
             await asyncio.sleep(self._farm.question_s)
-            return SOUND if not scene.objects else TOUCHING
+            return SOUND if not self._scene.objects else TOUCHING
         # Another racer's seed is not 0.
         first, _, others = request.group.partition("|")
         end = others if request.seed and others else first

@@ -115,7 +115,7 @@ BEHIND_THE_PLATE = -1.85
 def test_a_joint_goal_to_which_no_motion_leads_becomes_the_nearest_that_one_reaches(beside_a_plate, named):
     whole = dict.fromkeys(beside_a_plate.joints, 0.0) | {"shoulder_pan": BEHIND_THE_PLATE}
     asked = JointGoal({name: whole[name] for name in named or whole})
-    problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.5)
+    problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.2)
     goal, failure = nearest(beside_a_plate, problem)
     assert failure.code is MoveItErrorCode.TIMED_OUT
     assert goal.positions_rad.keys() == asked.positions_rad.keys()
@@ -135,7 +135,7 @@ def test_a_goal_of_the_tip_to_which_no_motion_leads_becomes_one_nearer_than_the_
     start_rad = beside_a_plate.home(shoulder_pan=0.8)
     asked_m = beside_a_plate.tip_m(beside_a_plate.home(shoulder_pan=BEHIND_THE_PLATE))
     asked = PoseGoal(TIP, Pose(asked_m), 0.01, (0.1, 0.1, 0.1))
-    problem = beside_a_plate.problem(asked, start_rad, allowed_time_s=0.5)
+    problem = beside_a_plate.problem(asked, start_rad, allowed_time_s=0.2)
     goal, failure = nearest(beside_a_plate, problem)
     assert failure.code is MoveItErrorCode.TIMED_OUT
     assert isinstance(goal, PoseGoal)
@@ -147,7 +147,7 @@ def test_a_goal_of_the_tip_to_which_no_motion_leads_becomes_one_nearer_than_the_
 def test_where_no_motion_leads_to_what_is_free_around_a_contact_the_nearest_on_this_side_is_found(beside_a_plate):
     # Everything around this contact is behind the plate.
     asked = JointGoal({"shoulder_pan": -1.4})
-    problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.5)
+    problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.2)
     goal, failure = nearest(beside_a_plate, problem, 1.0)
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
     assert goal.positions_rad["shoulder_pan"] < 0.3

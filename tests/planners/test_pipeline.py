@@ -1,12 +1,9 @@
 from __future__ import annotations
 
-import dataclasses
 import itertools
-import pickle
 import time
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from planners.cartesian.following import SplinePath
@@ -29,21 +26,14 @@ from planners.motions.path import PROJECTED_SEARCH
 from planners.pipeline import Planner, recheck
 from planners.problem import (
     VIA_POINT,
-    CartesianPlan,
-    CartesianProblem,
-    IkAnswer,
     IkQuestion,
     JointPathProblem,
-    Line,
     MoveItErrorCode,
     Plan,
     PlanningFailure,
     PlanningProblem,
     RateLimits,
-    RecheckAnswer,
     RecheckQuestion,
-    StateAnswer,
-    StateQuestion,
 )
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from robot.description import model
@@ -63,11 +53,6 @@ FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.65, "wrist_flex": 1.0}
 @pytest.fixture
 def setting(planner, robot, collision):
     return Setting(planner, robot, collision)
-
-
-@pytest.fixture(scope="module")
-def official_meshes(shared_data):
-    return _OfficialMeshes(shared_data)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -177,19 +162,6 @@ def test_arm_that_touches_itself_may_not_go_deeper(setting):
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
 
 
-def test_stopped_planning_is_preempted(setting):
-    problem = setting.problem(JointGoal({"elbow_flex": 0.5}))
-    assert setting.planner.plan(problem, lambda: True).code is MoveItErrorCode.PREEMPTED
-
-
-def test_planning_stops_in_the_middle_of_a_search(setting):
-    start, goal = BLOCKED_LINES[0]
-    problem = setting.problem(JointGoal(dict(zip(setting.joints, goal, strict=True))), setting.start(start, 0.0))
-    asked = iter(range(3))
-    failure = setting.planner.plan(problem, lambda: next(asked, None) is None)
-    assert failure.code is MoveItErrorCode.PREEMPTED
-
-
 @pytest.mark.parametrize("kind", ["plan", "recheck", "joint path"])
 def test_work_that_is_cancelled_stops_at_once_whenever_that_is(setting, kind):
     # With links that touch in their hulls each check takes long.
@@ -217,15 +189,6 @@ def test_lack_of_time_is_timed_out(robot, setting):
     slow = Planner(robot, clock=lambda: float(next(ticks)))
     failure = slow.plan(setting.problem(JointGoal({"elbow_flex": 0.5}), allowed_time_s=0.5))
     assert failure.code is MoveItErrorCode.TIMED_OUT
-
-
-def test_answers_cross_process_boundaries(setting):
-    problem = setting.problem(JointGoal({"elbow_flex": 0.5}))
-    plan = setting.planner.plan(problem)
-    failure = setting.planner.plan(dataclasses.replace(problem, goal=PositionGoal(TIP, (0.1, 0.0, 0.15), 0.01)))
-    copy = pickle.loads(pickle.dumps(plan))
-    np.testing.assert_array_equal(copy.trajectory.positions_rad, plan.trajectory.positions_rad)
-    assert pickle.loads(pickle.dumps(failure)) == failure
 
 
 def test_an_arm_of_another_kind_is_planned_for():
@@ -302,84 +265,6 @@ def test_bad_scene_is_refused_and_the_one_before_stays(robot, setting):
     assert "block" in failure.message
 
 
-def test_every_kind_of_request_gets_its_kind_of_answer(setting):
-    home = setting.home()
-    plan = setting.planner.answer(setting.problem(JointGoal({"elbow_flex": 0.5})))
-    point = PositionGoal(TIP, (0.3, 0.1, 0.2), 0.01)
-    line = CartesianProblem("arm", home, TIP, (Line(Pose((0.37, 0.0, 0.2))),))
-    requests = [
-        (IkQuestion("arm", home, point), IkAnswer),
-        (StateQuestion("arm", home), StateAnswer),
-        (RecheckQuestion("arm", plan.trajectory, {"gripper": 0.0}, 0.1), RecheckAnswer),
-        (line, CartesianPlan),
-    ]
-    assert isinstance(plan, Plan)
-    for request, kind in requests:
-        assert isinstance(setting.planner.answer(request), kind), request
-
-
-class TestBenchmarkProblems:
-    """The shared problems without obstacles, judged with the full official meshes."""
-
-    def test_every_feasible_problem_is_solved_clear_of_the_official_meshes(self, setting, empty_scene, official_meshes):
-        for problem in self._feasible(setting, empty_scene):
-            plan = setting.solve(problem)
-            for q in configurations(plan.trajectory, setting.collision, problem.start_rad, step_m=0.004):
-                assert not official_meshes.in_collision(q), problem
-
-    def test_every_infeasible_problem_gets_an_accepted_code(self, setting, empty_scene):
-        for case in empty_scene["infeasible"]:
-            values = [np.nan if value is None else value for value in case.get("goal", [])]
-            goal = (
-                JointGoal(dict(zip(setting.joints, values, strict=True)))
-                if values
-                else PositionGoal(TIP, tuple(case["position"]), case["tolerance"])
-            )
-            failure = setting.planner.plan(setting.problem(goal, setting.start(case["start"])))
-            assert failure.code in case["accept_codes"], (case["id"], failure)
-
-    def _feasible(self, setting, scene):
-        for case in scene["joint_problems"]:
-            goal = JointGoal(dict(zip(setting.joints, case["goal"], strict=True)))
-            yield setting.problem(goal, setting.start(case["start"], scene["gripper"]))
-        for case in scene["position_problems"]:
-            goal = PositionGoal(TIP, tuple(case["position"]), case["tolerance"])
-            yield setting.problem(goal, setting.start(case["start"], scene["gripper"]))
-
-
-class _OfficialMeshes:
-    """Self-collision by the meshes of the official description, all pairs that can touch."""
-
-    NEVER = (
-        {"base_link", "upper_arm_link"},
-        {"lower_arm_link", "gripper_link"},
-        {"lower_arm_link", "moving_jaw_so101_v1_link"},
-        {"wrist_link", "moving_jaw_so101_v1_link"},
-    )
-
-    def __init__(self, shared_data):
-        urdf = shared_data / "so101" / "so101_new_calib.urdf"
-        self._model = pin.buildModelFromUrdf(str(urdf))
-        self._data = self._model.createData()
-        self._geometry = pin.buildGeomFromUrdf(
-            self._model, str(urdf), pin.GeometryType.COLLISION, package_dirs=[str(urdf.parent)]
-        )
-        shapes = self._geometry.geometryObjects
-        for i, first in enumerate(shapes):
-            for j, second in enumerate(shapes[i + 1 :], i + 1):
-                links = {self._model.frames[shape.parentFrame].name for shape in (first, second)}
-                apart = abs(first.parentJoint - second.parentJoint) > 1
-                if apart and links not in self.NEVER:
-                    self._geometry.addCollisionPair(pin.CollisionPair(i, j))
-        self._geometry_data = self._geometry.createData()
-        self._manager = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
-            self._model, self._geometry, self._geometry_data
-        )
-
-    def in_collision(self, q):
-        return pin.computeCollisions(self._model, self._data, self._manager, q, True)
-
-
 OTHERS = {"gripper": 0.0}
 POINTS = np.array([[-1.2, 0.0, 0.0, 0.0, 0.0], [1.2, 0.2, -0.2, 0.3, 0.5]])
 
@@ -434,14 +319,6 @@ def test_the_first_contact_of_the_rest_is_found(robot, collision, motion, scene,
         assert touching[0] - 0.03 <= answer.contact_s <= touching[0] + 0.03
     else:
         assert answer.contact is None
-
-
-def test_contacts_behind_the_arm_do_not_count(robot, collision, motion, scene):
-    scene((0.25 * np.cos(-0.6), 0.25 * np.sin(0.6), 0.2))
-    before = ask(robot, collision, motion)
-    assert before.contact is not None
-    later_s = before.contact_s + 0.8 * (motion.duration_s - before.contact_s)
-    assert ask(robot, collision, motion, later_s).contact is None
 
 
 def test_an_obstacle_where_the_arm_is_touches_now(robot, collision, motion, scene):

@@ -12,6 +12,7 @@ from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.description import model
 from tests.helpers import robots
+from tests.helpers.resources import in_proportion
 from tests.planners.setting import Setting, end_of
 
 
@@ -30,7 +31,7 @@ def bent(seven):
     return dict(seven.named_states["arm"]["bent"])
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(in_proportion(8)))
 def test_joint_position_and_pose_goals_are_reached(seven_setting, bent, seed):
     witness = seven_setting.random_state(np.random.default_rng(seed))
     pose = seven_setting.tip_pose(witness)

@@ -8,19 +8,21 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 import pytest_asyncio
 
-from planners import shared_pool
+from planners import pool_host, shared_pool
+from planners.pool import PART_BYTES
 from planners.pool_host import LONGEST_PLANNING_S, PlannerHost, bounded
 from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure
-from planners.scene import Box, Pose, Scene, SceneObject
+from planners.scene import Box, Mesh, Pose, Scene, SceneObject
 from planners.shared_pool import SharedPlanners
 from robot import channel
 from tests.helpers.fake_workers import CRASHES, DEAF, HARD, SOUND, TOUCHING, FakeWorker, Farm
 from tests.helpers.motions import EASY, STATE
 from tests.helpers.robots import so101
-from tests.helpers.waiting import until
+from tests.helpers.waiting import TIMEOUT_S, until
 
 Servers = tuple[SharedPlanners, SharedPlanners]
 
@@ -81,9 +83,23 @@ async def test_a_server_with_many_goals_leaves_every_other_turn_to_one_with_a_si
     assert all(isinstance(answer, Plan) for answer in await asyncio.gather(*many))
 
 
-async def test_a_cancelled_request_gives_its_planner_to_the_next_server(servers: Servers, farm: Farm) -> None:
+async def test_a_cancelled_request_gives_its_planner_to_the_next_server(
+    servers: Servers, farm: Farm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pool_host, "LONGEST_PLANNING_S", 3600.0)
     await given_up(await under_way(servers[0], farm))
-    assert isinstance(await servers[1].ask(EASY), Plan)
+    assert isinstance(await asyncio.wait_for(servers[1].ask(EASY), TIMEOUT_S), Plan)
+
+
+async def test_a_scene_given_up_half_way_is_not_mixed_with_the_one_before(servers: Servers) -> None:
+    meshes = [Mesh(np.zeros((PART_BYTES // 24, 3)), np.zeros((0, 3), dtype=np.int32)) for _ in range(4)]
+    large = Scene(2, tuple(SceneObject(str(i), ((mesh, Pose()),)) for i, mesh in enumerate(meshes)))
+    assert await servers[0].ask(STATE, Scene(1)) == SOUND
+    sending = asyncio.create_task(servers[0].ask(STATE, large))
+    await asyncio.sleep(0)
+    await given_up(sending)
+    assert await servers[0].ask(STATE, Scene(1)) == SOUND
+    assert await servers[0].ask(STATE, large) == TOUCHING
 
 
 async def test_a_planner_that_dies_costs_one_server_one_goal(servers: Servers) -> None:
@@ -164,5 +180,6 @@ async def under_way(server: SharedPlanners, farm: Farm) -> asyncio.Task[Answer]:
 
 
 async def given_up(asking: asyncio.Task[Answer]) -> None:
+    assert not asking.done()
     asking.cancel()
     await asyncio.wait([asking])

@@ -22,11 +22,6 @@ MOTION = Trajectory(
 PNG = b"\x89PNG"
 
 
-def test_motions_become_a_picture(tmp_path) -> None:
-    plan_command.plot(tmp_path / "a.png", [("one", MOTION), ("two", MOTION)])
-    assert (tmp_path / "a.png").read_bytes().startswith(PNG)
-
-
 def test_more_motions_than_fit_are_left_out(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(plan_command, "MAX_MOTIONS", 1)
     plan_command.plot(tmp_path / "one.png", [("one", MOTION)])

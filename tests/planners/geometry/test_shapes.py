@@ -23,7 +23,7 @@ from planners.geometry.shapes import (
     solid,
     urdf_shapes,
 )
-from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Sphere
+from planners.scene import Plane, Pose
 from robot.description import model
 from tests.helpers import robots
 from tests.helpers.resources import examples
@@ -155,25 +155,6 @@ def test_official_description_collides_only_where_the_hulls_do(shared_data, coll
 def _tetrahedron_stl():
     corners = [(0, 0, 0), (0.3, 0, 0), (0, 0.02, 0), (0, 0, 0.02)]
     return stl([[corners[i] for i in face] for face in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))])
-
-
-CORNERS = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
-FACES = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], dtype=np.int32)
-
-SHAPES = [
-    Box((0.1, 0.1, 0.1)),
-    Sphere(0.1),
-    Cylinder(0.1, 0.2),
-    Cone(0.1, 0.2),
-    Plane((0.0, 0.0, 1.0), 0.0),
-    Mesh(CORNERS, FACES),
-]
-
-
-@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
-def test_every_shape_becomes_one_of_coal(shape):
-    geometry, _ = solid(shape, 1.0)
-    assert isinstance(geometry, coal.CollisionGeometry)
 
 
 def test_quaternions_are_brought_to_length_one():

@@ -146,7 +146,7 @@ def search(robot, collision):
 
 @pytest.fixture(scope="module")
 def free_states(collision):
-    states = np.random.default_rng(5).uniform(collision.lower_rad, collision.upper_rad, (80, 6))
+    states = np.random.default_rng(5).uniform(collision.lower_rad, collision.upper_rad, (40, 6))
     states[:, collision.joint_names.index("gripper")] = 0.0
     return [q for q in states if not collision.in_collision(q)]
 
@@ -298,12 +298,6 @@ def test_a_point_out_of_reach_comes_with_the_configuration_that_has_the_nearest_
     assert list(nearest_rad) == list(arm.joints)
     q = np.array([nearest_rad.get(name, 0.0) for name in joints.names])
     np.testing.assert_allclose(collision.tip_positions([q], TIP)[0], failure.details["nearest_m"], atol=1e-3)
-
-
-def test_a_reachable_strict_pose_is_reached(find, goal_states):
-    q = np.array([0.4, -0.3, 0.6, 0.5, 0.2, 0.0])
-    goal = PoseGoal(TIP, pose_of(goal_states.forward, q), 0.001, (0.01, 0.01, 0.01), strict=True)
-    assert all(state.deviation.orientation_rad < 0.018 for state in find(goal))
 
 
 def test_axis_goal_says_how_far_off_the_axis_is(find):

@@ -13,9 +13,11 @@ from planners.ik.constraints import Joints
 from planners.ik.goal_states import GoalStates
 from planners.pipeline import Planner
 from planners.problem import RateLimits
+from planners.scene import EMPTY_SCENE
 from tests.helpers import resources
 from tests.helpers.fake_workers import Farm
 from tests.helpers.robots import so101
+from tests.planners.scenes import scene
 
 
 @pytest.fixture(scope="session")
@@ -85,3 +87,17 @@ def farm(monkeypatch):
     made = Farm()
     monkeypatch.setattr(pool_module, "WorkerProcess", made.make)
     return made
+
+
+@pytest.fixture
+def put():
+    """Put objects around the arm of a planner or a collision model; they are gone after the test."""
+    models = []
+
+    def set_scene(model, *objects):
+        assert model.set_scene(scene(*objects)) is None
+        models.append(model)
+
+    yield set_scene
+    for model in models:
+        model.set_scene(EMPTY_SCENE)

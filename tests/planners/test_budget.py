@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from planners import budget
 from planners.budget import MAX_STARVED_S, Budget, Deadline, read_run_delay_s
 from planners.problem import MoveItErrorCode
 from tests.helpers.clock import FakeClock
@@ -35,9 +36,12 @@ def test_a_deadline_is_extended_by_what_the_process_has_waited_for_a_core_since(
     assert deadline.left_s() == pytest.approx(left_s)
 
 
-def test_nothing_is_known_where_the_kernel_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Path, "read_text", lambda _path: "0 0 0\n")
-    assert read_run_delay_s(os.getpid()) is None
+@pytest.mark.parametrize(("text", "run_delay_s"), [("7 250000000 3\n", 0.25), ("0 0 0\n", None), (None, None)])
+def test_waits_for_a_core_are_known_where_the_kernel_counts_them(monkeypatch, tmp_path, text, run_delay_s):
+    if text is not None:
+        (tmp_path / "schedstat").write_text(text)
+    monkeypatch.setattr(budget, "Path", lambda path: tmp_path / Path(path).name)
+    assert read_run_delay_s(os.getpid()) == run_delay_s
 
 
 def test_budget_lasts_until_the_allowed_time_is_spent(clock):

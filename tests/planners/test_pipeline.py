@@ -35,7 +35,7 @@ from planners.problem import (
     RateLimits,
     RecheckQuestion,
 )
-from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from planners.scene import Box, Pose, Scene
 from robot.description import model
 from tests.planners.invariants import (
     BLOCKED_LINES,
@@ -43,6 +43,7 @@ from tests.planners.invariants import (
     assert_touches_nothing,
     configurations,
 )
+from tests.planners.scenes import thing
 from tests.planners.setting import TIP, Setting, end_of
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
@@ -213,7 +214,7 @@ def test_deviation_of_a_pose_on_five_joints_is_that_of_the_end(setting):
 def test_path_constraints_are_kept_all_the_way_around_an_obstacle(robot, setting):
     planner = Planner(robot, time.process_time)
     states = GoalStates(robot, setting.collision)
-    wall = SceneObject("wall", ((Box((0.3, 0.02, 0.08)), Pose()),), Pose((0.25, 0.0, 0.04)))
+    wall = thing(Box((0.3, 0.02, 0.08)), 0.25, 0.0, 0.04, name="wall")
     assert planner.set_scene(Scene(1, (wall,))) is None
     down = AxisGoal(TIP, (0.22, -0.12, 0.05), 0.002, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.02)
     start = planner.answer(IkQuestion("arm", setting.home(), down)).positions_rad[0]
@@ -237,7 +238,7 @@ def test_start_outside_the_path_constraints_is_refused(setting):
 def test_constraints_that_no_path_keeps_end_with_the_time(robot, setting):
     ticks = iter(range(100_000))
     planner = Planner(robot, clock=lambda: 0.001 * next(ticks))
-    fence = SceneObject("fence", ((Box((0.4, 0.02, 0.3)), Pose()),), Pose((0.34, 0.0, 0.15)))
+    fence = thing(Box((0.4, 0.02, 0.3)), 0.34, 0.0, 0.15, name="fence")
     assert planner.set_scene(Scene(1, (fence,))) is None
     low = Constraints(positions=(PositionConstraint(TIP, Pose((0.25, 0.0, 0.1)), half_size_m=(0.5, 0.5, 0.1)),))
     beside = PositionGoal(TIP, (0.25, -0.15, 0.1), 0.005)
@@ -249,7 +250,7 @@ def test_constraints_that_no_path_keeps_end_with_the_time(robot, setting):
 
 def test_bad_scene_is_refused_and_the_one_before_stays(robot, setting):
     planner = Planner(robot, time.process_time)
-    block = SceneObject("block", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.39, 0.0, 0.226)))
+    block = thing(Box((0.1, 0.1, 0.1)), 0.39, 0.0, 0.226, name="block")
     assert planner.set_scene(Scene(1, (block,))) is None
     assert isinstance(planner.set_scene(Scene(2, (block, block))), PlanningFailure)
     failure = planner.plan(setting.problem(JointGoal({"wrist_roll": 0.3})))
@@ -269,18 +270,6 @@ def motion(arm):
     )
 
 
-@pytest.fixture
-def scene(collision):
-    versions = iter(range(7000, 7999))
-
-    def put(position_m, size_m=(0.05, 0.05, 0.8)):
-        post = SceneObject("post", ((Box(size_m), Pose()),), Pose(position_m))
-        assert collision.set_scene(Scene(next(versions), (post,))) is None
-
-    yield put
-    collision.set_scene(EMPTY_SCENE)
-
-
 def ask(robot, collision, motion, from_s=0.0, others=OTHERS, group="arm"):
     return recheck(RecheckQuestion(group, motion, others, from_s), robot, collision)
 
@@ -292,8 +281,12 @@ def test_a_motion_is_free_in_an_empty_scene(robot, collision, motion):
     assert ask(robot, collision, motion, motion.duration_s).contact is None
 
 
-def test_an_obstacle_on_the_way_is_named_with_its_time(robot, collision, motion, scene):
-    scene((0.25, 0.0, 0.2))
+def post(*position_m, size_m=(0.05, 0.05, 0.8)):
+    return thing(Box(size_m), *position_m, name="post")
+
+
+def test_an_obstacle_on_the_way_is_named_with_its_time(robot, collision, motion, put):
+    put(collision, post(0.25, 0.0, 0.2))
     answer = ask(robot, collision, motion)
     assert answer.contact.code == MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
     assert "post" in answer.contact.message
@@ -301,8 +294,8 @@ def test_an_obstacle_on_the_way_is_named_with_its_time(robot, collision, motion,
 
 
 @pytest.mark.parametrize("angle_rad", [-1.0, -0.4, 0.1, 0.7])
-def test_the_first_contact_of_the_rest_is_found(robot, collision, motion, scene, angle_rad):
-    scene((float(0.3 * np.cos(angle_rad)), float(0.3 * np.sin(angle_rad)), 0.2))
+def test_the_first_contact_of_the_rest_is_found(robot, collision, motion, put, angle_rad):
+    put(collision, post(float(0.3 * np.cos(angle_rad)), float(0.3 * np.sin(angle_rad)), 0.2))
     for from_s in (0.0, 0.3 * motion.duration_s, 0.6 * motion.duration_s):
         answer = ask(robot, collision, motion, from_s)
         times_s = np.linspace(from_s, motion.duration_s, 200)
@@ -311,9 +304,9 @@ def test_the_first_contact_of_the_rest_is_found(robot, collision, motion, scene,
         assert not touching or answer.contact_s == pytest.approx(touching[0], abs=0.03)
 
 
-def test_an_obstacle_where_the_arm_is_touches_now(robot, collision, motion, scene):
+def test_an_obstacle_where_the_arm_is_touches_now(robot, collision, motion, put):
     from_s = 0.5 * motion.duration_s
-    scene((0.25, 0.0, 0.2), (0.2, 0.2, 0.8))
+    put(collision, post(0.25, 0.0, 0.2, size_m=(0.2, 0.2, 0.8)))
     assert ask(robot, collision, motion, from_s).contact_s == from_s
 
 

@@ -17,7 +17,17 @@ from hypothesis import strategies as st
 
 from planners import budget
 from planners import pool as pool_module
-from planners.messages import Answered, Ask, Cancel, Loaded, LoadRobot, MoreObjects, NewScene, StillSearching
+from planners.messages import (
+    Answered,
+    Ask,
+    Cancel,
+    Loaded,
+    LoadFailed,
+    LoadRobot,
+    MoreObjects,
+    NewScene,
+    StillSearching,
+)
 from planners.pool import (
     BRIEF_SCENE_BYTES,
     LOAD_TIMEOUT_S,
@@ -428,6 +438,14 @@ async def test_a_robot_that_no_worker_can_load_is_told(loading: PlannerPool, far
     assert len(farm.workers) == 1
 
 
+async def test_a_request_for_which_no_worker_is_ready_is_refused_in_the_end(loading: PlannerPool, farm: Farm) -> None:
+    farm.loads = False
+    farm.workers[0].end()
+    answer = await loading.ask(EASY)
+    assert isinstance(answer, PlanningFailure)
+    assert answer.message == "planning is not available: no planner process was ready within 30 s"
+
+
 async def test_the_wait_for_a_worker_ends_when_one_takes_requests(loading: PlannerPool) -> None:
     assert await loading.wait_until_loaded() is None
     assert loading.loaded_count == 1
@@ -517,7 +535,8 @@ class Worked:
     """A worker whose child is fake, and its requests."""
 
     def __init__(self) -> None:
-        self.worker = WorkerProcess(so101(), 1 << 30, lambda *_: None, lambda _: None)
+        self.loaded: list[str | None] = []
+        self.worker = WorkerProcess(so101(), 1 << 30, lambda _, refusal: self.loaded.append(refusal), lambda _: None)
         self.child: Any = self.worker._child
         self.hard_s: list[float] = []
 
@@ -547,6 +566,11 @@ async def worked(monkeypatch: pytest.MonkeyPatch) -> Worked:
     made.child.receives(Loaded())
     assert made.worker.usable
     return made
+
+
+async def test_a_worker_that_cannot_load_its_robot_says_why(worked: Worked) -> None:
+    worked.child.receives(LoadFailed("no link"))
+    assert worked.loaded == [None, "no link"]
 
 
 async def test_a_scene_is_sent_again_only_when_its_version_is_another(worked: Worked) -> None:

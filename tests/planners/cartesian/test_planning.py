@@ -24,7 +24,7 @@ from planners.cartesian.planning import (
 from planners.cartesian.tip_path import arc_flaw
 from planners.goals import Constraints, JointConstraint, OrientationConstraint
 from planners.problem import MoveItErrorCode, PlanningFailure, RateLimits
-from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from planners.scene import Box
 from robot.trajectory import Trajectory
 from tests.helpers.resources import examples
 from tests.planners.following import TIP, arc, as_pose, line, shares
@@ -36,6 +36,7 @@ from tests.planners.invariants import (
     assert_well_formed,
     fine_samples,
 )
+from tests.planners.scenes import thing
 
 POINTS = np.array([[0.0, 0.0], [0.5, 0.2], [1.0, -0.1]])
 
@@ -253,18 +254,6 @@ FOLDED_INTO_ITSELF = np.array([0.0, -1.74, 1.69, 1.2, 0.0])
 BOUND_M = 3e-4
 
 
-@pytest.fixture
-def scene(collision):
-    """Sets scenes one after the other."""
-    versions = iter(range(9000, 9999))
-
-    def put(*objects):
-        assert collision.set_scene(Scene(next(versions), tuple(objects))) is None
-
-    yield put
-    collision.set_scene(EMPTY_SCENE)
-
-
 def shifted(follower, *offset_m):
     placement = follower.pose(START)
     return line(pin.SE3(placement.rotation, placement.translation + np.array(offset_m)))
@@ -414,18 +403,18 @@ def test_five_joints_keep_the_orientation_in_the_plane_of_the_arm(follower):
 
 def wall(follower, beside_m):
     """A wall to the left of the tip in START."""
-    x, y, _ = follower.pose(START).translation
-    return SceneObject("wall", ((Box((0.4, 0.01, 0.6)), Pose()),), Pose((float(x), float(y) + beside_m, 0.3)))
+    x, y, _ = follower.pose(START).translation.tolist()
+    return thing(Box((0.4, 0.01, 0.6)), x, y + beside_m, 0.3, name="wall")
 
 
 def to_the_left(follower, **asked):
     return follower.problem(START, shifted(follower, 0.0, 0.12, 0.0), **asked)
 
 
-def test_the_nearer_an_obstacle_the_less_of_the_path_is_followed(follower, scene):
+def test_the_nearer_an_obstacle_the_less_of_the_path_is_followed(follower, put):
     fractions = []
     for beside_m in (0.08, 0.09, 0.11, 0.14, 0.17):
-        scene(wall(follower, beside_m))
+        put(follower.collision, wall(follower, beside_m))
         fractions.append(follower.plan(to_the_left(follower)).fraction)
     assert all(first <= second + 0.02 for first, second in pairwise(fractions))
     assert fractions[0] < fractions[-1] == 1.0
@@ -440,15 +429,15 @@ def test_the_nearer_an_obstacle_the_less_of_the_path_is_followed(follower, scene
     ],
     ids=["a contact within the last step", "only parts touch", "contacts are not to be avoided"],
 )
-def test_a_path_ends_only_at_a_contact_that_counts(follower, scene, beside_m, asked, least, most):
-    scene(wall(follower, beside_m))
+def test_a_path_ends_only_at_a_contact_that_counts(follower, put, beside_m, asked, least, most):
+    put(follower.collision, wall(follower, beside_m))
     plan = follower.plan(to_the_left(follower, **asked))
     assert least <= plan.fraction <= most
     assert (plan.stopped_by is None) == (most == 1.0)
 
 
-def test_a_path_into_an_obstacle_ends_before_it_and_names_the_pair(follower, collision, scene):
-    scene(wall(follower, 0.11))
+def test_a_path_into_an_obstacle_ends_before_it_and_names_the_pair(follower, collision, put):
+    put(follower.collision, wall(follower, 0.11))
     problem = to_the_left(follower)
     plan = follower.plan(problem)
     assert 0.1 < plan.fraction < 0.9

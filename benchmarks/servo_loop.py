@@ -229,7 +229,7 @@ async def _flood(module: str, where: str) -> AsyncIterator[None]:
 async def _emergency_row(name: str, client: ArmClient, log: Path) -> list[str]:
     told_s = []
     for _ in range(EMERGENCY_STOPS):
-        await _recover(client)
+        await recover(client)
         told_s.append(time.monotonic())
         await client.call("/arm/emergency_stop")
     entries = read_entries(log)
@@ -244,7 +244,7 @@ def _cuts(entry: Entry) -> bool:
     return 0 in entry.torque.values() and any("TORQUE_ENABLE" in registers for registers in entry.written.values())
 
 
-async def _recover(client: ArmClient) -> None:
+async def recover(client: ArmClient) -> None:
     """Reset and enable the arm until it holds."""
     remedies = {"fault": "/arm/reset_fault", "relaxed": "/arm/enable"}
     async with asyncio.timeout(RECOVERY_S):

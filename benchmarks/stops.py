@@ -1,21 +1,25 @@
-"""Latency of a client's stops behind its own work, and of the stop of a client that does not read its replies."""
+"""Latency of a client's stops: to the servos, behind its own work, and of a client that does not read its replies."""
 
 from __future__ import annotations
 
 import asyncio
 import itertools
 import json
+import random
 import socket
+import tempfile
 import time
 from collections.abc import Callable, Coroutine
+from pathlib import Path
 from typing import Any
 
 import bson
 from websockets.asyncio.client import connect
 
-from tests.helpers.clients import FrameClient, frame_client
+from benchmarks.servo_loop import recover
+from tests.helpers.clients import ArmClient, FrameClient, arm_client, frame_client
 from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import RunningServer, free_port
+from tests.helpers.server import FAST, RunningServer, free_port, read_write_log
 
 TRIALS = 8
 STOPS = 3
@@ -27,6 +31,15 @@ SPACING_S = 0.005
 SETTLE_S = 0.5
 
 ANSWER_TIMEOUT_S = 30.0
+
+# Stops of a joint in the midst of its motion at its full speed, and writes before the stop that show this speed.
+MOTIONS = 40
+EMERGENCY_STOPS = 20
+JOINT, SERVO = "wrist_roll", "5"
+GOAL_ADDRESS, TORQUE_ADDRESS = 41, 40
+REACH_RAD = 1.5
+FIRST_STOP_S, LAST_STOP_S = 0.4, 0.8
+CRUISE_WRITES = 10
 
 JOINTS = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]
 
@@ -151,6 +164,76 @@ async def unread_latency_s(port: int, observer: FrameClient) -> float:
         deaf.close()
 
 
+async def stop_motions(url: str) -> tuple[list[float], list[float]]:
+    """Stop motions, and then cut the torque; return the monotonic times at which each was sent [s]."""
+    stopped_s, cut_s = [], []
+    chance = random.Random(0)
+    async with arm_client(url) as client:
+        await client.say("advertise", topic="/stop", type="std_msgs/Empty")
+        await client.until_mode("holding")
+        await _move(client, -REACH_RAD)
+        await client.until_mode("holding")
+        for number in range(MOTIONS):
+            reach_rad = REACH_RAD if number % 2 == 0 else -REACH_RAD
+            await _move(client, reach_rad)
+            await asyncio.sleep(chance.uniform(FIRST_STOP_S, LAST_STOP_S))
+            stopped_s.append(time.monotonic())
+            await client.say("publish", topic="/stop", msg={})
+            await client.until_mode("holding")
+            await _move(client, reach_rad)
+            await client.until_mode("holding")
+        for _ in range(EMERGENCY_STOPS):
+            await recover(client)
+            cut_s.append(time.monotonic())
+            await client.call("/arm/emergency_stop")
+    return stopped_s, cut_s
+
+
+async def _move(client: ArmClient, target_rad: float) -> None:
+    """Send a goal, and wait until the arm moves."""
+    goal = {"name": [JOINT], "position": [target_rad]}
+    await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", goal)
+    await client.until_mode("moving")
+
+
+def slower_s(writes: list[dict[str, Any]], sent_s: float) -> float:
+    """Return the time from a stop to the first goal by which the joint moves less than by any shortly before it [s]."""
+    goals = [
+        (entry["machine_t"], int.from_bytes(bytes(entry["data"][SERVO][1:3]), "little"))
+        for entry in writes
+        if entry["address"] == GOAL_ADDRESS and SERVO in entry["data"]
+    ]
+    steps = [(at_s, abs(goal - before)) for (_, before), (at_s, goal) in itertools.pairwise(goals)]
+    cruise = min([step for at_s, step in steps if at_s <= sent_s][-CRUISE_WRITES:])
+    return next(float(at_s) - sent_s for at_s, step in steps if at_s > sent_s and step < cruise)
+
+
+def cut_s(writes: list[dict[str, Any]], sent_s: float) -> float:
+    """Return the time from an emergency stop to the write that switches torque off [s]."""
+    cuts = (
+        float(entry["machine_t"])
+        for entry in writes
+        if entry["address"] == TORQUE_ADDRESS and any(data[0] == 0 for data in entry["data"].values())
+    )
+    return next(at_s - sent_s for at_s in cuts if at_s > sent_s)
+
+
+def to_the_servos() -> list[list[str]]:
+    """Measure stops and emergency stops of a client, up to the writes to the servos."""
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "writes.jsonl"
+        with RunningServer(settings={**FAST, "ARMBRIDGE_EMULATOR__WRITE_LOG": str(log)}) as server:
+            stops_s, emergency_stops_s = asyncio.run(stop_motions(server.url))
+        writes = read_write_log(log)
+    return [
+        [name, str(len(sent_s)), *percentiles([latency_s(writes, at_s) for at_s in sent_s], 50, 99, 100)]
+        for name, sent_s, latency_s in (
+            ("/stop, to the first slower goal", stops_s, slower_s),
+            ("/arm/emergency_stop, to torque off", emergency_stops_s, cut_s),
+        )
+    ]
+
+
 async def _measure(url: str, port: int) -> list[list[str]]:
     rows = []
     ids = map(str, itertools.count())
@@ -175,6 +258,8 @@ async def _measure(url: str, port: int) -> list[list[str]]:
 
 def run() -> None:
     """Measure the stops of one client after the other."""
+    header = ["order of a client", "times", "p50", "p99", "max"]
+    print_table("From a client's message to the servos [ms]", header, to_the_servos())
     port = free_port()
     with RunningServer(f"--port 0 --tcp-port {port}", {"ARMBRIDGE_MOVEIT__MAX_VELOCITY_SCALING": "0.1"}) as server:
         rows = asyncio.run(_measure(server.url, port))

@@ -101,6 +101,10 @@ _OCTETS = ("uint8", "char", "byte")
 _MAX_COMPILED_TYPES = 4096
 
 
+# Range of builtin_interfaces/Time [ns since the epoch].
+_EARLIEST_NS, _LATEST_NS = -(2**31) * 1_000_000_000, 2**31 * 1_000_000_000 - 1
+
+
 class Stamp(NamedTuple):
     """A point in time, as in builtin_interfaces/Time: seconds of the Unix epoch and nanoseconds."""
 
@@ -109,9 +113,13 @@ class Stamp(NamedTuple):
 
     @classmethod
     def from_seconds(cls, seconds: float) -> Stamp:
-        """The stamp of a time in seconds since the Unix epoch, as `time.time` gives it."""
-        whole, fraction = divmod(round(seconds * 1_000_000_000), 1_000_000_000)
-        return cls(whole, fraction)
+        """The stamp of a time in seconds since the Unix epoch, as `time.time` gives it.
+
+        A time beyond builtin_interfaces/Time, whose seconds are an int32 and end in January 2038, is the nearest in it:
+        a machine's clock may be set to anything.
+        """
+        nanoseconds = round(seconds * 1_000_000_000)
+        return cls(*divmod(min(max(nanoseconds, _EARLIEST_NS), _LATEST_NS), 1_000_000_000))
 
     def as_message(self) -> dict[str, int]:
         """Return the builtin_interfaces/Time."""

@@ -169,12 +169,12 @@ class Arm:
         self._restart: asyncio.Task[None] | None = None
         self._restart_delay = restart_delay or RestartDelay()
         self._restart_log = LogLimiter(RESTART_LINES, RESTART_LINES_PER_S)
-        self._launched_at_s = time.monotonic()
         self._heartbeat: asyncio.Task[None] | None = None
         self._first_state = asyncio.Event()
         self._starting = False
         self._begun = False
-        self._spoken = False
+        # Monotonic time of the running process's first state: its life counts from there, and so does its silence.
+        self._heard_since_s: float | None = None
         self._silent_heartbeats = 0
         self._state_at_s = time.monotonic()
         self.last_stop = 0
@@ -193,7 +193,6 @@ class Arm:
             OSError: the system has no descriptor, process or memory left for it.
         """
         self._starting = True
-        self._launched_at_s = time.monotonic()
         await self._process.launch()
 
     async def start(self, timeout_s: float) -> None:
@@ -425,7 +424,7 @@ class Arm:
         while True:
             await asyncio.sleep(HEARTBEAT_S)
             self._process.send(Heartbeat(self._observed()))
-            self._silent_heartbeats += self._spoken
+            self._silent_heartbeats += self._heard_since_s is not None
             if self._silent_heartbeats > SILENT_HEARTBEATS:
                 log.error("the arm process has said nothing for %g s; ending it", SILENT_S)
                 self._silent_heartbeats = 0
@@ -454,7 +453,9 @@ class Arm:
 
     def _received(self, message: Any) -> None:
         if isinstance(message, ArmState):
-            self._spoken, self._silent_heartbeats = True, 0
+            self._silent_heartbeats = 0
+            if self._heard_since_s is None:
+                self._heard_since_s = time.monotonic()
             self._take_state(message)
         elif isinstance(message, ArmHealth):
             self._on_health(message)
@@ -503,7 +504,8 @@ class Arm:
         self._on_state(state)
 
     def _exited(self) -> None:
-        self._spoken, self._silent_heartbeats = False, 0
+        ran_s = 0.0 if self._heard_since_s is None else time.monotonic() - self._heard_since_s
+        self._heard_since_s, self._silent_heartbeats = None, 0
         self._answer_held()
         for motion_id, motion in list(self._motions.items()):
             _settle(motion, MotionEnded(motion_id, Outcome.PROCESS_LOST, "the arm process ended during the motion"))
@@ -512,11 +514,11 @@ class Arm:
         if self._closing:
             return
         self._tell_restart("the arm process ended; starting it again")
-        self._restart = asyncio.create_task(self._start_again(), name="restart arm process")
+        self._restart = asyncio.create_task(self._start_again(ran_s), name="restart arm process")
         self._disconnect("the arm process ended and is starting again")
 
-    async def _start_again(self) -> None:
-        ran_s = time.monotonic() - self._launched_at_s
+    async def _start_again(self, ran_s: float) -> None:
+        """Replace a process that has ended, which has sent states for ``ran_s``."""
         await self._process.kill()
         # A fault stays latched. An arm that holds is adopted; one that was relaxed, perhaps by an emergency stop, must
         # not be switched on.
@@ -533,7 +535,6 @@ class Arm:
     async def _launched_again(self) -> bool:
         """Start and configure a process; return False when it cannot be started."""
         try:
-            self._launched_at_s = time.monotonic()
             await self._process.launch()
         except Exception as error:  # noqa: BLE001 - OSError, MemoryError and others; without a next try the arm is lost
             reason = f"the arm process cannot be started: {str(error) or type(error).__name__}"

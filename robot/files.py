@@ -159,7 +159,9 @@ class FileSeries:
                 number += 1
                 path = self._directory / f"{self._prefix}{name}-{number}{self._suffix}"
             replace(path, content(path.stem))
-            for oldest in self.paths()[: -self._max_files]:
+            # The new one stays also where its name is not the last: the clock that names it may be set back.
+            others = [each for each in self.paths() if each != path]
+            for oldest in others[: max(len(others) + 1 - self._max_files, 0)]:
                 oldest.unlink(missing_ok=True)
         return path
 

@@ -41,16 +41,20 @@ def joined_state(
     driven = any(state.goal_rad is not None for state in known)
     leading = max((state for state in present if state.motions), key=lambda state: state.remaining_s, default=None)
     modes = [state.mode for name, state in states.items() if name not in leaders or state.mode is not Mode.RELAXED]
-    stamp_s = max(state.stamp_s for state in present)
+    # The latest by the arms' clocks, because that of the machine may be set; that of a lost arm stands still.
+    connected = [state for state in present if state.mode is not Mode.DISCONNECTED]
+    latest = max(connected or present, key=lambda state: state.clock_s)
     return ArmState(
-        stamp_s=stamp_s,
+        stamp_s=latest.stamp_s,
         mode=min(modes or [Mode.RELAXED], key=_BY_WEIGHT.index),
         joint_names=tuple(name for state in known for name in state.joint_names),
         reason="; ".join(f"{name}: {state.reason}" for name, state in states.items() if state.reason),
         fault=next((_named(name, state.fault) for name, state in states.items() if state.fault is not None), None),
         position_rad=_joined(known, lambda state: state.position_rad),
         velocity_rad_s=_joined(known, lambda state: state.velocity_rad_s),
-        age_s=_joined(known, lambda state: None if state.age_s is None else state.age_s + (stamp_s - state.stamp_s)),
+        age_s=_joined(
+            known, lambda state: None if state.age_s is None else state.age_s + (latest.clock_s - state.clock_s)
+        ),
         load=_joined(known, lambda state: state.load),
         current_a=_joined(known, lambda state: state.current_a),
         goal_rad=_joined(known, _held_rad) if driven else None,
@@ -76,7 +80,7 @@ def joined_health(reports: Mapping[str, ArmHealth]) -> ArmHealth:
     buses = [each.bus for each in all_of if each.bus is not None]
     worst_mode = min((each.mode for each in all_of), key=_BY_WEIGHT.index)
     return ArmHealth(
-        stamp_s=min(each.stamp_s for each in all_of),
+        monotonic_s=min(each.monotonic_s for each in all_of),
         mode=worst_mode,
         port=", ".join(dict.fromkeys(each.port for each in all_of)),
         joints=tuple(joint for each in all_of for joint in each.joints),
@@ -85,6 +89,7 @@ def joined_health(reports: Mapping[str, ArmHealth]) -> ArmHealth:
         round_trip_s=_greatest([each.round_trip_s for each in all_of]),
         real_time=all(each.real_time for each in all_of),
         real_time_factor=min(each.real_time_factor for each in all_of),
+        memory_locked=all(each.memory_locked for each in all_of),
         limits_rad=np.concatenate(limits_rad) if len(limits_rad) == len(all_of) else None,
         fault=next((_named(name, each.fault) for name, each in reports.items() if each.fault is not None), None),
         reason="; ".join(f"{name}: {each.reason}" for name, each in reports.items() if each.reason),

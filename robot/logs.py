@@ -292,6 +292,7 @@ class LogLine:
         logger: name of the logger.
         process: name of the process.
         text: message without tokens, and the traceback below it; at most :data:`MAX_LINE_CHARACTERS`.
+        monotonic_s: monotonic time of the machine, which all of its processes share [s].
     """
 
     at_s: float
@@ -299,6 +300,7 @@ class LogLine:
     logger: str
     process: str
     text: str
+    monotonic_s: float
 
 
 class LineHandler(logging.Handler):
@@ -326,8 +328,8 @@ class LineHandler(logging.Handler):
         text = message_of(record)
         if record.exc_info:
             text = f"{text}\n{without_secrets(logging.Formatter().formatException(record.exc_info))}"
-        line = LogLine(record.created, record.levelno, record.name, self._process, text[:MAX_LINE_CHARACTERS])
-        self._take(line)
+        text = text[:MAX_LINE_CHARACTERS]
+        self._take(LogLine(record.created, record.levelno, record.name, self._process, text, time.monotonic()))
 
 
 _listeners: set[Callable[[LogLine], None]] = set()

@@ -485,7 +485,7 @@ class ArmHealth:
     """Health of the arm, once a second.
 
     Attributes:
-        stamp_s: wall-clock time [s since the epoch].
+        monotonic_s: monotonic time of the machine, which all of its processes share [s].
         port: serial port of the arm; ``simulated`` or ``ideal`` where there is none.
         joints: one each, in the order of the arm's arrays.
         bus: counters of the bus since it was opened; None for hardware without one.
@@ -493,10 +493,11 @@ class ArmHealth:
         round_trip_s: time that block reads took in the last second: p50, p99, greatest [s].
         real_time: True if the process has real-time priority.
         real_time_factor: arm's time per machine's time; below 1 a simulated arm is slow because the machine is busy.
+        memory_locked: True if the process's memory cannot be swapped out.
         limits_rad: soft limits in force, shape (joints, 2) [rad]; None before the survey.
     """
 
-    stamp_s: float
+    monotonic_s: float
     mode: Mode
     port: str
     joints: tuple[JointHealth, ...]
@@ -505,6 +506,7 @@ class ArmHealth:
     round_trip_s: tuple[float, float, float]
     real_time: bool
     real_time_factor: float = 1.0
+    memory_locked: bool = False
     limits_rad: Vector | None = None
     fault: Fault | None = None
     reason: str = ""

@@ -48,7 +48,7 @@ def decode(frame: str | bytes, *, light: bool = False) -> object:
         return decode_in_pieces(_utf8(frame), _decode_piece, MAX_NESTING_DEPTH)
     try:
         # It takes bytes as they came and checks their UTF-8 on the way.
-        value = orjson.loads(frame)
+        value = _loads(frame)
     except orjson.JSONDecodeError as error:
         value = _decode_beyond_json(_text(frame), error)
     if _may_be_too_deep(frame):
@@ -90,9 +90,22 @@ def encode_in_pieces(value: object) -> bytes:
     return b"".join(encoded_pieces(value, _NOTATION))
 
 
+def _loads(text: str | bytes) -> object:
+    """Decode strict JSON.
+
+    Raises:
+        MemoryError: there is no memory for a copy of the text.
+        orjson.JSONDecodeError: not JSON, or no memory for its values.
+    """
+    if len(text) >= _LONG_FRAME:
+        # orjson 3.13 copies the text for its error, and ends the process (SIGSEGV) where that finds no memory.
+        bytes(len(text))
+    return orjson.loads(text)
+
+
 def _decode_piece(piece: bytes, offset: int) -> object:
     try:
-        return orjson.loads(piece)
+        return _loads(piece)
     except orjson.JSONDecodeError as error:
         return _decode_beyond_json(_text(piece), error, offset)
 

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
 from robot.control.checks import checked
-from robot.control.pacing import PERIOD_S, Pacer, become_punctual
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling, become_punctual
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
@@ -79,16 +79,16 @@ class ArmLoop:
     Args:
         channel: channel to the server.
         config: hardware, limits and policies of the arm.
-        real_time: True if the process has real-time priority.
+        scheduling: protection of the ticks against the rest of the machine.
     """
 
-    def __init__(self, channel: Channel, config: ArmConfig, *, real_time: bool) -> None:
+    def __init__(self, channel: Channel, config: ArmConfig, scheduling: Scheduling) -> None:
         self._channel = channel
         self._config = config
         self._simulated = config.hardware.simulated
         self._clock: LoopClock = SimulationClock(time.monotonic()) if self._simulated else MachineClock()
         self._source: HardwareSource | None = None
-        self._supervisor = Supervisor(config, self._send, self._clock, real_time=real_time)
+        self._supervisor = Supervisor(config, self._send, self._clock, scheduling)
 
     def run(self) -> None:
         """Run until the end; hardware that cannot be opened is retried."""
@@ -204,7 +204,7 @@ def run_arm(channel: Channel) -> None:
     """
     config = channel.receive_first()
     if config is not None:
-        ArmLoop(channel, checked(config), real_time=become_punctual()).run()
+        ArmLoop(channel, checked(config), become_punctual()).run()
 
 
 if __name__ == "__main__":

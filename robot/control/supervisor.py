@@ -18,7 +18,7 @@ import numpy as np
 from robot.control.controller import RELAXING
 from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
-from robot.control.pacing import PERIOD_S, Pacer, percentiles
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling, percentiles
 from robot.control.parking import Parking
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
@@ -107,8 +107,7 @@ def arm_health(
     port: str,
     pacer: Pacer,
     clock: LoopClock,
-    *,
-    real_time: bool,
+    scheduling: Scheduling,
 ) -> ArmHealth:
     """Build the report of the arm's health.
 
@@ -118,20 +117,21 @@ def arm_health(
         port: name of its port.
         pacer: pacer of the control loop.
         clock: clock of the control loop.
-        real_time: True if the process has real-time priority.
+        scheduling: protection of the ticks against the rest of the machine.
     """
     controller = arm.controller
     bounds = None if controller is None else controller.bounds
     limits = None if bounds is None else np.stack((bounds.lower_rad, bounds.upper_rad), axis=1)
     return ArmHealth(
-        stamp_s=time.time(),
+        monotonic_s=time.monotonic(),
         mode=state.mode,
         port=port,
         joints=tuple(_joint_health(arm, joint) for joint in range(len(arm.hardware.joint_names))),
         bus=arm.hardware.counters,
         lateness_s=percentiles(pacer.lateness_s),
         round_trip_s=percentiles(arm.hardware.round_trips_s),
-        real_time=real_time,
+        real_time=scheduling.real_time,
+        memory_locked=scheduling.memory_locked,
         real_time_factor=clock.real_time_factor,
         limits_rad=limits,
         fault=state.fault,
@@ -239,17 +239,17 @@ class Supervisor:
         send: sends a message to the server; its second argument says that the message may be dropped while the server
             does not read.
         clock: time of the control loop.
-        real_time: True if the process has real-time priority.
+        scheduling: protection of the ticks against the rest of the machine.
 
     Attributes:
         arm: control cycle on the open hardware; None while disconnected.
     """
 
-    def __init__(self, config: ArmConfig, send: Send, clock: LoopClock, *, real_time: bool) -> None:
+    def __init__(self, config: ArmConfig, send: Send, clock: LoopClock, scheduling: Scheduling) -> None:
         self._config = config
         self._send = send
         self._clock = clock
-        self._real_time = real_time
+        self._scheduling = scheduling
         self._joint_names = config.hardware.joint_names(config.robot)
         self._ticks_per_state = max(1, round(1.0 / (PERIOD_S * config.state_rate_hz)))
         timeout_s = max(config.watchdog_s, SIMULATED_WATCHDOG_S) if config.hardware.simulated else config.watchdog_s
@@ -397,7 +397,7 @@ class Supervisor:
         if self._health_due <= 0:
             self._health_due += HEALTH_PERIOD_TICKS
             port = self._config.hardware.port
-            self._send(arm_health(arm, state, port, pacer, self._clock, real_time=self._real_time), True)
+            self._send(arm_health(arm, state, port, pacer, self._clock, self._scheduling), True)
 
     def work(self) -> float:
         """Do one step of the sequence in progress.

@@ -115,8 +115,9 @@ TimeoutStopSec=30
 {user}
 # The group that serial ports belong to.
 SupplementaryGroups={group}
-# Real-time priority for the servo loop.
+# Real-time priority for the servo loop, whose memory then stays where it is.
 LimitRTPRIO=1
+LimitMEMLOCK=infinity
 LimitCORE=0
 # Saved states and the planning scene go to /var/lib/armbridge, and recordings should.
 StateDirectory=armbridge

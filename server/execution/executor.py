@@ -80,7 +80,7 @@ MAX_SAMPLES = 30_000
 
 
 class MotionRecorder:
-    """Recorder of the arm's states while a motion runs."""
+    """Recorder of the arm's states while a motion runs, with times of the arm's clock."""
 
     def __init__(self) -> None:
         self._states: list[ArmState] | None = None
@@ -93,7 +93,7 @@ class MotionRecorder:
         """Record a state of the arm, while a motion runs."""
         if self._states is None or state.position_rad is None or state.velocity_rad_s is None:
             return
-        if len(self._states) < MAX_SAMPLES and (not self._states or state.stamp_s > self._states[-1].stamp_s):
+        if len(self._states) < MAX_SAMPLES and (not self._states or state.clock_s > self._states[-1].clock_s):
             self._states.append(state)
 
     def finish(self, joint_names: tuple[str, ...]) -> Trajectory | None:
@@ -105,7 +105,7 @@ class MotionRecorder:
         if not states:
             return None
         columns = [states[0].joint_names.index(name) for name in joint_names]
-        time_s = np.array([state.stamp_s for state in states]) - states[0].stamp_s
+        time_s = np.array([state.clock_s for state in states]) - states[0].clock_s
         positions_rad = np.array([state.position_rad for state in states])[:, columns]
         velocities_rad_s = np.array([state.velocity_rad_s for state in states])[:, columns]
         return Trajectory(joint_names, time_s, positions_rad, velocities_rad_s, np.zeros_like(positions_rad))

@@ -134,13 +134,16 @@ class OperationHandler(Protocol):
 
 
 class Reader(Protocol):
-    """Socket of the client, as far as it can be left unread for a while."""
+    """Socket of the client, as far as it can be left unread for a while, or for good."""
 
     def hold_reading(self) -> None:
         """Read nothing more for now."""
 
     def release_reading(self) -> None:
         """Read again."""
+
+    def end_out_of_memory(self) -> None:
+        """End this connection alone, with a reason."""
 
 
 @dataclass(slots=True, eq=False)
@@ -419,10 +422,21 @@ class Inbox:
         """Have a thread work on what was the first; put it, or what was read of it, before all that waits."""
         self._in_progress = (waiting,)
 
-        def finish(result: Sequence[Operation | Refusal | Packed] | None, cost_s: float) -> None:
+        def attempt() -> Sequence[Operation | Refusal | Packed] | MemoryError | None:
+            try:
+                return job()
+            except MemoryError:
+                # Another one: the traceback holds on to the message.
+                return MemoryError()
+
+        def finish(result: Sequence[Operation | Refusal | Packed] | MemoryError | None, cost_s: float) -> None:
             self._end_job(waiting)
             self._next_job_s = self._clock() + cost_s
-            if not self._closed:
+            if self._closed:
+                return
+            if isinstance(result, MemoryError):
+                self._reader.end_out_of_memory()
+            else:
                 self._put_first([waiting] if result is None else _read_of(waiting, result))
                 self.resume()
 
@@ -432,7 +446,7 @@ class Inbox:
 
         def begin() -> None:
             if not self._closed:
-                self._background.run(job, finish, give_up)
+                self._background.run(attempt, finish, give_up)
 
         wait_s = self._next_job_s - self._clock()
         if wait_s > 0:

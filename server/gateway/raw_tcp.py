@@ -24,7 +24,7 @@ from server.access.permissions import Identity
 from server.config import ServerSettings
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
 from server.gateway.client_transport import address_and_port, reset
-from server.gateway.transport import WRITE_LIMIT_BYTES
+from server.gateway.transport import OUT_OF_MEMORY, WRITE_LIMIT_BYTES
 from server.gateway.turns import TURN_S
 
 log = logging.getLogger("armbridge.gateway")
@@ -146,7 +146,11 @@ class TcpStream(asyncio.Protocol):
         if self._ending or self._slot is None:
             return
         self.received_bytes += len(data)
-        self._splitter.add(data)
+        try:
+            self._splitter.add(data)
+        except MemoryError:
+            self.end_out_of_memory()
+            return
         if not self._turn_waits:
             self._take_turn()
 
@@ -175,7 +179,18 @@ class TcpStream(asyncio.Protocol):
         except FrameError as error:
             self.end(str(error))
             return
+        except MemoryError:
+            self.end_out_of_memory()
+            return
         self._stop_reading()
+
+    def end_out_of_memory(self) -> None:
+        """End this connection alone; what it holds is freed for the words."""
+        self._splitter.clear()
+        try:
+            self.end(OUT_OF_MEMORY)
+        except MemoryError:
+            self.abort()
 
     def _take_turn_later(self) -> None:
         if not self._turn_waits:
@@ -268,7 +283,12 @@ class TcpStream(asyncio.Protocol):
         self.sent_messages += len(frames)
         self.sent_bytes += sum(map(len, frames))
         if self._transport is not None:
-            self._transport.writelines(frames)
+            try:
+                self._transport.writelines(frames)
+            except MemoryError:
+                # Part of a frame may have been written, behind which the client can be told nothing.
+                self._failure = OUT_OF_MEMORY
+                self.abort()
 
     def pause_writing(self) -> None:
         """Note that the socket takes no more."""

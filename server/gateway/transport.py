@@ -10,6 +10,7 @@ Of websockets it uses, beyond the documented interface: ``process_event``, ``sen
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import secrets
 import time
@@ -47,6 +48,9 @@ WRITE_LIMIT_BYTES = 32_768
 
 # What ends the head of an HTTP request.
 _END_OF_REQUEST = b"\r\n\r\n"
+
+# Reason of a connection's end, which is the client's and the log's.
+OUT_OF_MEMORY = "the server is out of memory for this message"
 
 # Clients send their request at once; one that takes longer only holds the connection (slow loris).
 REQUEST_TIMEOUT_S = 10.0
@@ -283,7 +287,7 @@ class WebSocket(ServerConnection):
             now_s = time.monotonic()
             if now_s - self._last_sent_s > BURST_S:
                 self._last_sent_s = now_s
-                self.transport.writelines(pieces)
+                self._write(pieces)
                 return True
             self.loop.call_soon(self._write_unsent)
         self._unsent += pieces
@@ -300,7 +304,7 @@ class WebSocket(ServerConnection):
             self._unsent += pieces
             self._unsent_bytes += size_bytes
         else:
-            self.transport.writelines(pieces)
+            self._write(pieces)
 
     @property
     def taken_bytes(self) -> int:
@@ -311,9 +315,15 @@ class WebSocket(ServerConnection):
 
     def _write_unsent(self) -> None:
         if self.protocol.state is _OPEN:
-            self.transport.writelines(self._unsent)
+            self._write(self._unsent)
         self._unsent.clear()
         self._unsent_bytes = 0
+
+    def _write(self, pieces: Sequence[bytes]) -> None:
+        try:
+            self.transport.writelines(pieces)
+        except MemoryError:
+            self.end_out_of_memory(mid_frame=True)
 
     def data_received(self, data: bytes) -> None:
         """Begin a turn with the bytes that the socket has received."""
@@ -326,10 +336,13 @@ class WebSocket(ServerConnection):
                 self._start_task(self._serve_at_once())
                 return
             self._start_task(self.server.handler(self))
-        if self._unread or not self._may_read:
-            self._unread += data
-        else:
-            self._take(data)
+        try:
+            if self._unread or not self._may_read:
+                self._unread += data
+            else:
+                self._take(data)
+        except MemoryError:
+            self.end_out_of_memory()
 
     def _open_at_once(self, data: bytes) -> bool:
         """Open the WebSocket for a plain request that is admitted; return False to leave the answer to websockets."""
@@ -453,9 +466,29 @@ class WebSocket(ServerConnection):
         data, self._unread = self._unread, b""
         if self.transport.is_closing():
             return
-        self._take(data)
+        try:
+            self._take(data)
+        except MemoryError:
+            self.end_out_of_memory()
+            return
         if not self._unread and self._may_read:
             self.transport.resume_reading()
+
+    def end_out_of_memory(self, *, mid_frame: bool = False) -> None:
+        """End this connection alone; a loop that gets the error ends it with a traceback, or leaves it standing still.
+
+        Args:
+            mid_frame: True when part of a frame may have been written, behind which the client can be told nothing.
+        """
+        self._unread, self._frames = b"", None
+        if self.protocol.state is _OPEN:
+            self.protocol.fail(CloseCode.INTERNAL_ERROR, OUT_OF_MEMORY)
+        if not mid_frame:
+            with contextlib.suppress(MemoryError):
+                self.send_data()
+                self.transport.close()
+                return
+        self.transport.abort()
 
     @property
     def _may_read(self) -> bool:

@@ -82,15 +82,15 @@ class StateTrace:
             return
         if state.joint_names != self._names:
             self._clear(state.joint_names)
-        values, at_s = np.concatenate(present), state.stamp_s
+        values, at_s = np.concatenate(present), state.clock_s
         self._fast.add(at_s, values)
-        # Also after the wall clock was put back.
+        # The clock of a process that has started again may be behind.
         if not 0.0 <= at_s - self._slow_s < SLOW_PERIOD_S:
             self._slow_s = at_s
             self._slow.add(at_s, values)
 
     def minute(self, end_s: float) -> Samples:
-        """Return the samples of the minute before a time [s since the epoch], oldest first."""
+        """Return the samples of the minute before a time of the arm's clock [s], oldest first."""
         fast_s, fast = self._fast.since(end_s - WINDOW_S)
         slow_s, slow = self._slow.since(end_s - WINDOW_S)
         before = slow_s < fast_s[0] if len(fast_s) else np.ones(len(slow_s), dtype=bool)
@@ -166,7 +166,7 @@ class FaultFiles:
     async def _write(self, series: FileSeries, about: dict[str, str], state: ArmState) -> None:
         now = datetime.fromtimestamp(state.stamp_s, UTC)
         name = f"{now:%Y%m%dT%H%M%S.%fZ}-{about['code']}"
-        head, samples = [*self._head(about, state)], self._trace.minute(state.stamp_s)
+        head, samples = [*self._head(about, state)], self._trace.minute(state.clock_s)
 
         # In a thread, as it takes some milliseconds.
         def content(_stem: str) -> bytes:
@@ -195,8 +195,9 @@ class FaultFiles:
         }
         if self._health is not None:
             yield {"kind": "health", **dataclasses.asdict(self._health)}
-        for line in self._log_ring.since(state.stamp_s - WINDOW_S):
-            fields = {"time_s": round(line.at_s - state.stamp_s, 3), "level": logging.getLevelName(line.level)}
+        now_s = self._clock()
+        for line in self._log_ring.since(now_s - WINDOW_S):
+            fields = {"time_s": round(line.monotonic_s - now_s, 3), "level": logging.getLevelName(line.level)}
             yield {"kind": "log", **fields, "process": line.process, "logger": line.logger, "text": line.text}
 
 

@@ -47,9 +47,9 @@ class LogRing:
                 self._characters -= len(self._lines.popleft().text)
 
     def since(self, from_s: float) -> list[LogLine]:
-        """Return the lines from a wall-clock time on [s since the epoch], in the order in which they came."""
+        """Return the lines from a monotonic time on [s], in the order in which they came."""
         with self._lock:
-            return [line for line in self._lines if line.at_s >= from_s]
+            return [line for line in self._lines if line.monotonic_s >= from_s]
 
     def offer(self, graph: Graph) -> None:
         """Offer the service, whose message has the lines."""

@@ -156,7 +156,7 @@ def _metrics_of(source: Source | None, metrics: Callable[[Source], Iterator[Metr
 
 def _fresh(health: ArmHealth | None) -> ArmHealth | None:
     """Return the arm's report, unless it is from before the arm was lost."""
-    if health is None or (time.time() - health.stamp_s) * health.real_time_factor > ARM_HEALTH_STALE_S:
+    if health is None or (time.monotonic() - health.monotonic_s) * health.real_time_factor > ARM_HEALTH_STALE_S:
         return None
     return health
 

@@ -59,14 +59,23 @@ class Diagnostics:
         graph: graph to publish on.
         robot_name: name of the hardware.
         fault_file: returns the latest file about a fault; None before.
+        clock: monotonic time [s].
     """
 
-    def __init__(self, graph: Graph, robot_name: str, fault_file: Callable[[], Path | None]) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        robot_name: str,
+        fault_file: Callable[[], Path | None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._graph = graph
         self._robot_name = robot_name
         self._fault_file = fault_file
         self._node = Node("diagnostics")
+        self._clock = clock
         self._state: ArmState | None = None
+        self._state_at_s = 0.0
         self._health: ArmHealth | None = None
         graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticArray")
 
@@ -75,13 +84,20 @@ class Diagnostics:
         while True:
             await asyncio.sleep(PERIOD_S)
             if self._state is not None:
-                file = self._fault_file()
-                message = diagnostic_array(self._state, self._health, time.time(), self._robot_name, file)
-                self._graph.publish(self._node, TOPIC, message)
+                self.publish(self._state)
+
+    def publish(self, state: ArmState) -> None:
+        """Publish a state with the latest report."""
+        now_s, health = self._clock(), self._health
+        health_age_s = 0.0 if health is None else now_s - health.monotonic_s
+        message = diagnostic_array(
+            state, health, time.time(), self._robot_name, now_s - self._state_at_s, health_age_s, self._fault_file()
+        )
+        self._graph.publish(self._node, TOPIC, message)
 
     def take_state(self, state: ArmState) -> None:
         """Keep the latest state."""
-        self._state = state
+        self._state, self._state_at_s = state, self._clock()
 
     def take_health(self, health: ArmHealth) -> None:
         """Keep the latest report."""
@@ -89,39 +105,47 @@ class Diagnostics:
 
 
 def diagnostic_array(
-    state: ArmState, health: ArmHealth | None, now_s: float, robot_name: str, fault_file: Path | None = None
+    state: ArmState,
+    health: ArmHealth | None,
+    stamp_s: float,
+    robot_name: str,
+    state_age_s: float,
+    health_age_s: float,
+    fault_file: Path | None = None,
 ) -> dict[str, Any]:
     """Return the diagnostic_msgs/DiagnosticArray: the arm first, then its servos.
 
     Args:
         state: latest state.
         health: latest report; None before the first.
-        now_s: wall-clock time [s since the epoch].
+        stamp_s: wall-clock time [s since the epoch].
         robot_name: name of the hardware.
+        state_age_s: time since the state came [s].
+        health_age_s: time since the report was made [s].
         fault_file: latest file about a fault.
     """
     arm = status(state, robot_name)
     if fault_file is not None:
         arm["values"] += key_values({"fault_file": str(fault_file)})
-    age_s = now_s - state.stamp_s
-    if age_s > STALE_AFTER_S:
-        arm |= {"level": LEVEL_STALE, "message": f"the last state of the arm is {age_s:.1f} s old"}
+    if state_age_s > STALE_AFTER_S:
+        arm |= {"level": LEVEL_STALE, "message": f"the last state of the arm is {state_age_s:.1f} s old"}
     statuses = [arm]
     if health is not None:
-        stale = state.mode is Mode.DISCONNECTED or (now_s - health.stamp_s) * health.real_time_factor > STALE_AFTER_S
+        stale = state.mode is Mode.DISCONNECTED or health_age_s * health.real_time_factor > STALE_AFTER_S
         arm["values"] += key_values(_arm_values(health))
         if health.real_time_factor < SLOW_FACTOR and arm["level"] == LEVEL_OK:
             share = f"{health.real_time_factor:.0%} of real time"
             arm |= {"level": LEVEL_WARN, "message": f"{arm['message']}, at {share}: this machine is busy"}
         statuses += [_joint_status(joint, health, state.fault, stale=stale) for joint in health.joints]
         arm["level"] = max(arm["level"], *(min(each["level"], LEVEL_WARN) for each in statuses))
-    return {"header": {"stamp": Stamp.from_seconds(now_s).as_message(), "frame_id": ""}, "status": statuses}
+    return {"header": {"stamp": Stamp.from_seconds(stamp_s).as_message(), "frame_id": ""}, "status": statuses}
 
 
 def _arm_values(health: ArmHealth) -> dict[str, str]:
     values = {
         "port": health.port,
         "real_time_priority": str(health.real_time).lower(),
+        "memory_locked": str(health.memory_locked).lower(),
         "real_time_factor": f"{health.real_time_factor:.2f}",
         "loop_lateness_ms": _percentiles_ms(health.lateness_s),
     }

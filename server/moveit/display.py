@@ -163,10 +163,10 @@ class TransformsTopics:
         """Publish a state of the arm, if there are subscribers and it is due."""
         if state.position_rad is None or not self._graph.subscribers(TRANSFORMS_TOPIC):
             return
-        # A clock that was set back must not silence the topic.
-        if 0.0 <= state.stamp_s - self._published_s < self._period_s - EARLY_S:
+        # The clock of a process that has started again may be behind; that must not silence the topic.
+        if 0.0 <= state.clock_s - self._published_s < self._period_s - EARLY_S:
             return
-        self._published_s = state.stamp_s
+        self._published_s = state.clock_s
         positions_rad = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
         self._graph.publish(self._node, TRANSFORMS_TOPIC, self._message(self._moving, positions_rad, state.stamp_s))
 

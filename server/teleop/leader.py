@@ -18,6 +18,9 @@ MAX_DELAY_S = 0.1
 # Time over which velocities are taken: one tick of an encoder between two readings at 100 Hz is 0.15 rad/s [s].
 VELOCITY_TIME_S = 0.05
 
+# A sample that is older than this was not overtaken by the one before: the leader's clock was set back [s].
+SET_BACK_S = 1.0
+
 # Lateness is forgotten after this time, so that one late sample does not delay the following for ever.
 REMEMBERED_S = 2.0
 
@@ -76,7 +79,7 @@ class JitterBuffer:
         self._jump = ""
 
     def add(self, sample: LeaderSample, now_s: float) -> None:
-        """Take a sample; one that is not newer than the last is dropped.
+        """Take a sample; one that is not newer than the last is dropped, unless the leader's clock was set back.
 
         Args:
             sample: the sample.
@@ -84,9 +87,12 @@ class JitterBuffer:
         """
         last = self._samples[-1] if self._samples else None
         if last is not None:
-            if sample.stamp_s <= last.stamp_s:
+            if last.stamp_s - SET_BACK_S < sample.stamp_s <= last.stamp_s:
                 return
             self._jump = self._jump or self._jump_between(last, sample)
+            if sample.stamp_s <= last.stamp_s:
+                self._samples.clear()
+                self._transits.clear()
         self._samples.append(sample)
         self._transits.append((now_s, now_s - sample.stamp_s))
         while self._transits[0][0] < now_s - REMEMBERED_S:

@@ -35,6 +35,9 @@ FULL_REFRESH_PERIOD_S = 5.0
 # Entities of other machines, far more than a few robots have: tokens that somebody invents must not grow the server.
 MAX_ENTITIES = 1_000
 
+# Ends of the topics that stop an arm, several, or one of several, which has them below its name; they always go out.
+STOPS = ("/stop", "/emergency_stop")
+
 
 def bridge_of(settings: ZenohSettings, graph: Graph, access: Access, max_message_bytes: int) -> Bridge | None:
     """Return the bridge that the settings ask for; None if zenoh is off.
@@ -135,10 +138,14 @@ class Sharing:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._network = network
-        # A machine that may command the arm must be able to stop it.
-        self._subscribe = NameFilter(settings.subscribe, lambda name: rule_of_topic(name, authorizer.arms).stops)
-        offer = NameFilter(settings.offer, lambda name: rule_of_service(name, authorizer.arms).stops)
-        self._publish, self._call = NameFilter(settings.publish), NameFilter(settings.call)
+        arms, takes_commands = authorizer.arms, bool(settings.subscribe or settings.offer)
+        # A machine that may command the arm must be able to stop it, by whichever way.
+        self._subscribe = NameFilter(
+            settings.subscribe, lambda name: takes_commands and rule_of_topic(name, arms).stops
+        )
+        offer = NameFilter(settings.offer, lambda name: takes_commands and rule_of_service(name, arms).stops)
+        self._publish = NameFilter(settings.publish, lambda name: name.endswith(STOPS))
+        self._call = NameFilter(settings.call)
         self._outgoing = OutgoingTopics(network, self._publish)
         self._incoming = IncomingTopics(network, self._subscribe, authorizer)
         self._offered = OfferedServices(network, offer, authorizer)

@@ -45,11 +45,11 @@ MAX_SHARED = 1_000
 
 
 class NameFilter:
-    """Patterns of names, one of which must match; without any, no name matches.
+    """Patterns of names, one of which must match.
 
     Args:
         patterns: ``*`` stands for any text, also with slashes in it, as in the globs of ``access``.
-        always: tells further names that match as soon as there is a pattern at all.
+        always: tells further names that match, whatever the patterns are.
     """
 
     def __init__(self, patterns: Iterable[str], always: Callable[[str], bool] = lambda _name: False) -> None:
@@ -67,9 +67,7 @@ class NameFilter:
         return matches
 
     def _match(self, name: str) -> bool:
-        if not self._expressions or not is_name(name):
-            return False
-        return self._always(name) or any(expression.match(name) for expression in self._expressions)
+        return is_name(name) and (self._always(name) or any(each.match(name) for each in self._expressions))
 
 
 class Namespace:

@@ -15,7 +15,7 @@ from server.errors import GraphError
 from server.graph.message_types import ReceivedMessage
 from server.graph.topics import Subscriber
 from server.zenoh.network import MAX_SHARED, Declared, NameFilter, Network
-from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of
+from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of, is_name
 from server.zenoh.session import ReceiveQueue
 
 if TYPE_CHECKING:
@@ -131,11 +131,21 @@ class OutgoingTopics:
     def _wanted(self, foreign: frozenset[str]) -> dict[str, tuple[Endpoint, bool]]:
         graph, found = self._network.graph, {}
         for name, type_name in graph.topic_types().items():
-            if self._names.matches(name) and set(graph.publishers(name)) - {self._network.node}:
+            if not set(graph.publishers(name)) - {self._network.node}:
+                continue
+            if not self._names.matches(name):
+                self._warn_of(name)
+            else:
                 endpoint = self._endpoint(name, type_name, foreign)
                 if endpoint is not None:
                     found[name] = endpoint, graph.is_latched(name)
         return found
+
+    def _warn_of(self, name: str) -> None:
+        """Warn that a topic does not go out, unless it is one that this server itself publishes or takes."""
+        network = self._network
+        if is_name(name) and not (network.is_own_publication(name) or network.is_own_subscription(name)):
+            network.warn(f"{name} of a client does not go to other machines; zenoh.publish does not list it")
 
     def _endpoint(self, name: str, type_name: str, foreign: frozenset[str]) -> Endpoint | None:
         # A client may publish to another server's topic, by its name there.

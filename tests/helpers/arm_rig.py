@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from robot.calibration import Calibration
-from robot.control.pacing import PERIOD_S, Pacer
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.supervisor import Supervisor
 from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
@@ -88,7 +88,7 @@ class ArmRig:
         self.alive = True
         self.config = ArmConfig(**{"robot": ROBOT, "hardware": METAL, **settings})
         self.supervisor = Supervisor(
-            self.config, lambda message, _: self.sent.append(message), self.clock, real_time=False
+            self.config, lambda message, _: self.sent.append(message), self.clock, Scheduling()
         )
         self.bus: Bus = self.emulator.open_bus()
         self.pacer = Pacer(self.clock())

@@ -47,6 +47,7 @@ class Site:
         port: where the session listens; None to connect.
         to: ports that it connects to.
         access: the section of that name.
+        arms: names of several arms; empty for one.
         max_message_bytes: of what comes in [bytes].
         settings: further ones of the section ``zenoh``.
     """
@@ -56,6 +57,7 @@ class Site:
         port: int | None = None,
         to: tuple[int, ...] = (),
         access: AccessSettings | None = None,
+        arms: tuple[str, ...] = (),
         max_message_bytes: int = 10_000_000,
         **settings: Any,
     ) -> None:
@@ -66,7 +68,7 @@ class Site:
         self.namespace = settings.get("namespace", "")
         self.graph = Graph(REGISTRY)
         self.part, self.client = Node("part"), Node("client", remote=True)
-        self.access = Access(access or AccessSettings(control="shared"))
+        self.access = Access(access or AccessSettings(control="shared"), arms=dict.fromkeys(arms, lambda: None))
         chosen = {"mode": "peer", "publish": (), **endpoints, **settings}
         self.bridge = Bridge(self.graph, ZenohSettings(**chosen), self.access, max_message_bytes)
         self._tasks: list[asyncio.Task[None]] = []
@@ -126,9 +128,10 @@ class RosMachine:
 
     Args:
         port: what it connects to.
+        domain_id: whose machines it sees.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, domain_id: int = 0) -> None:
         config = zenoh.Config()
         settings = {
             "connect/endpoints": [f"tcp/127.0.0.1:{port}"],
@@ -143,7 +146,7 @@ class RosMachine:
         self.session = zenoh.open(config)
         self.tokens: set[str] = set()
         self._declared: list[Any] = []
-        self.session.liveliness().declare_subscriber("@ros2_lv/0/**", self._on_token, history=True)
+        self.session.liveliness().declare_subscriber(f"@ros2_lv/{domain_id}/**", self._on_token, history=True)
 
     def __enter__(self) -> RosMachine:
         return self

@@ -23,7 +23,7 @@ from tests.helpers.zenoh_network import RosMachine, free_port
 
 STRING, JOINT_STATE = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 ERROR_CODES = "moveit_msgs::msg::dds_::MoveItErrorCodes_"
-SUCCESS = 1
+SUCCESS, PREEMPTED = 1, -7
 
 # A server ends within a second, and on a starved machine by its arm's clock.
 END_TIMEOUT_S = 60.0
@@ -61,7 +61,7 @@ def lab() -> Iterator[Lab]:
     port = free_port()
     endpoint = f'["tcp/127.0.0.1:{port}"]'
     arm_settings = zenoh_settings(
-        LISTEN=endpoint, NAMESPACE="/arm1", SUBSCRIBE='["/moveit_goal_*", "/stop"]', OFFER='["/arm/*"]'
+        LISTEN=endpoint, NAMESPACE="/arm1", SUBSCRIBE='["/moveit_goal_*"]', OFFER='["/arm/*"]'
     )
     viewer_settings = zenoh_settings(
         CONNECT=endpoint, PUBLISH='["/arm1/moveit_goal_*"]', SUBSCRIBE='["/arm1/*"]', CALL='["/arm1/*"]'
@@ -121,6 +121,22 @@ async def test_a_client_of_another_server_sees_the_arm_and_moves_it(ready_arm: L
         await client.publish("/arm1/moveit_goal_named", {"data": "rest"})
         results = await client.wait_for("/arm1/moveit_goal_result", bool)
     assert results[0]["val"] == SUCCESS, results[0]
+
+
+async def test_a_client_of_another_server_stops_the_arm_by_a_topic_that_is_listed_nowhere(ready_arm: Lab) -> None:
+    machine = ready_arm.machine
+    states = machine.hear("/arm1/joint_states", JOINT_STATE)
+    async with frame_client(ready_arm.viewer.url) as client:
+        await client.subscribe("/arm1/moveit_goal_result", "moveit_msgs/MoveItErrorCodes")
+        await client.send({"op": "advertise", "topic": "/arm1/stop", "type": "std_msgs/Empty"})
+        await until(lambda: states)
+        goal = "rest" if abs(states[-1][0].position[1]) < 0.5 else "home"
+        before = states[-1][0].position
+        machine.publish("/arm1/moveit_goal_named", STRING, data=goal)
+        await until(lambda: abs(states[-1][0].position - before).max() > 0.05)
+        await client.publish("/arm1/stop", {})
+        results = await client.wait_for("/arm1/moveit_goal_result", bool)
+    assert results[0]["val"] == PREEMPTED, results[0]
 
 
 async def call(url: str, service: str) -> Any:

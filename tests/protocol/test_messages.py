@@ -96,6 +96,20 @@ def test_the_path_of_a_wrong_element_in_an_array_of_messages_names_its_index():
 # Stamps
 
 
+@pytest.mark.parametrize(
+    ("seconds", "stamp"),
+    [
+        (2.0**31 - 0.5, Stamp(2**31 - 1, 500_000_000)),
+        (2.0**31 + 20.0, Stamp(2**31 - 1, 999_999_999)),
+        (1e12, Stamp(2**31 - 1, 999_999_999)),
+        (-(2.0**31) - 1.0, Stamp(-(2**31), 0)),
+    ],
+)
+def test_a_time_that_a_stamp_cannot_hold_is_the_nearest_that_it_can(seconds, stamp):
+    assert Stamp.from_seconds(seconds) == stamp
+    complete(REGISTRY, "std_msgs/Header", {"stamp": Stamp.from_seconds(seconds).as_message()}, RECEIVED)
+
+
 @pytest.mark.parametrize("value", [{}, {"header": {}}, {"header": {"frame_id": ""}}])
 def test_a_header_or_stamp_left_out_is_the_time_of_receipt(value):
     assert completed("sensor_msgs/JointState", value)["header"] == {"stamp": RECEIVED_TIME, "frame_id": ""}

@@ -228,7 +228,7 @@ async def test_limits_of_time_are_counted_on_the_clock_of_a_starved_arm(
 
 async def test_its_health_is_reported_once_a_second(rig: ArmOnServos) -> None:
     await until(lambda: len(rig.health) >= 2)
-    assert rig.health[1].stamp_s - rig.health[0].stamp_s > 0.5
+    assert rig.health[1].monotonic_s - rig.health[0].monotonic_s > 0.5
     assert [joint.joint for joint in rig.health[0].joints] == [joint.joint for joint in CALIBRATION.joints]
 
 
@@ -310,6 +310,34 @@ async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can
     for reason in ("Too many open files", "temporarily unavailable", "MemoryError", "can't start new thread"):
         assert any("cannot be started" in state.reason and reason in state.reason for state in rig.states)
         assert reason in caplog.text
+    await rig.arm.close()
+
+
+class NotedDelay(RestartDelay):
+    """Keeps for how long the processes ran."""
+
+    def __init__(self) -> None:
+        super().__init__(0.0, 0.0)
+        self.ran_s: list[float] = []
+
+    def after(self, ran_s: float) -> float:
+        self.ran_s.append(ran_s)
+        return super().after(ran_s)
+
+
+async def test_the_run_of_an_arm_process_begins_with_its_first_state(tmp_path: Path) -> None:
+    delay = NotedDelay()
+    rig = ArmOnServos(tmp_path, delay)
+    await rig.arm.launch()
+    for number in (1, 2):
+        assert rig.arm.pid is not None
+        os.kill(rig.arm.pid, signal.SIGKILL)
+        await until(lambda number=number: len(delay.ran_s) == number)
+        if number == 1:
+            await rig.arm.start(SOON_S)
+            await until(lambda: rig.arm.state.position_rad is not None)
+    assert delay.ran_s[0] == 0.0
+    assert delay.ran_s[1] > 0.0
     await rig.arm.close()
 
 

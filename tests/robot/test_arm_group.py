@@ -98,6 +98,14 @@ def test_a_state_of_all_has_the_joints_of_all_and_the_slowest_clock() -> None:
     assert state.age_s.tolist() == [1.0, 1.0, 0.0, 0.0]
 
 
+@pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
+def test_the_stamp_of_all_is_that_of_the_latest_reading_though_the_machines_clock_was_set(jump_s: float) -> None:
+    before, after = reading(LEFT, 1.0), replace(reading(RIGHT, 2.0), stamp_s=12.0 + jump_s)
+    lost = replace(before, mode=Mode.DISCONNECTED, stamp_s=12.0, clock_s=3.0)
+    for left in (before, lost):
+        assert joined_state({"left": left, "right": after}).stamp_s == 12.0 + jump_s
+
+
 @pytest.mark.parametrize(
     ("first", "second", "both"),
     [
@@ -162,11 +170,14 @@ def test_health_of_all_is_that_of_the_worst() -> None:
     one = ArmHealth(
         5.0, Mode.HOLDING, "/dev/a", (), BusCounters(10, 9, 1, 2, 3), (1.0, 2.0, 3.0), (1.0, 1.0, 1.0), True
     )
-    other = replace(one, port="/dev/b", lateness_s=(0.0, 5.0, 1.0), real_time=False, real_time_factor=0.5, stamp_s=4.0)
+    other = replace(
+        one, port="/dev/b", lateness_s=(0.0, 5.0, 1.0), real_time=False, real_time_factor=0.5, monotonic_s=4.0
+    )
     both = joined_health({"a": one, "b": other})
     assert both.port == "/dev/a, /dev/b"
     assert both.bus == BusCounters(20, 18, 2, 4, 6)
-    assert (both.lateness_s, both.real_time, both.real_time_factor, both.stamp_s) == ((1.0, 5.0, 3.0), False, 0.5, 4.0)
+    assert (both.lateness_s, both.real_time, both.real_time_factor) == ((1.0, 5.0, 3.0), False, 0.5)
+    assert both.monotonic_s == 4.0
 
 
 # Motions.

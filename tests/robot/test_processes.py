@@ -245,9 +245,14 @@ def test_the_delay_before_a_start_grows_to_its_bound() -> None:
     assert [delay.after(0.0) for _ in range(8)] == [0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0]
 
 
-def test_the_delay_begins_anew_behind_a_process_that_has_run_for_long() -> None:
+def test_a_process_that_has_run_for_a_while_is_replaced_at_once() -> None:
     delay = RestartDelay(0.2, 10.0)
-    assert [delay.after(ran_s) for ran_s in (3600.0, 9.9, 9.9, 10.0, 0.0)] == [0.2, 0.4, 0.8, 0.2, 0.4]
+    assert [delay.after(ran_s) for ran_s in (3600.0, 5.0, 1.0)] == [0.0, 0.0, 0.0]
+
+
+def test_the_delay_begins_anew_behind_a_process_that_has_run_for_a_while() -> None:
+    delay = RestartDelay(0.2, 10.0)
+    assert [delay.after(ran_s) for ran_s in (0.9, 0.9, 0.0, 1.0, 0.0, 0.9)] == [0.2, 0.4, 0.8, 0.0, 0.2, 0.4]
 
 
 FORKED = """

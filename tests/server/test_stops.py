@@ -15,32 +15,19 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from planners.pool import PlannerPool
-from planners.problem import Answer, Request
-from planners.scene import EMPTY_SCENE, Scene
-from protocol.registry import Registry
 from robot.messages import CommandDone, Mode, MotionEnded, Order, Setpoint
 from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Trajectory
 from server import arrival
-from server.arm.commissioning import Commissioning, Procedure
-from server.arm.services import ArmServices
-from server.arm.verifying import VerificationProcedure
 from server.arrival import arrived_in
-from server.config import ArmSettings, Settings
-from server.execution.parking import Parking
 from server.graph.node import Node
-from server.graph.topics import Graph
-from server.moveit.interface import MoveItInterface
-from server.teaching.taught_motion import TaughtMotion
 from tests.helpers.fake_arm import FakeArm
-from tests.helpers.moveit import ROBOT, DirectPool
+from tests.helpers.stage import REQUESTS, ServerStage, follow, inline_threads
 
 pytestmark = pytest.mark.stepped_time
 
-# Each motion of the arm, and the planners' time for each question [s].
+# Each motion of the arm [s].
 MOTION_S = 0.4
-PLANNING_S = 0.02
 
 # Everything that a request begins is over by then, or goes on until it is stopped [s].
 TRIAL_S = 4.0
@@ -50,22 +37,6 @@ MOST_STEPS = 80
 
 # To listen, to plan and make the way to the leader, and to begin to follow.
 LEAST_STEPS_OF_FOLLOWING = 12
-
-PAN = {"name": ["shoulder_pan"], "position": [0.4]}
-ARM_JOINTS = ROBOT.groups["arm"].joints
-WAVE = TaughtMotion(ARM_JOINTS, np.arange(6) * 0.2, np.linspace(0.1, 0.3, 6)[:, np.newaxis] * np.ones(len(ARM_JOINTS)))
-TRAJECTORY = {
-    "joint_names": list(ARM_JOINTS),
-    "points": [{"positions": [0.1, 0.0, 0.0, 0.0, 0.0], "time_from_start": {"sec": 2, "nanosec": 0}}],
-}
-
-
-class TimedPool(DirectPool):
-    """Planner whose answers take time."""
-
-    async def ask(self, request: Request, scene: Scene = EMPTY_SCENE) -> Answer:
-        await asyncio.sleep(PLANNING_S)
-        return await super().ask(request, scene)
 
 
 class TimedArm(FakeArm):
@@ -139,7 +110,7 @@ class SteppedCoroutine(Coroutine[Any, Any, Any]):
         yield from ()
 
 
-class Stage:
+class Stage(ServerStage):
     """Server without sockets, a client that asks for one motion, and another client that stops the arm.
 
     Attributes:
@@ -147,39 +118,12 @@ class Stage:
     """
 
     def __init__(self) -> None:
-        self.graph = Graph(Registry.load())
-        self.arm, pool = TimedArm(), cast("PlannerPool", TimedPool())
-        settings = Settings()
-        self.moveit = MoveItInterface(self.graph, ROBOT, settings, lambda _name, _value: None, self.arm.as_arm, pool)
-        parking = Parking(
-            self.arm.as_arm, ROBOT, ArmSettings(), settings.moveit, pool, self.moveit.scene, self.moveit.queue
-        )
-        ArmServices(self.graph, self.arm.as_arm, self.moveit.stop, parking.park)
-        self._commissioning = Commissioning(self.graph, self._verification)
-        self.moveit.start()
-        # Their time is that of the event loop.
-        clock = asyncio.get_running_loop().time
-        self.moveit.teleoperation._clock = self.moveit._servo._session._clock = clock
-        self.client, self.other = Node("client", remote=True), Node("other", remote=True)
-        self.answers: list[Any] = []
+        self.arm = TimedArm()
+        super().__init__(self.arm.as_arm)
+        self.other = Node("other", remote=True)
         self.steps = 0
         self._stop_at = 0
         self._stop: Callable[[], None] = lambda: None
-
-    def _verification(self, _procedure: str, _name: str) -> Procedure:
-        moveit = self.moveit
-        return VerificationProcedure(self.arm.as_arm, ROBOT, frozenset(), moveit.go_to, moveit.queue.cancel)
-
-    def publish(self, topic: str, type_name: str, message: dict[str, Any]) -> None:
-        if self.client not in self.graph.publishers(topic):
-            self.graph.advertise(self.client, topic, type_name)
-        self.graph.publish(self.client, topic, message)
-
-    def call(self, service: str, **request: Any) -> None:
-        self.graph.services.call(self.client, service, request, self.answers.append)
-
-    def send(self, action: str, type_name: str, **goal: Any) -> None:
-        self.graph.actions.send_goal(self.client, action, type_name, goal, self.answers.append)
 
     def stop_by_topic(self) -> None:
         self.graph.publish(self.other, "/stop", {})
@@ -234,82 +178,14 @@ class Stage:
 @asynccontextmanager
 async def staged() -> AsyncIterator[Stage]:
     stage = Stage()
-    await stage.moveit.teaching._motions.save("wave", WAVE)
+    await stage.save_wave()
     loop = asyncio.get_running_loop()
     loop.set_task_factory(stage.task)
     try:
         yield stage
     finally:
         loop.set_task_factory(None)
-        await stage._commissioning.close()
-        await stage.moveit.close()
-
-
-def verify(stage: Stage) -> None:
-    stage.call("/arm/commissioning/begin", procedure="verify", name="")
-    loop = asyncio.get_running_loop()
-    loop.call_later(0.05, lambda: stage.call("/arm/commissioning/answer", step="torque", answer="move"))
-
-
-def follow(stage: Stage) -> None:
-    """Follow a topic whose first sample comes later."""
-    stage.call("/teleop/start", leader="/glove")
-
-    async def lead() -> None:
-        for number in range(100):
-            await asyncio.sleep(0.02)
-            stamp = {"sec": 5, "nanosec": 20_000_000 * (number % 50)} if number < 50 else {"sec": 6, "nanosec": 0}
-            sample = {"header": {"stamp": stamp}, "name": ["shoulder_pan"], "position": [0.1 + 0.002 * number]}
-            stage.publish("/glove", "sensor_msgs/JointState", sample)
-
-    Context().run(lambda: stage.answers.append(asyncio.ensure_future(lead())))
-
-
-def jog(stage: Stage) -> None:
-    stage.publish(
-        "/servo_node/delta_joint_cmds",
-        "control_msgs/JointJog",
-        {"joint_names": ["shoulder_pan"], "velocities": [0.8], "displacements": [], "duration": 0.0},
-    )
-
-
-GROUP_GOAL = {
-    "request": {
-        "group_name": "arm",
-        "goal_constraints": [{"joint_constraints": [{"joint_name": "shoulder_pan", "position": 0.4}]}],
-    }
-}
-REQUESTS: dict[str, Callable[[Stage], None]] = {
-    "a named goal": lambda stage: stage.publish("/moveit_goal_named", "std_msgs/String", {"data": "ready"}),
-    "joints": lambda stage: stage.publish("/moveit_goal_joints", "sensor_msgs/JointState", PAN),
-    "a called goal": lambda stage: stage.call("/moveit_goal", joints=PAN),
-    "MoveGroup": lambda stage: stage.send("/move_action", "moveit_msgs/action/MoveGroup", **GROUP_GOAL),
-    "a trajectory": lambda stage: stage.send(
-        "/arm_controller/follow_joint_trajectory", "control_msgs/action/FollowJointTrajectory", trajectory=TRAJECTORY
-    ),
-    "the controller's topic": lambda stage: stage.publish(
-        "/arm_controller/joint_trajectory", "trajectory_msgs/JointTrajectory", TRAJECTORY
-    ),
-    "the gripper": lambda stage: stage.send(
-        "/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand", command={"position": 0.8}
-    ),
-    "a replay": lambda stage: stage.send("/replay_motion", "armbridge_msgs/action/ReplayMotion", name="wave"),
-    "parking": lambda stage: stage.call("/arm/park"),
-    "enabling": lambda stage: stage.call("/arm/enable"),
-    "a verification": verify,
-    "a following": follow,
-    "a jog": jog,
-}
-
-
-def inline_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have the work of threads done by the event loop, a step later: stepped time waits for no thread."""
-
-    async def run(work: Callable[..., Any], *arguments: Any) -> Any:
-        await asyncio.sleep(0.01)
-        return work(*arguments)
-
-    monkeypatch.setattr(asyncio, "to_thread", run)
+        await stage.close()
 
 
 @pytest.mark.parametrize("request_", REQUESTS.values(), ids=REQUESTS.keys())

@@ -15,6 +15,7 @@ import { SequencePlayer } from "./link/sequence";
 import { fetchServoHistory } from "./link/servo-history";
 import { Teaching } from "./link/teaching";
 import { JogSender, subscribeServoNode } from "./link/servo-node";
+import { subscribeSpeedLimit } from "./link/speed-limit";
 import { fetchActions, resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
 import { createPanel } from "./panel/panel";
 import { emptyState } from "./state/state";
@@ -44,6 +45,7 @@ function startPage(): void {
   subscribeControl(connection, store);
   subscribeCommissioning(connection, store);
   subscribeServoNode(connection, store);
+  subscribeSpeedLimit(connection, store);
   checkReachability(connection, store);
   new RegionScan(connection, store);
   subscribeDisplayedPlans(connection, store, moveGroup);

@@ -1,5 +1,7 @@
 import json as stdlib_json
 import math
+import subprocess
+import sys
 
 import pytest
 from hypothesis import given
@@ -157,3 +159,23 @@ def test_many_brackets_that_do_not_nest_are_taken():
 )
 def test_a_long_text_of_few_values_is_light(text, light):
     assert json.is_light(text) is light
+
+
+NO_MEMORY = """
+import resource
+from protocol.codecs import json
+
+text = b'{"data": "%s"}' % (b"x" * (60 << 20))
+with open("/proc/self/statm") as pages:
+    mapped_bytes = int(pages.read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (mapped_bytes + (20 << 20), resource.RLIM_INFINITY))
+try:
+    json.decode(text, light=True)
+except MemoryError:
+    print("no memory")
+"""
+
+
+def test_a_text_for_which_there_is_no_memory_does_not_end_the_process() -> None:
+    done = subprocess.run([sys.executable, "-c", NO_MEMORY], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (0, "no memory\n")

@@ -720,6 +720,9 @@ def test_a_motion_that_cannot_take_anothers_place_leaves_it_alone() -> None:
 
 LIMIT = 0.1
 
+# The rate of a motion is chosen so that no joint exceeds the limit; what is left is rounding.
+ROUNDING = 1.0 + 1e-6
+
 
 def limited(**joints: tuple[float, float]) -> Rig:
     rig = Rig()
@@ -732,7 +735,7 @@ def test_no_joint_of_a_motion_is_faster_than_the_speed_limit() -> None:
     rig = limited(shoulder_pan=(0.0, 1.0), wrist_roll=(0.0, -1.0))
     ended, _ = rig.until_end()
     assert ended.outcome is Outcome.REACHED
-    assert (rig.largest_step() <= LIMIT * BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN).all()
+    assert (rig.largest_step() <= LIMIT * BOUNDS.max_velocity * PERIOD_S * ROUNDING).all()
     assert rig.controller.goal_rad[0] == pytest.approx(1.0)
 
 
@@ -751,7 +754,7 @@ def test_a_speed_limit_that_is_lowered_slows_the_motion_in_progress() -> None:
         rig.tick()
     rig.goals = rig.goals[-2:]
     rig.until_end()
-    assert rig.largest_step()[0] <= LIMIT * BOUNDS.max_velocity[0] * PERIOD_S * STEP_MARGIN
+    assert rig.largest_step()[0] <= LIMIT * BOUNDS.max_velocity[0] * PERIOD_S * ROUNDING
 
 
 def test_no_joint_of_a_stream_is_faster_than_the_speed_limit() -> None:
@@ -762,7 +765,7 @@ def test_no_joint_of_a_stream_is_faster_than_the_speed_limit() -> None:
         rig.controller.steer(Setpoint(1, np.array([1.5, -1.0])))
         rig.tick()
     pan, roll = (rig.largest_step()[joint] / BOUNDS.max_velocity[joint] / PERIOD_S for joint in (0, 4))
-    assert max(pan, roll) == pytest.approx(LIMIT, rel=0.02)
+    assert 0.98 * LIMIT < max(pan, roll) <= LIMIT * ROUNDING
     assert rig.largest_step()[4] / rig.largest_step()[0] == pytest.approx(1.0 / 1.5, rel=0.05)
 
 
@@ -771,7 +774,7 @@ def test_a_grip_keeps_to_the_speed_limit() -> None:
     rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
     rig.controller.execute(Execute(1, move(gripper=(0.0, 1.0)), gripping=True))
     rig.until_end()
-    assert rig.largest_step()[5] <= LIMIT * BOUNDS.max_velocity[5] * PERIOD_S * STEP_MARGIN
+    assert rig.largest_step()[5] <= LIMIT * BOUNDS.max_velocity[5] * PERIOD_S * ROUNDING
 
 
 @pytest.mark.parametrize("limit", [0.0, 1.5, -1.0, math.nan])

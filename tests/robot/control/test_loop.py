@@ -10,7 +10,7 @@ import pytest
 
 from robot.channel import Channel
 from robot.control.loop import ArmLoop, hardware_source
-from robot.control.pacing import Pacer
+from robot.control.pacing import Pacer, Scheduling
 from robot.description.limits import within_calibration
 from robot.errors import PortError, PortNotFound
 from robot.hardware.clock import MAX_TICK_S
@@ -81,7 +81,7 @@ def test_an_unknown_adapter_is_an_error_when_it_is_opened() -> None:
 def test_sequences_go_on_when_every_tick_is_late() -> None:
     ours, theirs = socket.socketpair()
     with ours, theirs:
-        loop = ArmLoop(Channel(theirs), ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)), real_time=False)
+        loop = ArmLoop(Channel(theirs), ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)), Scheduling())
         supervisor = loop._supervisor
         supervisor.connect(loop._open())
         for tick in range(1000):

@@ -1,12 +1,26 @@
 from __future__ import annotations
 
+import ctypes
+import errno
 import gc
+import logging
+import resource
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.control.pacing import PERIOD_S, Pacer, become_punctual, percentiles
+from robot.control.pacing import (
+    MCL_CURRENT,
+    MCL_FUTURE,
+    MCL_ONFAULT,
+    PERIOD_S,
+    Pacer,
+    Scheduling,
+    become_punctual,
+    lock_memory,
+    percentiles,
+)
 
 
 def test_deadlines_are_absolute_so_that_lateness_does_not_add_up() -> None:
@@ -71,8 +85,73 @@ def test_a_process_that_may_not_be_punctual_goes_on_all_the_same(monkeypatch: py
     monkeypatch.setattr("os.sched_setscheduler", refuse)
     monkeypatch.setattr("os.nice", refuse)
     try:
-        assert not become_punctual()
+        assert become_punctual() == Scheduling(real_time=False, memory_locked=False)
         assert not gc.isenabled()
     finally:
         gc.enable()
         gc.unfreeze()
+
+
+class MemoryLocks:
+    """C library that notes calls of mlockall(2), and refuses them with an error number if there is one.
+
+    Args:
+        error: error number; 0 to take the call.
+    """
+
+    def __init__(self, error: int = 0) -> None:
+        self._error = error
+        self.flags: list[int] = []
+
+    def __call__(self, *_: object, **__: object) -> MemoryLocks:
+        return self
+
+    def mlockall(self, flags: int) -> int:
+        self.flags.append(flags)
+        ctypes.set_errno(self._error)
+        return -1 if self._error else 0
+
+
+@pytest.mark.parametrize("limit_bytes", [resource.RLIM_INFINITY, 1 << 30])
+def test_memory_is_locked_as_it_is_used(monkeypatch: pytest.MonkeyPatch, limit_bytes: int) -> None:
+    locks = MemoryLocks()
+    monkeypatch.setattr("ctypes.CDLL", locks)
+    monkeypatch.setattr("resource.getrlimit", lambda _: (limit_bytes, limit_bytes))
+    assert lock_memory()
+    assert locks.flags == [MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT]
+
+
+def test_under_a_low_limit_memory_is_not_locked_and_the_limit_is_logged(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    locks = MemoryLocks()
+    monkeypatch.setattr("ctypes.CDLL", locks)
+    monkeypatch.setattr("resource.getrlimit", lambda _: (8 << 20, 8 << 20))
+    with caplog.at_level(logging.INFO):
+        assert not lock_memory()
+    assert not locks.flags
+    assert "RLIMIT_MEMLOCK is 8388608 bytes" in caplog.text
+
+
+def test_memory_that_the_system_refuses_to_lock_is_logged(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("ctypes.CDLL", MemoryLocks(errno.ENOMEM))
+    monkeypatch.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    with caplog.at_level(logging.INFO):
+        assert not lock_memory()
+    assert "memory is not locked: mlockall: Cannot allocate memory" in caplog.text
+
+
+@pytest.mark.parametrize("real_time", [False, True])
+def test_memory_is_locked_only_with_real_time_priority(monkeypatch: pytest.MonkeyPatch, *, real_time: bool) -> None:
+    locks = MemoryLocks()
+    monkeypatch.setattr("ctypes.CDLL", locks)
+    monkeypatch.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    monkeypatch.setattr("robot.control.pacing.take_priority", lambda: real_time)
+    try:
+        assert become_punctual() == Scheduling(real_time, real_time)
+    finally:
+        gc.enable()
+        gc.unfreeze()
+    assert bool(locks.flags) == real_time

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from robot.control.cycle import ControlCycle
-from robot.control.pacing import PERIOD_S, Pacer
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.supervisor import SILENCE_BURST, SILENCE_LINES_PER_S, Watchdog, arm_health, arm_state, disconnected
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import SimulationClock
@@ -51,7 +51,7 @@ def test_a_disconnected_arm_has_a_reason_and_keeps_its_fault() -> None:
 def test_an_arm_that_was_not_read_has_no_positions(arm: ControlCycle, emulator: SteppedEmulator) -> None:
     state = arm_state(arm, Mode.CONNECTED, None, "", (), emulator.clock())
     assert state.position_rad is None
-    health = arm_health(arm, state, "port", Pacer(0.0), emulator.clock, real_time=False)
+    health = arm_health(arm, state, "port", Pacer(0.0), emulator.clock, Scheduling())
     assert all(math.isnan(joint.position_rad) for joint in health.joints)
     assert all(joint.warnings for joint in health.joints)
 
@@ -69,8 +69,9 @@ def test_the_real_time_factor_is_that_of_the_loops_clock(arm: ControlCycle) -> N
     clock = SimulationClock(0.0)
     clock.start_tick(0.04)
     state = arm_state(arm, Mode.CONNECTED, None, "", (), clock())
-    health = arm_health(arm, state, "port", Pacer(0.0), clock, real_time=False)
+    health = arm_health(arm, state, "port", Pacer(0.0), clock, Scheduling(real_time=True, memory_locked=True))
     assert health.real_time_factor == pytest.approx(0.5)
+    assert (health.real_time, health.memory_locked) == (True, True)
 
 
 def ideal_health() -> ArmHealth:

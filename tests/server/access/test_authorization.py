@@ -95,6 +95,7 @@ NEEDS = [
     (Role.OPERATE, "send_action_goal", ACTION),
     (Role.OPERATE, "call_service", {"service": "/arm/relax"}),
     (Role.OPERATE, "call_service", {"service": "/arm/park"}),
+    (Role.OPERATE, "call_service", {"service": "/arm/set_speed_limit"}),
     (Role.OPERATE, "call_service", {"service": "/dataset/start_episode"}),
     (Role.OPERATE, "publish", {"topic": "/dataset/episode"}),
     (Role.OPERATE, "call_service", {"service": "/apply_planning_scene"}),
@@ -441,6 +442,12 @@ def test_topics_that_stop_the_arm_are_open_to_viewers(name: str) -> None:
 def test_topics_that_move_the_arm_drive(name: str) -> None:
     assert authorization.rule_of_topic(name).drives
     assert authorization.rule_of_topic(name).role is Role.OPERATE
+
+
+@pytest.mark.parametrize("name", ["/arm/set_speed_limit", "/left/arm/set_speed_limit"])
+def test_the_speed_limit_needs_the_role_operate_and_no_control(name: str) -> None:
+    rule = authorization.rule_of_service(name, ("left", "right"))
+    assert (rule.role, rule.drives, rule.stops) == (Role.OPERATE, False, False)
 
 
 def test_services_of_clients_need_the_role_operate_and_no_control() -> None:

@@ -7,8 +7,9 @@ import pytest
 
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from robot.messages import ChangePace
-from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, STEP_BACK, ArmPace
+from robot.messages import MIN_SPEED_LIMIT, ChangePace
+from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, STEP_BACK, ArmPace
+from server.graph.namespace import Namespace
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.clients import ArmClient, values_of
@@ -118,9 +119,9 @@ class Desk:
         self.arm = FakeArm()
         ArmPace(self.graph, self.arm.as_arm)
 
-    def call(self, service: str) -> Any:
+    def call(self, service: str, **request: Any) -> Any:
         answers: list[Any] = []
-        self.graph.services.call(CLIENT, service, {}, answers.append)
+        self.graph.services.call(CLIENT, service, request, answers.append)
         return answers[0].values
 
 
@@ -135,6 +136,32 @@ async def test_without_a_motion_there_is_nothing_to_pause(desk: Desk, service: s
     assert not answer["success"]
     assert "holding" in answer["message"]
     assert desk.arm.changes == []
+
+
+@pytest.mark.parametrize("limit", [MIN_SPEED_LIMIT, 0.25, 1.0])
+async def test_a_speed_limit_is_passed_on(desk: Desk, limit: float) -> None:
+    answer = desk.call(SPEED_LIMIT, speed_limit=limit)
+    assert answer == {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
+    assert desk.arm.changes == [ChangePace(speed_limit=limit)]
+
+
+@pytest.mark.parametrize("limit", [0.0, 0.009, -0.5, 1.01, float("nan"), float("inf")])
+async def test_a_speed_limit_out_of_its_range_is_refused_with_range_value_and_what_brings_to_rest(
+    desk: Desk, limit: float
+) -> None:
+    answer = desk.call(SPEED_LIMIT, speed_limit=limit)
+    assert not answer["success"]
+    assert f"speed_limit must be 0.01 to 1, a share of the joints' velocity limits, not {limit:g}" in answer["message"]
+    assert PAUSE in answer["message"]
+    assert desk.arm.changes == []
+
+
+async def test_a_speed_limit_below_the_name_of_one_of_several_arms_is_that_of_this_arm(desk: Desk) -> None:
+    left = FakeArm()
+    ArmPace(Namespace(desk.graph, "left"), left.as_arm)
+    assert desk.call(f"/left{SPEED_LIMIT}", speed_limit=0.5)["success"]
+    assert (left.changes, desk.arm.changes) == ([ChangePace(speed_limit=0.5)], [])
+    assert "/left/arm/pause" in desk.call(f"/left{SPEED_LIMIT}", speed_limit=0.0)["message"]
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.25, 1.0])

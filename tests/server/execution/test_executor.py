@@ -582,8 +582,8 @@ def test_a_recording_is_a_trajectory_from_time_0() -> None:
     recorder = MotionRecorder()
     recorder.take_state(STATE)
     recorder.start()
-    for stamp_s in (6.0, 6.5):
-        recorder.take_state(replace(STATE, stamp_s=stamp_s))
+    for clock_s in (6.0, 6.5):
+        recorder.take_state(replace(STATE, clock_s=clock_s))
     way = recorder.finish(("b",))
     assert way is not None
     assert way.time_s.tolist() == [0.0, 0.5]
@@ -599,21 +599,22 @@ def test_a_recording_without_readings_is_none() -> None:
     assert recorder.finish(("a",)) is None
 
 
-def test_recorded_times_increase_though_a_clock_was_set_back() -> None:
+@pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
+def test_recorded_times_are_those_of_the_arms_clock_though_the_machines_is_set(jump_s: float) -> None:
     recorder = MotionRecorder()
     recorder.start()
-    for stamp_s in (6.0, 5.0, 6.0, 7.0):
-        recorder.take_state(replace(STATE, stamp_s=stamp_s))
+    for clock_s, stamp_s in ((6.0, 1e9), (6.5, 1e9 + jump_s), (6.5, 1e9 + jump_s), (7.0, 1e9 + 1.0)):
+        recorder.take_state(replace(STATE, clock_s=clock_s, stamp_s=stamp_s))
     way = recorder.finish(("a",))
     assert way is not None
-    assert way.time_s.tolist() == [0.0, 1.0]
+    assert way.time_s.tolist() == [0.0, 0.5, 1.0]
 
 
 def test_a_recording_is_bounded() -> None:
     recorder = MotionRecorder()
     recorder.start()
     for number in range(MAX_SAMPLES + 10):
-        recorder.take_state(replace(STATE, stamp_s=float(number)))
+        recorder.take_state(replace(STATE, clock_s=float(number)))
     way = recorder.finish(("a",))
     assert way is not None
     assert way.duration_s == MAX_SAMPLES - 1

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import itertools
 import json
+import logging
 import socket
 import ssl
 import time
@@ -25,7 +26,7 @@ from server.gateway import connection, raw_tcp
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.listener import Listener
 from server.gateway.raw_tcp import TcpStream
-from server.gateway.transport import WRITE_LIMIT_BYTES
+from server.gateway.transport import OUT_OF_MEMORY, WRITE_LIMIT_BYTES
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.rosapi import RosApi
@@ -191,6 +192,70 @@ async def test_a_stream_that_cannot_be_cut_is_told_why_and_closed(
     await until_empty(listener)
     assert status["msg"] in caplog.text
     assert list(graph.publishers("/t")) == [TALKER]
+
+
+class FullMemory(bytearray):
+    """Bytes to which none can be added."""
+
+    def __iadd__(self, _: object) -> FullMemory:  # type: ignore[override, misc]
+        raise MemoryError
+
+
+class FullSplitter:
+    """Splitter that finds no memory for a frame."""
+
+    speaks_bson = False
+
+    def add(self, _: bytes) -> None:
+        """Take bytes."""
+
+    def clear(self) -> None:
+        """Forget them."""
+
+    def next_frame(self) -> None:
+        raise MemoryError
+
+
+@pytest.mark.parametrize("place", ["add", "cut"])
+async def test_a_connection_whose_bytes_cannot_be_kept_is_told_so_and_closed_with_one_line(
+    listener: Listener, caplog: pytest.LogCaptureFixture, place: str
+) -> None:
+    async with await RawClient.connect(port_of(listener), speaks_bson=False) as client:
+        client.send(op="subscribe", id="s", topic="/t", type="std_msgs/String")
+        assert (await client.receive())["msg"] == {"data": "hello"}
+        (stream,) = streams_of(listener)
+        if place == "add":
+            stream._splitter._data = FullMemory()
+        else:
+            stream._splitter = FullSplitter()  # type: ignore[assignment]
+        client.send(op="publish", topic="/t", msg={"data": "own"})
+        assert await client.receive() == {"op": "status", "level": "error", "msg": OUT_OF_MEMORY}
+    await until_empty(listener)
+    (line,) = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    assert line.endswith(f"connection closed: {OUT_OF_MEMORY}")
+
+
+async def test_a_message_that_cannot_be_written_for_want_of_memory_ends_its_connection_alone(
+    graph: Graph, listener: Listener, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with await RawClient.connect(port_of(listener), speaks_bson=False) as client:
+        client.send(op="subscribe", id="s", topic="/t", type="std_msgs/String")
+        assert (await client.receive())["msg"] == {"data": "hello"}
+        (stream,) = streams_of(listener)
+        real = stream._transport
+
+        class FullTransport:
+            def writelines(self, _: object) -> None:
+                raise MemoryError
+
+            def __getattr__(self, name: str) -> Any:
+                return getattr(real, name)
+
+        stream._transport = FullTransport()  # type: ignore[assignment]
+        graph.publish(TALKER, "/t", {"data": "more"})
+        await until_empty(listener)
+    (line,) = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    assert line.endswith(f"connection closed: {OUT_OF_MEMORY}")
 
 
 async def test_what_came_before_an_error_is_carried_out(listener: Listener) -> None:

@@ -5,9 +5,10 @@ import contextlib
 import gc
 import json
 import logging
+import time
 import weakref
 from collections.abc import AsyncIterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from pydantic import SecretStr
@@ -107,6 +108,101 @@ async def test_a_connection_that_is_held_reads_on_where_it_stopped() -> None:
         assert link.server._unread == flood
         link.server.release_reading()
         assert await link.received(1000) == NUMBERS
+
+
+class FullMemory(bytes):
+    """Bytes to which none can be added."""
+
+    def __add__(self, _: bytes) -> bytes:  # type: ignore[override]
+        raise MemoryError
+
+
+class FullReader:
+    """Reader of frames that finds no memory for one."""
+
+    def next(self, *_: object) -> None:
+        raise MemoryError
+
+
+def lines_of_an_end(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+
+
+async def refused_for_memory(link: Link, caplog: pytest.LogCaptureFixture) -> None:
+    await asyncio.wait_for(link.client.wait_closed(), TIMEOUT_S)
+    async with asyncio.timeout(TIMEOUT_S):
+        while not lines_of_an_end(caplog):
+            await asyncio.sleep(0.005)
+    (line,) = lines_of_an_end(caplog)
+    assert transport.OUT_OF_MEMORY in line
+
+
+async def test_a_connection_whose_bytes_cannot_be_kept_is_closed_with_one_line(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with linked() as link:
+        await link.subscribe()
+        link.server.hold_reading()
+        link.server._unread = FullMemory(b"{")
+        link.server.transport.resume_reading()
+        await link.client.send("{}")
+        await refused_for_memory(link, caplog)
+        assert link.client.close_code == 1011
+        assert link.client.close_reason == transport.OUT_OF_MEMORY
+
+
+@pytest.mark.parametrize("held", [False, True], ids=["as it comes", "in a later turn"])
+async def test_a_connection_whose_message_cannot_be_read_for_want_of_memory_is_closed_with_one_line(
+    caplog: pytest.LogCaptureFixture, *, held: bool
+) -> None:
+    async with linked() as link:
+        await link.subscribe()
+        link.server._frames = FullReader()  # type: ignore[assignment]
+        if held:
+            link.server.hold_reading()
+            link.server.data_received(b"{}")
+            link.server.release_reading()
+        else:
+            await link.client.send("{}")
+        await refused_for_memory(link, caplog)
+        assert link.client.close_code == 1011
+
+
+async def test_a_connection_whose_long_message_finds_no_memory_in_a_thread_is_closed_with_one_line(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with linked() as link:
+        await link.subscribe()
+
+        def fail(*_: object, **__: object) -> None:
+            raise MemoryError
+
+        monkeypatch.setattr("protocol.codecs.json.orjson.loads", fail)
+        await link.client.send(json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * 3_000_000}}))
+        await refused_for_memory(link, caplog)
+        assert link.client.close_code == 1011
+
+
+@pytest.mark.parametrize("burst_s", [-1.0, 60.0], ids=["at once", "at the end of the turn"])
+async def test_a_message_that_cannot_be_written_for_want_of_memory_ends_its_connection_alone(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, burst_s: float
+) -> None:
+    monkeypatch.setattr(transport, "BURST_S", burst_s)
+    async with linked() as link:
+        await link.subscribe()
+        link.server._last_sent_s = time.monotonic()
+        real = link.server.transport
+
+        class FullTransport:
+            def writelines(self, _: object) -> None:
+                raise MemoryError
+
+            def __getattr__(self, name: str) -> Any:
+                return getattr(real, name)
+
+        link.server.transport = FullTransport()  # type: ignore[assignment]
+        link.graph.publish(TALKER, "/t", {"data": "hello"})
+        await refused_for_memory(link, caplog)
 
 
 async def test_text_that_is_no_utf8_ends_the_connection_with_its_code() -> None:

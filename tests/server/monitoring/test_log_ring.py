@@ -25,7 +25,7 @@ def ring() -> Iterator[LogRing]:
 
 
 def line(text: str, at_s: float = 0.0) -> LogLine:
-    return LogLine(at_s, logging.INFO, "armbridge.arm", "robot.control.loop", text)
+    return LogLine(at_s, logging.INFO, "armbridge.arm", "robot.control.loop", text, at_s)
 
 
 def texts(ring: LogRing, from_s: float = 0.0) -> list[str]:

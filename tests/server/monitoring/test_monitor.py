@@ -121,14 +121,23 @@ def test_absent_parts_have_no_metrics() -> None:
 
 def test_an_old_condition_is_not_told_as_if_it_were_the_present_one(sources: Sources) -> None:
     assert sources.arm_health is not None
-    sources.arm_health = replace(sources.arm_health, stamp_s=time.time() - ARM_HEALTH_STALE_S - 1.0)
+    sources.arm_health = replace(sources.arm_health, monotonic_s=time.monotonic() - ARM_HEALTH_STALE_S - 1.0)
     assert not [name for name in exposed(sources) if name.startswith(("armbridge_servo", "armbridge_bus"))]
+
+
+@pytest.mark.parametrize("jump_s", [3600.0, 6.3e8])
+def test_a_report_is_the_present_one_though_the_machines_clock_was_set(
+    sources: Sources, jump_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wall_clock = time.time
+    monkeypatch.setattr(time, "time", lambda: wall_clock() + jump_s)
+    assert exposed(sources)["armbridge_servo_temperature_celsius{joint=gripper}"] == 32
 
 
 def test_a_slow_simulated_arm_tells_its_condition_as_seldom_as_its_time_passes(sources: Sources) -> None:
     assert sources.arm_health is not None
-    stamp_s = time.time() - ARM_HEALTH_STALE_S - 1.0
-    sources.arm_health = replace(sources.arm_health, stamp_s=stamp_s, real_time_factor=0.25)
+    reported_s = time.monotonic() - ARM_HEALTH_STALE_S - 1.0
+    sources.arm_health = replace(sources.arm_health, monotonic_s=reported_s, real_time_factor=0.25)
     assert exposed(sources)["armbridge_arm_real_time_factor"] == 0.25
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
 from typing import Any
@@ -22,6 +23,8 @@ from server.monitoring.ros_topics import (
     MAX_WAITING,
     ROSOUT_TOPIC,
     SET_LEVELS,
+    TOPIC,
+    Diagnostics,
     Rosout,
     diagnostic_array,
     offer_level_services,
@@ -44,8 +47,10 @@ STATE = ArmState(100.0, Mode.HOLDING, ("elbow_flex",))
 NAN = float("nan")
 
 
-def statuses(state: ArmState = STATE, health: ArmHealth | None = HEALTH, now_s: float = 100.5) -> list[dict[str, Any]]:
-    told: list[dict[str, Any]] = diagnostic_array(state, health, now_s, "so101")["status"]
+def statuses(
+    state: ArmState = STATE, health: ArmHealth | None = HEALTH, health_age_s: float = 0.5, state_age_s: float = 0.5
+) -> list[dict[str, Any]]:
+    told: list[dict[str, Any]] = diagnostic_array(state, health, 1e9, "so101", state_age_s, health_age_s)["status"]
     return told
 
 
@@ -69,6 +74,12 @@ def test_an_ideal_joint_has_neither_temperature_nor_bus() -> None:
     assert not [key for key in values_of(arm) if key.startswith("bus")]
 
 
+def test_priority_and_memory_of_the_arm_process_are_reported() -> None:
+    values = values_of(statuses(health=replace(HEALTH, memory_locked=True))[0])
+    assert (values["real_time_priority"], values["memory_locked"]) == ("true", "true")
+    assert values_of(statuses()[0])["memory_locked"] == "false"
+
+
 def test_a_simulated_arm_that_a_busy_machine_slows_down_says_so() -> None:
     arm, servo = statuses(health=replace(HEALTH, real_time_factor=0.42))
     assert (arm["level"], arm["message"]) == (1, "the arm holds, at 42% of real time: this machine is busy")
@@ -79,10 +90,8 @@ def test_a_simulated_arm_that_a_busy_machine_slows_down_says_so() -> None:
 
 
 def test_a_slow_simulated_arm_reports_as_seldom_as_its_time_passes() -> None:
-    now_s = 108.0
-    state = replace(STATE, stamp_s=now_s)
-    assert statuses(state, replace(HEALTH, real_time_factor=0.25), now_s)[1]["level"] == 0
-    assert statuses(state, replace(HEALTH, real_time_factor=0.5), now_s)[1]["level"] == 3
+    assert statuses(health=replace(HEALTH, real_time_factor=0.25), health_age_s=8.0)[1]["level"] == 0
+    assert statuses(health=replace(HEALTH, real_time_factor=0.5), health_age_s=8.0)[1]["level"] == 3
 
 
 def test_a_fault_is_told_instead_of_slowness() -> None:
@@ -160,13 +169,27 @@ def test_a_simulated_servo_has_the_advice_for_simulated_ones() -> None:
 
 def test_a_servo_that_is_not_read_is_stale() -> None:
     assert statuses(health=replace(HEALTH, joints=(replace(SERVO, age_s=2.0),)))[1]["level"] == 3
-    assert statuses(now_s=104.0)[1]["level"] == 3
+    assert statuses(health_age_s=4.0)[1]["level"] == 3
     assert statuses(replace(STATE, mode=Mode.DISCONNECTED))[1]["level"] == 3
 
 
 def test_an_arm_process_that_says_nothing_more_is_stale() -> None:
-    arm = statuses(now_s=104.0)[0]
+    arm = statuses(state_age_s=4.0)[0]
     assert (arm["level"], arm["message"]) == (3, "the last state of the arm is 4.0 s old")
+
+
+@pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
+def test_an_arm_is_as_old_as_a_clock_says_that_is_never_set(jump_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph, now_s, heard = Graph(Registry.load()), 100.0, list[Any]()
+    diagnostics = Diagnostics(graph, "so101", lambda: None, lambda: now_s)
+    graph.subscribe(Node("test"), TOPIC, None, Subscriber(lambda published: heard.append(published.msg)))
+    diagnostics.take_state(STATE)
+    diagnostics.take_health(HEALTH)
+    monkeypatch.setattr(time, "time", lambda: STATE.stamp_s + jump_s)
+    diagnostics.publish(STATE)
+    now_s += 4.0
+    diagnostics.publish(STATE)
+    assert [[each["level"] for each in message["status"]] for message in heard] == [[0, 0], [3, 3]]
 
 
 def test_before_the_first_report_there_is_the_arm_alone() -> None:

@@ -117,9 +117,9 @@ class Screen:
             )
             self.heard += [published.msg for published in before]
 
-    def show(self, stamp_s: float, position_rad: float = 0.0) -> None:
+    def show(self, clock_s: float, position_rad: float = 0.0, stamp_s: float = 0.0) -> None:
         positions = np.full(len(JOINTS), position_rad)
-        self.topics.take_state(ArmState(stamp_s, Mode.HOLDING, JOINTS, position_rad=positions))
+        self.topics.take_state(ArmState(stamp_s, Mode.HOLDING, JOINTS, position_rad=positions, clock_s=clock_s))
 
 
 @pytest.fixture
@@ -141,7 +141,7 @@ def test_both_transform_topics_together_place_every_link_as_forward_kinematics_d
 
 
 def test_transforms_are_stamped_with_the_time_of_the_reading(screen: Screen) -> None:
-    screen.show(12.25)
+    screen.show(1.0, stamp_s=12.25)
     assert screen.heard[-1]["transforms"][0]["header"]["stamp"] == {"sec": 12, "nanosec": 250_000_000}
 
 
@@ -153,7 +153,16 @@ def test_transforms_come_at_most_at_their_rate(rate_hz: float) -> None:
     assert len(screen.heard) == pytest.approx(1 + rate_hz, abs=1)
 
 
-def test_a_clock_that_is_set_back_does_not_silence_transforms(screen: Screen) -> None:
+@pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
+def test_a_machines_clock_that_is_set_neither_silences_transforms_nor_brings_more(
+    screen: Screen, jump_s: float
+) -> None:
+    for tick in range(100):
+        screen.show(10.0 + tick * 0.01, stamp_s=1e9 + tick * 0.01 + (tick % 2) * jump_s)
+    assert len(screen.heard) == pytest.approx(1 + 50, abs=1)
+
+
+def test_transforms_go_on_when_an_arm_begins_with_another_clock(screen: Screen) -> None:
     screen.show(1000.0)
     screen.show(500.0)
     assert len(screen.heard) == 3

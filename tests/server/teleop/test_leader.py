@@ -121,3 +121,17 @@ def test_a_pose_is_always_between_samples(steps: list[tuple[float, float, float]
         assert pose is not None
         assert -1.0 - 1e-6 <= pose.positions_rad["a"] <= 1.0 + 1e-6
         assert pose.latency_s >= 0.0
+
+
+@pytest.mark.parametrize("jump_s", [-3600.0, 3600.0, -6e8, 6e8])
+def test_a_leader_whose_clock_is_set_is_followed_on(jump_s: float) -> None:
+    buffer = JitterBuffer({"pan": 2.0}, max_delay_s=0.0)
+    for number in range(100):
+        now_s = number / 100
+        buffer.add(LeaderSample(now_s + (jump_s if number >= 50 else 0.0), {"pan": now_s}), now_s)
+        assert buffer.age_s(now_s) == 0.0
+        pose = buffer.pose(now_s)
+        assert pose is not None
+        assert pose.positions_rad == {"pan": now_s}
+        assert abs(pose.velocity_rad_s["pan"]) < 1.1
+    assert buffer.take_jump() == ""

@@ -24,7 +24,7 @@ from tests.test_readme import blocks
 
 # The bridge.
 
-STRING = "std_msgs/msg/String"
+STRING, EMPTY = "std_msgs/msg/String", "std_msgs/msg/Empty"
 
 
 async def test_servers_find_each_other_in_whichever_order_they_start() -> None:
@@ -40,8 +40,9 @@ async def test_other_domains_are_neither_seen_nor_heard() -> None:
     port = free_port()
     async with Site(port, domain_id=7, publish=("/news",)) as site:
         site.graph.advertise(site.part, "/news", STRING)
-        with RosMachine(port) as machine:
-            await asyncio.sleep(0.1)
+        with RosMachine(port) as machine, RosMachine(port, domain_id=7) as inside:
+            # What one of the machines there sees, the other would have seen as well.
+            await until(lambda: inside.has_token("/MP/%/%/armbridge/%news"))
             assert machine.tokens == set()
 
 
@@ -84,7 +85,6 @@ async def test_with_certificates_only_who_has_one_takes_part(tmp_path: Path) -> 
         site.graph.advertise(site.part, "/news", STRING)
         async with Site(config_file=stranger, **connect) as other, Site(config_file=viewer, **connect) as known:
             await until(lambda: known.graph.topic_type("/news") == STRING)
-            await asyncio.sleep(0.2)
             assert other.graph.topic_type("/news") is None
 
 
@@ -162,6 +162,48 @@ async def test_a_network_that_may_send_goals_may_stop_the_arm() -> None:
             await until(lambda: machine.has_token("/SS/%/%/armbridge/%arm%stop/"))
             assert not machine.has_token("%moveit_goal_joints")
             assert not machine.has_token("%arm%relax")
+
+
+@pytest.mark.parametrize("publish", [(), ("/arm1/moveit_goal_*",)])
+@pytest.mark.parametrize("stop", ["/stop", "/emergency_stop", "/left/stop", "/left/emergency_stop"])
+async def test_a_stop_reaches_the_other_arm_whatever_is_published(stop: str, publish: tuple[str, ...]) -> None:
+    port = free_port()
+    async with (
+        Site(port, namespace="/arm1", arms=("left", "right"), subscribe=("/moveit_goal_*",)) as arm,
+        Site(to=(port,), publish=publish, subscribe=("/arm1/*",)) as edge,
+    ):
+        stops = arm.hear(stop, EMPTY, arm.part)
+        edge.graph.advertise(edge.client, f"/arm1{stop}", EMPTY)
+        edge.graph.publish(edge.client, f"/arm1{stop}", {}, lifespan_s=TIMEOUT_S)
+        await until(lambda: stops)
+
+
+async def test_an_arm_that_others_command_by_calls_alone_takes_their_stop() -> None:
+    port = free_port()
+    async with Site(port, offer=("/moveit_goal",)) as site:
+        stops = site.hear("/stop", EMPTY, site.part)
+        with RosMachine(port) as machine:
+            await until(lambda: machine.has_token("/MS/%/%/armbridge/%stop/"))
+            machine.publish("/stop", EMPTY)
+            await until(lambda: stops)
+
+
+async def test_a_topic_of_a_client_that_does_not_go_out_is_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
+    port = free_port()
+    async with Site(port, publish=("/arm1/moveit_goal_named",)) as edge:
+        edge.hear("/moveit_goal_named", STRING, edge.part)
+        for name in ("/arm1/moveit_goal_named", "/arm1/stop", "/moveit_goal_named", "/arm1/moveit_goal_pose"):
+            edge.graph.advertise(edge.client, name, STRING)
+        await until(lambda: "zenoh.publish" in caplog.text)
+        edge.graph.unadvertise(edge.client, "/arm1/moveit_goal_pose")
+        edge.graph.advertise(edge.client, "/arm1/moveit_goal_pose", STRING)
+        edge.graph.advertise(edge.client, "/arm1/last", STRING)
+        await until(lambda: "/arm1/last" in caplog.text)
+    warned = [record.message for record in caplog.records if "zenoh.publish" in record.message]
+    assert warned == [
+        f"zenoh: {name} of a client does not go to other machines; zenoh.publish does not list it"
+        for name in ("/arm1/moveit_goal_pose", "/arm1/last")
+    ]
 
 
 async def test_an_error_does_not_end_the_sharing(

@@ -118,9 +118,9 @@ def test_no_pattern_fits_nothing() -> None:
     assert not NameFilter([]).matches("/joint_states")
 
 
-def test_further_names_go_along_with_the_first_pattern() -> None:
-    assert NameFilter(["/goal"], lambda name: name == "/stop").matches("/stop")
-    assert not NameFilter([], lambda name: name == "/stop").matches("/stop")
+@pytest.mark.parametrize("patterns", [[], ["/goal"]])
+def test_further_names_match_whatever_the_patterns_are(patterns: list[str]) -> None:
+    assert NameFilter(patterns, lambda name: name == "/stop").matches("/stop")
 
 
 def test_a_name_that_is_a_pattern_of_keys_is_never_shared() -> None:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from typing import Any
 
 import pytest
@@ -126,7 +125,7 @@ async def test_a_service_that_moves_the_arm_needs_control_of_it() -> None:
     port = free_port()
     async with Site(port, offer=("/arm/*",), access=AccessSettings(control="lease")) as site:
         offered(site, "/arm/enable")
-        site.access.lease.drive(site.client, time.monotonic())
+        site.access.lease.drive(site.client, asyncio.get_running_loop().time())
         with RosMachine(port) as machine:
             (reply,) = await replies(machine, "/arm/enable")
     assert reply.err is not None

@@ -5,8 +5,8 @@ import contextlib
 import logging
 import queue
 import threading
-import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import zenoh
@@ -81,10 +81,13 @@ def test_a_job_that_fails_ends_no_other(opened: Opened, caplog: pytest.LogCaptur
 
 
 def test_work_submitted_before_the_end_is_done(opened: Opened) -> None:
-    done = threading.Event()
-    opened.thread.submit(lambda _session: time.sleep(0.05))
+    go_on, done = threading.Event(), threading.Event()
+    opened.thread.submit(lambda _session: go_on.wait(TIMEOUT_S))
     opened.thread.submit(lambda _session: done.set())
-    assert opened.thread.close()
+    with ThreadPoolExecutor(1) as other:
+        closed = other.submit(opened.thread.close)
+        go_on.set()
+        assert closed.result(TIMEOUT_S)
     assert done.is_set()
 
 

@@ -6,7 +6,6 @@ import functools
 import itertools
 import logging
 import struct
-import time
 
 import pytest
 import zenoh
@@ -149,14 +148,15 @@ async def test_a_goal_of_a_ros_2_machine_reaches_the_part_that_takes_goals() -> 
 
 async def test_no_goal_is_lost_when_its_sender_is_discovered_or_goes() -> None:
     port, topic = free_port(), "/moveit_goal_named"
-    async with Site(port, subscribe=GOALS) as site, asyncio.timeout(TIMEOUT_S):
+    unbounded = AccessSettings(goals_per_s=1_000.0, goal_burst=10_000)
+    async with Site(port, subscribe=GOALS, access=unbounded) as site, asyncio.timeout(TIMEOUT_S):
         goals, sent = site.hear(topic, STRING, site.part), 0
 
         async def send() -> None:
             nonlocal sent
             machine.publish(topic, STRING, data=str(sent))
             sent += 1
-            await asyncio.sleep(0.001)
+            await until(lambda: sent - len(goals) < 10)
 
         with RosMachine(port) as machine:
             await listening(machine)
@@ -200,12 +200,14 @@ async def test_nothing_comes_in_that_fits_no_pattern() -> None:
     port = free_port()
     async with Site(port, subscribe=("/camera/*",)) as site:
         goals = site.hear("/moveit_goal_named", STRING, site.part)
+        names = site.hear("/camera/name", STRING)
         with RosMachine(port) as machine:
             machine.announce_topic("/camera/name", STRING)
             machine.announce_topic("/moveit_goal_named", STRING)
             await listening(machine, "%camera%name")
             machine.publish("/moveit_goal_named", STRING, data="ready")
-            await asyncio.sleep(0.1)
+            machine.publish("/camera/name", STRING, data="front")
+            await until(lambda: names)
             assert not machine.has_token("/MS/%/%/armbridge/%moveit_goal_named")
     assert goals == []
 
@@ -221,10 +223,11 @@ async def test_received_messages_are_not_sent_back() -> None:
             machine.publish("/chat", STRING, data="hello")
             await until(lambda: heard)
             site.graph.publish(site.client, "/chat", {"data": "answer"})
-            await until(lambda: [message.data for message, _ in echoes] == ["hello", "answer"])
-            await asyncio.sleep(0.05)
-    assert len(echoes) == 2
-    assert len(heard) == 2
+            await until(lambda: len(echoes) == 2)
+            machine.publish("/chat", STRING, data="end")
+            await until(lambda: len(echoes) == 3 and heard[-1].msg["data"] == "end")
+    assert [message.data for message, _ in echoes] == [message.msg["data"] for message in heard]
+    assert [message.msg["data"] for message in heard] == ["hello", "answer", "end"]
 
 
 async def test_topics_of_other_machines_are_not_announced_as_this_servers() -> None:
@@ -242,25 +245,28 @@ async def test_another_machine_cannot_speak_for_the_arm(caplog: pytest.LogCaptur
     port = free_port()
     async with Site(port, subscribe=("/*",)) as site:
         site.graph.advertise(site.part, "/joint_states", STRING)
-        heard = site.hear("/joint_states")
+        heard, news = site.hear("/joint_states"), site.hear("/news", STRING)
         with RosMachine(port) as machine:
             machine.announce_topic("/joint_states", STRING)
             machine.announce_topic("/news", STRING)
             await listening(machine, "%news")
             machine.publish("/joint_states", STRING, data="false")
-            await asyncio.sleep(0.1)
+            machine.publish("/news", STRING, data="true")
+            await until(lambda: news)
     assert heard == []
     assert "set zenoh.namespace on one of them" in caplog.text
 
 
 async def test_a_publisher_of_another_type_does_not_keep_goals_away() -> None:
     port = free_port()
-    async with Site(port, subscribe=GOALS) as site:
+    async with Site(port, subscribe=(*GOALS, "/news")) as site:
         goals = site.hear("/moveit_goal_named", STRING, site.part)
         with RosMachine(port) as machine:
             machine.announce_topic("/moveit_goal_named", "std_msgs/msg/Bool")
+            machine.announce_topic("/news", STRING)
             await listening(machine)
-            await asyncio.sleep(0.1)
+            # Announced after the other, and so known after it.
+            await until(lambda: site.graph.topic_type("/news") == STRING)
             machine.publish("/moveit_goal_named", STRING, data="ready")
             await until(lambda: goals)
 
@@ -281,10 +287,11 @@ async def test_a_goal_that_was_latched_before_the_server_came_does_not_move_the_
             goals = site.hear("/moveit_goal_named", STRING, site.part)
             async with site:
                 await listening(machine)
-                await asyncio.sleep(0.1)
                 publisher.put(machine.message(STRING, data="new"))
                 await until(lambda: goals)
-    assert [goal.msg["data"] for goal in goals] == ["new"]
+                publisher.put(machine.message(STRING, data="newer"))
+                await until(lambda: len(goals) > 1)
+    assert [goal.msg["data"] for goal in goals] == ["new", "newer"]
 
 
 async def test_a_key_for_all_topics_is_for_none() -> None:
@@ -340,7 +347,7 @@ async def test_while_a_client_controls_the_arm_others_send_no_goals_but_stop_it(
             site.hear("/moveit_goal_named", STRING, site.part),
             site.hear("/stop", "std_msgs/msg/Empty", site.part),
         )
-        assert site.access.lease.drive(site.client, time.monotonic()) is None
+        assert site.access.lease.drive(site.client, asyncio.get_running_loop().time()) is None
         with RosMachine(port) as machine:
             await listening(machine, "%stop")
             machine.publish("/moveit_goal_named", STRING, data="ready")
@@ -358,7 +365,9 @@ async def test_a_topic_of_another_version_of_its_type_is_told_once(caplog: pytes
         with RosMachine(port) as machine:
             machine.announce("MP", "/news", f"std_msgs::msg::dds_::String_/RIHS01_{'0' * 64}")
             await until(lambda: "another version of std_msgs/msg/String" in caplog.text)
-            await asyncio.sleep(0.1)
+            machine.announce("MP", "/news", f"std_msgs::msg::dds_::String_/RIHS01_{'0' * 64}")
+            machine.announce_topic("/camera/news", STRING)
+            await until(lambda: site.graph.topic_type("/camera/news") == STRING)
     assert caplog.text.count("another version") == 1
     assert site.graph.topic_type("/news") is None
 

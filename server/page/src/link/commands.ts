@@ -1,4 +1,4 @@
-import { armGripper, gripperAction } from "../logic/joints";
+import { armGripper, armNamespace, gripperAction } from "../logic/joints";
 import type { State, SuggestedGoal } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
@@ -36,10 +36,10 @@ export class ArmCommands {
     await this.attempt(() => this.connection.call("/delete_robot_state", { name, robot: "" }));
   }
 
-  /** Call one of the arm's Trigger services, such as `/arm/relax`; return its success. */
-  async trigger(service: string): Promise<boolean> {
+  /** Call one of the arm's services that answer as a Trigger, such as `/arm/relax`; return its success. */
+  async trigger(service: string, request: object = {}): Promise<boolean> {
     return this.attempt(async () => {
-      const { success, message } = await this.connection.call<TriggerResponse>(service, {});
+      const { success, message } = await this.connection.call<TriggerResponse>(service, request);
       setNotice(this.store, "order", success ? "" : `${service}: ${message}`);
       return success;
     });
@@ -53,6 +53,11 @@ export class ArmCommands {
   /** Set the speed along the path, of the present motion and of later ones. */
   setSpeedFactor(factor: number): void {
     this.attempt(() => this.connection.publish("/arm/speed_factor", "std_msgs/Float64", { data: factor }));
+  }
+
+  /** Set the share of the joints' speed limits that no motion of the planning group's arm exceeds; return the success. */
+  async setSpeedLimit(limit: number): Promise<boolean> {
+    return this.trigger(`${armNamespace(this.store.state)}/arm/set_speed_limit`, { speed_limit: limit });
   }
 
   /** Select the joint group that goals are for, of this page and of the server's goal topics. */

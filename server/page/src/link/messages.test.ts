@@ -95,9 +95,9 @@ test("values by name leave out what is no number", () => {
 });
 
 test("the arm's state has fault and remedy", () => {
-  const arm = readArmState(status({ mode: "fault", fault: "overload", fault_remedy: "Lift it.", speed_factor: "0.5" }));
-  expect(arm).toMatchObject({ mode: "fault", fault: "overload", fault_remedy: "Lift it.", speed_factor: 0.5 });
-  expect(readArmState(status({})).mode).toBe("disconnected");
+  const arm = readArmState(status({ mode: "fault", fault: "overload", fault_remedy: "Lift it.", speed_factor: "0.5", speed_limit: "0.1" }));
+  expect(arm).toMatchObject({ mode: "fault", fault: "overload", fault_remedy: "Lift it.", speed_factor: 0.5, speed_limit: 0.1 });
+  expect(readArmState(status({ speed_limit: "?" }))).toMatchObject({ mode: "disconnected", speed_limit: 1 });
 });
 
 test("a refused goal has its code, its sentence and what would work", () => {

@@ -387,7 +387,10 @@ function keyValues(status: DiagnosticStatus): Record<string, string> {
 /** Read a message of /arm/state. */
 export function readArmState(status: DiagnosticStatus): ArmState {
   const values = keyValues(status);
-  const speed_factor = Number(values["speed_factor"] ?? 1);
+  const share = (key: string): number => {
+    const value = Number(values[key] ?? 1);
+    return Number.isFinite(value) ? value : 1;
+  };
   return {
     mode: values["mode"] ?? "disconnected",
     message: status.message,
@@ -396,7 +399,8 @@ export function readArmState(status: DiagnosticStatus): ArmState {
     fault_remedy: values["fault_remedy"] ?? "",
     fault_joint: values["fault_joint"] ?? "",
     reason: values["reason"] ?? "",
-    speed_factor: Number.isFinite(speed_factor) ? speed_factor : 1,
+    speed_factor: share("speed_factor"),
+    speed_limit: share("speed_limit"),
     course: values["course"] ?? "forward",
   };
 }

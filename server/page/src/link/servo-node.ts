@@ -28,7 +28,7 @@ type ArmKind = keyof typeof COMMAND_TYPES;
 const DESCRIPTION = ["limits", "urdf", "srdf", "group", "actions"] as const;
 
 /** Call back with the namespace of the planning group's arm, now and whenever it is another. */
-function onArm(store: PageStore, listener: (namespace: string) => void): void {
+export function onArm(store: PageStore, listener: (namespace: string) => void): void {
   let known: string | null = null;
   const update = (state: State): void => {
     const namespace = armNamespace(state);

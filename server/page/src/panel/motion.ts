@@ -94,10 +94,10 @@ function savePoseForm(commands: ArmCommands): HTMLElement {
 /** Least fraction of the joints' speed limits; below it a motion takes minutes. */
 const MIN_SPEED = 0.01;
 
-/** Create the sliders for the speed of new motions and of the present one, and the buttons along its path. */
+/** Create the sliders for the speed of new motions, of the present one, and of every motion at most. */
 function speedControls(context: PanelContext): HTMLElement {
   const pace = permissionFieldset(context, "drive", executionPace(context));
-  return el("div", { class: "rows" }, planningSpeed(context), pace);
+  return el("div", { class: "rows" }, planningSpeed(context), pace, permissionFieldset(context, "work", speedLimit(context)));
 }
 
 function fractionSlider(testid: string, label: string, least: number): HTMLInputElement {
@@ -131,6 +131,27 @@ function executionPace({ store, commands }: PanelContext): HTMLElement {
     },
   );
   return el("label", { class: "line" }, el("span", { text: t("move.pace") }), input, text);
+}
+
+function speedLimit({ store, commands }: PanelContext): HTMLElement {
+  const input = fractionSlider("speed-limit", t("move.limit"), MIN_SPEED);
+  const text = el("output", { testid: "speed-limit-text" });
+  const show = (limit: number): void => {
+    input.value = String(limit);
+    setText(text, `${Math.round(limit * 100)} %`);
+  };
+  // At the release of the slider: each value on the way would be a line of the server's log.
+  input.addEventListener("change", async () => {
+    if (!(await commands.setSpeedLimit(Number(input.value)))) show(store.state.speed_limit);
+  });
+  input.addEventListener("input", () => setText(text, `${Math.round(Number(input.value) * 100)} %`));
+  store.subscribe(
+    (state) => state.speed_limit,
+    (limit) => {
+      if (!input.matches(":active")) show(limit);
+    },
+  );
+  return el("label", { class: "line" }, el("span", { text: t("move.limit") }), input, text);
 }
 
 /** Create the button that lowers the torque; the bar offers to hold again. */

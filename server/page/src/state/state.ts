@@ -74,6 +74,8 @@ export interface ArmState {
   fault_joint: string;
   reason: string;
   speed_factor: number;
+  /** Share of the joints' speed limits that no motion exceeds. */
+  speed_limit: number;
   course: string;
 }
 
@@ -410,6 +412,8 @@ export interface State {
   goal_history: GoalEntry[];
   notices: Notice[];
   servo_node: ServoNodeState;
+  /** Speed limit of the planning group's arm, of all arms where the group has joints of several. */
+  speed_limit: number;
   stop: StopState;
   pending_request: PendingRequest;
   settings: Settings;
@@ -462,6 +466,7 @@ export function emptyState(url: string): State {
     active_goals: [],
     goal_history: [],
     notices: [],
+    speed_limit: 1,
     servo_node: {
       code: 0,
       message: "",
@@ -516,6 +521,7 @@ function noArm(): ArmState {
     fault_joint: "",
     reason: "",
     speed_factor: 1,
+    speed_limit: 1,
     course: "forward",
   };
 }

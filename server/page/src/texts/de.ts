@@ -92,6 +92,7 @@ export const GERMAN: Texts = {
   "move.save.label": "Name für die jetzige Stellung",
   "move.speed": "Tempo neuer Bewegungen",
   "move.pace": "Tempo, auch unterwegs",
+  "move.limit": "Höchsttempo jeder Bewegung",
   "move.relax": "Lösen",
   "move.relax.title": "Die Kraft langsam wegnehmen: Der Arm sinkt",
   "scrubber.time": "Zeit auf der geplanten Bewegung",

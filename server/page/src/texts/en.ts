@@ -90,6 +90,7 @@ export const ENGLISH = {
   "move.save.label": "name for the present pose",
   "move.speed": "Speed of new motions",
   "move.pace": "Pace, also while it moves",
+  "move.limit": "Speed limit of every motion",
   "move.relax": "Relax",
   "move.relax.title": "Lower the torque slowly: the arm sinks",
   "scrubber.time": "time on the planned motion",

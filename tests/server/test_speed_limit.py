@@ -1,0 +1,224 @@
+"""The speed limit holds for every kind of motion, by the goals that the arm process writes to its joints.
+
+Server, supervisor and controller are the real ones, in stepped time; the joints are ideal.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextvars import Context
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from robot.arm import Arm, ArmProcess
+from robot.control.pacing import PERIOD_S
+from robot.hardware.config import IdealConfig
+from robot.hardware.ideal import IdealArm
+from robot.messages import Command, Mode, Order
+from robot.trajectory import Vector
+from server.config import Settings
+from server.moveit.parameters import MoveItParameters
+from server.teaching.taught_motion import TaughtMotion
+from tests.helpers.arm_rig import BOUNDS, NAMES, ArmRig
+from tests.helpers.moveit import FORWARD, ROBOT
+from tests.helpers.stage import ARM_JOINTS, DEFAULTS, ServerStage, inline_threads
+
+pytestmark = pytest.mark.stepped_time
+
+LIMIT = 0.1
+
+# The controller chooses the rate of a motion so that no joint is faster; what is left is rounding.
+TOLERANCE = 1e-6
+
+# The planned motions take longer under the limit; their greatest speed comes within this time [s].
+TRIAL_S = 8.0
+
+READY = ROBOT.named_states["arm"]["ready"]
+REACH = {"joint_names": list(ARM_JOINTS), "points": [{"positions": [0.8, 0.0, 0.0, 0.0, 0.0]}]}
+SWING = TaughtMotion(ARM_JOINTS, np.arange(6) * 0.2, np.linspace(0.0, 0.9, 6)[:, np.newaxis] * np.eye(5)[0])
+
+
+class RigProcess:
+    """The process of :class:`RigArm`."""
+
+    launched = configured = True
+    pid = 7
+
+    def __init__(self, rig: ArmRig) -> None:
+        self._rig = rig
+
+    def send(self, message: object) -> None:
+        self._rig.supervisor.handle(message)  # type: ignore[arg-type]
+
+    def order(self, command: Command) -> bool:
+        self.send(command)
+        return True
+
+
+class RigArm(Arm):
+    """The arm as the server has it, whose process is a supervisor in the same event loop."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.rig = ArmRig(robot=ROBOT, hardware=IdealConfig(lag_s=0.0))
+        super().__init__(self.rig.config, lambda state: self.stage.moveit.take_state(state))
+        self._process = cast("ArmProcess", RigProcess(self.rig))
+        self.stage = ServerStage(self, settings)
+        self.rig.until(lambda: self.rig.mode in (Mode.RELAXED, Mode.HOLDING))
+        self.rig.order(Order.ENABLE)
+
+    async def run(self) -> None:
+        """Have the arm's time pass with that of the event loop."""
+        while True:
+            sent, self.rig.sent[:] = [*self.rig.sent], []
+            for message in sent:
+                self._received(message)
+            await asyncio.sleep(PERIOD_S)
+            self.rig.tick()
+
+
+def repeatedly(publish: Callable[[int], None], period_s: float = 0.02) -> None:
+    """Publish again and again, as a client that is no part of what it asks for."""
+
+    async def run() -> None:
+        for number in range(round(TRIAL_S / period_s)):
+            publish(number)
+            await asyncio.sleep(period_s)
+
+    Context().run(lambda: PUBLISHING.add(asyncio.ensure_future(run())))
+
+
+PUBLISHING: set[asyncio.Future[None]] = set()
+
+
+def jog(stage: ServerStage) -> None:
+    message = {"joint_names": ["shoulder_pan"], "velocities": [1.0], "displacements": [], "duration": 0.0}
+    repeatedly(lambda _: stage.publish("/servo_node/delta_joint_cmds", "control_msgs/JointJog", message))
+
+
+def follow(stage: ServerStage) -> None:
+    """Follow a leader who waits for 3 s and then turns at 1 rad/s."""
+    stage.call("/teleop/start", leader="/glove")
+
+    def lead(number: int) -> None:
+        at_s = number * 0.02
+        stamp = {"sec": 5 + int(at_s), "nanosec": round(at_s % 1.0 * 1e9)}
+        pan_rad = 0.1 + min(max(at_s - 3.0, 0.0), 1.2)
+        sample = {"header": {"stamp": stamp}, "name": ["shoulder_pan"], "position": [pan_rad]}
+        stage.publish("/glove", "sensor_msgs/JointState", sample)
+
+    repeatedly(lead)
+
+
+def pose_goal(stage: ServerStage) -> None:
+    """Ask for the pose of the tip at the state *ready*."""
+    placed = FORWARD.transforms(dict.fromkeys(NAMES, 0.0) | READY)["gripper_frame_link"]
+    position = dict(zip("xyz", placed[:3, 3].tolist(), strict=True))
+    orientation = dict(zip("xyzw", Rotation.from_matrix(placed[:3, :3]).as_quat().tolist(), strict=True))
+    message = {"header": {"frame_id": ROBOT.root_link}, "pose": {"position": position, "orientation": orientation}}
+    stage.publish("/moveit_goal_pose", "geometry_msgs/PoseStamped", message)
+
+
+def move_group(factor: float) -> Callable[[ServerStage], None]:
+    goals = [{"joint_constraints": [{"joint_name": "shoulder_pan", "position": 1.2}]}]
+    request = {"group_name": "arm", "goal_constraints": goals, "max_velocity_scaling_factor": factor}
+    scaled = {**request, "max_acceleration_scaling_factor": 1.0}
+    return lambda stage: stage.send("/move_action", "moveit_msgs/action/MoveGroup", request=scaled)
+
+
+def trajectory(duration_s: int) -> dict[str, Any]:
+    """A trajectory to 0.8 rad, at a greatest speed that is above the limit."""
+    return {**REACH, "points": [{**REACH["points"][0], "time_from_start": {"sec": duration_s, "nanosec": 0}}]}
+
+
+REQUESTS: dict[str, Callable[[ServerStage], None]] = {
+    "a named goal": lambda stage: stage.publish("/moveit_goal_named", "std_msgs/String", {"data": "ready"}),
+    "joints": lambda stage: stage.publish(
+        "/moveit_goal_joints", "sensor_msgs/JointState", {"name": ["shoulder_pan"], "position": [1.2]}
+    ),
+    "a pose": pose_goal,
+    "MoveGroup without a factor": move_group(0.0),
+    "MoveGroup with the factor 0.3": move_group(0.3),
+    "MoveGroup with the factor 1": move_group(1.0),
+    "FollowJointTrajectory": lambda stage: stage.send(
+        "/arm_controller/follow_joint_trajectory",
+        "control_msgs/action/FollowJointTrajectory",
+        trajectory=trajectory(1),
+    ),
+    "ExecuteTrajectory": lambda stage: stage.send(
+        "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", trajectory={"joint_trajectory": trajectory(1)}
+    ),
+    "the gripper": lambda stage: stage.send(
+        "/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand", command={"position": 1.2}
+    ),
+    "a jog": jog,
+    "a following": follow,
+    "a replay": lambda stage: stage.send("/replay_motion", "armbridge_msgs/action/ReplayMotion", name="swing"),
+    "parking": lambda stage: stage.call("/arm/park"),
+}
+
+
+@pytest.fixture
+def goals_rad(monkeypatch: pytest.MonkeyPatch) -> list[Vector]:
+    """Goals that were written to the joints, one each tick."""
+    inline_threads(monkeypatch)
+    written: list[Vector] = []
+    write = IdealArm.write_goals
+
+    def note(arm: IdealArm, goal_rad: Vector) -> None:
+        written.append(goal_rad)
+        write(arm, goal_rad)
+
+    monkeypatch.setattr(IdealArm, "write_goals", note)
+    return written
+
+
+async def peak_share(
+    request: Callable[[ServerStage], None], limit: float, goals_rad: list[Vector], settings: Settings = DEFAULTS
+) -> float:
+    """Return the greatest velocity that a request commands under a limit, as a share of the joint's velocity limit."""
+    arm = RigArm(settings)
+    running = asyncio.create_task(arm.run())
+    try:
+        await asyncio.sleep(0.1)
+        await arm.stage.moveit.teaching._motions.save("swing", SWING)
+        arm.stage.call("/arm/set_speed_limit", speed_limit=limit)
+        request(arm.stage)
+        await asyncio.sleep(TRIAL_S)
+    finally:
+        while PUBLISHING:
+            PUBLISHING.pop().cancel()
+        await arm.stage.close()
+        running.cancel()
+    steps_rad = np.abs(np.diff(goals_rad, axis=0))
+    return float((steps_rad / (BOUNDS.max_velocity * PERIOD_S)).max())
+
+
+@pytest.mark.parametrize("request_", REQUESTS.values(), ids=REQUESTS.keys())
+async def test_no_joint_is_commanded_faster_than_the_speed_limit(
+    request_: Callable[[ServerStage], None], goals_rad: list[Vector]
+) -> None:
+    assert LIMIT / 2 < await peak_share(request_, LIMIT, goals_rad) <= LIMIT * (1.0 + TOLERANCE)
+
+
+@pytest.mark.parametrize("request_", REQUESTS.values(), ids=REQUESTS.keys())
+async def test_each_of_these_motions_is_faster_without_a_limit(
+    request_: Callable[[ServerStage], None], goals_rad: list[Vector]
+) -> None:
+    assert await peak_share(request_, 1.0, goals_rad) > 1.2 * LIMIT
+
+
+@pytest.mark.parametrize("action", ["FollowJointTrajectory", "ExecuteTrajectory"])
+async def test_a_faster_trajectory_is_refused_if_the_setting_says_so(action: str, goals_rad: list[Vector]) -> None:
+    answers: list[Any] = []
+
+    def ask(stage: ServerStage) -> None:
+        stage.answers = answers
+        REQUESTS[action](stage)
+
+    settings = Settings(moveit=MoveItParameters(faster_trajectories="refuse"))
+    assert await peak_share(ask, LIMIT, goals_rad, settings) == 0.0
+    assert "the speed limit of 0.1 times its velocity limit; moveit.faster_trajectories = slow" in str(answers)

@@ -11,7 +11,7 @@ from planners.scene import Box
 from planners.servo.question import ServoLimits, TipTwist
 from planners.servo.velocity_limits import WATCHED_M
 from tests.helpers.resources import in_proportion
-from tests.planners.scenes import scene, thing
+from tests.planners.scenes import thing
 from tests.planners.servo.steering import SteeredArm
 
 LIMITS = ServoLimits()
@@ -19,11 +19,10 @@ HOLD_S, TRIAL_S = 0.4, 3.2
 
 
 @pytest.fixture
-def table(planner: Planner, robot) -> CollisionModel:
-    around = scene(thing(Box((1.0, 1.0, 0.04)), 0.3, 0.0, -0.03))
-    assert planner.set_scene(around) is None
+def table(planner: Planner, robot, put) -> CollisionModel:
     collision = CollisionModel(robot)
-    collision.set_scene(around)
+    for model in (planner, collision):
+        put(model, thing(Box((1.0, 1.0, 0.04)), 0.3, 0.0, -0.03))
     return collision
 
 

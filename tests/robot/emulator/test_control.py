@@ -1,12 +1,8 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import re
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -41,8 +37,6 @@ from robot.emulator.process import UsbAdapter, add_options, build_rehearsal
 from robot.emulator.servo import Servo
 from robot.emulator.servo_bus import ServoBus
 from robot.emulator.write_log import WriteLog
-from robot.errors import NoReply
-from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import Register, encode
 from robot.hardware.interface import StatusFlag
 from tests.helpers.robots import nominal_calibration
@@ -495,36 +489,3 @@ def test_one_script_that_there_is_can_be_chosen(
 def test_without_a_script_nothing_can_be_repeated(built: Build) -> None:
     with pytest.raises(ValueError, match="--repeat needs a script to repeat: --script or --rehearse"):
         built("--repeat")
-
-
-def test_a_wrong_script_leaves_the_port_of_another_emulator_alone(tmp_path: Path) -> None:
-    script, link = tmp_path / "script.jsonl", tmp_path / "arm"
-    script.write_text('{"at_s": 0, "hand": {"3": 5000}}\n')
-    link.symlink_to("/dev/pts/of_another")
-    command = [sys.executable, "-P", "-m", "robot.emulator", "--script", str(script), "--link", str(link)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert f"{script}, line 1: hand is a number from 0 to 4095, not 5000" in done.stderr
-    assert str(link.readlink()) == "/dev/pts/of_another"
-
-
-def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_shows_it(tmp_path: Path) -> None:
-    script = tmp_path / "script.jsonl"
-    script.write_text('{"at_s": 2.0, "offline": [6]}\n')
-    command = [sys.executable, "-P", "-m", "robot.emulator", "--script", str(script)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            port = process.stdout.readline().strip()
-            # Longer than the script waits, which begins with the first byte.
-            time.sleep(2.1)
-            with contextlib.closing(Bus.open(port)) as bus:
-                # The emulator may be without a core for a while.
-                assert bus.ping(6, attempts=50) == 777
-                time.sleep(2.1)
-                with pytest.raises(NoReply):
-                    bus.ping(6)
-            process.terminate()
-            _, shown = process.communicate(timeout=30.0)
-            assert shown == '2.0 s: {"offline": [6]} {"ok": true}\n'
-        finally:
-            process.kill()

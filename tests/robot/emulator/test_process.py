@@ -4,22 +4,15 @@ import argparse
 import contextlib
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 import serial
 
-from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.faults import PROBABILITIES
-from robot.emulator.process import LINGER_S, Control, PseudoTerminal, UsbAdapter, add_options, build_bus
+from robot.emulator.process import Control, PseudoTerminal, UsbAdapter, add_options, build_bus
 from robot.emulator.servo_bus import Reply
-from robot.errors import NoReply, PortError, PortLost
-from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+from robot.hardware.feetech.registers import Register
 
 
 def test_a_terminal_passes_every_byte_unaltered():
@@ -180,99 +173,6 @@ def test_an_adapter_that_is_there_is_not_plugged_in_twice(adapter):
     assert (adapter.port, adapter.descriptors) == (before, descriptors)
 
 
-@pytest.fixture
-def line(terminal):
-    with contextlib.closing(Bus.open(terminal.port)) as bus:
-        yield bus
-
-
-IDS = (1, 2, 3, 4, 5, 6)
-
-
-def test_live_commands_are_answered_while_the_bus_runs(terminal, line):
-    assert terminal.command(drop=1.0) == {"ok": True}
-    assert line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
-    assert "unknown command" in str(terminal.command(nonsense=1)["error"])
-    assert terminal.command(drop=0.0) == {"ok": True}
-    assert len(line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
-
-
-def test_an_emulator_let_go_serves_on_until_the_bus_is_silent(terminal, line):
-    terminal.let_go()
-    let_go_s = time.monotonic()
-    while time.monotonic() < let_go_s + 1.2 * LINGER_S:
-        assert line.ping(1) == 777
-    silent_from_s = time.monotonic()
-    assert terminal.process.wait(30.0) == 0
-    assert time.monotonic() - silent_from_s > 0.9 * LINGER_S
-
-
-def test_a_controlled_emulator_leaves_ctrl_c_to_its_controller(terminal, line):
-    terminal.process.send_signal(signal.SIGINT)
-    assert line.ping(1) == 777
-    terminal.process.terminate()
-    assert terminal.process.wait(30.0) == 0
-
-
-def test_a_controller_that_sends_no_line_end_is_let_go(terminal):
-    with contextlib.suppress(OSError):
-        terminal._socket.sendall(b"x" * (MAX_COMMAND_BYTES + 4096))
-    assert terminal.process.wait(30.0) == 0
-
-
-def test_an_adapter_is_pulled_under_the_client_and_comes_back_by_its_link(start_terminal, tmp_path):
-    link = tmp_path / "arm"
-    terminal = start_terminal("--link", str(link))
-    with contextlib.closing(Bus.open(str(link))) as bus:
-        bus.write(1, Register.TORQUE_LIMIT, 321)
-        terminal.command(plugged=False)
-        with pytest.raises(PortLost):
-            bus.ping(1)
-    with pytest.raises(PortError):
-        Bus.open(str(link))
-    assert terminal.command(plugged="renamed")["port"] != terminal.port
-    with contextlib.closing(Bus.open(str(link))) as bus:
-        assert bus.read(1, Register.TORQUE_LIMIT) == 321
-
-
-def test_it_serves_a_second_client_after_the_first(terminal):
-    for _ in range(2):
-        with contextlib.closing(Bus.open(terminal.port)) as bus:
-            assert len(bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
-
-
-def test_replies_come_with_the_usb_frames_that_are_asked_for(start_terminal):
-    with contextlib.closing(Bus.open(start_terminal("--usb-frame-ms", "10").port)) as bus:
-        start_s = time.monotonic()
-        for _ in range(3):
-            bus.ping(1)
-        # Two questions each, every one of them answered at the end of another frame.
-        assert time.monotonic() - start_s >= 0.05
-
-
-def test_a_frozen_adapter_is_silent_and_goes_on_when_thawed(terminal, line):
-    terminal.command(frozen=True)
-    assert line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
-    terminal.command(frozen=False)
-    assert line.ping(1) == 777
-
-
-def test_no_servo_answers_at_a_wrong_baud_rate(terminal):
-    with contextlib.closing(Bus.open(terminal.port, 500_000)) as bus, pytest.raises(NoReply):
-        bus.ping(1)
-
-
-@contextlib.contextmanager
-def standalone(*options):
-    """The emulator as a person starts it, killed at the end if it still runs."""
-    command = [sys.executable, "-P", "-m", "robot.emulator", *options]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
 @pytest.mark.parametrize("essential", [True, False])
 def test_only_an_essential_controller_that_is_gone_ends_the_emulator(essential):
     reader, writer = os.pipe()
@@ -284,35 +184,6 @@ def test_only_an_essential_controller_that_is_gone_ends_the_emulator(essential):
     os.close(reader)
     assert control.wanted is not essential
     assert control.descriptors == []
-
-
-def test_without_a_controller_live_commands_come_on_standard_input():
-    with standalone() as process:
-        port = process.stdout.readline().strip()
-        process.stdin.write('{"offline": [6]}\n\n{"explode": 1}\n')
-        process.stdin.flush()
-        assert process.stdout.readline() == '{"ok": true}\n'
-        assert "explode" in process.stdout.readline()
-        process.stdin.close()
-        with contextlib.closing(Bus.open(port)) as bus:
-            assert bus.ping(5) == 777
-            with pytest.raises(NoReply):
-                bus.ping(6)
-        process.terminate()
-        assert process.wait(30.0) == 0
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_without_a_controller_it_prints_the_port_and_runs_until_a_signal(tmp_path, number):
-    link = tmp_path / "arm"
-    with standalone("--link", str(link)) as process:
-        port = process.stdout.readline().strip()
-        with contextlib.closing(Bus.open(str(link))) as bus:
-            assert bus.read(6, Register.ID) == 6
-        assert str(link.readlink()) == port
-        process.send_signal(number)
-        assert process.wait(30.0) == 0
-    assert not link.is_symlink()
 
 
 def parser():

@@ -41,7 +41,7 @@ def at_once() -> SteppedEmulator:
     return SteppedEmulator(wire_time=False)
 
 
-@examples(100)
+@examples(40)
 @given(
     st.lists(
         st.one_of(

@@ -260,13 +260,6 @@ def test_a_servo_that_started_anew_is_found_within_a_second(emulator: SteppedEmu
     assert rig.torque() == [1] * 6
 
 
-def test_torque_switched_off_by_another_program_is_found(rig: ArmRig) -> None:
-    rig.bus.write(4, Register.TORQUE_ENABLE, 0)
-    rig.until_mode(Mode.FAULT)
-    assert rig.fault_code == "torque_lost"
-    assert "wrist_flex" in str(rig.supervisor.fault)
-
-
 def test_a_silent_server_stops_the_arm_which_goes_on_when_it_is_back(moving: ArmRig) -> None:
     moving.alive = False
     moving.until(lambda: moving.mode is Mode.HOLDING)

@@ -4,7 +4,6 @@ import argparse
 import contextlib
 import json
 import os
-from pathlib import Path
 
 import pytest
 import serial
@@ -39,21 +38,16 @@ def test_the_baud_rate_is_the_one_that_the_client_sets(set_to, seen):
         assert terminal.baudrate == seen
 
 
-def test_a_link_leads_to_the_terminal_as_long_as_it_is_there(tmp_path):
+@pytest.mark.parametrize("left", [False, True])
+def test_a_link_leads_to_the_terminal_as_long_as_it_is_there_and_stays_if_it_was_left(tmp_path, left):
     link = tmp_path / "arm"
     link.symlink_to("/dev/null")
     terminal = PseudoTerminal(link)
     assert str(link.readlink()) == terminal.port
+    if left:
+        terminal.leave_link()
     terminal.close()
-    assert not link.is_symlink()
-
-
-def test_a_link_that_was_left_stays(tmp_path):
-    link = tmp_path / "arm"
-    terminal = PseudoTerminal(link)
-    terminal.leave_link()
-    terminal.close()
-    assert link.is_symlink()
+    assert link.is_symlink() is left
 
 
 def test_a_file_in_the_place_of_the_link_is_left_alone(tmp_path):
@@ -84,17 +78,11 @@ def reply(due_s, data):
 BURST = [reply(1.0004, b"one"), reply(1.0012, b"two")]
 
 
-def test_a_burst_is_given_as_a_whole_when_its_last_byte_is_due(adapter, client):
-    adapter.take(BURST)
-    adapter.deliver(1.0011)
-    assert client.read(9) == b""
-    adapter.deliver(1.0012)
-    assert client.read(9) == b"onetwo"
-
-
-def test_a_burst_does_not_wait_for_the_next(adapter, client):
+def test_a_burst_is_given_as_a_whole_when_its_last_byte_is_due_and_does_not_wait_for_the_next(adapter, client):
     adapter.take(BURST)
     adapter.take([reply(9.0, b"late")])
+    adapter.deliver(1.0011)
+    assert client.read(9) == b""
     adapter.deliver(1.0012)
     assert client.read(9) == b"onetwo"
 
@@ -148,29 +136,21 @@ def test_an_adapter_that_is_pulled_takes_port_and_link_away(adapter, client, tmp
     adapter.unplug()
 
 
-def test_an_adapter_that_comes_back_has_dropped_its_queue(adapter, tmp_path):
+@pytest.mark.parametrize("renamed", [False, True])
+def test_an_adapter_that_comes_back_has_dropped_its_queue_and_the_link_leads_there(adapter, tmp_path, renamed):
+    before = adapter.port
     adapter.take(BURST)
     adapter.unplug()
-    adapter.plug_in()
+    adapter.plug_in(renamed=renamed)
+    if renamed:
+        assert adapter.port != before
     assert str((tmp_path / "arm").readlink()) == adapter.port
     with serial.Serial(str(tmp_path / "arm"), timeout=0) as line:
         adapter.deliver(9.0)
         assert line.read(9) == b""
-
-
-def test_it_may_come_back_under_another_name_and_the_link_leads_there(adapter, tmp_path):
-    before = adapter.port
-    adapter.unplug()
+    there, descriptors = adapter.port, adapter.descriptors
     adapter.plug_in(renamed=True)
-    assert adapter.port != before
-    assert str((tmp_path / "arm").readlink()) == adapter.port
-    assert Path(adapter.port).exists()
-
-
-def test_an_adapter_that_is_there_is_not_plugged_in_twice(adapter):
-    before, descriptors = adapter.port, adapter.descriptors
-    adapter.plug_in(renamed=True)
-    assert (adapter.port, adapter.descriptors) == (before, descriptors)
+    assert (adapter.port, adapter.descriptors) == (there, descriptors)
 
 
 @pytest.mark.parametrize("essential", [True, False])
@@ -205,10 +185,10 @@ def test_without_options_there_is_an_arm_without_faults():
         assert {servo.plant.gravity_permille != 0.0 for servo in bus.servos[1:4]} == {True}
 
 
-@pytest.mark.parametrize("name", PROBABILITIES)
-def test_every_fault_that_strikes_by_chance_is_an_option(name):
-    with built("--" + name.replace("_", "-"), "0.25") as bus:
-        assert getattr(bus.faults, name) == 0.25
+def test_every_fault_that_strikes_by_chance_is_an_option():
+    for name in PROBABILITIES:
+        with built("--" + name.replace("_", "-"), "0.25") as bus:
+            assert getattr(bus.faults, name) == 0.25, name
 
 
 def test_the_servos_are_of_the_kind_asked_for():

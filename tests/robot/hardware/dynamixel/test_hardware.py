@@ -226,10 +226,6 @@ def test_closing_a_lost_port_is_no_error(servos: DynamixelsInUse) -> None:
     servos.hardware.close()
 
 
-def test_a_joint_is_labelled_with_its_servo(servos: DynamixelsInUse) -> None:
-    assert servos.hardware.label(2) == "elbow_flex (id 3)"
-
-
 def test_a_port_is_opened_with_the_baud_rate_of_its_configuration() -> None:
     source = SerialDynamixels(METAL, BOUNDS, GuardLimits(), lambda: 0.0)
     with pytest.raises(PortNotFound):

@@ -376,11 +376,21 @@ def connect(controlled) -> Iterator[Callable[[], Controller]]:
         yield controller
 
 
-def test_a_command_is_carried_out_and_answered_in_the_next_cycle(controlled, connect):
+@pytest.mark.parametrize(
+    ("pieces", "answers"),
+    [
+        ([b'{"offline": [3]}\n'], [{"ok": True}]),
+        ([b'{"offline": [3]}\n\n{"plugged": true}\n'], [{"ok": True}, {"ok": True, "port": "simulated"}]),
+        ([b'{"offl', b'ine": [3]}\n'], [{"ok": True}]),
+    ],
+    ids=["one", "several together", "one in pieces"],
+)
+def test_commands_are_carried_out_and_answered_in_their_order_in_the_next_cycle(controlled, connect, pieces, answers):
     controller = connect()
-    controller.send(b'{"offline": [3]}\n')
-    controlled.cycle()
-    assert controller.answer() == {"ok": True}
+    for piece in pieces:
+        controller.send(piece)
+        controlled.cycle()
+    assert [controller.answer() for _ in answers] == answers
     assert controlled.servos.bus.faults.offline == {3}
 
 
@@ -389,22 +399,6 @@ def test_a_command_that_makes_no_sense_is_answered_with_the_reason(controlled, c
     controller.send(b'{"explode": 1}\n')
     controlled.cycle()
     assert "unknown command" in str(controller.answer()["error"])
-
-
-def test_commands_that_come_together_are_answered_in_their_order(controlled, connect):
-    controller = connect()
-    controller.send(b'{"offline": [3]}\n\n{"plugged": true}\n')
-    controlled.cycle()
-    assert [controller.answer(), controller.answer()] == [{"ok": True}, {"ok": True, "port": "simulated"}]
-
-
-def test_a_command_that_comes_in_pieces_is_put_together(controlled, connect):
-    controller = connect()
-    controller.send(b'{"offl')
-    controlled.cycle()
-    controller.send(b'ine": [3]}\n')
-    controlled.cycle()
-    assert controller.answer() == {"ok": True}
 
 
 def test_several_controllers_are_served(controlled, connect):

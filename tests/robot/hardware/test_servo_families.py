@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from robot.calibration import RAD_PER_TICK, Calibration
+from robot.errors import NoReply, PortLost
 from robot.hardware.dynamixel import readings as dynamixel_readings
 from robot.hardware.dynamixel import registers as dynamixel_registers
 from robot.hardware.dynamixel import servo_map as dynamixel_map
@@ -375,3 +376,58 @@ def test_a_relaxed_arm_is_read_and_nothing_is_written(family: Family) -> None:
     rig.run(0.2)
     assert rig.state.stamp_s > before
     assert written == []
+
+
+# The bus.
+
+
+def block_read(family: Family, bus: Any) -> dict[int, Any]:
+    """Positions of all servos, in one transaction."""
+    register = family.registers.Register.PRESENT_POSITION
+    frames: dict[int, Any] = bus.sync_read(IDS, register, len(family.registers.encode(register, 0)))
+    return {servo: family.registers.decode(register, frame.data) for servo, frame in frames.items()}
+
+
+def test_registers_and_blocks_of_several_servos_are_written_and_read(family: Family) -> None:
+    emulator = family.emulator()
+    bus, goal = emulator.open_bus(), family.registers.Register.GOAL_POSITION
+    bus.write(3, goal, 700)
+    assert [bus.read(servo, goal) for servo in (3, 4)] == [700, 0]
+    sent = bus.counters.sent
+    bus.sync_write(goal, {servo: family.registers.encode(goal, 100 * servo) for servo in IDS})
+    assert bus.counters.sent - sent == 1
+    assert [bus.read(servo, goal) for servo in IDS] == [100, 200, 300, 400, 500, 600]
+    sent = bus.counters.sent
+    assert list(block_read(family, bus)) == list(IDS)
+    assert bus.counters.sent - sent == 1
+    assert block_read(family, bus)[3] == bus.read(3, family.registers.Register.PRESENT_POSITION)
+
+
+def test_a_servo_that_is_gone_is_named_and_the_others_still_answer(family: Family) -> None:
+    emulator = family.emulator()
+    bus = emulator.open_bus()
+    emulator.servo_bus.faults.offline = {3}
+    with pytest.raises(NoReply, match="servo 3 ") as silent:
+        bus.read(3, family.registers.Register.TORQUE_ENABLE)
+    assert silent.value.servo_id == 3
+    assert isinstance(silent.value, TimeoutError)
+    assert bus.counters.timeouts > 0
+    assert sorted(block_read(family, bus)) == [1, 2, 4, 5, 6]
+    emulator.servo_bus.faults.offline = set()
+    assert bus.read(3, family.registers.Register.TORQUE_ENABLE) == 0
+
+
+def test_one_broadcast_switches_all_torque_off(family: Family) -> None:
+    bus, torque = family.emulator().open_bus(), family.registers.Register.TORQUE_ENABLE
+    for servo in IDS:
+        bus.write(servo, torque, 1)
+    bus.broadcast_torque_off()
+    assert [bus.read(servo, torque) for servo in IDS] == [0] * 6
+
+
+def test_a_lost_port_is_told(family: Family) -> None:
+    emulator = family.emulator()
+    bus = emulator.open_bus()
+    emulator.port.unplug()
+    with pytest.raises(PortLost):
+        bus.read(3, family.registers.Register.TORQUE_ENABLE)

@@ -45,24 +45,6 @@ def test_every_servo_reports_its_model(bus):
     assert [bus.ping(servo_id) for servo_id in IDS] == [777] * 6
 
 
-def test_what_is_written_reads_back(bus):
-    bus.write(3, Register.TORQUE_LIMIT, 300)
-    assert bus.read(3, Register.TORQUE_LIMIT) == 300
-    assert bus.read(4, Register.TORQUE_LIMIT) == 1000
-
-
-def test_a_sync_write_reaches_each_servo_with_its_own_data(bus):
-    bus.sync_write(GOAL_ADDRESS, {i: goal_block(2000 + i, 500) for i in IDS})
-    assert [bus.read(i, Register.GOAL_POSITION) for i in IDS] == [2000 + i for i in IDS]
-
-
-def test_a_sync_read_returns_exactly_the_block_of_every_servo(bus):
-    frames = read_telemetry(bus)
-    assert list(frames) == list(IDS)
-    assert all(parse_telemetry(frame.data).voltage_v == pytest.approx(5.0) for frame in frames.values())
-    assert parse_telemetry(frames[2].data).position_ticks == bus.read(2, Register.PRESENT_POSITION)
-
-
 def test_the_same_data_can_be_written_to_another_address(bus):
     data = {1: encode(Register.TORQUE_LIMIT, 300)}
     bus.sync_write(Register.TORQUE_LIMIT, data)
@@ -87,55 +69,12 @@ def test_readings_of_servos_at_rest_are_reused_and_one_that_moved_is_read(bus, e
     assert moved == [0, 0, 40, 0, 0, 0]
 
 
-def test_broadcast_torque_off_reaches_every_servo(bus):
-    for servo_id in IDS:
-        bus.write(servo_id, Register.GOAL_POSITION, bus.read(servo_id, Register.PRESENT_POSITION))
-        bus.write(servo_id, Register.TORQUE_ENABLE, 1)
-    bus.broadcast_torque_off()
-    assert [bus.read(servo_id, Register.TORQUE_ENABLE) for servo_id in IDS] == [0] * 6
-
-
-def test_a_servo_that_is_gone_is_named_and_the_others_still_answer(bus, emulator):
-    assert emulator.command(offline=[3]) == {"ok": True}
-    with pytest.raises(NoReply, match="servo 3 ") as caught:
-        bus.ping(3)
-    assert caught.value.servo_id == 3
-    assert isinstance(caught.value, TimeoutError)
-    assert sorted(read_telemetry(bus)) == [1, 2, 4, 5, 6]
-    assert emulator.command(online=[3]) == {"ok": True}
-    assert bus.ping(3) == 777
-
-
-def test_readings_stay_right_while_replies_are_dropped_and_corrupted(start_emulator):
-    emulator = start_emulator("--drop", "0.05", "--corrupt", "0.05", "--seed", "7")
-    lost = 0
-    with contextlib.closing(emulator.open_bus()) as bus:
-        for _ in range(150):
-            frames = read_telemetry(bus)
-            lost += len(IDS) - len(frames)
-            for frame in frames.values():
-                telemetry = parse_telemetry(frame.data)
-                assert (telemetry.voltage_v, telemetry.temperature_c) == (5.0, 32)
-            with contextlib.suppress(NoReply):
-                assert bus.read(2, Register.MAX_TEMPERATURE) == 70
-    assert 20 < lost < 200
-    assert bus.counters.timeouts > lost
-    assert bus.counters.retries > 0
-    assert bus.counters.discarded_bytes > 0
-
-
 def test_no_reply_comes_sooner_than_the_wire_could_carry_it(bus, emulator):
     wire_s = (14 + 6 * (TELEMETRY_BYTES + 6)) * 10e-6
     for _ in range(20):
         start_s = emulator.clock()
         assert len(read_telemetry(bus)) == 6
         assert emulator.clock() - start_s >= wire_s
-
-
-def test_servos_serve_a_second_bus_after_the_first(emulator):
-    for _ in range(2):
-        with contextlib.closing(emulator.open_bus()) as bus:
-            assert len(read_telemetry(bus)) == 6
 
 
 def test_a_broadcast_ping_finds_those_who_are_there(bus, emulator):
@@ -161,6 +100,9 @@ def test_no_reading_is_wrong_under_any_fault_of_the_emulated_bus(bus, emulator):
             assert bus.read(servo_id, Register.MIN_ANGLE_LIMIT) == limits[servo_id]
             good += 1
     assert good > 150
+    assert bus.counters.timeouts > 0
+    assert bus.counters.retries > 0
+    assert bus.counters.discarded_bytes > 0
 
 
 # On a line where every byte is scripted.

@@ -21,6 +21,7 @@ from server.recording.files import RecordedMessage
 from server.recording.replay import Player, RecordedTopic, Recording, ReplayOptions, ReplayServer
 from tests.conformance.cases import INTERFACES
 from tests.helpers.clients import frame_client
+from tests.helpers.waiting import until
 from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
 CHUNKS = [[text(0), text(1)], [text(2), text(3)], [text(4)]]
@@ -220,8 +221,9 @@ async def test_a_second_type_on_a_topic_is_left_out(tmp_path: Path, caplog: pyte
 
 
 async def test_playing_can_be_cancelled_at_any_time(tmp_path: Path) -> None:
-    playing = asyncio.create_task(player(tmp_path, Graph(REGISTRY), [text(0), text(1000)], rate=1.0).play())
-    await asyncio.sleep(0.02)
+    graph = Graph(REGISTRY)
+    playing = asyncio.create_task(player(tmp_path, graph, [text(0), text(1000)], rate=1.0).play())
+    await until(lambda: "/t" in graph.topic_types())
     playing.cancel()
     await asyncio.wait([playing], timeout=30.0)
     assert playing.cancelled()

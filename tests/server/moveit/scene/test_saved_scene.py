@@ -245,12 +245,15 @@ async def test_a_disk_that_was_full_is_written_to_at_the_next_change(
         assert run.written() == ["a", "b"]
 
 
-async def test_a_server_that_is_just_ending_is_waited_for(path: Path) -> None:
+async def test_a_server_that_is_just_ending_is_waited_for(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refused: list[int] = []
+    locked = files._locked
+    monkeypatch.setattr(files, "_locked", lambda descriptor: locked(descriptor) or refused.append(descriptor))
     first = Run(path)
     await first.saved.start()
     first.add("wall")
     second = asyncio.create_task(Run(path).__aenter__())
-    await asyncio.sleep(0.05)
+    await until(lambda: refused)
     await first.saved.close()
     run = await second
     assert list(run.state.contents.objects) == ["wall"]

@@ -44,7 +44,7 @@ from server.moveit.servo.servo_node import (
 )
 from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
-from tests.helpers.fake_arm import ROBOT, FakeArm
+from tests.helpers.fake_arm import ROBOT, FakeArm, settle
 from tests.helpers.gateway import REGISTRY
 from tests.helpers.waiting import until
 
@@ -76,6 +76,7 @@ class Rig:
             cast("PlannerPool", self),
             lambda: self.busy,
         )
+        self.node._session._clock = asyncio.get_running_loop().time
         subscriber = Subscriber(lambda published: self.heard.append(dict(published.msg)))
         self.graph.subscribe(self.one, STATUS_TOPIC, "moveit_msgs/ServoStatus", subscriber)
         for client in (self.one, self.other):
@@ -89,7 +90,7 @@ class Rig:
 
     async def say(self, topic: str, message: dict[str, Any], client: Node | None = None) -> None:
         self.graph.publish(client or self.one, topic, message)
-        await asyncio.sleep(0.01)
+        await settle()
 
     def call(self, service: str, **request: Any) -> dict[str, Any]:
         answers: list[dict[str, Any]] = []
@@ -115,6 +116,7 @@ async def test_each_type_of_command_is_followed_without_selecting_it(rig: Rig) -
     assert len(rig.arm.streams) == 1
 
 
+@pytest.mark.stepped_time
 async def test_commands_of_a_second_client_are_ignored(rig: Rig) -> None:
     await rig.say(TWIST_TOPIC, NORTH)
     told = len([each for each in rig.heard if each["code"] == ServoStatus.INVALID])
@@ -158,6 +160,7 @@ async def test_an_unknown_command_type_is_named(rig: Rig) -> None:
     assert answers[0].reason == "command_type must be one of 0 (JOINT_JOG), 1 (TWIST), 2 (POSE), not 9"
 
 
+@pytest.mark.stepped_time
 @pytest.mark.parametrize(
     ("pause", "go_on"),
     [((PAUSE_SERVICE, {"data": True}), (PAUSE_SERVICE, {"data": False})), ((STOP_SERVICE, {}), (START_SERVICE, {}))],
@@ -366,6 +369,7 @@ def test_a_client_shortens_the_timeout_of_its_own_commands_alone() -> None:
     assert timeouts.timeout_s("page") == 0.25
 
 
+@pytest.mark.stepped_time
 async def test_the_timeout_of_a_client_counts_for_its_commands(rig: Rig) -> None:
     for client in (rig.one, rig.other):
         rig.graph.advertise(client, TIMEOUT_TOPIC, "std_msgs/Float64")

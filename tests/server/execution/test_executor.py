@@ -150,13 +150,6 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     assert "starting" in answer.message
 
 
-def test_motions_are_played_with_the_configured_time_limits() -> None:
-    robot, time_limits = so101(), TimeLimits(scaling=9.0)
-    arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
-    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot), time_limits=time_limits)
-    assert executor._player._time_limits is time_limits
-
-
 @pytest.mark.parametrize(
     "hardware", [FeetechConfig(nominal_calibration(), "/dev/nothing"), EmulatedConfig(nominal_calibration())]
 )
@@ -770,23 +763,15 @@ async def test_a_goal_that_was_planned_ahead_is_not_planned_again(stage: Stage) 
     assert stage.ahead[0].start_rad["shoulder_pan"] == stage.arm.played[0].positions_rad[-1, 0]
     stage.arm.end()
     await stage.answer()
+    stage.news.clear()
     await stage.begin(following)
+    assert [news.state for news in stage.news] == [GoalState.PLANNING, GoalState.EXECUTING]
     stage.arm.end()
     answer = await stage.answer()
     assert answer.code is MoveItErrorCode.SUCCESS
     assert stage.problems == []
     assert answer.performed.planned == (stage.arm.played[1],)
     assert stage.news[-1].message == "a motion of 1.0 s (straight line, in advance; planned in 10 ms)"
-
-
-async def test_states_of_a_goal_that_was_planned_ahead_are_those_of_any(stage: Stage) -> None:
-    following = to(shoulder_pan=0.8)
-    await ahead(stage, following)
-    stage.arm.end()
-    await stage.answer()
-    stage.news.clear()
-    await stage.begin(following)
-    assert [news.state for news in stage.news] == [GoalState.PLANNING, GoalState.EXECUTING]
 
 
 def end_by(outcome: Outcome) -> Callable[[Stage], None]:

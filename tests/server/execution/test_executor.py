@@ -229,6 +229,15 @@ class Stage:
         assert self.running is not None
         return await asyncio.wait_for(self.running, TIMEOUT_S)
 
+    async def arrive(self) -> None:
+        """Have the arm reach the end of its motion, and the goal its own."""
+        self.arm.end()
+        assert (await self.answer()).code is MoveItErrorCode.SUCCESS
+
+    async def plan_ahead(self, motion: PlannedMotion) -> None:
+        self.executor.plan_ahead(motion, 60.0)
+        await settle()
+
 
 def standing(moves: Mapping[str, tuple[float, float]]) -> Trajectory:
     """A motion that takes no time."""
@@ -295,8 +304,7 @@ async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(sta
     assert not stage.problems
     stage.arm.started.set()
     await settle()
-    stage.arm.end()
-    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.arrive()
 
 
 async def test_a_goal_that_is_stopped_while_the_arm_is_being_started_moves_nothing(stage: Stage) -> None:
@@ -327,14 +335,13 @@ async def test_several_steps_are_executed_in_order(stage: Stage) -> None:
     await stage.begin(PlannedMotion((*first.steps, *second.steps), frozenset(ARM)))
     stage.arm.end()
     await settle()
-    stage.arm.end()
-    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.arrive()
     assert [motion.positions_rad[-1, 0] for motion in stage.arm.played] == pytest.approx([0.4, 0.8])
 
 
 async def test_a_goal_out_of_reach_is_not_planned_again(stage: Stage) -> None:
     stage.failures = [OUT_OF_REACH]
-    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, frozenset(ARM), attempts=5))
+    await stage.begin(replace(to(shoulder_pan=0.4), attempts=5))
     answer = await stage.answer()
     assert (answer.code, answer.message, answer.details) == (OUT_OF_REACH.code, "too far", {"distance_m": 0.2})
     assert len(stage.problems) == 1
@@ -343,21 +350,20 @@ async def test_a_goal_out_of_reach_is_not_planned_again(stage: Stage) -> None:
 @pytest.mark.parametrize(("failures", "tried"), [(1, 2), (9, 3)], ids=["then there is a way", "never"])
 async def test_planning_is_repeated_up_to_the_limit_of_attempts(stage: Stage, failures: int, tried: int) -> None:
     stage.failures = [NO_WAY] * failures
-    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, frozenset(ARM), attempts=3))
+    await stage.begin(replace(to(shoulder_pan=0.4), attempts=3))
     stage.arm.end()
     await stage.answer()
     assert len(stage.problems) == tried
 
 
 async def test_a_motion_that_the_scene_stops_is_planned_again_from_the_present_position(stage: Stage) -> None:
-    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, frozenset(ARM), attempts=2))
+    await stage.begin(replace(to(shoulder_pan=0.4), attempts=2))
     stage.contact, stage.scene = WALL, Scene(2)
     stage.arm.put(shoulder_pan=0.2)
     stage.changed()
     await settle()
     stage.contact = None
-    stage.arm.end()
-    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.arrive()
     assert [problem.start_rad["shoulder_pan"] for problem in stage.problems] == [0.0, 0.2]
     assert stage.scenes == [1, 2]
 
@@ -394,16 +400,14 @@ async def test_a_goal_is_planned_again_when_the_arm_was_moved_meanwhile(stage: S
         return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
 
     await stage.begin(PlannedMotion((move,), frozenset(ARM)))
-    stage.arm.end()
-    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.arrive()
     assert stage.arm.played[0].positions_rad[0, 0] == 0.3
 
 
 async def test_an_external_trajectory_is_checked_and_played_from_where_the_arm_holds(stage: Stage) -> None:
     stage.arm.put(shoulder_pan=0.02)
     await stage.begin(given(0.0, 0.5))
-    stage.arm.end()
-    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.arrive()
     assert stage.arm.played[0].positions_rad[0, 0] == 0.02
     assert stage.rechecked[0].trajectory is stage.arm.played[0]
     assert set(stage.rechecked[0].others_rad) == {"gripper"}
@@ -456,8 +460,7 @@ async def test_a_goal_cancelled_before_its_work_begins_moves_nothing_and_the_nex
     assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "ended by a test before the motion began")
     assert stage.arm.played == []
     await stage.begin(to(shoulder_pan=0.4))
-    stage.arm.end()
-    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.arrive()
 
 
 async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_path: Path) -> None:
@@ -531,8 +534,7 @@ async def test_the_arm_brakes_before_a_motion_that_cannot_be_blended_in(
     await until(lambda: stage.arm.stops)
     stage.planners_answer.set()
     await until(lambda: stage.arm.state.mode is Mode.MOVING)
-    stage.arm.end()
-    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.arrive()
     assert stage.arm.continued == []
 
 
@@ -543,8 +545,7 @@ async def test_an_external_trajectory_begins_at_rest(stage: Stage) -> None:
     motion = smooth_move({name: (held_rad, 0.5) for name, held_rad in zip(ARM, held.tolist(), strict=False)}, 2.0)
     await stage.begin(ExternalTrajectory(lambda _held_rad: motion, frozenset(ARM)))
     assert len(stage.arm.stops) == 1
-    stage.arm.end()
-    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.arrive()
     assert stage.arm.continued == []
 
 
@@ -753,8 +754,7 @@ async def ahead(stage: Stage, following: PlannedMotion) -> None:
     """Begin a motion, and plan the goal after it."""
     await stage.begin(to(shoulder_pan=0.4))
     stage.problems.clear()
-    stage.executor.plan_ahead(following, 60.0)
-    await settle()
+    await stage.plan_ahead(following)
 
 
 async def test_a_goal_that_was_planned_ahead_is_not_planned_again(stage: Stage) -> None:
@@ -813,17 +813,14 @@ async def test_a_goal_is_planned_in_its_turn_when_something_came_between(
     await stage.answer()
     await stage.begin(following)
     assert len(stage.problems) == 1
-    stage.arm.end()
-    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.arrive()
 
 
 async def test_a_goal_that_failed_ahead_is_answered_as_any(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
     stage.failures = [NO_WAY, OUT_OF_REACH]
-    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
-    await settle()
-    stage.arm.end()
-    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    await stage.plan_ahead(to(shoulder_pan=0.8))
+    await stage.arrive()
     await stage.begin(to(shoulder_pan=0.8))
     assert (await stage.answer()).message == OUT_OF_REACH.message
 
@@ -839,8 +836,7 @@ async def test_a_goal_that_left_the_queue_is_forgotten(stage: Stage) -> None:
 
 
 async def test_nothing_is_planned_ahead_before_the_motion_is_known(stage: Stage) -> None:
-    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
-    await settle()
+    await stage.plan_ahead(to(shoulder_pan=0.8))
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=0.4))
     stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
@@ -853,8 +849,7 @@ async def test_nothing_is_planned_ahead_after_the_motion(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
     stage.arm.end()
     await stage.answer()
-    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
-    await settle()
+    await stage.plan_ahead(to(shoulder_pan=0.8))
     assert stage.ahead == []
 
 
@@ -863,8 +858,7 @@ async def test_nothing_is_planned_ahead_beside_the_motion_of_another_group(stage
     await ahead(stage, to(shoulder_pan=0.8))
     assert stage.ahead == []
     ended.set_result(MotionEnded(1, Outcome.REACHED, "there"))
-    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
-    await settle()
+    await stage.plan_ahead(to(shoulder_pan=0.8))
     assert len(stage.ahead) == 1
 
 
@@ -882,8 +876,7 @@ async def test_planning_ahead_ends_when_the_goal_before_is_cancelled_though_the_
 ) -> None:
     await stage.begin(to(shoulder_pan=0.4))
     stage.planners_answer.clear()
-    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
-    await settle()
+    await stage.plan_ahead(to(shoulder_pan=0.8))
     monkeypatch.setattr(stage.arm, "stop", lambda _motion: None)
     stage.executor.cancel("a test")
     stage.planners_answer.set()
@@ -895,24 +888,21 @@ async def test_planning_ahead_ends_when_the_goal_before_is_cancelled_though_the_
 
 async def test_a_goal_after_several_motions_is_planned_for_the_end_of_the_last(stage: Stage) -> None:
     await stage.begin(PlannedMotion((*to(shoulder_pan=0.4).steps, *to(elbow_flex=0.3).steps), frozenset(ARM)))
-    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
-    await settle()
+    await stage.plan_ahead(to(shoulder_pan=0.8))
     start_rad = stage.ahead[0].start_rad
     assert (start_rad["shoulder_pan"], start_rad["elbow_flex"]) == pytest.approx((0.4, 0.3))
 
 
 async def test_a_goal_after_a_given_trajectory_is_planned_for_its_end(stage: Stage) -> None:
     await stage.begin(given(0.0, 0.5))
-    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
-    await settle()
+    await stage.plan_ahead(to(shoulder_pan=0.8))
     assert stage.ahead[0].start_rad["shoulder_pan"] == pytest.approx(0.5)
 
 
 async def test_a_goal_after_a_motion_that_replaced_another_is_planned_for_its_end(stage: Stage) -> None:
     await under_way(stage)
     await stage.begin(to(shoulder_pan=-0.2))
-    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
-    await settle()
+    await stage.plan_ahead(to(shoulder_pan=0.8))
     assert stage.ahead[0].start_rad["shoulder_pan"] == pytest.approx(-0.2)
 
 

@@ -26,11 +26,12 @@ def refused(type_name, value):
     return refusal.value
 
 
-@pytest.mark.parametrize("name", MESSAGE_NAMES)
-def test_an_empty_message_of_every_type_is_completed_and_is_then_complete(name):
-    message = completed(name, {})
-    assert list(message) == [field.name for field in REGISTRY.message(name).fields]
-    assert completed(name, message) == message
+def test_an_empty_message_of_every_type_is_completed_and_is_then_complete():
+    assert len(MESSAGE_NAMES) == 338
+    for name in MESSAGE_NAMES:
+        message = completed(name, {})
+        assert list(message) == [field.name for field in REGISTRY.message(name).fields], name
+        assert completed(name, message) == message, name
 
 
 def test_fields_left_out_get_the_defaults_of_the_definition():

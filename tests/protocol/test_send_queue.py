@@ -38,12 +38,6 @@ def free():
     return Subscription("/free")
 
 
-def test_nothing_is_due_when_nothing_waits():
-    box = send_queue()
-    assert taken(box, 1.0) == []
-    assert box.next_due(1.0) is None
-
-
 def test_replies_and_topic_data_leave_once_in_order_of_queuing(free):
     box, other = send_queue(), Subscription("/other")
     box.put_topic_data(free, encoded(b"1"), 0.0)
@@ -72,26 +66,12 @@ def test_the_newest_message_stays_even_if_it_is_larger_than_the_bound(free):
     assert taken(box, 1.0) == [b"x" * 10_000]
 
 
-def test_sent_frames_make_room_again(free):
-    box = send_queue(topic_frames=3)
-    for round_number in range(5):
-        put_all(box, free, frames(3))
-        assert taken(box, float(round_number)) == frames(3)
-    assert box.dropped == 0
-
-
 def test_a_queue_length_keeps_the_newest_of_its_topic_only(free):
     box, short = send_queue(), Subscription("/short", queue_length=2)
     put_all(box, free, frames(3))
     put_all(box, short, frames(5, start=3))
     assert taken(box, 1.0) == frames(3) + frames(2, start=6)
     assert box.dropped == 3
-
-
-def test_a_queue_of_one_keeps_the_latest():
-    box, short = send_queue(), Subscription("/short", queue_length=1)
-    put_all(box, short, frames(5))
-    assert taken(box, 1.0) == frames(1, start=4)
 
 
 def test_a_queue_that_was_shortened_is_cut_to_its_new_length():
@@ -241,14 +221,6 @@ def test_a_message_that_waits_alone_for_its_throttle_stays():
     assert taken(box, 5.0) == []
     assert taken(box, 5.5) == [b"later"]
     assert paced.last_sent_s == 5.5
-
-
-def test_a_message_that_waits_alone_for_a_closed_subscription_is_not_sent():
-    box, closed = send_queue(), Subscription("/closed")
-    box.put_topic_data(closed, encoded(b"late"), 0.0)
-    closed.closed = True
-    assert taken(box, 5.0) == []
-    assert box.next_due(5.0) is None
 
 
 # Requests

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.motions.curve import TICK_S, Curve, constant_curve, polyline
+from planners.motions.curve import TICK_S, Curve, polyline
 from planners.problem import RateLimits
 from tests.planners.invariants import assert_well_formed
 
@@ -66,8 +66,3 @@ def test_turning_points_between_knots_count_for_the_range():
     assert thrown.stays_within(np.array([-0.01]), np.array([0.2501]))
     assert not thrown.stays_within(np.array([-0.01]), np.array([0.2499]))
     assert not thrown.stays_within(np.array([0.01]), np.array([1.0]))
-
-
-def test_standing_stays_in_its_point():
-    curve = constant_curve(np.array([0.3, -0.2]), 500)
-    np.testing.assert_array_equal(curve.at(np.array([0, 250, 500]))[0], [[0.3, -0.2]] * 3)

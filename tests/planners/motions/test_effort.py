@@ -34,17 +34,6 @@ def test_every_question_counts(counted):
     assert counted.checks == 4
 
 
-def test_the_same_questions_count_the_same(joint_space):
-    spaces = [CountedSpace(joint_space) for _ in range(2)]
-    for space in spaces:
-        space.curve_free(line(HOME, READY, LIMITS), STEP_M)
-    assert spaces[0].checks == spaces[1].checks > 0
-
-
-def test_a_curve_through_open_space_is_free(counted):
-    assert counted.curve_free(line(HOME, READY, LIMITS), STEP_M)
-
-
 def test_nothing_is_free_once_nobody_waits_for_it(joint_space):
     stopped = CountedSpace(joint_space, lambda: True)
     assert not stopped.line_free(HOME, READY, STEP_M)
@@ -54,6 +43,7 @@ def test_nothing_is_free_once_nobody_waits_for_it(joint_space):
 @pytest.mark.parametrize("blocked", BLOCKED_LINES)
 def test_a_curve_through_the_arm_itself_is_blocked(counted, blocked):
     start, goal = (np.array(point) for point in blocked)
+    assert counted.curve_free(line(HOME, READY, LIMITS), STEP_M)
     assert not counted.curve_free(line(start, goal, LIMITS), STEP_M)
     assert not counted.curve_free(polyline(np.array([READY, start, goal]), LIMITS), STEP_M)
 
@@ -62,16 +52,6 @@ def test_a_curve_that_leaves_a_joints_range_is_not_free(counted):
     beyond = READY.copy()
     beyond[0] = counted.upper_rad[0] + 0.01
     assert not counted.curve_free(line(READY, beyond, LIMITS), STEP_M)
-
-
-def test_finer_steps_take_more_checks_near_something(joint_space):
-    start = np.array(BLOCKED_LINES[0][0])
-    checks = []
-    for step_m in (0.05, 0.002):
-        space = CountedSpace(joint_space)
-        space.curve_free(line(start, 0.9 * start, LIMITS), step_m)
-        checks.append(space.checks)
-    assert checks[1] > checks[0]
 
 
 def test_time_is_worth_checks_in_proportion():
@@ -114,25 +94,15 @@ def setting(goal_states, collision, arm, holds):
 def test_path_leads_from_start_to_goal_where_the_condition_holds(setting, holds):
     query, project = setting
     path = projected_search(query, project, 1, never)
+    np.testing.assert_array_equal(path, projected_search(query, project, 1, never))
     np.testing.assert_array_equal(path[0], query.start)
     np.testing.assert_array_equal(path[-1], query.goals[0])
     for start, end in itertools.pairwise(path):
         assert all(holds(np.append(start + u * (end - start), 0.0)) for u in (0.0, 0.5, 1.0))
 
 
-def test_same_query_and_seed_have_the_same_path(setting):
-    query, project = setting
-    np.testing.assert_array_equal(
-        projected_search(query, project, 3, never), projected_search(query, project, 3, never)
-    )
-
-
 def test_search_that_is_stopped_has_no_path(setting):
     query, project = setting
     assert projected_search(query, project, 1, lambda: True) is None
-
-
-def test_search_without_any_way_ends_when_stopped(setting):
-    query, _ = setting
     asked = iter(range(50))
     assert projected_search(query, lambda _: None, 1, lambda: next(asked, None) is None) is None

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from planners.motions.curve import TICK_S, averaged, averaging_start, from_moving, line, polyline, window_ticks
+from planners.motions.curve import averaged, averaging_start, from_moving, line, polyline, window_ticks
 from planners.problem import RateLimits
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
 
@@ -32,12 +32,6 @@ def test_a_straight_line_stays_straight():
     trajectory = averaged(line(START, GOAL, LIMITS), window_ticks(LIMITS), NAMES)
     share = (trajectory.positions_rad - START) / (GOAL - START)
     np.testing.assert_allclose(share[:, 0], share[:, 1], atol=1e-9)
-
-
-def test_an_average_takes_a_window_longer():
-    curve = line(START, GOAL, LIMITS)
-    trajectory = averaged(curve, 400, NAMES)
-    assert trajectory.duration_s == pytest.approx(TICK_S * (curve.duration_ticks + 400))
 
 
 def test_a_moving_start_is_met_in_position_and_velocity():

@@ -10,6 +10,7 @@ from planners.pipeline import Planner
 from planners.scene import Box
 from planners.servo.question import ServoLimits, TipTwist
 from planners.servo.velocity_limits import WATCHED_M
+from tests.helpers.resources import in_proportion
 from tests.planners.scenes import scene, thing
 from tests.planners.servo.steering import SteeredArm
 
@@ -54,7 +55,7 @@ def test_a_turn_that_is_reversed_on_the_way_down_keeps_the_distance(planner, rob
     assert least_distance_m(arm, table) > LIMITS.scene_distance_m
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(in_proportion(6)))
 def test_random_sticks_keep_the_distance(planner, robot, table, seed: int) -> None:
     random = np.random.default_rng(seed)
     count = round(TRIAL_S / HOLD_S)

@@ -434,25 +434,6 @@ def test_an_invalid_host_is_none(text: str) -> None:
     assert read_authority(text) is None
 
 
-@pytest.mark.parametrize(
-    ("host", "is_ours"),
-    [
-        ("localhost", True),
-        ("127.0.0.1", True),
-        ("127.9.9.9", True),
-        ("[::1]", True),
-        ("localhost.evil.com", False),
-        ("127.0.0.1.evil.com", False),
-        ("0.0.0.0", False),
-        ("192.168.0.2", False),
-    ],
-)
-def test_only_this_machine_is_loopback(host: str, is_ours: bool) -> None:
-    authority = read_authority(host)
-    assert authority is not None
-    assert authority.is_loopback is is_ours
-
-
 def test_in_a_pattern_only_the_asterisk_is_special() -> None:
     assert matches("https://a.lab", "https://*.lab")
     assert matches("http://[2001:db8::1]", "http://[2001:db8::1]")

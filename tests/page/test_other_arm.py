@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.helpers.clients import tip
-from tests.helpers.page import LOOK_MS, PATIENCE_MS, SHARED, OpenPage, opened
+from tests.helpers.page import SHARED, OpenPage, opened
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.helpers.server import ROOT, RunningServer
 from tests.page.test_drive import hold, press_until
@@ -167,8 +167,7 @@ def test_two_arms_are_shown_and_each_is_moved_by_its_group(browser: Browser, set
 
 
 def test_a_joint_that_slides_is_moved_by_a_number_in_millimetres(page: OpenPage) -> None:
-    page.part("joint-lift-number").fill("150")
-    page.part("joint-lift-number").press("Enter")
+    page.enter("joint-lift-number", "150")
     page.part("plan-and-move").click()
     page.until_state("s.goal.code === 1")
     assert page.joints()["lift"] == pytest.approx(0.15, abs=ARRIVED)
@@ -176,8 +175,7 @@ def test_a_joint_that_slides_is_moved_by_a_number_in_millimetres(page: OpenPage)
 
 
 def test_a_target_of_an_arm_with_seven_joints_has_an_orientation(page: OpenPage) -> None:
-    page.part("target-roll").fill("30")
-    page.part("target-roll").press("Enter")
+    page.enter("target-roll", "30")
     x, y, z, w = page.state("target.orientation")
     assert x * x + y * y + z * z + w * w == pytest.approx(1)
     assert page.part("target-pitch").is_visible()
@@ -230,10 +228,7 @@ def test_a_gripper_of_two_fingers_opens_to_its_state_and_closes_to_its_limit(
         page.part("gripper-open").click()
         page.until_text("gripper-measured", "0.0 mm")
         page.part("gripper-close").click()
-        for _ in range(PATIENCE_MS // LOOK_MS):
-            if len(goals) == 2:
-                break
-            page.page.wait_for_timeout(LOOK_MS)
+        page.wait(lambda: len(goals) == 2)
         assert [goal["action"] for goal in goals] == [GRIPPER_ACTION] * 2
         assert [goal["args"]["command"]["position"] for goal in goals] == [0.04, 0.0]
         assert page.part("gripper").get_attribute("max") == "0.04"

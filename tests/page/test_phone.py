@@ -23,8 +23,7 @@ def test_a_phone_shows_arm_and_stop_without_scrolling_sideways(
         page.shot(f"phone_{scheme}")
         assert page.page.evaluate("document.documentElement.scrollWidth") <= PHONE[0]
         for test_id in ("stop", "state-pill", "link-pill"):
-            box = page.part(test_id).bounding_box()
-            assert box is not None
+            box = page.box(test_id)
             assert 0 <= box["x"] <= box["x"] + box["width"] <= PHONE[0]
             assert 0 <= box["y"] <= box["y"] + box["height"] <= PHONE[1]
         page.page.mouse.wheel(0, 2000)

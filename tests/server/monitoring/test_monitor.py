@@ -52,6 +52,7 @@ from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.clock import SteppedLoop
 from tests.helpers.cost import count_calls
 from tests.helpers.server import ServerOnBus
+from tests.helpers.waiting import wait_until
 from tests.server.monitoring.watched_parts import (
     NOW_S,
     WatchedArm,
@@ -392,11 +393,9 @@ async def test_routes_are_answered_before_any_part_is_there() -> None:
 
 async def test_a_fault_makes_the_server_unready_but_not_dead(served: ServerOnBus, client: ArmClient) -> None:
     port = served.server.port
-    async with asyncio.timeout(TIMEOUT_S):
-        # Planners load behind the start.
-        while (told := await asyncio.to_thread(health, port))[1]["reasons"] == ["the planners are loading"]:
-            await asyncio.sleep(0.1)
-    assert told == (200, {"live": True, "ready": True, "reasons": [], "warnings": []})
+    # Planners load behind the start.
+    await asyncio.to_thread(wait_until, lambda: health(port)[1]["reasons"] != ["the planners are loading"])
+    assert await asyncio.to_thread(health, port) == (200, {"live": True, "ready": True, "reasons": [], "warnings": []})
     await client.call("/arm/emergency_stop")
     await client.until("/arm/state", lambda states: "fault" in values_of(states[-1]))
     status, faulty = await asyncio.to_thread(health, port)

@@ -31,6 +31,7 @@ from server.monitoring.ros_topics import (
 )
 from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.server import ServerOnBus
+from tests.helpers.waiting import until
 
 SERVO = JointHealth("elbow_flex", "servo 3", 0.5, 31, 5.0, 0.1, -0.2, True, 0, 0.01, 2)
 HEALTH = ArmHealth(
@@ -229,9 +230,7 @@ async def test_a_record_is_published_with_level_name_and_place(heard: list[Any])
 
 async def test_a_record_of_another_thread_is_published(heard: list[Any]) -> None:
     await asyncio.to_thread(LOG.error, "from afar")
-    async with asyncio.timeout(30.0):
-        while not heard:
-            await asyncio.sleep(0)
+    await until(lambda: heard)
     assert [m["msg"] for m in heard] == ["from afar"]
 
 

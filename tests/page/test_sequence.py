@@ -261,12 +261,6 @@ def test_a_sequence_is_kept_by_name_over_a_reload(page: OpenPage, server: Runnin
     page.until_state("Object.keys(s.sequence.saved).length === 0")
 
 
-def test_a_value_out_of_range_is_said_at_the_field_with_the_range(page: OpenPage) -> None:
-    load(page, waypoint(PLACES[0]))
-    page.enter("waypoint-1-speed", "300")
-    page.until_text("waypoint-1-speed-problem", "Speed: 300 % is outside of 1 % to 100 %")
-
-
 def test_a_file_that_is_no_sequence_says_so_and_changes_nothing(page: OpenPage) -> None:
     load(page, waypoint(PLACES[0]))
     choose_file(page, "a.json", "{}")

@@ -72,6 +72,12 @@ def test_it_is_free_when_its_holder_leaves(leased: Leased) -> None:
     assert leased.lease.drive(leased.b, 0.0) is None
 
 
+def test_a_client_that_leaves_without_control_changes_nothing(leased: Leased) -> None:
+    leased.lease.drive(leased.a, 0.0)
+    leased.lease.leave(leased.b)
+    assert leased.lease.holder is leased.a
+
+
 def test_it_is_free_when_its_holder_releases_it(leased: Leased) -> None:
     leased.lease.drive(leased.a, 0.0)
     assert leased.lease.release(leased.a, 0.0) is None

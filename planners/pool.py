@@ -284,14 +284,19 @@ async def timeout_after(allowed_s: float, run_delay_s: Callable[[], float | None
     """
     loop = asyncio.get_running_loop()
     deadline = Deadline(allowed_s, run_delay_s, loop.time)
+    passed = False
     timer: asyncio.TimerHandle
     async with asyncio.timeout(None) as timeout:
 
         def check() -> None:
-            nonlocal timer
+            nonlocal timer, passed
             left_s = deadline.left_s()
             if left_s > 0.0:
                 timer = loop.call_later(max(left_s, DEADLINE_CHECK_S), check)
+            elif not passed:
+                # An event loop that was held up has what came meanwhile to deliver first.
+                passed = True
+                timer = loop.call_later(DEADLINE_CHECK_S, check)
             else:
                 timeout.reschedule(loop.time())
 

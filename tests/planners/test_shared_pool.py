@@ -174,7 +174,7 @@ async def test_a_host_that_ends_answers_what_is_under_way_and_another_takes_its_
 async def under_way(server: SharedPlanners, farm: Farm) -> asyncio.Task[Answer]:
     """Have a search be made that never ends; it has begun then."""
     before = sum(len(worker.asked) for worker in farm.workers)
-    asking = asyncio.create_task(server.ask(dataclasses.replace(EASY, group=DEAF)))
+    asking = asyncio.create_task(server.ask(dataclasses.replace(EASY, group=DEAF, allowed_time_s=3600.0)))
     await until(lambda: sum(len(worker.asked) for worker in farm.workers) > before)
     return asking
 

@@ -43,8 +43,6 @@ def rig(emulator: SteppedEmulator) -> ArmRig:
 def latch(rig: ArmRig, code: FaultCode) -> None:
     """Have the arm in a fault that it found some time ago."""
     arm = rig.supervisor.arm
-    assert arm is not None
-    assert arm.controller is not None
     arm.controller.latch(Fault(code, "it was found"))
 
 
@@ -52,7 +50,6 @@ def test_the_guards_bear_what_is_configured(emulator: SteppedEmulator) -> None:
     rig = ArmRig(emulator, guard_limits=GuardLimits(min_voltage_v=9.0, torque_limit=0.4))
     rig.until_mode(Mode.FAULT)
     fault = rig.supervisor.fault
-    assert fault is not None
     assert "it needs 9 V at least" in fault.message
     assert rig.bus.read(1, Register.TORQUE_LIMIT) == 400
 

@@ -176,20 +176,17 @@ def test_a_servo_as_it_was_written_is_no_fault(checks: RegisterChecks) -> None:
 
 def test_a_servo_that_was_relaxed_is_a_fault(checks: RegisterChecks) -> None:
     fault = checks.check_torque(3, on=False, stamp_s=5.0)
-    assert fault is not None
     assert (fault.code, fault.joint, fault.stamp_s) == (FaultCode.TORQUE_LOST, "elbow_flex", 5.0)
 
 
 def test_a_servo_with_a_disarmed_watchdog_has_rebooted_once(checks: RegisterChecks) -> None:
     fault = checks.check_watchdog(3, 0, 5.0)
-    assert fault is not None
     assert (fault.code, fault.joint) == (FaultCode.SERVO_REBOOTED, "elbow_flex")
     assert checks.check_watchdog(3, 0, 6.0) is None
 
 
 def test_a_servo_that_its_watchdog_has_stopped_is_a_fault(checks: RegisterChecks) -> None:
     fault = checks.check_watchdog(3, -1, 5.0)
-    assert fault is not None
     assert fault.code is FaultCode.SERVO_SILENT
     assert "0.5 s" in fault.message
 

@@ -212,7 +212,6 @@ def test_a_servo_that_holds_what_was_written_is_no_fault(checks: RegisterChecks)
 )
 def test_a_servo_that_holds_other_values_is_a_fault(checks: RegisterChecks, control: Control, code: FaultCode) -> None:
     fault = checks.check(2, control, 5.0)
-    assert fault is not None
     assert (fault.code, fault.joint, fault.stamp_s) == (code, "shoulder_lift", 5.0)
 
 

@@ -216,24 +216,21 @@ def test_a_server_that_is_silent_at_rest_is_waited_for_before_the_arm_parks(rig:
     assert distance_to_rest(rig) < SINK_RAD
 
 
-def test_a_server_that_comes_back_while_the_arm_brakes_finds_it_holding(rig: ArmRig) -> None:
-    rig.execute(pan())
-    rig.run(1.0)
+@pytest.mark.parametrize("braking", [True, False], ids=["brakes", "parks"])
+def test_a_server_that_comes_back_while_the_arm_brakes_or_parks_finds_it_holding(rig: ArmRig, braking: bool) -> None:
+    if braking:
+        rig.execute(pan())
+        rig.run(1.0)
     rig.alive = False
-    rig.run(2.0)
+    if braking:
+        rig.run(2.0)
+    else:
+        rig.until_mode(Mode.MOVING)
+        rig.run(0.5)
     rig.alive = True
     rig.until_mode(Mode.HOLDING)
-    assert [ended.outcome for ended in rig.ended] == [Outcome.STOPPED]
-    rig.run(8.0)
-    assert rig.mode is Mode.HOLDING
-
-
-def test_a_server_that_comes_back_while_the_arm_parks_stops_it(rig: ArmRig) -> None:
-    rig.alive = False
-    rig.until_mode(Mode.MOVING)
-    rig.run(0.5)
-    rig.alive = True
-    rig.until_mode(Mode.HOLDING)
+    if braking:
+        assert [ended.outcome for ended in rig.ended] == [Outcome.STOPPED]
     rig.run(8.0)
     assert rig.mode is Mode.HOLDING
     assert distance_to_rest(rig) > 0.3

@@ -36,7 +36,7 @@ from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import INTERFACES
 from tests.helpers.clock import FakeClock
-from tests.helpers.waiting import until
+from tests.helpers.waiting import TIMEOUT_S, until
 
 REGISTRY = Registry.load()
 USER_REGISTRY = read_packages([INTERFACES]).registry()
@@ -161,8 +161,6 @@ class InProcess:
                 self._frames[name] += [frame for encoded in messages for frame in encoded.frames]
                 client.inbox.resume()
 
-
-TIMEOUT_S = 30.0
 
 # What a client sends to become a WebSocket's, without the lines that tests are about.
 UPGRADE = (

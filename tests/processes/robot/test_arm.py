@@ -34,6 +34,15 @@ async def rig(tmp_path: Path) -> AsyncIterator[ArmOnServos]:
     await made.arm.close()
 
 
+@pytest.fixture
+async def restarted(tmp_path: Path) -> AsyncIterator[ArmOnServos]:
+    """An arm whose process is started again almost at once."""
+    made = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
+    await made.arm.start(SOON_S)
+    yield made
+    await made.arm.close()
+
+
 async def until_replaced(rig: ArmOnServos) -> None:
     """Wait until another process has taken the place of the one that was killed."""
     await until(lambda: rig.arm.state.mode is Mode.DISCONNECTED)
@@ -152,10 +161,8 @@ class FailingStarts:
 
 
 async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    restarted: ArmOnServos, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    rig = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
-    await rig.arm.start(SOON_S)
     starts = FailingStarts(
         OSError(errno.EMFILE, "Too many open files"),
         OSError(errno.EAGAIN, "Resource temporarily unavailable"),
@@ -163,13 +170,12 @@ async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can
         RuntimeError("can't start new thread"),
     )
     monkeypatch.setattr("robot.arm.start_arm_process", starts)
-    rig.kill()
-    await until_replaced(rig)
+    restarted.kill()
+    await until_replaced(restarted)
     assert starts.failed == 4
     for reason in ("Too many open files", "temporarily unavailable", "MemoryError", "can't start new thread"):
-        assert any("cannot be started" in state.reason and reason in state.reason for state in rig.states)
+        assert any("cannot be started" in state.reason and reason in state.reason for state in restarted.states)
         assert reason in caplog.text
-    await rig.arm.close()
 
 
 class NotedDelay(RestartDelay):
@@ -215,35 +221,29 @@ async def test_starts_that_fail_without_end_do_not_fill_the_log(
 
 
 async def test_an_error_in_taking_a_state_does_not_end_the_restarts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    restarted: ArmOnServos, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
-    await rig.arm.start(SOON_S)
-    first = rig.arm.pid
+    first = restarted.arm.pid
     assert first is not None
 
     def fail(state: ArmState) -> None:
         if state.mode is Mode.DISCONNECTED:
             raise ValueError("a bug")
-        rig.states.append(state)
+        restarted.states.append(state)
 
-    monkeypatch.setattr(rig.arm, "_on_state", fail)
+    monkeypatch.setattr(restarted.arm, "_on_state", fail)
     monkeypatch.setattr("robot.arm.start_arm_process", FailingStarts(OSError(errno.EMFILE, "Too many open files")))
     os.kill(first, signal.SIGKILL)
-    await until(lambda: rig.arm.pid != first and rig.states[-1].mode is Mode.HOLDING)
-    await rig.arm.close()
+    await until(lambda: restarted.arm.pid != first and restarted.states[-1].mode is Mode.HOLDING)
 
 
-async def test_an_arm_process_comes_back_where_clients_have_used_up_all_descriptors(tmp_path: Path) -> None:
-    rig = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
-    await rig.arm.start(SOON_S)
+async def test_an_arm_process_comes_back_where_clients_have_used_up_all_descriptors(restarted: ArmOnServos) -> None:
     with no_descriptors_left():
         for _ in range(3):
-            killed = rig.arm.pid
+            killed = restarted.arm.pid
             assert killed is not None
             os.kill(killed, signal.SIGKILL)
-            await until(lambda killed=killed: rig.arm.pid != killed and rig.arm.state.mode is Mode.HOLDING)
-    await rig.arm.close()
+            await until(lambda killed=killed: restarted.arm.pid != killed and restarted.arm.state.mode is Mode.HOLDING)
 
 
 async def test_a_control_socket_that_cannot_be_made_leaves_the_arm_disconnected_with_the_reason(tmp_path: Path) -> None:
@@ -299,8 +299,6 @@ async def test_a_server_that_dies_leaves_an_arm_at_rest(rig: ArmOnServos) -> Non
     # The end of the channel is all that the arm process sees of its server's death.
     rig.arm._closing = True
     child = rig.arm._process._child
-    assert child is not None
-    assert child._link is not None
     child._link._unlink()
     await until(lambda: not child.running)
     pans = [data["1"][1] | data["1"][2] << 8 for data in rig.goal_writes()[-4:]]

@@ -43,7 +43,6 @@ def test_a_joint_along_its_link_is_turned_and_not_moved():
 @pytest.mark.parametrize("name", ["so100", "so101", "koch_v1_1"])
 def test_the_gripper_is_to_be_opened_whichever_way_its_joint_turns(name):
     robot = robot_folder.resolve(name).model
-    assert robot.gripper is not None
     motion = asked_motions(robot)[robot.gripper.joints[0]]
     assert motion == AskedMotion("open the gripper", rises=robot.gripper.open > robot.gripper.closed)
 

@@ -143,8 +143,10 @@ def test_a_curve_is_refused_exactly_where_it_leaves_the_limits(
     time_s = [span_s * number for number in range(len(speeds) + 2)]
     positions = [0.0, *places[: len(speeds)], 0.0]
     trajectory = curve(time_s, positions, [0.0, *speeds, 0.0])
-    inside = np.nextafter(np.array(time_s)[1:], 0.0)
-    sampled = [trajectory.sample(float(at_s)) for at_s in (*np.linspace(1e-9, inside[-1], 600), *inside)]
+    # Both ends of every span, where an acceleration is largest, and enough between them.
+    corners = np.array(time_s)
+    ends = (*np.nextafter(corners[1:], 0.0), *np.nextafter(corners[:-1], np.inf))
+    sampled = [trajectory.sample(float(at_s)) for at_s in (*np.linspace(1e-9, corners[-1] - 1e-9, 600), *ends)]
     position, velocity, acceleration = (np.array([float(each[kind][0]) for each in sampled]) for kind in range(3))
     shares = np.array(
         [

@@ -165,7 +165,6 @@ def test_an_arm_that_stays_behind_ends_the_motion_and_is_held_where_it_is(rig: R
         ended = rig.tick(lag=blocked - rig.controller.goal_rad)
         if ended:
             break
-    assert ended is not None
     assert ended.outcome is Outcome.TRACKING_LOST
     assert "elbow_flex" in ended.message
     rig.run(200)
@@ -209,10 +208,8 @@ def test_a_simulated_arm_that_brakes_for_a_silent_servo_refuses_motions_without_
     rig.move_pan(50)
     rig.tick(age_s=LIMITS.silent_after_s * 1.1)
     assert rig.controller.moving
-    assert rig.controller.fault is not None
     assert rig.controller.fault.simulated is simulated
     refused = rig.controller.execute(Execute(2, move(gripper=(0.0, 0.5))))
-    assert refused is not None
     assert ("bring it online" in refused.message) is simulated
 
 
@@ -256,7 +253,6 @@ REFUSED["joint twice"] = replace(REFUSED["joint twice"], joint_names=("elbow_fle
 @pytest.mark.parametrize("trajectory", REFUSED.values(), ids=REFUSED.keys())
 def test_a_trajectory_that_cannot_be_trusted_is_refused_and_nothing_moves(rig: Rig, trajectory: Trajectory) -> None:
     refused = rig.controller.execute(Execute(3, trajectory))
-    assert refused is not None
     assert refused.outcome is Outcome.REFUSED
     assert refused.message
     rig.tick()
@@ -286,14 +282,12 @@ def test_a_curve_that_swings_beyond_a_limit_between_its_samples_is_refused() -> 
     swinging = Trajectory(("shoulder_pan",), time_s, positions, out_and_in, np.zeros((4, 1)))
     assert swinging.sample(0.5)[0][0] > limit + 0.009
     refused = rig.controller.execute(Execute(1, swinging))
-    assert refused is not None
     assert refused.message.startswith("joint shoulder_pan would go to 1.930 rad, beyond its limits")
 
 
 def test_progress_is_reported_while_moving(rig: Rig) -> None:
     rig.move_pan(100, 9)
     motion = rig.controller.motion
-    assert motion is not None
     assert motion.motion_id == 9
     assert motion.playback.fraction == pytest.approx(0.5, abs=0.02)
     assert motion.playback.remaining_s == pytest.approx(1.0, abs=0.02)
@@ -325,7 +319,6 @@ def blocked(rig: Rig, ticks: int, joint: int = 0, load: float = 0.8) -> MotionEn
 def test_a_relaxed_arm_refuses_to_move_with_a_remedy(rig: Rig) -> None:
     rig.controller.release()
     refused = rig.controller.execute(Execute(1, PAN))
-    assert refused is not None
     assert refused.outcome is Outcome.REFUSED
     assert "enable it first" in refused.message
     assert rig.controller.mode is Mode.RELAXED
@@ -334,12 +327,10 @@ def test_a_relaxed_arm_refuses_to_move_with_a_remedy(rig: Rig) -> None:
 def test_a_stall_is_a_fault_that_stays_until_it_is_reset(rig: Rig) -> None:
     rig.controller.execute(Execute(1, smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=4.0)))
     ended = blocked(rig, 400)
-    assert ended is not None
     assert ended.outcome is Outcome.FAULT
     assert "then reset the fault" in ended.message
     assert rig.controller.mode is Mode.FAULT
     refused = rig.controller.execute(Execute(2, move(shoulder_pan=(BLOCKED_RAD, 0.0))))
-    assert refused is not None
     assert "has a fault" in refused.message
     rig.controller.reset()
     assert rig.controller.mode is Mode.HOLDING
@@ -355,7 +346,6 @@ def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque(
         lag = np.zeros(6)
         lag[5] = max(0.0, object_rad - rig.controller.goal_rad[5])
         ended = rig.tick(lag=lag, load=[0, 0, 0, 0, 0, -0.45 if lag[5] > 0.05 else 0.0]) or ended
-    assert ended is not None
     assert ended.outcome is Outcome.GRIPPED
     assert rig.controller.fault is None
     assert rig.controller.goal_rad[5] == pytest.approx(object_rad - SQUEEZE_RAD)
@@ -383,7 +373,6 @@ def test_a_gripper_with_a_low_overload_threshold_squeezes_below_it() -> None:
         ended = rig.tick(lag=lag, load=PUSHING if lag[5] > 0.05 else 0.0)
         if ended is not None:
             break
-    assert ended is not None
     assert ended.outcome is Outcome.GRIPPED
     assert rig.controller.torque_limit[5] < 0.25
 
@@ -438,14 +427,12 @@ def test_only_a_graver_fault_takes_the_place_of_another(
 ) -> None:
     rig.controller.latch(Fault(latched, "it was found"))
     rig.tick(**readings)  # type: ignore[arg-type]
-    assert rig.controller.fault is not None
     assert rig.controller.fault.code is then
 
 
 def test_an_overloaded_servo_ends_the_motion_at_once(rig: Rig) -> None:
     rig.controller.execute(Execute(1, PAN))
     ended = rig.tick(status=[0, int(StatusFlag.OVERLOAD), 0, 0, 0, 0])
-    assert ended is not None
     assert ended.outcome is Outcome.FAULT
     assert "shoulder_lift" in ended.message
 
@@ -501,7 +488,6 @@ def test_a_stop_ends_a_paused_motion_at_once(rig: Rig) -> None:
     rig.run(100)
     rig.controller.stop()
     ended = rig.tick()
-    assert ended is not None
     assert ended.outcome is Outcome.STOPPED
 
 
@@ -571,18 +557,15 @@ def test_a_setpoint_after_its_stream_has_ended_moves_nothing(rig: Rig) -> None:
 def test_a_stream_and_a_motion_of_the_same_joint_exclude_each_other(rig: Rig) -> None:
     rig.controller.stream(Stream(7, ("shoulder_pan",)))
     refused = rig.controller.execute(Execute(8, PAN))
-    assert refused is not None
     assert "motion 7 of joint shoulder_pan" in refused.message
     assert rig.controller.execute(Execute(9, move(gripper=(0.0, 0.5)), gripping=True)) is None
     again = rig.controller.stream(Stream(10, ("shoulder_pan", "elbow_flex")))
-    assert again is not None
     assert again.outcome is Outcome.REFUSED
 
 
 @pytest.mark.parametrize("names", [(), ("knee",), ("shoulder_pan", "shoulder_pan")])
 def test_a_stream_of_joints_that_are_none_is_refused(names: tuple[str, ...]) -> None:
     refused = Rig().controller.stream(Stream(7, names))
-    assert refused is not None
     assert refused.outcome is Outcome.REFUSED
 
 
@@ -591,7 +574,6 @@ def test_a_fault_ends_a_stream(rig: Rig) -> None:
     steer(rig, 0.5, 20)
     rig.controller.steer(Setpoint(7, np.array([0.5])))
     ended = rig.tick(temperature_c=90.0)
-    assert ended is not None
     assert (ended.motion_id, ended.outcome) == (7, Outcome.FAULT)
 
 
@@ -606,7 +588,6 @@ def test_a_hot_arm_is_steered_at_half_the_speed(rig: Rig) -> None:
 def test_a_motion_takes_the_place_of_another_without_a_stop(rig: Rig) -> None:
     rig.move_pan(100, 7)
     ended = rig.controller.execute(Execute(8, PAN, continues=Continuation(7, 0.0)))
-    assert ended is not None
     assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
     before = rig.goals[-1] - rig.goals[-2]
     rig.tick()
@@ -618,7 +599,6 @@ def test_a_motion_takes_the_place_of_another_without_a_stop(rig: Rig) -> None:
 def test_a_motion_that_cannot_take_anothers_place_leaves_it_alone(rig: Rig) -> None:
     rig.move_pan(100, 7)
     ended = rig.controller.execute(Execute(8, move(shoulder_pan=(0.0, -1.0)), continues=Continuation(7, 0.0)))
-    assert ended is not None
     assert (ended.motion_id, ended.outcome) == (8, Outcome.REFUSED)
     ended, _ = rig.until_end()
     assert (ended.motion_id, ended.outcome) == (7, Outcome.REACHED)

@@ -120,11 +120,9 @@ def test_goals_are_written_again_after_a_sequence_that_failed(holding: CycleRig)
 
 
 def test_what_the_check_finds_ends_the_motion_as_a_fault(holding: CycleRig) -> None:
-    assert holding.cycle.controller is not None
     holding.cycle.controller.execute(Execute(7, PAN))
     holding.hardware.found = Fault(FaultCode.TORQUE_LOST, "it was found relaxed")
     assert [each.outcome for each in holding.tick()] == [Outcome.FAULT]
-    assert holding.cycle.controller.fault is not None
     assert holding.cycle.controller.fault.code is FaultCode.TORQUE_LOST
 
 

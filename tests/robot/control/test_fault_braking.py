@@ -39,14 +39,11 @@ class Moving:
 
     @property
     def controller(self) -> ArmController:
-        assert self.rig.supervisor.arm is not None
         assert self.rig.supervisor.arm.controller is not None
         return self.rig.supervisor.arm.controller
 
     @property
     def measured_rad(self) -> np.ndarray:
-        assert self.rig.supervisor.arm is not None
-        assert self.rig.supervisor.arm.measured is not None
         return self.rig.supervisor.arm.measured.position_rad
 
     def run(self, seconds: float) -> None:

@@ -43,7 +43,6 @@ def test_simulated_hardware_opens_and_can_be_read_at_once(config: ArmConfig) -> 
     opened = hardware_source(config, SteppedClock()).open()
     assert opened.joint_names == NAMES
     measured = opened.read()
-    assert measured is not None
     assert measured.position_rad == pytest.approx([0.0] * 6, abs=0.002)
 
 
@@ -53,8 +52,6 @@ def test_simulated_joints_are_where_they_were_when_they_are_opened_again() -> No
     )
     first = source.open().read()
     again = source.open().read()
-    assert first is not None
-    assert again is not None
     assert first.position_rad[2] == again.position_rad[2] == pytest.approx(0.4, abs=0.002)
 
 

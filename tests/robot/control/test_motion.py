@@ -183,7 +183,6 @@ def test_a_gripper_that_stays_short_of_its_goal_has_gripped() -> None:
     motion, goal = at_its_end(gripping=True)
     motion.end(goal, goal - 0.1, 0.0)
     end = motion.end(goal, goal - 0.1, LIMITS.settle_timeout_s)
-    assert end is not None
     assert end.outcome is Outcome.GRIPPED
 
 
@@ -196,5 +195,4 @@ def test_how_near_and_how_soon_can_be_set() -> None:
     motion, goal = at_its_end(limits)
     assert [motion.end(goal, goal - 0.21, now_s) for now_s in (0.0, 2.9)] == [None, None]
     end = motion.end(goal, goal - 0.21, 3.0)
-    assert end is not None
     assert "3 s after the end of the motion (tolerance 0.2 rad)" in end.message

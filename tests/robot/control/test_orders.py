@@ -43,8 +43,6 @@ def rig(emulator: SteppedEmulator) -> ArmRig:
 def latch(rig: ArmRig, code: FaultCode) -> None:
     """Have the arm in a fault that it found some time ago."""
     arm = rig.supervisor.arm
-    assert arm is not None
-    assert arm.controller is not None
     arm.controller.latch(Fault(code, "it was found"))
 
 
@@ -52,7 +50,6 @@ def test_the_guards_bear_what_is_configured(emulator: SteppedEmulator) -> None:
     rig = ArmRig(emulator, guard_limits=GuardLimits(min_voltage_v=9.0, torque_limit=0.4))
     rig.until_mode(Mode.FAULT)
     fault = rig.supervisor.fault
-    assert fault is not None
     assert "it needs 9 V at least" in fault.message
     assert rig.bus.read(1, Register.TORQUE_LIMIT) == 400
 
@@ -92,19 +89,20 @@ def test_a_servo_that_still_complains_keeps_the_fault(emulator: SteppedEmulator,
     assert "wrist_flex (id 4) still complains of encoder" in answer.message
 
 
-def test_an_overload_that_stays_asks_for_a_power_cut(emulator: SteppedEmulator, rig: ArmRig) -> None:
+@pytest.mark.parametrize(
+    ("settings", "remedy"),
+    [({}, ": switch the servos' supply off and on"), ({"hardware": EmulatedConfig(CALIBRATION)}, "")],
+    ids=["real", "simulated"],
+)
+def test_an_overload_that_stays_asks_for_a_power_cut_of_a_real_arm(
+    emulator: SteppedEmulator, settings: dict[str, EmulatedConfig], remedy: str
+) -> None:
+    rig = relaxed(emulator, **settings)
     emulator.command(status={"4": int(StatusFlag.OVERLOAD)})
     rig.run(0.05)
     latch(rig, FaultCode.OVERLOAD)
-    assert rig.order(Order.RESET_FAULT).message.endswith("complains of overload: switch the servos' supply off and on")
-
-
-def test_the_remedy_of_an_overload_of_a_simulated_arm_is_no_power_cut(emulator: SteppedEmulator) -> None:
-    rig = relaxed(emulator, hardware=EmulatedConfig(CALIBRATION))
-    emulator.command(status={"4": int(StatusFlag.OVERLOAD)})
-    rig.run(0.05)
-    latch(rig, FaultCode.OVERLOAD)
-    assert rig.order(Order.RESET_FAULT).message.endswith("wrist_flex (id 4) still complains of overload")
+    message = rig.order(Order.RESET_FAULT).message
+    assert message.endswith(f"wrist_flex (id 4) still complains of overload{remedy}")
 
 
 def test_an_overload_that_torque_off_clears_is_cleared_by_the_reset(emulator: SteppedEmulator, rig: ArmRig) -> None:
@@ -157,10 +155,6 @@ def test_an_arm_whose_zero_has_shifted_is_read_but_not_switched_on(emulator: Ste
     assert rig.torque() == [0] * len(IDS)
 
 
-def test_an_arm_whose_offsets_are_the_calibrations_is_switched_on(emulator: SteppedEmulator) -> None:
-    calibrated(emulator).until_mode(Mode.HOLDING)
-
-
 def test_an_arm_that_holds_with_a_shifted_zero_is_not_dropped(emulator: SteppedEmulator) -> None:
     rig = calibrated(emulator)
     rig.until_mode(Mode.HOLDING)
@@ -171,43 +165,36 @@ def test_an_arm_that_holds_with_a_shifted_zero_is_not_dropped(emulator: SteppedE
     assert again.torque() == [1] * len(IDS)
 
 
-def as_lerobot_leaves_them(emulator: SteppedEmulator) -> None:
+def after_squeezing(emulator: SteppedEmulator, obstacle_rad: float, goal_rad: float, *, gripping: bool) -> ArmRig:
+    """An arm as lerobot leaves it whose open gripper has closed on something and pushed for 6 s."""
     bus = emulator.open_bus()
     for joint in CALIBRATION.joints:
         for register, value in LEROBOT.expected(gripper=joint.servo.gripper).items():
             bus.write(joint.servo_id, register, value)
-
-
-def test_a_gripper_of_lerobot_squeezes_for_long_without_an_overload(emulator: SteppedEmulator) -> None:
-    as_lerobot_leaves_them(emulator)
     rig = ArmRig(emulator)
     rig.until_mode(Mode.HOLDING)
     rig.execute(smooth_move({"gripper": (0.0, 1.2)}, 1.0))
     rig.until(lambda: bool(rig.ended))
-    emulator.command(obstacle={"6": CALIBRATION.joints[5].ticks_from_rad(0.6)})
-    rig.execute(smooth_move({"gripper": (1.2, 0.0)}, 1.0), motion_id=2, gripping=True)
+    emulator.command(obstacle={"6": CALIBRATION.joints[5].ticks_from_rad(obstacle_rad)})
+    rig.execute(smooth_move({"gripper": (1.2, goal_rad)}, 1.0), motion_id=2, gripping=gripping)
     rig.until(lambda: len(rig.ended) == 2)
-    assert rig.ended[-1].outcome is Outcome.GRIPPED
     rig.run(6.0)
     assert rig.supervisor.fault is None
+    return rig
+
+
+def test_a_gripper_of_lerobot_squeezes_for_long_without_an_overload(emulator: SteppedEmulator) -> None:
+    rig = after_squeezing(emulator, 0.6, 0.0, gripping=True)
+    assert rig.ended[-1].outcome is Outcome.GRIPPED
     assert abs(rig.state.load[5]) > 0.1
 
 
 def test_a_gripper_of_lerobot_that_is_kept_from_its_goal_is_relieved_before_an_overload(
     emulator: SteppedEmulator,
 ) -> None:
-    as_lerobot_leaves_them(emulator)
-    rig = ArmRig(emulator)
-    rig.until_mode(Mode.HOLDING)
-    rig.execute(smooth_move({"gripper": (0.0, 1.2)}, 1.0))
-    rig.until(lambda: bool(rig.ended))
     # So near to the goal that the gripper counts as being there, and pushes on.
-    emulator.command(obstacle={"6": CALIBRATION.joints[5].ticks_from_rad(0.9)})
-    rig.execute(smooth_move({"gripper": (1.2, 0.81)}, 1.0), motion_id=2)
-    rig.until(lambda: len(rig.ended) == 2)
+    rig = after_squeezing(emulator, 0.9, 0.81, gripping=False)
     assert rig.ended[-1].outcome is Outcome.REACHED
-    rig.run(6.0)
-    assert rig.supervisor.fault is None
     assert abs(rig.state.load[5]) < LEROBOT.gripper[Register.OVERLOAD_TORQUE] / 100.0
 
 

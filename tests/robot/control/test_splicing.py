@@ -44,7 +44,6 @@ def test_a_motion_that_is_the_same_for_now_takes_the_place_and_the_former_ends()
     assert asked(motions, since(0.9)) == ""
     successor = Motion(Execute(8, since(0.9), continues=Continuation(7, 0.9)), NAMES, BOUNDS, LIMITS)
     ended = splice(motions, successor)
-    assert ended is not None
     assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
     assert motions == []
     np.testing.assert_allclose(successor.advance(0.01, 1.0, 1.0), former.advance(0.01, 1.0, 1.0), atol=1e-9)

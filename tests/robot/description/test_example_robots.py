@@ -39,7 +39,6 @@ needs_package = pytest.mark.skipif(not installed(), reason=f"{PACKAGE} is not in
 
 def read(name: str) -> RobotModel:
     example = find_example(name)
-    assert example is not None
     return model.load(example.urdf, example.srdf, package_directories=example.packages)
 
 

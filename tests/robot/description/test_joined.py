@@ -30,7 +30,6 @@ def pair(apart_m: float = 0.4) -> RobotModel:
 def test_every_link_joint_and_group_of_an_arm_begins_with_its_name() -> None:
     names = (*LEFT.links, *LEFT.joints, *LEFT.groups, LEFT.tip_link, LEFT.default_group)
     assert all(name.startswith("left_") for name in names)
-    assert LEFT.gripper is not None
     assert LEFT.gripper.joints == ("left_gripper",)
 
 

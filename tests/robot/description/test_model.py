@@ -79,7 +79,6 @@ def test_the_builtin_figures_are_those_of_the_facts() -> None:
 
 
 def floats(element: ET.Element | None, attribute: str) -> list[float]:
-    assert element is not None
     return [float(text) for text in element.attrib[attribute].split()]
 
 

@@ -47,7 +47,6 @@ def test_the_file_s_tables_reach_the_model(tmp_path: Path) -> None:
     )
     arm = found.model
     assert (found.title, arm.tip_link) == ("Seven", "hand")
-    assert arm.gripper is not None
     assert (arm.gripper.joints, arm.gripper.open, arm.gripper.closed) == (("a7",), 1.0, 0.0)
     assert (arm.joints["a1"].max_velocity, arm.joints["a1"].max_jerk) == (0.5, 9.0)
     assert "a6" not in [joint.name for joint in arm.movable_joints]

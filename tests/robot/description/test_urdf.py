@@ -35,7 +35,6 @@ def test_a_joint_that_mimics_has_no_position_of_its_own() -> None:
 
 def test_a_joint_that_mimics_a_mimicking_one_follows_the_first_of_them() -> None:
     mimic = tree(HAND).joints["last"].mimic
-    assert mimic is not None
     assert mimic.joint == "grip"
     # The last is twice the other, which is 0.01 less the grip, and 0.5 more.
     assert (mimic.multiplier, mimic.offset) == pytest.approx((-2.0, 0.52))

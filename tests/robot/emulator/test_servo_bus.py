@@ -140,23 +140,15 @@ def test_servos_move_while_the_bus_is_silent(bus):
     assert bus.servos[0].present_ticks == 2500
 
 
-def weighings(*, moving):
-    """Number of times that the weight is put on in a tenth of a second, besides at once."""
+@pytest.mark.parametrize(("hand_ticks", "least", "most"), [(1000, 8, 11), (None, 0, 0)], ids=["moving", "at rest"])
+def test_the_weight_is_put_on_at_once_and_again_as_the_arm_moves(hand_ticks, least, most):
     times = []
     bus = ServoBus(build_servos(nominal_calibration(), [0.0] * 6), Faults(), 0.0, weigh=lambda: times.append(1))
     assert len(times) == 1
-    bus.servos[0].plant.hand_ticks = 1000 if moving else None
+    bus.servos[0].plant.hand_ticks = hand_ticks
     for k in range(1, 101):
         bus.advance(0.001 * k)
-    return len(times) - 1
-
-
-def test_the_weight_is_put_on_at_once_and_again_as_the_arm_moves():
-    assert 8 <= weighings(moving=True) <= 11
-
-
-def test_an_arm_at_rest_is_not_weighed_again():
-    assert weighings(moving=False) == 0
+    assert least <= len(times) - 1 <= most
 
 
 EVENTS = st.one_of(
@@ -273,17 +265,11 @@ def test_an_arm_at_rest_answers_what_it_was_asked_before_without_looking_again(m
     assert len(executed) == 1
 
 
-def test_without_wire_time_every_reply_is_there_at_once():
-    bus = bus_without_wire_time()
-    assert [reply.due_s for reply in bus.receive(BLOCK_READ, 5.0)] == [5.0] * 6
-    assert said(bus, packet(1, PING), 5.0) == status_packet(1, 0)
-
-
-def test_without_wire_time_a_return_delay_holds_nothing_up():
+def test_without_wire_time_every_reply_is_there_at_once_whatever_the_return_delay():
     bus = bus_without_wire_time()
     bus.servos[0].write(Register.RETURN_DELAY, bytes([250]))
-    (reply,) = bus.receive(packet(1, PING), 2.0)
-    assert reply.due_s == 2.0
+    assert [reply.due_s for reply in bus.receive(BLOCK_READ, 5.0)] == [5.0] * 6
+    assert said(bus, packet(1, PING), 5.0) == status_packet(1, 0)
 
 
 def test_without_wire_time_a_delayed_reply_holds_up_those_behind_it():

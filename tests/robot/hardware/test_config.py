@@ -28,20 +28,12 @@ def test_an_arm_with_servos_has_the_joints_of_its_calibration_and_an_ideal_one_a
 
 
 def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_themselves() -> None:
-    emulated, ideal, real = (
-        EmulatedConfig(CALIBRATION, drop=0.1),
-        IdealConfig(0.2),
-        FeetechConfig(CALIBRATION, "/dev/arm"),
-    )
-    assert emulated.resumed(POSE, driven=True) == replace(emulated, start_rad=POSE, driven=True, resumes=True)
-    assert ideal.resumed(POSE, driven=False) == IdealConfig(0.2, start_rad=POSE, driven=False)
-    assert real.resumed(POSE, driven=True) == real
-
-
-def test_dynamixel_servos_resume_as_others_do() -> None:
-    emulated, real = EmulatedDynamixelConfig(CALIBRATION, drop=0.1), DynamixelConfig(CALIBRATION, "/dev/arm")
-    assert emulated.resumed(POSE, driven=True) == replace(emulated, start_rad=POSE, driven=True)
-    assert real.resumed(POSE, driven=True) == real
+    feetech, dynamixel = EmulatedConfig(CALIBRATION, drop=0.1), EmulatedDynamixelConfig(CALIBRATION, drop=0.1)
+    assert feetech.resumed(POSE, driven=True) == replace(feetech, start_rad=POSE, driven=True, resumes=True)
+    assert dynamixel.resumed(POSE, driven=True) == replace(dynamixel, start_rad=POSE, driven=True)
+    assert IdealConfig(0.2).resumed(POSE, driven=False) == IdealConfig(0.2, start_rad=POSE, driven=False)
+    for real in (FeetechConfig(CALIBRATION, "/dev/arm"), DynamixelConfig(CALIBRATION, "/dev/arm")):
+        assert real.resumed(POSE, driven=True) == real
 
 
 @pytest.mark.parametrize("config", [EmulatedConfig(CALIBRATION, start_rad=POSE), IdealConfig(start_rad=POSE)])

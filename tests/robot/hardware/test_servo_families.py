@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from robot.calibration import RAD_PER_TICK, Calibration
-from robot.errors import NoReply, PortLost
+from robot.errors import NoReply, PortLost, StartupError
 from robot.hardware.dynamixel import readings as dynamixel_readings
 from robot.hardware.dynamixel import registers as dynamixel_registers
 from robot.hardware.dynamixel import servo_map as dynamixel_map
@@ -365,11 +365,37 @@ def test_the_condition_has_torque_silence_and_the_surveys_warnings(family: Famil
     assert "1000" in warning
 
 
-def test_a_relaxed_arm_is_read_and_nothing_is_written(family: Family) -> None:
-    emulator = family.emulator()
+def writes(emulator: Any) -> list[Any]:
+    """Keep the writes that the servos get from now on, which do not take them."""
     written: list[Any] = []
     for servo in emulator.servo_bus.servos:
         servo.write = lambda *arguments: written.append(arguments)
+    return written
+
+
+@pytest.mark.parametrize(
+    ("offline", "words"),
+    [
+        ({2, 5}, r"no answer from shoulder_lift \(id 2\), wrist_roll \(id 5\): check the cable"),
+        (set(IDS), "no servo answers: is the arm powered"),
+    ],
+)
+def test_missing_servos_are_named_by_a_survey_with_the_likely_cause(
+    family: Family, offline: set[int], words: str
+) -> None:
+    emulator = family.emulator()
+    written = writes(emulator)
+    emulator.servo_bus.faults.offline = offline
+    with pytest.raises(StartupError, match=words):
+        run_to_end(family.unread(emulator).survey())
+    emulator.servo_bus.faults.offline = set()
+    assert list(run_to_end(family.unread(emulator).survey()).driven) == [False] * 6
+    assert written == []
+
+
+def test_a_relaxed_arm_is_read_and_nothing_is_written(family: Family) -> None:
+    emulator = family.emulator()
+    written = writes(emulator)
     rig = family.rig(emulator, start_enabled=False)
     rig.until_mode(Mode.RELAXED)
     before = rig.state.stamp_s

@@ -91,7 +91,6 @@ def test_servos_start_where_they_are_told_within_their_range() -> None:
     dynamixels = SteppedDynamixels(start_rad={"elbow_flex": 0.7, "gripper": 9.0})
     measured = dynamixels.source.open()
     read = measured.read()
-    assert read is not None
     assert read.position_rad[2] == pytest.approx(0.7, abs=0.002)
     assert read.position_rad[5] == pytest.approx(CALIBRATION.joints[5].upper_rad, abs=0.002)
     assert read.position_rad[[0, 1, 3, 4]] == pytest.approx(0.0, abs=0.002)

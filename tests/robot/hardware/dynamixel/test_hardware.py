@@ -39,8 +39,6 @@ def rig(dynamixels: SteppedDynamixels) -> DynamixelRig:
 def test_a_cycle_is_one_block_read_and_one_goal_write(rig: DynamixelRig) -> None:
     rig.order(Order.ENABLE)
     arm = rig.supervisor.arm
-    assert arm is not None
-    assert arm.hardware.counters is not None
     before = arm.hardware.counters.sent
     for _ in range(CYCLES_BETWEEN):
         arm.tick()
@@ -53,7 +51,6 @@ def test_an_arm_follows_a_trajectory_and_is_relaxed_again(rig: DynamixelRig) -> 
     rig.execute(smooth_move({"elbow_flex": (0.0, -0.7), "wrist_roll": (0.0, 1.5)}, 2.0))
     rig.until(lambda: bool(rig.ended))
     assert rig.ended[0].outcome.value == "reached"
-    assert rig.state.position_rad is not None
     assert rig.state.position_rad[[2, 4]] == pytest.approx([-0.7, 1.5], abs=0.02)
     assert rig.order(Order.RELAX).done
     assert rig.torque() == [0] * 6

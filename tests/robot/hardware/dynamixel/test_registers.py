@@ -62,7 +62,6 @@ def test_a_block_of_measurements_is_parsed() -> None:
     assert len(BLOCK) == TELEMETRY_BYTES
     assert parse_motion(BLOCK) == parse_motion(BLOCK[:MOTION_BYTES]) == Motion(-200, 350, -12, 5000)
     climate = parse_climate(BLOCK)
-    assert climate is not None
     assert (climate.voltage_v, climate.temperature_c) == (pytest.approx(11.8), 41)
     assert parse_climate(BLOCK[:MOTION_BYTES]) is None
 

@@ -34,11 +34,6 @@ def set_register(dynamixels: SteppedDynamixels, servo: int, register: Register, 
     assert dynamixels.servo(servo).write(register, encode(register, value)) == 0
 
 
-def test_a_survey_writes_nothing(dynamixels: SteppedDynamixels) -> None:
-    surveyed(dynamixels)
-    assert dynamixels.writes() == 0
-
-
 def test_servos_are_found_as_they_are(dynamixels: SteppedDynamixels) -> None:
     dynamixels.servo(3).hold()
     found = surveyed(dynamixels)
@@ -57,16 +52,8 @@ def test_a_goal_is_told_without_the_turns_that_the_servo_counts(dynamixels: Step
     assert surveyed(dynamixels)[3].goal_ticks == CALIBRATION.joints[2].ticks_from_rad(0.0)
 
 
-def test_missing_servos_are_named(dynamixels: SteppedDynamixels) -> None:
-    dynamixels.servo_bus.faults.offline = {2, 5}
-    with pytest.raises(StartupError, match=r"no answer from shoulder_lift \(id 2\), wrist_roll \(id 5\): check"):
-        surveyed(dynamixels)
-
-
-def test_a_dead_bus_is_told_with_advice_for_a_real_one_only(dynamixels: SteppedDynamixels) -> None:
+def test_a_dead_bus_of_a_simulated_arm_is_told_without_advice(dynamixels: SteppedDynamixels) -> None:
     dynamixels.servo_bus.faults.offline = {1, 2, 3, 4, 5, 6}
-    with pytest.raises(StartupError, match="no servo answers: is the arm powered"):
-        surveyed(dynamixels)
     with pytest.raises(StartupError, match=r"no servo answers$"):
         surveyed(dynamixels, simulated=True)
 
@@ -176,20 +163,17 @@ def test_a_servo_as_it_was_written_is_no_fault(checks: RegisterChecks) -> None:
 
 def test_a_servo_that_was_relaxed_is_a_fault(checks: RegisterChecks) -> None:
     fault = checks.check_torque(3, on=False, stamp_s=5.0)
-    assert fault is not None
     assert (fault.code, fault.joint, fault.stamp_s) == (FaultCode.TORQUE_LOST, "elbow_flex", 5.0)
 
 
 def test_a_servo_with_a_disarmed_watchdog_has_rebooted_once(checks: RegisterChecks) -> None:
     fault = checks.check_watchdog(3, 0, 5.0)
-    assert fault is not None
     assert (fault.code, fault.joint) == (FaultCode.SERVO_REBOOTED, "elbow_flex")
     assert checks.check_watchdog(3, 0, 6.0) is None
 
 
 def test_a_servo_that_its_watchdog_has_stopped_is_a_fault(checks: RegisterChecks) -> None:
     fault = checks.check_watchdog(3, -1, 5.0)
-    assert fault is not None
     assert fault.code is FaultCode.SERVO_SILENT
     assert "0.5 s" in fault.message
 

@@ -42,7 +42,6 @@ def test_a_profile_by_name_is_the_known_one() -> None:
 
 def test_registers_of_an_arm_replace_those_of_the_base_at_every_servo() -> None:
     profile = profile_of(ProfileSpec("lerobot", {"P_GAIN": 20, "overload_torque": 60}, {"MAX_TORQUE": 400}))
-    assert profile is not None
     arm, gripper = profile.expected(gripper=False), profile.expected(gripper=True)
     assert arm[Register.P_GAIN] == gripper[Register.P_GAIN] == 20
     assert arm[Register.OVERLOAD_TORQUE] == gripper[Register.OVERLOAD_TORQUE] == 60

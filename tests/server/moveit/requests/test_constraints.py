@@ -55,18 +55,20 @@ def on_the_way(reading=None, **fields):
     return outcome(read_path_constraints, constraints(**fields), reading or context())
 
 
-def test_joint_constraints_alone_are_a_joint_goal() -> None:
-    asked = goal({"joint_constraints": [joint("elbow_flex", 0.5, 0.1, 0.1), joint("wrist_roll", -0.2)]})
-    assert asked == JointGoal({"elbow_flex": 0.5, "wrist_roll": -0.2}, 0.01)
+CUBE = region((BOX, [0.01, 0.01, 0.01]), poses=[point(0.3, 0.0, 0.2)])
+SINGLE = {
+    "joints": (
+        {"joint_constraints": [joint("elbow_flex", 0.5, 0.1, 0.1), joint("wrist_roll", -0.2)]},
+        JointGoal({"elbow_flex": 0.5, "wrist_roll": -0.2}, 0.01),
+    ),
+    "a position": ({"position_constraints": [BALL]}, PositionGoal(TIP, (0.3, 0.0, 0.2), 0.005)),
+    "a cube, for the ball within it": ({"position_constraints": [CUBE]}, PositionGoal(TIP, (0.3, 0.0, 0.2), 0.005)),
+}
 
 
-def test_a_position_alone_is_a_position_goal() -> None:
-    assert goal({"position_constraints": [BALL]}) == PositionGoal(TIP, (0.3, 0.0, 0.2), 0.005)
-
-
-def test_a_nearly_cubic_box_is_the_ball_within_it() -> None:
-    box = region((BOX, [0.01, 0.01, 0.01]), poses=[point(0.3, 0.0, 0.2)])
-    assert goal({"position_constraints": [box]}) == PositionGoal(TIP, (0.3, 0.0, 0.2), 0.005)
+@pytest.mark.parametrize(("message", "asked"), SINGLE.values(), ids=SINGLE.keys())
+def test_constraints_of_one_kind_alone_are_the_goal_of_that_kind(message, asked) -> None:
+    assert goal(message) == asked
 
 
 def test_a_long_box_stays_a_box() -> None:
@@ -134,11 +136,6 @@ def test_a_joint_outside_the_group_at_its_goal_is_ignored_with_a_warning() -> No
     assert "gripper" in reading.warnings[0]
 
 
-def test_a_joint_outside_the_group_that_would_have_to_move_is_refused() -> None:
-    refusal = goal({"joint_constraints": [joint("gripper", 1.0)]})
-    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "'arm'", "'gripper'", "elbow_flex")
-
-
 GRIPPER_AT_HALF = {
     "above": (joint("gripper", 0.4, above=0.15), True),
     "too far above": (joint("gripper", 0.4, above=0.05, below=0.5), False),
@@ -153,31 +150,31 @@ def test_a_joint_outside_the_group_is_there_within_its_tolerance(held, holds: bo
     assert isinstance(asked, JointGoal) == holds
 
 
+HAND = {"link_name": "hand"}
+INVALID, UNKNOWN_LINK = MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, MoveItErrorCode.INVALID_LINK_NAME
+BAD_GOALS = {
+    "an empty one": ([{"position_constraints": [BALL]}, {}], INVALID, ["goal_constraints[1] is empty"]),
+    "too many": ([{"position_constraints": [BALL]}] * (MAX_ALTERNATIVES + 1), INVALID, [str(MAX_ALTERNATIVES)]),
+    "visibility": ([{"visibility_constraints": [{}]}], INVALID, ["visibility_constraints", "sensor"]),
+    "an unknown link": ([{"position_constraints": [BALL | HAND]}], UNKNOWN_LINK, ["'hand'"]),
+    "an unknown link to turn": ([{"orientation_constraints": [HAND]}], UNKNOWN_LINK, ["'hand'"]),
+    "a joint of another group": (
+        [{"joint_constraints": [joint("gripper", 1.0)]}],
+        INVALID,
+        ["'arm'", "'gripper'", "elbow_flex"],
+    ),
+}
+
+
+@pytest.mark.parametrize(("messages", "code", "words"), BAD_GOALS.values(), ids=BAD_GOALS.keys())
+def test_a_goal_that_cannot_be_is_refused_by_its_place(messages, code, words) -> None:
+    assert_refused(goal(*messages), code, *words)
+
+
 def test_no_goal_is_refused() -> None:
     assert_refused(
         outcome(read_goal, [], context()), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "goal_constraints is empty"
     )
-
-
-def test_an_empty_goal_is_refused_by_its_place() -> None:
-    refusal = goal({"position_constraints": [BALL]}, {})
-    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "goal_constraints[1] is empty")
-
-
-def test_more_alternatives_than_can_be_tried_are_refused() -> None:
-    refusal = goal(*[{"position_constraints": [BALL]}] * (MAX_ALTERNATIVES + 1))
-    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(MAX_ALTERNATIVES))
-
-
-def test_visibility_is_refused_with_its_reason() -> None:
-    refusal = goal({"position_constraints": [BALL], "visibility_constraints": [{}]})
-    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "visibility_constraints", "sensor")
-
-
-@pytest.mark.parametrize("where", ["position_constraints", "orientation_constraints"])
-def test_an_unknown_link_in_a_goal_is_named(where: str) -> None:
-    bad = {"position_constraints": [BALL | {"link_name": "hand"}], "orientation_constraints": [{"link_name": "hand"}]}
-    assert_refused(goal({where: bad[where]}), MoveItErrorCode.INVALID_LINK_NAME, "'hand'")
 
 
 def test_an_empty_message_has_no_path_constraints() -> None:

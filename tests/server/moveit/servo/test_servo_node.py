@@ -287,22 +287,6 @@ def test_the_first_client_keeps_control_while_it_sends_commands() -> None:
     assert not ownership.take(OTHER, 1.8 * OWNERSHIP_TIMEOUT_S)
 
 
-def test_control_ends_by_silence() -> None:
-    ownership = Ownership(lambda _client: True)
-    ownership.take(ONE, 0.0)
-    assert ownership.take(OTHER, 1.1 * OWNERSHIP_TIMEOUT_S)
-    assert ownership.owner(1.2 * OWNERSHIP_TIMEOUT_S) is OTHER
-
-
-def test_control_ends_when_the_client_leaves() -> None:
-    present = {ONE, OTHER}
-    ownership = Ownership(lambda client: client in present)
-    ownership.take(ONE, 0.0)
-    present.remove(ONE)
-    assert ownership.owner(0.1) is None
-    assert ownership.take(OTHER, 0.1)
-
-
 def test_a_client_shortens_the_timeout_of_its_own_commands_alone() -> None:
     timeouts = CommandTimeouts(0.25)
     timeouts.choose("page", 0.08, {"page"})

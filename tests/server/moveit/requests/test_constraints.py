@@ -41,6 +41,7 @@ from tests.helpers.moveit import (
     outcome,
     point,
     region,
+    rejection,
     turned,
 )
 
@@ -212,12 +213,6 @@ def read_joints(*messages, reading=None, where="goal_constraints[0]"):
     return read_joint_constraints(complete, reading or context(), where)
 
 
-def joint_refusal(*messages):
-    with pytest.raises(RefusedError) as raised:
-        read_joints(*messages)
-    return raised.value.failure
-
-
 def test_a_constraint_without_tolerances_is_exact() -> None:
     assert read_joints({"joint_name": "elbow_flex", "position": 0.5}) == (
         JointConstraint("elbow_flex", 0.5, 0.0, 0.0, 0.0),
@@ -250,7 +245,7 @@ def test_a_position_slightly_beyond_the_limit_is_clamped() -> None:
 
 def test_a_position_far_beyond_the_limit_is_refused_with_joint_value_and_limits() -> None:
     failure = assert_refused(
-        joint_refusal(joint("elbow_flex", 2.0)),
+        rejection(read_joints, joint("elbow_flex", 2.0)),
         MoveItErrorCode.INVALID_GOAL_CONSTRAINTS,
         "'elbow_flex'",
         "2",
@@ -272,7 +267,7 @@ BAD_JOINTS = {
 
 @pytest.mark.parametrize(("bad", "words"), BAD_JOINTS.values(), ids=BAD_JOINTS.keys())
 def test_a_senseless_constraint_is_refused_by_field_and_value(bad, words) -> None:
-    assert_refused(joint_refusal(bad), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, *words)
+    assert_refused(rejection(read_joints, bad), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, *words)
 
 
 def test_several_on_one_joint_are_their_common_range() -> None:
@@ -283,7 +278,7 @@ def test_several_on_one_joint_are_their_common_range() -> None:
 
 
 def test_several_that_have_nothing_in_common_are_refused_with_the_joint() -> None:
-    failure = joint_refusal(joint("elbow_flex", 0.0, 0.1, 0.1), joint("elbow_flex", 0.6, 0.1, 0.1))
+    failure = rejection(read_joints, joint("elbow_flex", 0.0, 0.1, 0.1), joint("elbow_flex", 0.6, 0.1, 0.1))
     assert_refused(failure, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "'elbow_flex'", "no position")
 
 
@@ -319,11 +314,8 @@ def test_an_orientation_in_a_link_turns_with_the_link() -> None:
 
 @pytest.mark.parametrize("value", [-0.1, math.nan])
 def test_a_senseless_tolerance_is_refused_by_field_and_value(value: float) -> None:
-    with pytest.raises(RefusedError) as raised:
-        read_orientation(turned((0.1, value, 0.1)))
-    assert_refused(
-        raised.value.failure, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "absolute_y_axis_tolerance", f"{value:g}"
-    )
+    raised = rejection(read_orientation, turned((0.1, value, 0.1)))
+    assert_refused(raised, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "absolute_y_axis_tolerance", f"{value:g}")
 
 
 def test_an_endless_tolerance_leaves_its_axis_free() -> None:
@@ -355,12 +347,6 @@ AT = point(0.3, 0.0, 0.2)
 def read_region(constraint, reading=None):
     (complete,) = constraints(position_constraints=[constraint])["position_constraints"]
     return read_regions(complete, reading or context(), "here")
-
-
-def region_refusal(constraint):
-    with pytest.raises(RefusedError) as raised:
-        read_region(constraint)
-    return raised.value.failure
 
 
 def test_a_sphere_is_its_radius_around_its_pose() -> None:
@@ -428,9 +414,9 @@ BAD_REGIONS = {
 
 @pytest.mark.parametrize(("bad", "words"), BAD_REGIONS.values(), ids=BAD_REGIONS.keys())
 def test_a_senseless_region_is_refused_by_field_and_value(bad, words) -> None:
-    assert_refused(region_refusal(bad), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "here.", *words)
+    assert_refused(rejection(read_region, bad), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "here.", *words)
 
 
 def test_an_unknown_frame_is_named() -> None:
-    failure = region_refusal(ball(0.3, 0.0, 0.2, header={"frame_id": "moon"}))
+    failure = rejection(read_region, ball(0.3, 0.0, 0.2, header={"frame_id": "moon"}))
     assert_refused(failure, MoveItErrorCode.FRAME_TRANSFORM_FAILURE, "'moon'")

@@ -19,7 +19,7 @@ from server.moveit.requests.planning_context import (
     state_positions,
 )
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, joint, message, outcome
+from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, joint, message, outcome, rejection
 
 ELBOW = ROBOT.joints["elbow_flex"]
 CURRENT = HOME | {"shoulder_pan": 0.3}
@@ -141,9 +141,8 @@ def test_a_requests_state_overrides_the_assumed_one(rig: ServiceRig) -> None:
 
 def test_an_arm_that_is_not_read_is_no_start(rig: ServiceRig) -> None:
     rig.arm.lose_positions()
-    with pytest.raises(RefusedError) as raised:
-        rig.context.start(state(), rig.client)
-    assert_refused(raised.value.failure, MoveItErrorCode.ROBOT_STATE_STALE)
+    raised = rejection(rig.context.start, state(), rig.client)
+    assert_refused(raised, MoveItErrorCode.ROBOT_STATE_STALE)
 
 
 def test_the_scene_is_the_present_one_unless_something_is_attached(rig: ServiceRig) -> None:

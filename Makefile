@@ -10,7 +10,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install install-dev run page page-if-npm test test-processes test-page pictures test-clients fuzz lint check bench bench-planning campaign campaign-planners lock clean
+.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients fuzz lint check bench bench-planning campaign campaign-planners lock clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -53,6 +53,17 @@ PYTEST := $(BIN)/python -m pytest --durations=10
 test: install-dev
 	$(PYTEST) --ignore tests/processes --ignore tests/page --ignore tests/clients --ignore tests/examples \
 		-n 2 --dist worksteal $(ARGS)
+
+# The first ring on the other Pythons that this machine has, each in an environment of its own; says which it has not.
+test-pythons:
+	@for version in 3.12 3.13; do \
+		python=; \
+		for found in python$$version $${PYENV_ROOT:-$$HOME/.pyenv}/versions/$$version.*/bin/python; do \
+			if $$found -c pass 2>/dev/null; then python=$$found; break; fi; \
+		done; \
+		if [ -z "$$python" ]; then echo "not tested on Python $$version: this machine has none" >&2; continue; fi; \
+		$(MAKE) test VENV=build/python$$version PYTHON=$$python || exit; \
+	done
 
 # A module's server is started once.
 test-processes: install-dev

@@ -228,7 +228,7 @@ class WorkerProcess:
             return  # the request was given up before it was sent
         self._child.send(Cancel(self._number))
         try:
-            async with timeout_at(Deadline(CANCEL_TIMEOUT_S, self.run_delay_s)):
+            async with timeout_after(CANCEL_TIMEOUT_S, self.run_delay_s):
                 await asyncio.shield(self._answer)
         except TimeoutError:
             log.warning("planner process %d does not listen and is ended", self.pid)
@@ -272,13 +272,18 @@ class WorkerProcess:
 
 
 @contextlib.asynccontextmanager
-async def timeout_at(deadline: Deadline) -> AsyncIterator[None]:
-    """Cancel the body once a deadline has passed, as :func:`asyncio.timeout` does.
+async def timeout_after(allowed_s: float, run_delay_s: Callable[[], float | None]) -> AsyncIterator[None]:
+    """Cancel the body as :func:`asyncio.timeout` does, but not for the time that a process waits for a core.
+
+    Args:
+        allowed_s: time to the deadline if the process never waits, by the event loop's clock [s].
+        run_delay_s: reads for how long the process has waited for a core; see :class:`planners.budget.Deadline`.
 
     Raises:
         TimeoutError: the deadline has passed.
     """
     loop = asyncio.get_running_loop()
+    deadline = Deadline(allowed_s, run_delay_s, loop.time)
     timer: asyncio.TimerHandle
     async with asyncio.timeout(None) as timeout:
 
@@ -556,7 +561,7 @@ class PlannerPool:
         # An arm moves meanwhile, and stops if there is no answer: a busy machine extends no deadline here.
         while_moving = isinstance(request, RecheckQuestion | ConcurrencyQuestion | ServoQuestion)
         try:
-            async with asyncio.timeout(limit_s) if while_moving else timeout_at(Deadline(limit_s, worker.run_delay_s)):
+            async with asyncio.timeout(limit_s) if while_moving else timeout_after(limit_s, worker.run_delay_s):
                 answer = await worker.ask(request, scene, on_hard)
         except TimeoutError:
             # A worker that was only starved answers while it is cancelled, and so is kept.

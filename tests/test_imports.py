@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable
 from graphlib import TopologicalSorter
-from pathlib import Path
 
-import pytest
-
-ROOT = Path(__file__).parents[1]
-ROOMS = ("server", "planners", "robot", "protocol")
+from tests.helpers.server import ROOT
+from tests.helpers.source import ROOMS, imports, name_of, paths
 
 # What each room may import of ours; a name with a dot is one module of a room. docs/architecture.md shows it.
 ALLOWED = {
@@ -66,80 +62,57 @@ ASYNCIO_OUTSIDE_SERVER = {
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 
 
-def modules(room: str) -> Iterator[Path]:
-    yield from (path for path in sorted((ROOT / room).rglob("*.py")) if "node_modules" not in path.parts)
-
-
-def imports(path: Path) -> set[str]:
-    """Full names of all that a module imports, anywhere in it."""
-    names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            assert node.module is not None
-            names |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
-
-
 def allowed(name: str, room: str) -> bool:
     return any(name == prefix or name.startswith(f"{prefix}.") for prefix in ALLOWED[room])
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_a_room_imports_only_the_rooms_below_it(room: str) -> None:
-    wrong = [
+def importing(rooms: Iterable[str], is_wrong: Callable[[str, str], bool]) -> list[str]:
+    """Which modules of some rooms import a name that is wrong in that room."""
+    return [
         f"{path.relative_to(ROOT)} imports {name}"
-        for path in modules(room)
-        for name in imports(path)
-        if name.split(".")[0] in ROOMS and not allowed(name, room)
+        for room in rooms
+        for path in paths(room)
+        for name in sorted(imports(path).names)
+        if is_wrong(name, room)
     ]
-    assert not wrong
 
 
-@pytest.mark.parametrize("room", ["planners", "robot", "protocol"])
-def test_asyncio_and_websockets_stay_in_the_server(room: str) -> None:
-    wrong = [
-        f"{path.relative_to(ROOT)} imports {name}"
-        for path in modules(room)
-        for name in imports(path)
-        if name.split(".")[0] in {"asyncio", "websockets", "uvloop", "pydantic_settings"}
-        and str(path.relative_to(ROOT)) not in ASYNCIO_OUTSIDE_SERVER
-    ]
-    assert not wrong
+def test_a_room_imports_only_the_rooms_below_it() -> None:
+    assert importing(ROOMS, lambda name, room: name.split(".")[0] in ROOMS and not allowed(name, room)) == []
+
+
+def test_asyncio_and_websockets_stay_in_the_server() -> None:
+    ours = {"asyncio", "websockets", "uvloop", "pydantic_settings"}
+    found = importing(("planners", "robot", "protocol"), lambda name, _room: name.split(".")[0] in ours)
+    assert [each for each in found if each.split()[0] not in ASYNCIO_OUTSIDE_SERVER] == []
 
 
 def test_the_protocol_does_no_io_and_reads_no_clock() -> None:
+    foreign = {"socket", "time", "select", "threading", "logging", "subprocess"}
+    found = importing(("protocol",), lambda name, _room: name.split(".")[0] in foreign)
     # It begins no thread; a budget is one for each.
-    allowed = "protocol/messages.py imports threading"
-    wrong = [
-        f"{path.relative_to(ROOT)} imports {name}"
-        for path in modules("protocol")
-        for name in imports(path)
-        if name.split(".")[0] in {"socket", "time", "select", "threading", "logging", "subprocess"}
-    ]
-    assert wrong == [allowed]
+    assert found == ["protocol/messages.py imports threading"]
 
 
-@pytest.fixture(scope="module")
-def loaded_by_the_server() -> set[str]:
-    """The modules of a server process that has not yet started."""
-    program = "import sys, server.app; print(*sys.modules)"
-    loaded = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
-    )
-    return set(loaded.stdout.split())
+# A server process that has not yet started, and shares nothing with other machines.
+PROGRAM = """
+import sys, server.app
+from server.access.authorization import unlimited
+from server.zenoh.bridge import bridge_of
+from server.zenoh.settings import ZenohSettings
+assert bridge_of(ZenohSettings(), None, unlimited(), 1) is None
+print(*sys.modules)
+"""
 
 
-def test_the_server_process_loads_no_planning_library(loaded_by_the_server: set[str]) -> None:
-    assert loaded_by_the_server & PLANNING_LIBRARIES == set()
-
-
-def test_a_server_starts_without_loading_what_only_few_need(loaded_by_the_server: set[str]) -> None:
+def test_a_server_starts_without_planning_libraries_and_without_what_only_few_need() -> None:
     """The metrics' library is loaded: it counts from the start, and takes 20 to 30 ms of the 1.3 s of imports."""
-    assert {"server.monitoring.monitor", "server.zenoh.bridge", "prometheus_client"} <= loaded_by_the_server
-    assert not {"zenoh", "mcap", "distributed"} & loaded_by_the_server
+    command = [sys.executable, "-c", PROGRAM]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    loaded = set(done.stdout.split())
+    assert loaded & PLANNING_LIBRARIES == set()
+    assert {"server.monitoring.monitor", "server.zenoh.bridge", "prometheus_client"} <= loaded
+    assert not {"zenoh", "mcap", "distributed"} & loaded
 
 
 def import_table() -> str:
@@ -158,19 +131,6 @@ def test_the_architecture_page_shows_these_imports() -> None:
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
-    graph = {
-        ".".join(path.relative_to(ROOT).with_suffix("").parts): imports_when_loaded(path)
-        for room in ROOMS
-        for path in modules(room)
-    }
-    order = TopologicalSorter({name: {each for each in found if each in graph} for name, found in graph.items()})
+    found = {name_of(path): imports(path).when_loaded for room in ROOMS for path in paths(room)}
+    order = TopologicalSorter({name: names & found.keys() for name, names in found.items()})
     order.prepare()
-
-
-def imports_when_loaded(path: Path) -> set[str]:
-    """Return the modules that a module imports when it is loaded, so not for its types alone, nor in a function."""
-    names = set()
-    for node in ast.parse(path.read_text()).body:
-        if isinstance(node, ast.ImportFrom) and node.module is not None:
-            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return names

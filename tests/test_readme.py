@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from server.config_loader import load
-from tests.helpers.server import RunningServer
-
-ROOT = Path(__file__).parents[1]
+from tests.helpers.server import ROOT, RunningServer
 
 
 def blocks(path: Path, language: str) -> list[str]:

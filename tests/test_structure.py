@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
-import pytest
-
-ROOT = Path(__file__).parents[1]
-ROOMS = ("server", "planners", "robot", "protocol")
+from tests.helpers.server import ROOT
+from tests.helpers.source import ROOMS, imports, name_of, paths
 
 # Where the tests of a folder lie: what needs several processes, or real time, in the second.
 RINGS = ("tests", "tests/processes")
@@ -21,53 +20,35 @@ WITHOUT_TEST = {
 }
 
 
-def folders() -> list[Path]:
-    """Every folder of the source that holds modules."""
-    return sorted(
-        {path.parent for room in ROOMS for path in (ROOT / room).rglob("*.py") if "node_modules" not in path.parts}
-    )
+def imported_by(path: Path) -> frozenset[str]:
+    """Full names of the modules that a module imports, and of what it imports from them."""
+    return imports(path).names | imports(path).sources
 
 
-def imported_by(path: Path) -> set[str]:
-    """Full names of the modules that a test imports, and of what it imports from them."""
-    names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module is not None:
-            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
-
-
-@pytest.fixture
-def imports() -> dict[str, set[str]]:
-    """Imports of each module of the source and of the tests' helpers, by its full name."""
-    places = (*ROOMS, "tests")
-    paths = [path for room in places for path in (ROOT / room).rglob("[!_]*.py") if "node_modules" not in path.parts]
-    return {".".join(path.relative_to(ROOT).with_suffix("").parts): imported_by(path) for path in paths}
-
-
-def test_every_module_is_reached_by_the_tests_of_its_folder(imports: dict[str, set[str]]) -> None:
+def test_every_module_is_reached_by_the_tests_of_its_folder() -> None:
+    imported = {name_of(path): imported_by(path) for room in (*ROOMS, "tests") for path in paths(room, "[!_]*.py")}
     missed: set[str] = set()
-    for folder in (path.relative_to(ROOT) for path in folders()):
+    for folder in sorted({path.parent.relative_to(ROOT) for room in ROOMS for path in paths(room)}):
         tests = [path for ring in RINGS for path in (ROOT / ring / folder).glob("*.py")]
         reached: set[str] = set()
-        found = set().union(*(imported_by(path) for path in tests)) & imports.keys()
+        found = set[str]().union(*map(imported_by, tests)) & imported.keys()
         while found:
             reached |= found
-            found = set().union(*(imports[name] for name in found)) & imports.keys() - reached
-        missed |= {".".join((*folder.parts, path.stem)) for path in (ROOT / folder).glob("[!_]*.py")} - reached
+            found = set[str]().union(*(imported[name] for name in found)) & imported.keys() - reached
+        missed |= {name_of(path) for path in (ROOT / folder).glob("[!_]*.py")} - reached
     assert missed - WITHOUT_TEST == set()
 
 
 def test_every_motion_that_the_server_sends_to_an_arm_names_the_stop_epoch_of_its_request() -> None:
     """Else it would count as requested when it is sent, after any stop that has overtaken it."""
-    nameless = []
-    for path in (ROOT / "server").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
-                continue
-            arm = ast.unparse(node.func.value).rpartition(".")[2] in ("arm", "_arm")
-            if arm and node.func.attr in ("execute", "stream") and "epoch" not in {each.arg for each in node.keywords}:
-                nameless.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    nameless, count = [], 0
+    for path in paths("server"):
+        text = path.read_text()
+        # Most modules send none; they need not be parsed.
+        for node in ast.walk(ast.parse(text)) if re.search(r"arm\.(execute|stream)\(", text) else ():
+            if isinstance(node, ast.Call) and re.search(r"\b_?arm\.(execute|stream)$", ast.unparse(node.func)):
+                count += 1
+                if "epoch" not in {each.arg for each in node.keywords}:
+                    nameless.append(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert nameless == []
+    assert count > 0

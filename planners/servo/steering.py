@@ -33,13 +33,13 @@ from planners.servo.question import (
     TipTwist,
 )
 from planners.servo.velocity_limits import (
-    WATCHED_M,
     PredictedTip,
     RegularizedMotion,
     VelocityBounds,
     bounded_least_squares,
     regularized,
     velocity_bounds,
+    watched_m,
     within_reach,
 )
 from robot.description.model import RobotModel
@@ -157,7 +157,9 @@ def _servo_state(
     lower, upper = collision.lower_rad[columns], collision.upper_rad[columns]
     joints = [robot.joints[name] for name in names]
     max_change = ACCELERATION_SHARE * question.period_s * np.array([joint.max_acceleration for joint in joints])
-    pairs = collision.near_pairs(q, WATCHED_M)
+    velocity_rad_s = np.array([question.velocity_rad_s.get(name, 0.0) for name in names])
+    ahead_m = watched_m(collision.travel_m_per_rad[columns], velocity_rad_s, max_change, question.period_s)
+    pairs = collision.near_pairs(q, ahead_m)
     bounds = velocity_bounds(q[columns], lower, upper, columns, pairs, limits, max_change, question.period_s)
     jacobian = forward.jacobian(q, question.link)[:, columns]
     return ServoState(
@@ -166,7 +168,7 @@ def _servo_state(
         jacobian,
         limits.velocity_scaling * np.array([joint.max_velocity for joint in joints]),
         max_change,
-        np.array([question.velocity_rad_s.get(name, 0.0) for name in names]),
+        velocity_rad_s,
         forward.placement(question.link).copy(),
         bounds,
     )

@@ -59,7 +59,7 @@ BRAKING_DELAY = 1.0
 # Price of exceeding an inequality, in changes of the joints' velocities.
 EXCESS_PRICE = 30.0
 
-# Pairs further apart than this limit no speed below 0.3 m/s.
+# Pairs further apart than this are watched by an arm that is fast only: they limit no speed below 0.3 m/s.
 WATCHED_M = 0.12
 
 
@@ -86,6 +86,21 @@ class VelocityBounds:
         """Return the joints whose limits are among some inequalities."""
         count = len(self.rows[0])
         return sorted({int(index) % count for index in active if index < len(self.bounds) - len(self.pairs)})
+
+
+def watched_m(travel_m_per_rad: Vector, velocity_rad_s: Vector, max_change: Vector, period_s: float) -> float:
+    """Return how far ahead obstacles must be known, so that the joints still brake before them [m].
+
+    Args:
+        travel_m_per_rad: greatest travel of a point of the arm by each joint, shape (n,) [m/rad].
+        velocity_rad_s: present velocities of the joints, shape (n,) [rad/s].
+        max_change: of these in a period, shape (n,) [rad/s].
+        period_s: time between two answers [s].
+    """
+    fastest = np.abs(velocity_rad_s) + max_change
+    braking = BRAKING_SHARE * max_change / period_s
+    ahead_rad = fastest * BRAKING_DELAY * period_s + fastest**2 / (2.0 * braking)
+    return max(WATCHED_M, CURVATURE_M + float(travel_m_per_rad @ ahead_rad))
 
 
 def velocity_bounds(

@@ -16,6 +16,7 @@ import cbor2
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
+from tests.helpers.clients import install_with_npm
 from tests.helpers.server import ROOT, RunningServer
 
 HERE = Path(__file__).parent / "foxglove"
@@ -87,28 +88,12 @@ def heard() -> Iterator[Heard]:
 @pytest.fixture(scope="module")
 def decoded(heard: Heard, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Every message as Foxglove's readers decode it."""
-    if shutil.which("npm") is None or shutil.which("node") is None:
-        pytest.skip("node and npm are not installed")
     folder = tmp_path_factory.mktemp("foxglove")
     shutil.copytree(HERE, folder, dirs_exist_ok=True)
-    installed = subprocess.run(
-        ["npm", "install", "--no-audit", "--no-fund"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    if installed.returncode != 0:
-        pytest.skip(f"npm cannot be reached: {installed.stderr.strip().splitlines()[-1]}")
+    install_with_npm(folder)
+    told = json.dumps(heard.messages)
     done = subprocess.run(
-        ["node", "decode.mjs"],
-        cwd=folder,
-        input=json.dumps(heard.messages),
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
+        ["node", "decode.mjs"], cwd=folder, input=told, capture_output=True, text=True, timeout=60, check=False
     )
     assert done.returncode == 0, done.stderr
     messages: dict[str, Any] = json.loads(done.stdout)

@@ -1,117 +1,143 @@
-"""roslibjs as it is published, versions 1 and 2, against the server with the simulated arm."""
+"""roslibjs and roslibpy as they are published, two versions of each, against the server with the simulated arm."""
 
 from __future__ import annotations
 
 import json
 import shutil
 import subprocess
+import sys
+import venv
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.helpers.clients import heard_by, install_with_npm
 from tests.helpers.server import RunningServer
 
 HERE = Path(__file__).parent
+OLD = "roslibpy==1.8.1"
 
-
-@pytest.fixture(scope="module")
-def node_modules(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with both versions of roslib installed."""
-    if shutil.which("npm") is None or shutil.which("node") is None:
-        pytest.skip("node and npm are not installed")
-    folder = tmp_path_factory.mktemp("roslib")
-    for name in ("package.json", "roslib_scenario.mjs"):
-        shutil.copy(HERE / name, folder)
-    installed = subprocess.run(
-        ["npm", "install", "--no-audit", "--no-fund"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    if installed.returncode != 0:
-        pytest.skip(f"npm cannot be reached: {installed.stderr.strip().splitlines()[-1]}")
-    return folder
-
-
-@pytest.fixture(scope="module", params=["roslib1", "roslib2"])
-def answers(request: pytest.FixtureRequest, node_modules: Path, server: RunningServer) -> dict[str, Any]:
-    """What the scenario heard, step by step."""
-    done = subprocess.run(
-        ["node", "roslib_scenario.mjs", request.param, f"ws://127.0.0.1:{server.port}"],
-        cwd=node_modules,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr + done.stdout
-    heard: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return heard
-
+# Versions of the two libraries.
+JAVASCRIPT, PYTHON = ("roslib1", "roslib2"), ("roslibpy 1.8", "roslibpy 2")
 
 JOINTS = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
 
+Heard = dict[str, Any]
+Folders = pytest.TempPathFactory
 
-def test_topics_are_listed_with_their_types(answers: dict[str, Any]) -> None:
-    listed = dict(zip(answers["topics"]["topics"], answers["topics"]["types"], strict=True))
-    assert listed["/joint_states"] == "sensor_msgs/msg/JointState"
+
+@pytest.fixture(scope="module")
+def node_modules(tmp_path_factory: Folders) -> Path:
+    """A folder with both versions of roslib installed."""
+    folder = tmp_path_factory.mktemp("roslib")
+    for name in ("package.json", "roslib_scenario.mjs"):
+        shutil.copy(HERE / name, folder)
+    install_with_npm(folder)
+    return folder
+
+
+def old_python(folder: Path) -> str:
+    """An interpreter with the old version of roslibpy, which cannot live beside the new one."""
+    venv.create(folder, with_pip=True)
+    python = str(folder / "bin" / "python")
+    command = [python, "-m", "pip", "install", "--quiet", OLD]
+    installed = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    if installed.returncode != 0:
+        pytest.skip(f"PyPI cannot be reached: {installed.stderr.strip().splitlines()[-1]}")
+    return python
+
+
+@pytest.fixture(scope="module")
+def heard(server: RunningServer, request: pytest.FixtureRequest, tmp_path_factory: Folders) -> Callable[[str], Heard]:
+    """Runs the scenario of a version, once; returns what it heard, step by step."""
+    answers: dict[str, Heard] = {}
+
+    def run(version: str) -> Heard:
+        if version in JAVASCRIPT:
+            folder: Path = request.getfixturevalue("node_modules")
+            command = ["node", "roslib_scenario.mjs", version, f"ws://127.0.0.1:{server.port}"]
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+            assert done.returncode == 0, done.stderr + done.stdout
+            heard: Heard = json.loads(done.stdout.splitlines()[-1])
+            return heard
+        python = sys.executable if version == "roslibpy 2" else old_python(tmp_path_factory.mktemp("venv"))
+        return heard_by(python, HERE / "roslibpy_scenario.py", str(server.port))
+
+    def once(version: str) -> Heard:
+        if version not in answers:
+            answers[version] = run(version)
+        return answers[version]
+
+    return once
+
+
+@pytest.fixture(scope="module", params=[*JAVASCRIPT, *PYTHON])
+def answers(request: pytest.FixtureRequest, heard: Callable[[str], Heard]) -> Heard:
+    """What a version heard."""
+    return heard(request.param)
+
+
+@pytest.fixture(scope="module", params=JAVASCRIPT)
+def of_javascript(request: pytest.FixtureRequest, heard: Callable[[str], Heard]) -> Heard:
+    """What a version of roslibjs heard."""
+    return heard(request.param)
+
+
+def test_topics_and_services_are_listed(answers: Heard) -> None:
+    topics = answers["topics"]["topics"] if isinstance(answers["topics"], dict) else answers["topics"]
+    assert "/joint_states" in topics
     assert answers["topic type"] == "sensor_msgs/msg/JointState"
-
-
-def test_services_are_listed(answers: dict[str, Any]) -> None:
     assert {"/rosapi/topics", "/rosapi/services"} <= set(answers["services"])
 
 
-def test_a_message_type_is_explained(answers: dict[str, Any]) -> None:
-    main = answers["message details"][0]
-    assert main["fieldnames"] == ["header", "name", "position", "velocity", "effort"]
+def test_topics_are_listed_with_their_types_and_a_message_type_is_explained(of_javascript: Heard) -> None:
+    listed = of_javascript["topics"]
+    types = dict(zip(listed["topics"], listed["types"], strict=True))
+    assert types["/joint_states"] == "sensor_msgs/msg/JointState"
+    assert of_javascript["message details"][0]["fieldnames"] == ["header", "name", "position", "velocity", "effort"]
 
 
-def test_a_topic_is_subscribed(answers: dict[str, Any]) -> None:
+def test_a_topic_is_subscribed(answers: Heard) -> None:
     assert answers["joint states"]["name"] == JOINTS
     assert len(answers["joint states"]["position"]) == 6
 
 
 @pytest.mark.parametrize("compression", ["png", "cbor"])
-def test_a_topic_is_subscribed_compressed(answers: dict[str, Any], compression: str) -> None:
-    state = answers[f"joint states as {compression}"]
+def test_a_topic_is_subscribed_compressed(of_javascript: Heard, compression: str) -> None:
+    state = of_javascript[f"joint states as {compression}"]
     assert state["name"] == JOINTS
     assert len(state["position"]) == 6
 
 
-def test_a_message_goes_from_one_client_to_another(answers: dict[str, Any]) -> None:
+def test_a_message_goes_from_one_client_to_another(answers: Heard) -> None:
     assert answers["relayed"] == "hello"
 
 
-def test_a_goal_moves_the_arm(answers: dict[str, Any]) -> None:
+def test_a_goal_moves_the_arm(answers: Heard) -> None:
     assert answers["goal"]["val"] == 1
 
 
-def test_a_service_of_one_client_is_called_by_another(answers: dict[str, Any]) -> None:
+def test_a_service_of_one_client_is_called_by_another_and_one_that_nobody_offers_fails(answers: Heard) -> None:
     assert answers["offered service"] == {"success": True, "message": "on"}
-
-
-def test_a_service_that_nobody_offers_fails_with_its_name(answers: dict[str, Any]) -> None:
     assert "/nobody" in answers["unknown service"]
 
 
-def test_a_parameter_is_kept(answers: dict[str, Any]) -> None:
+def test_a_parameter_is_kept_and_one_that_is_not_there_is_read(answers: Heard) -> None:
     assert answers["parameter"] == 0.5
+    assert answers["unknown parameter"] in (None, "", "failed: there is no parameter nobody_has_set_this")
 
 
-def test_an_action_of_one_client_is_run_by_another(answers: dict[str, Any]) -> None:
+def test_an_action_of_one_client_is_run_by_another(answers: Heard) -> None:
     assert answers["action"]["result"]["position"] == 0.5
     assert answers["action"]["result"]["reached_goal"] is True
     assert answers["action"]["feedback"]["position"] == 0.25
 
 
-def test_the_action_of_the_examples_is_run(answers: dict[str, Any]) -> None:
-    assert answers["fibonacci"]["result"]["sequence"] == [0, 1, 1, 2, 3, 5, 8, 13]
-    assert answers["fibonacci"]["feedback"]["sequence"] == [0, 1, 1]
-
-
-def test_a_parameter_that_is_not_there_is_read(answers: dict[str, Any]) -> None:
-    assert answers["unknown parameter"] in (None, "failed: there is no parameter nobody_has_set_this")
+@pytest.mark.parametrize("name", ["fibonacci", "fibonacci of ROS 2"])
+def test_the_action_of_the_examples_is_run(answers: Heard, name: str) -> None:
+    if name not in answers:
+        pytest.skip("only roslibpy 2 has actions of ROS 2")
+    assert answers[name]["result"]["sequence"] == [0, 1, 1, 2, 3, 5, 8, 13]
+    assert answers[name]["feedback"]["sequence"] == [0, 1, 1]

@@ -15,10 +15,9 @@ SCENARIO = Path(__file__).with_name("sparse_goals_scenario.py")
 
 
 @pytest.fixture(scope="module")
-def answers() -> dict[str, Any]:
+def answers(server: RunningServer) -> dict[str, Any]:
     """What came of each script."""
-    with RunningServer() as server:
-        return heard_by(sys.executable, SCENARIO, str(server.port))
+    return heard_by(sys.executable, SCENARIO, str(server.port))
 
 
 def test_segments_planned_alone_and_stitched_by_hand_are_executed(answers: dict[str, Any]) -> None:

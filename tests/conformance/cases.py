@@ -28,6 +28,8 @@ In what is expected ``"<any>"`` stands for any value, ``"<... words ...>"`` for 
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -59,6 +61,43 @@ class Player(Protocol):
 def cases() -> list[dict[str, Any]]:
     """Every case of every file."""
     return [case for path in sorted(FOLDER.glob("*.json")) for case in json.loads(path.read_text())]
+
+
+def covering_cases(suits: Callable[[dict[str, Any]], bool] = lambda _case: True) -> list[dict[str, Any]]:
+    """Return cases that have, together, every feature of all suitable cases that let no time pass.
+
+    Each time the case with the most features that no chosen one has is added.
+    """
+    features = {case["name"]: set(features_of(case)) for case in cases() if suits(case) and not lets_time_pass(case)}
+    left, chosen = set[str]().union(*features.values()), set[str]()
+    while left:
+        best = max(features, key=lambda name: len(features[name] & left))
+        chosen.add(best)
+        left -= features[best]
+    return [case for case in cases() if case["name"] in chosen]
+
+
+def lets_time_pass(case: dict[str, Any]) -> bool:
+    return any("advance_ms" in step for step in case["steps"])
+
+
+def features_of(case: dict[str, Any]) -> Iterator[str]:
+    """Go over the options of a case, kinds of frames, operations, control fields, and sentences of refusals."""
+    yield from case.keys() - {"name", "section", "steps"}
+    for step in case["steps"]:
+        for key, content in step.items():
+            if key in ("client", "pieces", "advance_ms"):
+                continue
+            contents = content if isinstance(content, list) else [content]
+            for each in contents:
+                operation = each if isinstance(each, dict) else {}
+                yield f"{key} {operation.get('op')}"
+                yield from (f"{field} in {key}" for field in operation)
+                yield from (f"{name} {operation[name]}" for name in ("compression", "level") if name in operation)
+                for sentence in (operation.get("msg"), operation.get("values")):
+                    if isinstance(sentence, str):
+                        # Names, numbers and what was got differ within a class of errors.
+                        yield re.sub(r"/\w+|\d+|'.*?'|\(.*?\)", "", sentence)
 
 
 async def play(case: dict[str, Any], player: Player) -> None:

@@ -93,15 +93,45 @@ def test_an_argument_that_is_wrong_is_named_before_connecting(
     assert repr(arguments[1]) in done.stderr.splitlines()[-1]
 
 
-def test_a_named_goal_is_reached_and_told(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("named_goal.py", "ready", "--port", str(server.port))
-    assert (done.returncode, done.stdout) == (0, "1 the arm is there\n"), done.stderr
+DONE = {
+    "a named goal is reached": (("named_goal.py", "ready"), "1 the arm is there\n"),
+    "a point to the right has a negative coordinate": (("pose_goal.py", "0.25", "-0.1", "0.2"), "the arm is there\n"),
+    "a square is drawn in the air": (("square_in_the_air.py",), "a square of 6 cm, 100% of it\n"),
+    "a box is picked up and put down": (
+        ("pick_and_place.py",),
+        "the box is held\nthe box stands in its new place\n",
+    ),
+}
 
 
-def test_a_named_goal_that_does_not_exist_ends_with_1(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("named_goal.py", "raedy", "--port", str(server.port))
+@pytest.mark.parametrize(("words", "told"), DONE.values(), ids=DONE.keys())
+def test_what_an_example_does_is_done_and_told(
+    words: tuple[str, ...], told: str, run_example: RunExample, server: RunningServer
+) -> None:
+    done = run_example(*words, "--port", str(server.port))
+    assert (done.returncode, done.stdout) == (0, told), done.stderr
+
+
+REFUSED = {
+    "a name that does not exist": (("named_goal.py", "raedy"), "-16 "),
+    "a leader that does not exist": (
+        ("leader_follower.py", "--leader", "nobody"),
+        "leader: must be an arm that leads (none) or a topic",
+    ),
+    "two hands on one arm": (
+        ("two_hands.py",),
+        "the server has no arms left and right: start it with --config examples/two_arms.toml\n",
+    ),
+}
+
+
+@pytest.mark.parametrize(("words", "told"), REFUSED.values(), ids=REFUSED.keys())
+def test_what_cannot_be_done_is_told_and_ends_with_1(
+    words: tuple[str, ...], told: str, run_example: RunExample, server: RunningServer
+) -> None:
+    done = run_example(*words, "--port", str(server.port))
     assert done.returncode == 1
-    assert done.stdout.startswith("-16 ")
+    assert told in done.stdout
 
 
 def test_joints_are_turned_while_their_way_is_told(run_example: RunExample, server: RunningServer) -> None:
@@ -117,22 +147,6 @@ def test_a_point_out_of_reach_becomes_the_nearest_one(run_example: RunExample, s
     refusal, success = done.stdout.splitlines()
     assert "cannot reach" in refusal
     assert success == "the arm is there"
-
-
-def test_a_point_to_the_right_has_a_negative_coordinate(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("pose_goal.py", "0.25", "-0.1", "0.2", "--port", str(server.port))
-    assert (done.returncode, done.stdout) == (0, "the arm is there\n"), done.stderr
-
-
-def test_a_square_is_drawn_in_the_air(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("square_in_the_air.py", "--port", str(server.port))
-    assert (done.returncode, done.stdout) == (0, "a square of 6 cm, 100% of it\n"), done.stderr
-
-
-def test_a_box_is_picked_up_and_put_down(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("pick_and_place.py", "--port", str(server.port))
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == ["the box is held", "the box stands in its new place"]
 
 
 def test_two_arms_are_moved_each_by_its_name_and_then_together(run_example: RunExample) -> None:
@@ -157,18 +171,6 @@ def test_an_arm_follows_its_leader_until_ctrl_c() -> None:
             overdue.cancel()
     assert "idle: " in rest, (lines, rest)
     assert following.returncode == 0
-
-
-def test_a_leader_that_does_not_exist_is_said(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("leader_follower.py", "--leader", "nobody", "--port", str(server.port))
-    assert done.returncode == 1
-    assert "leader: must be an arm that leads (none) or a topic" in done.stdout
-
-
-def test_two_hands_need_two_arms(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("two_hands.py", "--port", str(server.port))
-    assert done.returncode == 1
-    assert done.stdout == "the server has no arms left and right: start it with --config examples/two_arms.toml\n"
 
 
 def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: RunningServer) -> None:

@@ -2,8 +2,8 @@
 
 Sessions of four clients are made up by chance and played, in batches; the seed and its number tell all of a batch.
 Streams of raw TCP and interface files are among them.
-Each find is cut down to the frames that it needs and saved as a file that the corpus may take. One session in fifty is
-played under a tracer, which tells how many lines of the code behind the socket have been reached.
+Each find is cut down to the frames that it needs and saved as a file that the corpus may take.
+``coverage run -m tests.fuzz`` counts the lines that sessions reach; `tests/fuzz/fuzz_session.py` is guided by them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import time
 from collections import deque
 from pathlib import Path
 
-from tests.fuzz.batches import ROOT, STUCK_S, Batch, LineCoverage, play_batch, start
+from tests.fuzz.batches import STUCK_S, Batch, play_batch, start
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -30,7 +30,6 @@ def main(arguments: list[str] | None = None) -> int:
         "--finds", type=Path, default=Path("build/fuzz"), help="folder for finds (default: %(default)s)"
     )
     parser.add_argument("--every", type=float, default=60.0, help="time between two lines of progress [s]")
-    parser.add_argument("--missing", action="store_true", help="list the lines that were not reached")
     options = parser.parse_args(arguments)
     progress = Progress(options.finds, options.every)
     with multiprocessing.get_context("forkserver").Pool(options.jobs, start, (options.seed,)) as pool:
@@ -43,9 +42,6 @@ def main(arguments: list[str] | None = None) -> int:
             waiting.append(pool.apply_async(play_batch, (number,)))
         pool.terminate()
     progress.tell()
-    if options.missing:
-        for file, lines in progress.missing().items():
-            print(f"{file.removeprefix(f'{ROOT}/')}: {' '.join(map(str, lines))}")
     return 1 if progress.finds else 0
 
 
@@ -66,8 +62,6 @@ class Progress:
         self._every_s = every_s
         self.frames = 0
         self.finds: dict[str, Path] = {}
-        self._lines: set[tuple[str, int]] = set()
-        self._all_lines = LineCoverage().total
         self._memory_mb = 0.0
         self._started_s = self._told_s = time.monotonic()
         self._told_frames = 0
@@ -75,7 +69,6 @@ class Progress:
     def add(self, batch: Batch) -> None:
         """Add a batch; save and print its finds."""
         self.frames += batch.frames
-        self._lines |= batch.lines
         self._memory_mb = max(self._memory_mb, batch.memory_mb)
         for kind, (problem, data) in batch.finds.items():
             if kind not in self.finds:
@@ -92,18 +85,10 @@ class Progress:
         speed = (self.frames - self._told_frames) / max(now_s - self._told_s, 1e-3)
         print(
             f"{self.frames} frames in {now_s - self._started_s:.0f} s, now {speed:.0f} frames/s; "
-            f"{len(self._lines)} of {len(self._all_lines)} lines reached; {self._memory_mb:.0f} MB a process; "
-            f"{len(self.finds)} kinds of finds",
+            f"{self._memory_mb:.0f} MB a process; {len(self.finds)} kinds of finds",
             flush=True,
         )
         self._told_s, self._told_frames = now_s, self.frames
-
-    def missing(self) -> dict[str, list[int]]:
-        """Return the lines that were not reached, by file."""
-        found: dict[str, list[int]] = {}
-        for file, line in sorted(self._all_lines - self._lines):
-            found.setdefault(file, []).append(line)
-        return found
 
 
 if __name__ == "__main__":

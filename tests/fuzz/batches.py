@@ -1,16 +1,14 @@
-"""Batches of made-up sessions, played and searched for finds; and the lines of code that they reach."""
+"""Batches of made-up sessions, played and searched for finds."""
 
 from __future__ import annotations
 
 import faulthandler
 import resource
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
-from types import CodeType, FrameType, ModuleType
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from tests.fuzz.sessions import SessionMaker
 from tests.fuzz.target import REGISTRY, SEPARATOR, run_interface_file, run_stream, run_world
@@ -20,9 +18,6 @@ CORPUS = Path(__file__).parent / "corpus"
 
 Run: TypeAlias = Callable[[bytes], None]
 
-# Code of which the lines are counted.
-COUNTED = ("protocol/", "server/gateway/client", "server/gateway/inbox", "server/graph/", "server/rosapi")
-
 SESSIONS_PER_BATCH = 50
 
 # One in ten is a stream of raw TCP or an interface file.
@@ -30,61 +25,6 @@ OTHERS_EVERY = 10
 
 # A batch takes a second; on a busy machine much longer, but never without an end.
 STUCK_S = 300.0
-
-
-class LineCoverage:
-    """Lines of functions that were reached, of all that could be."""
-
-    def __init__(self) -> None:
-        self._names: dict[CodeType, bool] = {}
-        self.reached: set[tuple[str, int]] = set()
-        self.total = {line for module in list(sys.modules.values()) for line in _lines_of_module(module)}
-
-    def trace(self, play: Callable[[bytes, Run], str | None], data: bytes, run: Run) -> str | None:
-        """Play some bytes, and note the lines that it reaches."""
-        before = sys.gettrace()
-        sys.settrace(self._enter)
-        try:
-            return play(data, run)
-        finally:
-            sys.settrace(before)
-
-    def _enter(self, frame: FrameType, _event: str, _argument: Any) -> Any:
-        code = frame.f_code
-        if code not in self._names:
-            self._names[code] = _counted(code.co_filename)
-        return self._line if self._names[code] else None
-
-    def _line(self, frame: FrameType, event: str, _argument: Any) -> Any:
-        if event == "line":
-            self.reached.add((frame.f_code.co_filename, frame.f_lineno))
-        return self._line
-
-
-def _counted(file: str) -> bool:
-    return file.startswith(tuple(f"{ROOT}/{folder}" for folder in COUNTED))
-
-
-def _lines_of_module(module: ModuleType) -> set[tuple[str, int]]:
-    file = getattr(module, "__file__", None)
-    if not file or not file.endswith(".py") or not _counted(file):
-        return set()
-    return {
-        (file, line)
-        for code in _functions(compile(Path(file).read_text(), file, "exec"), inside=False)
-        for _, _, line in code.co_lines()
-        if line is not None and line != code.co_firstlineno
-    }
-
-
-def _functions(code: CodeType, *, inside: bool) -> list[CodeType]:
-    """Code objects of functions; what runs as a module or a class is made is not of a session."""
-    found = [code] if inside else []
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            # A class body is not optimized: its names are not those of a function (CPython's CO_OPTIMIZED).
-            found += _functions(constant, inside=bool(constant.co_flags & 1))
-    return found
 
 
 def problem_of(data: bytes, run: Run = run_world) -> str | None:
@@ -131,13 +71,11 @@ class Batch:
     Attributes:
         frames: number of frames that were played.
         finds: sessions that are finds, cut down, by their kind, each with its problem.
-        lines: file and line of what was reached and not told before.
         memory_mb: most memory that the process has had.
     """
 
     frames: int
     finds: dict[str, tuple[str, bytes]]
-    lines: set[tuple[str, int]]
     memory_mb: float
 
 
@@ -151,8 +89,6 @@ class Player:
     def __init__(self, seed: int) -> None:
         self._seed = seed
         self._corpus = [path.read_bytes() for path in sorted(CORPUS.iterdir())]
-        self._coverage = LineCoverage()
-        self._told: set[tuple[str, int]] = set()
 
     def play(self, number: int) -> Batch:
         """Play one batch."""
@@ -165,14 +101,11 @@ class Player:
                 make, run = (maker.stream, run_stream) if number % 2 else (maker.interface_file, run_interface_file)
             data, count = make()
             frames += count
-            traced = session == number % SESSIONS_PER_BATCH
-            problem = self._coverage.trace(problem_of, data, run) if traced else problem_of(data, run)
+            problem = problem_of(data, run)
             if problem is not None and kind_of(problem) not in finds:
                 finds[kind_of(problem)] = problem, cut_down(data, run)
         faulthandler.cancel_dump_traceback_later()
-        lines = self._coverage.reached - self._told
-        self._told |= lines
-        return Batch(frames, finds, lines, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+        return Batch(frames, finds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 _player: Player

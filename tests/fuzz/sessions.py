@@ -61,40 +61,11 @@ ACTION_TYPES = (
 )
 NO_TYPES = ("", "std_msgs", "std_msgs/msg/Nothing", "a/b/c/d", "std_msgs/srv/String")
 
-INTEGERS = (
-    0,
-    1,
-    -1,
-    7,
-    127,
-    128,
-    255,
-    256,
-    -129,
-    2**31 - 1,
-    2**31,
-    2**32,
-    2**53 + 1,
-    2**63,
-    -(2**63) - 1,
-    2**64,
-    10**40,
-)
+SHORT_INTEGERS = (0, 1, -1, 7, 127, 128, 255, 256, -129)
+INTEGERS = (*SHORT_INTEGERS, 2**31 - 1, 2**31, 2**32, 2**53 + 1, 2**63, -(2**63) - 1, 2**64, 10**40)
 FLOATS = (0.0, -0.0, 1.5, -2.0, 1e-310, 1e38, 3.5e38, 1e308, float("nan"), float("inf"), -float("inf"))
-TEXTS = (
-    "",
-    "a",
-    "joint_1",
-    "NaN",
-    "AAECAw==",
-    "AAECAw",
-    "ä\u2028\U0001f600",
-    "\ud800",
-    "\x00",
-    "x" * 300,
-    "-1",
-    "null",
-)
+BASE64 = ("AAECAw==", "AAECAw")
+TEXTS = ("", "a", "joint_1", "NaN", *BASE64, "ä\u2028\U0001f600", "\ud800", "\x00", "x" * 300, "-1", "null")
 JUNK: tuple[Any, ...] = (None, True, False, [], {}, [[]], {"": {}}, {"data": None}, *INTEGERS[:6], *FLOATS[-3:], *TEXTS)
 
 INTEGER_TYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "byte", "char", "octet")
@@ -114,19 +85,8 @@ GUEST = 2
 FROM_PROVIDERS = ("advertise_service", "advertise_action", "service_response", "action_feedback", "action_result")
 
 # Parts of interface files.
-DECLARED = (
-    "int32",
-    "uint8",
-    "string",
-    "wstring",
-    "string<=5",
-    "float64",
-    "bool",
-    "time",
-    "Header",
-    "std_msgs/Header",
-    "Made",
-)
+PRIMITIVES = ("int32", "uint8", "string", "wstring", "string<=5", "float64", "bool")
+DECLARED = (*PRIMITIVES, "time", "Header", "std_msgs/Header", "Made")
 ARRAYS = ("", "", "", "[]", "[3]", "[<=4]", "[0]", "[-1]", "[", "[99999999999999999999]")
 DECLARED_NAMES = ("data", "a_b", "A", "MAX", "9x", "_a", "data__x", "")
 ASSIGNED = ("", "", "=", " = ", " 1", "=-1", '="a"', "='a", " [1, 2]", "=1.5 #", "=nan", " true", "=1e400")

@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
+from tests.fuzz.batches import CORPUS, Run, problem_of
 from tests.fuzz.target import run_interface_file, run_session, run_stream, run_world
 
-CORPUS = sorted((Path(__file__).parent / "corpus").iterdir())
 
-
-@pytest.mark.parametrize("path", CORPUS, ids=lambda path: path.name)
-def test_an_input_of_the_corpus_is_taken_by_a_session(path: Path) -> None:
-    run_session(path.read_bytes())
-
-
-@pytest.mark.parametrize("path", CORPUS, ids=lambda path: path.name)
-def test_an_input_of_the_corpus_is_taken_by_a_graph(path: Path) -> None:
-    run_world(path.read_bytes())
-
-
-@pytest.mark.parametrize("path", CORPUS, ids=lambda path: path.name)
-def test_an_input_of_the_corpus_is_taken_as_a_stream_and_as_an_interface_file(path: Path) -> None:
-    run_stream(path.read_bytes())
-    run_interface_file(path.read_bytes())
+@pytest.mark.parametrize("run", [run_session, run_world, run_stream, run_interface_file])
+def test_no_input_of_the_corpus_is_a_find(run: Run) -> None:
+    inputs = {path.name: path.read_bytes() for path in CORPUS.iterdir()}
+    assert len(inputs) > 10
+    assert {name: problem for name, data in inputs.items() if (problem := problem_of(data, run))} == {}

@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import json
 import os
+import shutil
 import subprocess
 import time
 from collections.abc import AsyncIterator, Callable
@@ -13,6 +14,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.sync import client as blocking
 
@@ -224,6 +226,16 @@ def tip(url: str, link: str = "gripper_frame_link") -> tuple[float, float, float
     answer = call(url, "/compute_fk", {"fk_link_names": [link]})
     position = answer["pose_stamped"][0]["pose"]["position"]
     return float(position["x"]), float(position["y"]), float(position["z"])
+
+
+def install_with_npm(folder: Path) -> None:
+    """Install what the package.json of a folder names; skips the test where that cannot be had."""
+    if shutil.which("npm") is None or shutil.which("node") is None:
+        pytest.skip("node and npm are not installed")
+    command = ["npm", "install", "--no-audit", "--no-fund"]
+    installed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    if installed.returncode != 0:
+        pytest.skip(f"npm cannot be reached: {installed.stderr.strip().splitlines()[-1]}")
 
 
 def heard_by(python: str | Path, scenario: Path, *arguments: str, timeout_s: float = 120.0) -> dict[str, Any]:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
+
+import pytest
 
 from protocol.interface_packages import read_packages
 from protocol.limits import Limits
@@ -33,6 +36,7 @@ from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import INTERFACES
 from tests.helpers.clock import FakeClock
+from tests.helpers.waiting import TIMEOUT_S, until
 
 REGISTRY = Registry.load()
 USER_REGISTRY = read_packages([INTERFACES]).registry()
@@ -158,8 +162,6 @@ class InProcess:
                 client.inbox.resume()
 
 
-TIMEOUT_S = 30.0
-
 # What a client sends to become a WebSocket's, without the lines that tests are about.
 UPGRADE = (
     "Upgrade: websocket",
@@ -170,9 +172,15 @@ UPGRADE = (
 
 
 @asynccontextmanager
-async def listening(settings: ServerSettings | None = None, http: HttpHandler | None = None) -> AsyncIterator[Listener]:
-    """A listener that serves."""
-    listener = Listener(Graph(REGISTRY), settings or ServerSettings(port=0), http)
+async def listening(
+    settings: ServerSettings | None = None,
+    http: HttpHandler | None = None,
+    *,
+    graph: Graph | None = None,
+    access: Access | None = None,
+) -> AsyncIterator[Listener]:
+    """A listener that serves, on a free port without settings."""
+    listener = Listener(graph or Graph(REGISTRY), settings or ServerSettings(port=0), http, access=access)
     await listener.bind()
     await listener.open()
     try:
@@ -187,9 +195,7 @@ def limiter_of(listener: Listener) -> ConnectionLimiter:
 
 async def until_empty(listener: Listener) -> None:
     """Wait until no connection is open."""
-    async with asyncio.timeout(TIMEOUT_S):
-        while limiter_of(listener).open_count:
-            await asyncio.sleep(0.005)
+    await until(lambda: not limiter_of(listener).open_count)
 
 
 def request(*lines: str, path: str = "/", host: str | None = "localhost") -> bytes:
@@ -216,3 +222,21 @@ async def exchange(port: int, sent: bytes) -> str:
 def status(answer: str) -> int:
     """The number of an answer; 0 for none."""
     return int(answer.split(" ", 2)[1]) if answer else 0
+
+
+class FullTransport:
+    """Transport that finds no memory for what is written."""
+
+    def __init__(self, real: Any) -> None:
+        self._real = real
+
+    def writelines(self, _: object) -> None:
+        raise MemoryError
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+
+def warnings_of(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """Lines of the log from the level of warnings on."""
+    return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]

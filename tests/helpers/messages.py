@@ -6,9 +6,12 @@ import base64
 import random
 import struct
 from base64 import b64encode
+from collections.abc import Callable
 from typing import Any
 
-from protocol.registry import TEXTS, Field, Registry
+import numpy as np
+
+from protocol.registry import TEXTS, Field, MessageType, Registry
 from protocol.values import INTEGER_RANGES
 
 # Of each width in UTF-8; zero, which ends text in C, among them.
@@ -109,3 +112,55 @@ class _Reader:
         start, self.position = self.position, self.position + size
         assert self.position <= len(self.body)
         return self.body[start : self.position]
+
+
+# rosbags' names of the types of arrays, where they are not the field's.
+ARRAY_TYPES = {"bool": "bool", "byte": "uint8", "char": "uint8"}
+ROS1_TIMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
+
+
+class RosbagsTypes:
+    """Types as rosbags, an independent implementation, declares them.
+
+    Args:
+        store: its types of one distribution.
+        declared: the declaration of a type in our tables.
+    """
+
+    def __init__(self, store: Any, declared: Callable[[str], MessageType]) -> None:
+        self._store = store
+        self._declared = declared
+
+    def has(self, name: str) -> bool:
+        """Return true if rosbags declares a type, and all types in it, as the tables do."""
+        if name in ROS1_TIMES:
+            return True
+        declared = self._declared(name)
+        if declared.name not in self._store.fielddefs:
+            return False
+        theirs = [field for field, _ in self._store.fielddefs[declared.name][1]]
+        return theirs == [field.name for field in declared.fields] and all(
+            field.primitive or self.has(field.base) for field in declared.fields
+        )
+
+    def message(self, name: str, msg: dict[str, Any]) -> Any:
+        """The message, with octets for base64, as an object of rosbags."""
+        if name in ROS1_TIMES:
+            # It has the signs of ROS 2's times, which leaves the bits as they are.
+            sec, nanosec = np.array(msg["secs"]).astype(np.int32), np.array(msg["nsecs"]).astype(np.uint32)
+            return self._store.types[ROS1_TIMES[name]](sec=int(sec), nanosec=int(nanosec))
+        declared = self._declared(name)
+        return self._store.types[declared.name](
+            **{field.name: self._value(field, msg[field.name]) for field in declared.fields}
+        )
+
+    def _value(self, field: Field, value: Any) -> Any:
+        if not field.primitive:
+            each = [self.message(field.base, one) for one in (value if field.array is not None else [value])]
+            return each if field.array is not None else each[0]
+        if field.array is None:
+            # A byte is a signed number there.
+            return value - 256 if field.base == "byte" and value > 127 else value
+        if isinstance(value, bytes):
+            return np.frombuffer(value, np.uint8)
+        return value if field.base == "string" else np.array(value, ARRAY_TYPES.get(field.base, field.base))

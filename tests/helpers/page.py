@@ -15,6 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from tests.helpers.clients import call, goal
 from tests.helpers.server import ROOT
 
 if TYPE_CHECKING:
@@ -156,6 +157,13 @@ class OpenPage:
             assert time.monotonic() < until_s, f"{condition} within {timeout_ms} ms: {self.describe()}"
             self.page.wait_for_timeout(LOOK_MS)
 
+    def wait(self, condition: Callable[[], object]) -> None:
+        """Wait until something is so that is asked from here, while the page goes on."""
+        until_s = time.monotonic() + PATIENCE_MS / 1e3
+        while not condition():
+            assert time.monotonic() < until_s, self.describe()
+            self.page.wait_for_timeout(LOOK_MS)
+
     def describe(self) -> str:
         """Return the visible text, for the message of a failed test."""
         said = {
@@ -197,6 +205,25 @@ class OpenPage:
         """The element of that ``data-testid``."""
         return self.page.get_by_test_id(test_id)
 
+    def box(self, test_id: str) -> dict[str, float]:
+        """Where an element is on the screen: x, y, width and height [px]."""
+        box = self.part(test_id).bounding_box()
+        assert box is not None, f"{test_id} is not shown"
+        return dict(box)
+
+    def enter(self, test_id: str, text: str) -> None:
+        """Type into a field, and press Enter."""
+        self.part(test_id).fill(text)
+        self.part(test_id).press("Enter")
+
+    def download(self, test_id: str, folder: Path) -> Path:
+        """Press a button that saves a file; returns the file."""
+        with self.page.expect_download() as download:
+            self.part(test_id).click()
+        path = folder / download.value.suggested_filename
+        download.value.save_as(path)
+        return path
+
     def joints(self) -> dict[str, float]:
         """The joint positions that the page has [rad]."""
         joints = self.state("joints")
@@ -223,10 +250,7 @@ class OpenPage:
 
     def until_colour(self, position_m: tuple[float, float, float], wanted: Callable[[int, int, int], bool]) -> None:
         """Wait until what is drawn over a point of the root link's frame has a colour (0 to 255)."""
-        until_s = time.monotonic() + PATIENCE_MS / 1e3
-        while not wanted(*(seen := self._colour_at(position_m))):
-            assert time.monotonic() < until_s, f"{position_m} has the colour {seen}: {self.describe()}"
-            self.page.wait_for_timeout(LOOK_MS)
+        self.wait(lambda: wanted(*self._colour_at(position_m)))
 
     def _colour_at(self, position_m: tuple[float, float, float]) -> tuple[int, int, int]:
         from PIL import Image
@@ -240,6 +264,14 @@ class OpenPage:
         """Return the place of a point of the root link's frame on the screen [px]."""
         x, y = self.page.evaluate("p => window.armbridge.screen_of(...p)", list(position_m))
         return float(x), float(y)
+
+
+def at_ready(page: OpenPage, url: str) -> None:
+    """Have the arm stand in the pose ready, from which it can be driven everywhere, whatever became of it before."""
+    if page.state("arm.mode") == "fault":
+        call(url, "/arm/reset_fault")
+        page.until_state("s.arm.mode === 'holding'")
+    assert goal(url, "/moveit_goal_named", {"data": "ready"})["val"] == 1
 
 
 @contextmanager

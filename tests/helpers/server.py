@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -17,6 +18,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from tests.helpers.waiting import wait_until
 
 ROOT = Path(__file__).parents[2]
 
@@ -88,11 +91,10 @@ class RunningServer:
         return code, time.monotonic() - started_s
 
     def has_logged(self, text: str, timeout_s: float = 30.0) -> bool:
-        until_s = time.monotonic() + timeout_s
-        while time.monotonic() < until_s:
-            if any(text in line for line in list(self.lines)):
-                return True
-            time.sleep(0.02)
+        """Wait for a line with a text; returns false if none comes."""
+        with contextlib.suppress(AssertionError):
+            wait_until(lambda: any(text in line for line in list(self.lines)), timeout_s)
+            return True
         return False
 
     def _read(self) -> None:

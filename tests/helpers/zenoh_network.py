@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
 import struct
 import threading
 import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import zenoh
@@ -25,19 +26,13 @@ from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
 from server.zenoh.bridge import Bridge
 from server.zenoh.settings import ZenohSettings
+from tests.helpers.server import free_port
 from tests.helpers.waiting import TIMEOUT_S, until
 
 REGISTRY = Registry.load()
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 TRIGGER_KEY = "std_srvs::srv::dds_::Trigger_/RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
-
-
-def free_port() -> int:
-    """A port that nobody listens on just now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Site:
@@ -104,6 +99,19 @@ class Site:
         self.bridge._thread.submit(hold)
         await until(held.is_set)
         return go_on
+
+    async def until_seen(self, part: str) -> None:
+        """Wait until this server sees a token with this text, and with it all that its machine declared before."""
+        seen = threading.Event()
+
+        def look(sample: zenoh.Sample) -> None:
+            if part in str(sample.key_expr):
+                seen.set()
+
+        self.bridge._thread.submit(
+            lambda session: session.liveliness().declare_subscriber("@ros2_lv/**", look, history=True)
+        )
+        await until(seen.is_set)
 
     def calls_of(self, service: str) -> list[Call]:
         """Calls of a service that are on their way."""
@@ -206,6 +214,15 @@ class RosMachine:
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         (self.tokens.add if sample.kind == zenoh.SampleKind.PUT else self.tokens.discard)(str(sample.key_expr))
+
+
+@asynccontextmanager
+async def networked(**settings: Any) -> AsyncIterator[tuple[Site, RosMachine]]:
+    """One server's bridge, with the settings of a :class:`Site`, and a ROS 2 machine that is connected to it."""
+    port = free_port()
+    async with Site(port, **settings) as site:
+        with RosMachine(port) as machine:
+            yield site, machine
 
 
 def attached(number: int) -> bytes:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.helpers.page import chromium, what_is_missing
+from tests.helpers.page import OpenPage, chromium, opened, what_is_missing
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
@@ -25,13 +25,23 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Named states of its own, so that nothing is kept from another run."""
+def settings(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> dict[str, str]:
+    """The module's SETTINGS, and named states of its own, so that nothing is kept from another run."""
     folder: Path = tmp_path_factory.mktemp("data")
-    return {"ARMBRIDGE_GOALS__NAMED_STATES_FILE": str(folder / "named_states.json")}
+    own: dict[str, str] = getattr(request.module, "SETTINGS", {})
+    return {"ARMBRIDGE_GOALS__NAMED_STATES_FILE": str(folder / "named_states.json"), **own}
 
 
 @pytest.fixture(scope="module")
 def server(settings: dict[str, str]) -> Iterator[RunningServer]:
     with RunningServer(settings=settings) as running:
         yield running
+
+
+@pytest.fixture
+def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+    """A page of the server, in which nothing goes wrong."""
+    with opened(browser) as open_page:
+        open_page.open(server.port)
+        yield open_page
+        assert open_page.errors == []

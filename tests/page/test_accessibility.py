@@ -106,11 +106,8 @@ def test_every_control_is_reached_by_the_keyboard_and_shows_its_focus(page: Open
         assert missed == {}, panel
 
 
-def test_the_page_names_its_language(page: OpenPage) -> None:
-    title = {"en": "Move", "de": "Bewegen"}[page.page.evaluate("document.documentElement.lang")]
+def test_names_and_sentences_of_the_page_are_in_its_language(page: OpenPage) -> None:
+    language = page.page.evaluate("document.documentElement.lang")
+    title, planned = {"en": ("Move", "is planned"), "de": ("Bewegen", "ist geplant")}[language]
     assert page.part("tab-move").text_content() == title, json.dumps(page.state("layout"))
-
-
-def test_sentences_of_the_page_itself_are_in_its_language(page: OpenPage) -> None:
-    planned = {"en": "is planned", "de": "ist geplant"}[page.page.evaluate("document.documentElement.lang")]
     assert planned in page.state("goal")["message"]

@@ -112,13 +112,10 @@ def procedures(page: OpenPage, server: RunningServer) -> ScriptedProcedures:
     return scripted
 
 
-def until_called(page: OpenPage, procedures: ScriptedProcedures, service: str, times: int = 1) -> dict[str, Any]:
+def until_called(page: OpenPage, procedures: ScriptedProcedures, service: str) -> dict[str, Any]:
     """Wait for a call, and return its request."""
-    for _ in range(1000):
-        if len(procedures.called(service)) >= times:
-            return procedures.called(service)[-1]
-        page.page.wait_for_timeout(20)
-    raise AssertionError(f"{service} was not called: {procedures.calls}")
+    page.wait(lambda: procedures.called(service))
+    return procedures.called(service)[-1]
 
 
 SWEEP = {"procedure": "calibrate", "step": "sweep", "instruction": "Move every joint.", "answers": ["done", "again"]}
@@ -168,8 +165,7 @@ def test_the_keyboard_is_led_to_the_next_instruction(page: OpenPage, procedures:
 
 
 def assert_in_sight(page: OpenPage, test_id: str) -> None:
-    box = page.part(test_id).bounding_box()
-    assert box is not None
+    box = page.box(test_id)
     assert 0 <= box["y"] <= box["y"] + box["height"] <= DESKTOP[1]
 
 

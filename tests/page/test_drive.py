@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.clients import call, goal
-from tests.helpers.page import PHONE, SHARED, OpenPage, opened
+from tests.helpers.page import PHONE, SHARED, OpenPage, at_ready, opened
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
@@ -50,9 +49,7 @@ WebSocket.prototype.send = function (data) {
 """
 
 
-@pytest.fixture(scope="module")
-def settings(settings: dict[str, str]) -> dict[str, str]:
-    return {**settings, **SHARED}
+SETTINGS = SHARED
 
 
 @pytest.fixture(scope="module")
@@ -84,10 +81,7 @@ def _opened_at_drive(page: OpenPage, server: RunningServer) -> OpenPage:
 
 
 def _ready(page: OpenPage, server: RunningServer) -> OpenPage:
-    if page.state("arm.mode") == "fault":
-        call(server.url, "/arm/reset_fault")
-        page.until_state("s.arm.mode === 'holding'")
-    assert goal(server.url, "/moveit_goal_named", {"data": "ready"})["val"] == 1
+    at_ready(page, server.url)
     page.page.evaluate("window.stalled = false; window.pad = null; window.sent.length = 0")
     page.part("drive-mode").select_option("hold")
     return page
@@ -133,8 +127,7 @@ def last_is_zero(page: OpenPage) -> bool:
 
 def hold(page: OpenPage, test_id: str) -> None:
     page.part(test_id).scroll_into_view_if_needed()
-    box = page.part(test_id).bounding_box()
-    assert box is not None
+    box = page.box(test_id)
     page.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.page.mouse.down()
 
@@ -230,9 +223,7 @@ def test_a_gamepad_moves_the_arm_while_its_dead_man_is_held(page: OpenPage) -> N
 def test_two_thumbs_drive_on_a_phone(phone: OpenPage) -> None:
     page = phone
     page.part("pad-dead-man").scroll_into_view_if_needed()
-    bar, pad = page.part("pad-dead-man").bounding_box(), page.part("pad-left").bounding_box()
-    assert bar is not None
-    assert pad is not None
+    bar, pad = page.box("pad-dead-man"), page.box("pad-left")
     touches = page.page.context.new_cdp_session(page.page)
     thumb = {"x": pad["x"] + 80, "y": pad["y"] + 80, "id": 1}
     holder = {"x": bar["x"] + 100, "y": bar["y"] + 30, "id": 2}

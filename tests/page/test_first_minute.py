@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -18,13 +17,6 @@ SIZES = [DESKTOP, PHONE, (844, 390), (820, 1180)]
 
 # A row of the bar with the button to stop, and two rows of a thumb's size on a phone.
 MAX_BAR_PX = {DESKTOP: 64, PHONE: 124, (844, 390): 64, (820, 1180): 124}
-
-
-@pytest.fixture
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser) as open_page:
-        open_page.open(server.port)
-        yield open_page
 
 
 def is_hidden(page: OpenPage, test_id: str) -> bool:
@@ -55,9 +47,7 @@ def test_the_next_step_is_told_where_the_buttons_are(page: OpenPage) -> None:
 
 
 def test_a_value_out_of_range_is_said_at_the_field_with_the_range_in_the_chosen_units(page: OpenPage) -> None:
-    box = page.part("target-x")
-    box.fill("99999")
-    box.press("Enter")
+    page.enter("target-x", "99999")
     page.until_text("target-x-problem", "x: 99999 mm is outside of -")
     page.part("tab-settings").click()
     page.part("units").select_option("rad")
@@ -83,19 +73,27 @@ def test_tabs_keep_the_focus_and_a_panel_that_is_closed_comes_back(page: OpenPag
     assert page.part("panel-drive").is_visible()
 
 
+@pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", SIZES)
-def test_the_bar_is_compact_and_nothing_covers_stop(
-    browser: Browser, server: RunningServer, size: tuple[int, int]
+def test_the_bar_is_compact_and_stops_the_arm_on_every_screen(
+    browser: Browser, server: RunningServer, size: tuple[int, int], scheme: Any
 ) -> None:
-    with opened(browser, size) as page:
+    touch = size == PHONE
+    with opened(browser, size, has_touch=touch, is_mobile=touch, color_scheme=scheme) as page:
         page.open(server.port)
         page.until_text("state-pill", "IDLE")
+        page.shot(f"screen_{size[0]}_{scheme}")
         height_px = page.page.evaluate("document.querySelector('#bar').offsetHeight")
         assert height_px <= MAX_BAR_PX[size]
         assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]
-        box = page.part("stop").bounding_box()
-        assert box is not None
-        assert box["y"] + box["height"] <= size[1]
+        for test_id in ("stop", "state-pill", "link-pill"):
+            box = page.box(test_id)
+            assert 0 <= box["x"] <= box["x"] + box["width"] <= size[0]
+            assert 0 <= box["y"] <= box["y"] + box["height"] <= size[1]
+        page.page.mouse.wheel(0, 2000)
+        (page.part("stop").tap if touch else page.part("stop").click)()
+        page.until_text("stop", "acknowledged")
+        assert page.errors == []
 
 
 def test_a_server_of_another_version_says_so(browser: Browser, server: RunningServer) -> None:

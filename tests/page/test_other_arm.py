@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import functools
-import json
 import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 from tests.helpers.clients import tip
-from tests.helpers.page import LOOK_MS, PATIENCE_MS, SHARED, OpenPage, opened
+from tests.helpers.page import SHARED, OpenPage, opened
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.helpers.server import ROOT, RunningServer
 from tests.page.test_drive import hold, press_until
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, WebSocketRoute
+    from playwright.sync_api import Browser
 
 JOINTS = ["lift", "a2", "a3", "a4", "a5", "a6", "a7"]
-GRIPPER_ACTION = "/fingers_controller/gripper_action"
-
 # Panels in which every joint of the group is named.
 PANELS_WITH_JOINTS = ("move", "drive", "plots")
 
@@ -167,8 +164,7 @@ def test_two_arms_are_shown_and_each_is_moved_by_its_group(browser: Browser, set
 
 
 def test_a_joint_that_slides_is_moved_by_a_number_in_millimetres(page: OpenPage) -> None:
-    page.part("joint-lift-number").fill("150")
-    page.part("joint-lift-number").press("Enter")
+    page.enter("joint-lift-number", "150")
     page.part("plan-and-move").click()
     page.until_state("s.goal.code === 1")
     assert page.joints()["lift"] == pytest.approx(0.15, abs=ARRIVED)
@@ -176,8 +172,7 @@ def test_a_joint_that_slides_is_moved_by_a_number_in_millimetres(page: OpenPage)
 
 
 def test_a_target_of_an_arm_with_seven_joints_has_an_orientation(page: OpenPage) -> None:
-    page.part("target-roll").fill("30")
-    page.part("target-roll").press("Enter")
+    page.enter("target-roll", "30")
     x, y, z, w = page.state("target.orientation")
     assert x * x + y * y + z * z + w * w == pytest.approx(1)
     assert page.part("target-pitch").is_visible()
@@ -193,55 +188,3 @@ def test_a_group_of_few_joints_has_points_for_targets_and_a_list_of_its_own(page
     page.part("group").select_option("arm")
     page.part("named-bent").wait_for()
     page.part("target-roll").wait_for()
-
-
-def offer_actions(page: OpenPage, actions: list[str], goals: list[dict[str, Any]]) -> None:
-    """Have the page be told of these actions, and keep the goals that it sends from the server."""
-
-    def to_page(route: WebSocketRoute, frame: str | bytes) -> None:
-        operation = json.loads(frame)
-        if operation.get("service") == "/rosapi/action_servers":
-            operation["values"]["action_servers"] = actions
-        route.send(json.dumps(operation))
-
-    def to_server(server: WebSocketRoute, frame: str | bytes) -> None:
-        operation = json.loads(frame)
-        if operation["op"] == "send_action_goal":
-            goals.append(operation)
-        else:
-            server.send(frame)
-
-    def connected(route: WebSocketRoute) -> None:
-        server = route.connect_to_server()
-        server.on_message(lambda frame: to_page(route, frame))
-        route.on_message(lambda frame: to_server(server, frame))
-
-    page.page.route_web_socket(re.compile("^ws://"), connected)
-
-
-def test_a_gripper_of_two_fingers_opens_to_its_state_and_closes_to_its_limit(
-    browser: Browser, server: RunningServer
-) -> None:
-    goals: list[dict[str, Any]] = []
-    with opened(browser) as page:
-        offer_actions(page, [GRIPPER_ACTION], goals)
-        page.open(server.port)
-        page.until_state("s.actions !== null")
-        page.part("gripper-open").click()
-        page.until_text("gripper-measured", "0.0 mm")
-        page.part("gripper-close").click()
-        for _ in range(PATIENCE_MS // LOOK_MS):
-            if len(goals) == 2:
-                break
-            page.page.wait_for_timeout(LOOK_MS)
-        assert [goal["action"] for goal in goals] == [GRIPPER_ACTION] * 2
-        assert [goal["args"]["command"]["position"] for goal in goals] == [0.04, 0.0]
-        assert page.part("gripper").get_attribute("max") == "0.04"
-
-
-def test_an_arm_without_a_gripper_action_shows_none(browser: Browser, server: RunningServer) -> None:
-    with opened(browser) as page:
-        offer_actions(page, [], [])
-        page.open(server.port)
-        page.until_state("s.actions !== null && s.joints.names.length > 0")
-        page.part("gripper-open").wait_for(state="hidden")

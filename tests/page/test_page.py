@@ -25,9 +25,7 @@ ARRIVED_M = 0.02
 STILL_RAD = 0.02
 
 
-@pytest.fixture(scope="module")
-def settings(settings: dict[str, str]) -> dict[str, str]:
-    return {**settings, **SHARED}
+SETTINGS = SHARED
 
 
 @pytest.fixture(scope="module")
@@ -55,9 +53,7 @@ def set_speed(page: OpenPage, percent: float) -> None:
 
 def type_target(page: OpenPage, position_m: tuple[float, float, float]) -> None:
     for axis, value_m in zip("xyz", position_m, strict=True):
-        box = page.part(f"target-{axis}")
-        box.fill(f"{1e3 * value_m:g}")
-        box.press("Enter")
+        page.enter(f"target-{axis}", f"{1e3 * value_m:g}")
 
 
 def is_uncovered(page: OpenPage, test_id: str) -> bool:
@@ -214,9 +210,6 @@ def scene_of(thing: dict[str, Any]) -> dict[str, Any]:
     return {"scene": {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [thing]}}}
 
 
-def test_stop_is_never_behind_anything(page: OpenPage) -> None:
+def test_after_all_of_this_nothing_went_wrong_in_the_page_nor_lies_over_stop(page: OpenPage) -> None:
     assert is_uncovered(page, "stop")
-
-
-def test_nothing_went_wrong_in_the_page(page: OpenPage) -> None:
     assert page.errors == []

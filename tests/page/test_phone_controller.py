@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from websockets.sync import client as blocking
 
-from tests.helpers.clients import call, call_on, goal, tip
-from tests.helpers.page import PHONE, SHARED, OpenPage, opened
+from tests.helpers.clients import call_on, tip
+from tests.helpers.page import PHONE, SHARED, OpenPage, at_ready, opened
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
@@ -81,9 +81,7 @@ for (const type of ["pointerup", "blur"]) {
 """
 
 
-@pytest.fixture(scope="module")
-def settings(settings: dict[str, str]) -> dict[str, str]:
-    return {**settings, **SHARED}
+SETTINGS = SHARED
 
 
 @pytest.fixture(scope="module")
@@ -98,10 +96,7 @@ def phone(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
 @pytest.fixture
 def page(phone: OpenPage, server: RunningServer) -> OpenPage:
     """The phone's page with the arm in a pose from which it can be driven everywhere."""
-    if phone.state("arm.mode") == "fault":
-        call(server.url, "/arm/reset_fault")
-        phone.until_state("s.arm.mode === 'holding'")
-    assert goal(server.url, "/moveit_goal_named", {"data": "ready"})["val"] == 1
+    at_ready(phone, server.url)
     phone.page.evaluate("Object.assign(phone, { beta: 40, gamma: 0, height_m: 0 }); tracked = true; sent.length = 0")
     return phone
 
@@ -109,8 +104,7 @@ def page(phone: OpenPage, server: RunningServer) -> OpenPage:
 def hold_clutch(page: OpenPage) -> None:
     clutch = page.part("phone-clutch")
     clutch.scroll_into_view_if_needed()
-    box = clutch.bounding_box()
-    assert box is not None
+    box = page.box("phone-clutch")
     assert box["height"] >= 100, "the thumb finds it without a look"
     page.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.page.mouse.down()

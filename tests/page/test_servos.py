@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import pytest
 from tests.helpers.clients import call
 from tests.helpers.page import OpenPage, opened
 from tests.helpers.server import ServerOnBus, server_on_bus
+from tests.helpers.waiting import wait_until
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -64,10 +66,8 @@ def test_a_warm_servo_says_so_and_what_to_do_with_what_happened_before_the_page_
     browser: Browser, arm: ServerOnBus
 ) -> None:
     arm.emulator.command(temperature={ELBOW: WARM_C})
-    while not any(
-        "warm" in event for event in call(arm.server.url, "/arm/servo_history", {"joint": "elbow_flex"})["events"]
-    ):
-        pass
+    history = functools.partial(call, arm.server.url, "/arm/servo_history", {"joint": "elbow_flex"})
+    wait_until(lambda: any("warm" in event for event in history()["events"]))
     with opened(browser) as page:
         page.open(arm.server.port)
         page.open_panel("arm", "servos")

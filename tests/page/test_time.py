@@ -6,7 +6,6 @@ import csv
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,14 +24,6 @@ JOINTS, NAMED = "/moveit_goal_joints", "/moveit_goal_named"
 BEYOND_RAD = 9.0
 
 
-@pytest.fixture
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser) as open_page:
-        open_page.open(server.port)
-        yield open_page
-        assert open_page.errors == []
-
-
 def move_pan(server: RunningServer, position_rad: float) -> None:
     answer = goal(server.url, JOINTS, {"name": ["shoulder_pan"], "position": [position_rad]})
     assert answer["val"] == 1, answer
@@ -41,15 +32,6 @@ def move_pan(server: RunningServer, position_rad: float) -> None:
 def plot(name: str) -> str:
     """Return an expression for a figure of the plots."""
     return f"document.querySelector('[data-testid=plot]').dataset.{name}"
-
-
-def saved(page: OpenPage, button: str, folder: Path) -> Path:
-    """Press a button that saves a file."""
-    with page.page.expect_download() as download:
-        page.part(button).click()
-    path = folder / download.value.suggested_filename
-    download.value.save_as(path)
-    return path
 
 
 def test_plots_show_several_joints_and_save_them_as_csv(page: OpenPage, server: RunningServer, tmp_path: Path) -> None:
@@ -61,7 +43,7 @@ def test_plots_show_several_joints_and_save_them_as_csv(page: OpenPage, server: 
     move_pan(server, 0.6)
     page.until_state("Math.abs(s.joints.position_rad[s.joints.names.indexOf('shoulder_pan')] - 0.6) < 0.05")
     page.shot("plots")
-    path = saved(page, "plot-csv", tmp_path)
+    path = page.download("plot-csv", tmp_path)
     with path.open(newline="", encoding="utf-8") as file:
         head, *rows = csv.reader(file)
     assert head[0] == "time [s]"
@@ -120,7 +102,7 @@ def test_the_timeline_has_goals_of_other_clients_also_of_before_the_page_was_ope
         page.part(f"goal-open-{failed}").click()
         page.until_text(f"goal-{failed}", "INVALID_GOAL_CONSTRAINTS")
         page.until_text(f"goal-{failed}", "shoulder_pan 515.7°")
-        problem = saved(page, f"goal-save-{failed}", tmp_path)
+        problem = page.download(f"goal-save-{failed}", tmp_path)
         page.part(f"goal-instead-{failed}").click()
         page.until("document.querySelectorAll('[data-testid=goal-history] > li').length > 2")
         page.until_state("Math.abs(s.joints.position_rad[s.joints.names.indexOf('shoulder_pan')] - 1.92) < 0.05")

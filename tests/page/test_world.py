@@ -22,9 +22,7 @@ Scene = dict[str, dict[str, Any]]
 Point = tuple[float, ...]
 
 
-@pytest.fixture(scope="module")
-def settings(settings: dict[str, str]) -> dict[str, str]:
-    return {**settings, **FAST, **SHARED}
+SETTINGS = {**FAST, **SHARED}
 
 
 @pytest.fixture
@@ -57,11 +55,6 @@ def select(page: OpenPage, name: str) -> None:
     page.until_state(f"s.selected_object === '{name}'")
 
 
-def type_into(page: OpenPage, part: str, text: str) -> None:
-    page.part(part).fill(text)
-    page.part(part).press("Enter")
-
-
 def scene(server: RunningServer) -> Scene:
     """The scene as the server has it: the objects of the world, and the held ones with their links."""
     told = call(server.url, "/get_planning_scene", {"components": {"components": 0}})["scene"]
@@ -74,11 +67,7 @@ def scene(server: RunningServer) -> Scene:
 
 def until_on_server(page: OpenPage, server: RunningServer, condition: Callable[[Scene], bool]) -> None:
     """Wait until the scene of the server is so."""
-    for _ in range(600):
-        if condition(scene(server)):
-            return
-        page.page.wait_for_timeout(50)
-    raise AssertionError(f"{scene(server)}: {page.describe()}")
+    page.wait(lambda: condition(scene(server)))
 
 
 def check(server: RunningServer, position_m: tuple[float, float, float]) -> dict[str, Any]:
@@ -130,20 +119,20 @@ def test_an_object_is_stood_on_another_and_edited(page: OpenPage, server: Runnin
     add_by_click(page, "box", PLACE_M)
     add_by_click(page, "cylinder", (0.25, 0.1, 0.08))
     assert scene(server)["world"]["cylinder_1"]["pose"]["position"]["z"] == pytest.approx(0.12, abs=0.003)
-    type_into(page, "object-size-radius", "35")
+    page.enter("object-size-radius", "35")
     until_on_server(page, server, lambda s: s["world"]["cylinder_1"]["primitives"][0]["dimensions"] == [0.08, 0.035])
-    type_into(page, "object-x", "310")
+    page.enter("object-x", "310")
     until_on_server(page, server, lambda s: s["world"]["cylinder_1"]["pose"]["position"]["x"] == pytest.approx(0.31))
-    type_into(page, "object-yaw", "90")
+    page.enter("object-yaw", "90")
     until_on_server(
         page, server, lambda s: s["world"]["cylinder_1"]["pose"]["orientation"]["z"] == pytest.approx(0.7071, abs=1e-3)
     )
-    type_into(page, "object-size-radius", "5000")
+    page.enter("object-size-radius", "5000")
     page.until_text("object-size-radius-problem", "2000 mm")
     page.part("duplicate-object").click()
     until_on_server(page, server, lambda s: "cylinder_2" in s["world"])
     page.until_state("s.selected_object === 'cylinder_2'")
-    type_into(page, "object-name", "cup")
+    page.enter("object-name", "cup")
     until_on_server(page, server, lambda s: sorted(s["world"]) == ["box_1", "cup", "cylinder_1"])
     page.part("remove-cup").click()
     until_on_server(page, server, lambda s: sorted(s["world"]) == ["box_1", "cylinder_1"])
@@ -176,10 +165,7 @@ def test_a_saved_scene_comes_back_from_the_server_and_from_a_file(
     page.part("scene-name").fill("Küche")
     page.part("save-scene").click()
     page.until_text("saved-scenes", "Küche")
-    with page.page.expect_download() as download:
-        page.part("download-scene").click()
-    file = tmp_path / "scene.json"
-    download.value.save_as(file)
+    file = page.download("download-scene", tmp_path)
     for bring_back in (
         lambda: page.part("load-scene-Küche").click(),
         lambda: page.part("scene-file").set_input_files(file),
@@ -253,7 +239,7 @@ def test_the_reachable_region_is_computed_anew_when_the_scene_changes(page: Open
     assert len(free_m) > 50
     assert check(server, tuple(free_m[len(free_m) // 2]))["free"]
     # In the slice, where the tip could be: the squares in it are told to be blocked.
-    type_into(page, "place-y", "0")
+    page.enter("place-y", "0")
     page.part("add-object").click()
     page.until_state("s.objects.length === 1 && s.region.cells.length < s.region.total")
     in_box = "c.reach !== 'free' && Math.abs(c.point_m[0] - 0.3) < 0.03 && Math.abs(c.point_m[2] - 0.04) < 0.04"

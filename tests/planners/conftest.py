@@ -6,14 +6,18 @@ import time
 import numpy as np
 import pytest
 
+from planners import pool as pool_module
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.ik.constraints import Joints
 from planners.ik.goal_states import GoalStates
 from planners.pipeline import Planner
 from planners.problem import RateLimits
+from planners.scene import EMPTY_SCENE
 from tests.helpers import resources
+from tests.helpers.fake_workers import Farm
 from tests.helpers.robots import so101
+from tests.planners.scenes import scene
 
 
 @pytest.fixture(scope="session")
@@ -75,3 +79,25 @@ def shared_data():
 def empty_scene(shared_data):
     """Benchmark problems without obstacles."""
     return json.loads((shared_data / "planning_problems" / "empty.json").read_text())
+
+
+@pytest.fixture
+def farm(monkeypatch):
+    """Workers in place of the processes of every pool of a test."""
+    made = Farm()
+    monkeypatch.setattr(pool_module, "WorkerProcess", made.make)
+    return made
+
+
+@pytest.fixture
+def put():
+    """Put objects around the arm of a planner or a collision model; they are gone after the test."""
+    models = []
+
+    def set_scene(model, *objects):
+        assert model.set_scene(scene(*objects)) is None
+        models.append(model)
+
+    yield set_scene
+    for model in models:
+        model.set_scene(EMPTY_SCENE)

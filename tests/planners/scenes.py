@@ -42,3 +42,16 @@ def around_the_arm(seed):
         )
         things.append(SceneObject(f"thing {i}", ((shape, Pose()),), Pose() if isinstance(shape, Plane) else pose))
     return scene(*things)
+
+
+def outside_m(hull, points):
+    """Return the distance of each point from a hull, below 0 inside of it, shape (n,)."""
+    corners = np.asarray(hull.points())
+    triangles = [hull.polygons(i) for i in range(hull.num_polygons)]
+    a, b, c = (corners[[triangle[k] for triangle in triangles]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    normals, a = normals[lengths > 1e-14] / lengths[lengths > 1e-14, None], a[lengths > 1e-14]
+    heights = (normals * a).sum(axis=1)
+    outwards = np.sign(heights - normals @ corners.mean(axis=0))
+    return ((points @ normals.T - heights) * outwards).max(axis=1)

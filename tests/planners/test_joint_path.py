@@ -10,9 +10,10 @@ import pytest
 from planners.cartesian.spline import NaturalSpline
 from planners.joint_path import LIMIT_TOLERANCE_RAD
 from planners.problem import JointPathProblem, MoveItErrorCode, Plan, PlanningFailure, RateLimits, RecheckQuestion
-from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from planners.scene import Box
 from robot.trajectory import Trajectory
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
+from tests.planners.scenes import thing
 
 JOINTS = ("shoulder_pan", "elbow_flex", "gripper")
 
@@ -71,21 +72,14 @@ def test_a_path_with_a_rest_in_it_rests_there(planner, at_home):
     assert planner.answer(asked).trajectory.duration_s > 5.5
 
 
-def test_a_path_faster_than_the_limits_takes_longer(planner, at_home):
-    asked = problem(at_home, lasts_s=0.4, reach_rad=0.6)
-    assert planner.answer(asked).trajectory.duration_s > 0.6
-
-
-def test_a_path_through_something_is_refused_with_when_and_what(planner, collision, at_home):
+def test_a_path_through_something_is_refused_with_when_and_what(planner, collision, at_home, put):
     asked = problem(at_home)
     place_q = np.zeros(len(collision.joint_names))
     for name, value in zip(JOINTS, asked.positions_rad[len(asked.positions_rad) // 2], strict=True):
         place_q[collision.joint_names.index(name)] = value
     x, y, z = collision.tip_positions([place_q], "gripper_frame_link")[0]
-    crate = SceneObject("crate", ((Box((0.03, 0.03, 0.03)), Pose((float(x), float(y), float(z)))),))
-    assert planner.set_scene(Scene(1, (crate,))) is None
+    put(planner, thing(Box((0.03, 0.03, 0.03)), float(x), float(y), float(z), name="crate"))
     refused = planner.answer(asked)
-    assert planner.set_scene(EMPTY_SCENE) is None
     assert isinstance(refused, PlanningFailure)
     assert refused.code is MoveItErrorCode.INVALID_MOTION_PLAN
     assert "crate" in refused.message

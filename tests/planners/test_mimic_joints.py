@@ -12,9 +12,10 @@ from planners.geometry.kinematics import ForwardKinematics
 from planners.goals import JointGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
-from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from planners.scene import Box
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
+from tests.planners.scenes import thing
 from tests.planners.small_arms import PALLETIZER_SRDF, PALLETIZER_URDF
 
 NAMES = ("turn", "boom", "grip")
@@ -107,14 +108,10 @@ def test_position_goals_of_a_wrist_that_follows_are_reached(planner, palletizer,
     assert np.linalg.norm(forward.placement("wrist").translation - goal.position_m) <= 0.001
 
 
-def test_a_finger_that_follows_touches_what_is_in_its_way(planner):
-    thing = SceneObject("thing", ((Box((0.02, 0.02, 0.2)), Pose()),), Pose((0.47, -0.055, 0.12)))
+def test_a_finger_that_follows_touches_what_is_in_its_way(planner, put):
     grip = PlanningProblem("hand", dict.fromkeys(NAMES, 0.0), JointGoal({"grip": 1.0}))
     assert isinstance(planner.plan(grip), Plan)
-    planner.set_scene(Scene(version=7, objects=(thing,)))
-    try:
-        answer = planner.plan(grip)
-    finally:
-        planner.set_scene(EMPTY_SCENE)
+    put(planner, thing(Box((0.02, 0.02, 0.2)), 0.47, -0.055, 0.12))
+    answer = planner.plan(grip)
     assert not isinstance(answer, Plan)
     assert "right" in answer.message

@@ -1,6 +1,5 @@
 """Goals that work in place of those that do not: of the same kind, near them, and verified by a plan."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -9,40 +8,36 @@ import pytest
 from planners.goals import AxisGoal, Constraints, JointConstraint, JointGoal, PoseGoal, PositionGoal
 from planners.nearest_goal import spread
 from planners.problem import MoveItErrorCode, NearestGoalAnswer, NearestGoalQuestion, Plan, PlanningFailure
-from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from planners.scene import Box, Pose, SceneObject
+from tests.planners.scenes import thing
 from tests.planners.setting import Setting
 
 TIP = "gripper_frame_link"
-VERSIONS = itertools.count(7_000_001)
 
 # Beside the arm: half a turn of the pan brings it in there.
-WALL = (SceneObject("wall", ((Box((0.6, 0.1, 0.6)), Pose()),), Pose((0.3, 0.25, 0.3))),)
+WALL = thing(Box((0.6, 0.1, 0.6)), 0.3, 0.25, 0.3)
 
 
 @pytest.fixture
 def setting(planner, robot, collision):
-    planner.set_scene(EMPTY_SCENE)
     return Setting(planner, robot, collision)
 
 
 @pytest.fixture
-def beside_a_wall(setting):
-    assert setting.planner.set_scene(Scene(next(VERSIONS), WALL)) is None
-    yield setting
-    setting.planner.set_scene(EMPTY_SCENE)
+def beside_a_wall(setting, put):
+    put(setting.planner, WALL)
+    return setting
 
 
 @pytest.fixture
-def beside_a_plate(setting):
+def beside_a_plate(setting, put):
     """Beside a plate from the base outwards, behind which the arm may stand, but cannot come."""
     half_rad = 0.5 * np.radians(30.0)
     out = np.array([np.cos(2.0 * half_rad), np.sin(2.0 * half_rad)])
     x, y = (0.38 * out).tolist()
     pose = Pose((x, y, 0.5), (0.0, 0.0, float(np.sin(half_rad)), float(np.cos(half_rad))))
-    plate = SceneObject("plate", ((Box((0.6, 0.01, 1.0)), Pose()),), pose)
-    assert setting.planner.set_scene(Scene(next(VERSIONS), (plate,))) is None
-    yield setting
-    setting.planner.set_scene(EMPTY_SCENE)
+    put(setting.planner, SceneObject("plate", ((Box((0.6, 0.01, 1.0)), Pose()),), pose))
+    return setting
 
 
 def nearest(setting, problem, allowed_time_s=5.0):
@@ -115,7 +110,7 @@ BEHIND_THE_PLATE = -1.85
 def test_a_joint_goal_to_which_no_motion_leads_becomes_the_nearest_that_one_reaches(beside_a_plate, named):
     whole = dict.fromkeys(beside_a_plate.joints, 0.0) | {"shoulder_pan": BEHIND_THE_PLATE}
     asked = JointGoal({name: whole[name] for name in named or whole})
-    problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.5)
+    problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.2)
     goal, failure = nearest(beside_a_plate, problem)
     assert failure.code is MoveItErrorCode.TIMED_OUT
     assert goal.positions_rad.keys() == asked.positions_rad.keys()
@@ -135,7 +130,7 @@ def test_a_goal_of_the_tip_to_which_no_motion_leads_becomes_one_nearer_than_the_
     start_rad = beside_a_plate.home(shoulder_pan=0.8)
     asked_m = beside_a_plate.tip_m(beside_a_plate.home(shoulder_pan=BEHIND_THE_PLATE))
     asked = PoseGoal(TIP, Pose(asked_m), 0.01, (0.1, 0.1, 0.1))
-    problem = beside_a_plate.problem(asked, start_rad, allowed_time_s=0.5)
+    problem = beside_a_plate.problem(asked, start_rad, allowed_time_s=0.2)
     goal, failure = nearest(beside_a_plate, problem)
     assert failure.code is MoveItErrorCode.TIMED_OUT
     assert isinstance(goal, PoseGoal)
@@ -147,7 +142,7 @@ def test_a_goal_of_the_tip_to_which_no_motion_leads_becomes_one_nearer_than_the_
 def test_where_no_motion_leads_to_what_is_free_around_a_contact_the_nearest_on_this_side_is_found(beside_a_plate):
     # Everything around this contact is behind the plate.
     asked = JointGoal({"shoulder_pan": -1.4})
-    problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.5)
+    problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.2)
     goal, failure = nearest(beside_a_plate, problem, 1.0)
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
     assert goal.positions_rad["shoulder_pan"] < 0.3

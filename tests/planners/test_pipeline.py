@@ -1,12 +1,9 @@
 from __future__ import annotations
 
-import dataclasses
 import itertools
-import pickle
 import time
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from planners.cartesian.following import SplinePath
@@ -29,23 +26,16 @@ from planners.motions.path import PROJECTED_SEARCH
 from planners.pipeline import Planner, recheck
 from planners.problem import (
     VIA_POINT,
-    CartesianPlan,
-    CartesianProblem,
-    IkAnswer,
     IkQuestion,
     JointPathProblem,
-    Line,
     MoveItErrorCode,
     Plan,
     PlanningFailure,
     PlanningProblem,
     RateLimits,
-    RecheckAnswer,
     RecheckQuestion,
-    StateAnswer,
-    StateQuestion,
 )
-from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from planners.scene import Box, Pose, Scene
 from robot.description import model
 from tests.planners.invariants import (
     BLOCKED_LINES,
@@ -53,6 +43,7 @@ from tests.planners.invariants import (
     assert_touches_nothing,
     configurations,
 )
+from tests.planners.scenes import thing
 from tests.planners.setting import TIP, Setting, end_of
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
@@ -63,11 +54,6 @@ FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.65, "wrist_flex": 1.0}
 @pytest.fixture
 def setting(planner, robot, collision):
     return Setting(planner, robot, collision)
-
-
-@pytest.fixture(scope="module")
-def official_meshes(shared_data):
-    return _OfficialMeshes(shared_data)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -129,15 +115,11 @@ def test_goal_that_already_holds_needs_no_motion(setting, goal):
     assert plan.trajectory.duration_s == 0.0
 
 
-def test_first_clients_point_is_refused_with_distance_and_nearest_point(setting):
+def test_a_point_out_of_reach_is_refused_with_its_distance_and_the_nearest_which_can_be_reached(setting):
     failure = setting.planner.plan(setting.problem(PositionGoal(TIP, (0.1, 0.0, 0.15), 0.01)))
     assert failure.code is MoveItErrorCode.NO_IK_SOLUTION
     assert "4.1 cm" in failure.message
     assert failure.details["distance_m"] == pytest.approx(0.041, abs=0.001)
-
-
-def test_nearest_point_of_a_refusal_can_be_reached(setting):
-    failure = setting.planner.plan(setting.problem(PositionGoal(TIP, (0.1, 0.0, 0.15), 0.01)))
     setting.solve(setting.problem(PositionGoal(TIP, tuple(failure.details["nearest_m"]), 0.001)))
 
 
@@ -166,28 +148,11 @@ def test_arm_that_touches_itself_in_the_hulls_only_may_leave(setting):
     assert depths_m[-1] == 0.0
 
 
-def test_arm_that_touches_itself_in_the_hulls_only_may_stay(setting):
-    plan = setting.planner.plan(setting.problem(JointGoal({}), setting.home(**FOLDED)))
-    assert plan.method == "nothing to do"
-
-
-def test_arm_that_touches_itself_may_not_go_deeper(setting):
+def test_arm_that_touches_itself_may_stay_but_not_go_deeper(setting):
+    assert setting.planner.plan(setting.problem(JointGoal({}), setting.home(**FOLDED))).method == "nothing to do"
     deeper = JointGoal({"shoulder_lift": -1.74, "elbow_flex": 1.69})
     failure = setting.planner.plan(setting.problem(deeper, setting.home(**FOLDED)))
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
-
-
-def test_stopped_planning_is_preempted(setting):
-    problem = setting.problem(JointGoal({"elbow_flex": 0.5}))
-    assert setting.planner.plan(problem, lambda: True).code is MoveItErrorCode.PREEMPTED
-
-
-def test_planning_stops_in_the_middle_of_a_search(setting):
-    start, goal = BLOCKED_LINES[0]
-    problem = setting.problem(JointGoal(dict(zip(setting.joints, goal, strict=True))), setting.start(start, 0.0))
-    asked = iter(range(3))
-    failure = setting.planner.plan(problem, lambda: next(asked, None) is None)
-    assert failure.code is MoveItErrorCode.PREEMPTED
 
 
 @pytest.mark.parametrize("kind", ["plan", "recheck", "joint path"])
@@ -217,15 +182,6 @@ def test_lack_of_time_is_timed_out(robot, setting):
     slow = Planner(robot, clock=lambda: float(next(ticks)))
     failure = slow.plan(setting.problem(JointGoal({"elbow_flex": 0.5}), allowed_time_s=0.5))
     assert failure.code is MoveItErrorCode.TIMED_OUT
-
-
-def test_answers_cross_process_boundaries(setting):
-    problem = setting.problem(JointGoal({"elbow_flex": 0.5}))
-    plan = setting.planner.plan(problem)
-    failure = setting.planner.plan(dataclasses.replace(problem, goal=PositionGoal(TIP, (0.1, 0.0, 0.15), 0.01)))
-    copy = pickle.loads(pickle.dumps(plan))
-    np.testing.assert_array_equal(copy.trajectory.positions_rad, plan.trajectory.positions_rad)
-    assert pickle.loads(pickle.dumps(failure)) == failure
 
 
 def test_an_arm_of_another_kind_is_planned_for():
@@ -258,7 +214,7 @@ def test_deviation_of_a_pose_on_five_joints_is_that_of_the_end(setting):
 def test_path_constraints_are_kept_all_the_way_around_an_obstacle(robot, setting):
     planner = Planner(robot, time.process_time)
     states = GoalStates(robot, setting.collision)
-    wall = SceneObject("wall", ((Box((0.3, 0.02, 0.08)), Pose()),), Pose((0.25, 0.0, 0.04)))
+    wall = thing(Box((0.3, 0.02, 0.08)), 0.25, 0.0, 0.04, name="wall")
     assert planner.set_scene(Scene(1, (wall,))) is None
     down = AxisGoal(TIP, (0.22, -0.12, 0.05), 0.002, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.02)
     start = planner.answer(IkQuestion("arm", setting.home(), down)).positions_rad[0]
@@ -282,7 +238,7 @@ def test_start_outside_the_path_constraints_is_refused(setting):
 def test_constraints_that_no_path_keeps_end_with_the_time(robot, setting):
     ticks = iter(range(100_000))
     planner = Planner(robot, clock=lambda: 0.001 * next(ticks))
-    fence = SceneObject("fence", ((Box((0.4, 0.02, 0.3)), Pose()),), Pose((0.34, 0.0, 0.15)))
+    fence = thing(Box((0.4, 0.02, 0.3)), 0.34, 0.0, 0.15, name="fence")
     assert planner.set_scene(Scene(1, (fence,))) is None
     low = Constraints(positions=(PositionConstraint(TIP, Pose((0.25, 0.0, 0.1)), half_size_m=(0.5, 0.5, 0.1)),))
     beside = PositionGoal(TIP, (0.25, -0.15, 0.1), 0.005)
@@ -294,90 +250,12 @@ def test_constraints_that_no_path_keeps_end_with_the_time(robot, setting):
 
 def test_bad_scene_is_refused_and_the_one_before_stays(robot, setting):
     planner = Planner(robot, time.process_time)
-    block = SceneObject("block", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.39, 0.0, 0.226)))
+    block = thing(Box((0.1, 0.1, 0.1)), 0.39, 0.0, 0.226, name="block")
     assert planner.set_scene(Scene(1, (block,))) is None
     assert isinstance(planner.set_scene(Scene(2, (block, block))), PlanningFailure)
     failure = planner.plan(setting.problem(JointGoal({"wrist_roll": 0.3})))
     assert failure.code is MoveItErrorCode.START_STATE_IN_COLLISION
     assert "block" in failure.message
-
-
-def test_every_kind_of_request_gets_its_kind_of_answer(setting):
-    home = setting.home()
-    plan = setting.planner.answer(setting.problem(JointGoal({"elbow_flex": 0.5})))
-    point = PositionGoal(TIP, (0.3, 0.1, 0.2), 0.01)
-    line = CartesianProblem("arm", home, TIP, (Line(Pose((0.37, 0.0, 0.2))),))
-    requests = [
-        (IkQuestion("arm", home, point), IkAnswer),
-        (StateQuestion("arm", home), StateAnswer),
-        (RecheckQuestion("arm", plan.trajectory, {"gripper": 0.0}, 0.1), RecheckAnswer),
-        (line, CartesianPlan),
-    ]
-    assert isinstance(plan, Plan)
-    for request, kind in requests:
-        assert isinstance(setting.planner.answer(request), kind), request
-
-
-class TestBenchmarkProblems:
-    """The shared problems without obstacles, judged with the full official meshes."""
-
-    def test_every_feasible_problem_is_solved_clear_of_the_official_meshes(self, setting, empty_scene, official_meshes):
-        for problem in self._feasible(setting, empty_scene):
-            plan = setting.solve(problem)
-            for q in configurations(plan.trajectory, setting.collision, problem.start_rad, step_m=0.004):
-                assert not official_meshes.in_collision(q), problem
-
-    def test_every_infeasible_problem_gets_an_accepted_code(self, setting, empty_scene):
-        for case in empty_scene["infeasible"]:
-            values = [np.nan if value is None else value for value in case.get("goal", [])]
-            goal = (
-                JointGoal(dict(zip(setting.joints, values, strict=True)))
-                if values
-                else PositionGoal(TIP, tuple(case["position"]), case["tolerance"])
-            )
-            failure = setting.planner.plan(setting.problem(goal, setting.start(case["start"])))
-            assert failure.code in case["accept_codes"], (case["id"], failure)
-
-    def _feasible(self, setting, scene):
-        for case in scene["joint_problems"]:
-            goal = JointGoal(dict(zip(setting.joints, case["goal"], strict=True)))
-            yield setting.problem(goal, setting.start(case["start"], scene["gripper"]))
-        for case in scene["position_problems"]:
-            goal = PositionGoal(TIP, tuple(case["position"]), case["tolerance"])
-            yield setting.problem(goal, setting.start(case["start"], scene["gripper"]))
-
-
-class _OfficialMeshes:
-    """Self-collision by the meshes of the official description, all pairs that can touch."""
-
-    NEVER = (
-        {"base_link", "upper_arm_link"},
-        {"lower_arm_link", "gripper_link"},
-        {"lower_arm_link", "moving_jaw_so101_v1_link"},
-        {"wrist_link", "moving_jaw_so101_v1_link"},
-    )
-
-    def __init__(self, shared_data):
-        urdf = shared_data / "so101" / "so101_new_calib.urdf"
-        self._model = pin.buildModelFromUrdf(str(urdf))
-        self._data = self._model.createData()
-        self._geometry = pin.buildGeomFromUrdf(
-            self._model, str(urdf), pin.GeometryType.COLLISION, package_dirs=[str(urdf.parent)]
-        )
-        shapes = self._geometry.geometryObjects
-        for i, first in enumerate(shapes):
-            for j, second in enumerate(shapes[i + 1 :], i + 1):
-                links = {self._model.frames[shape.parentFrame].name for shape in (first, second)}
-                apart = abs(first.parentJoint - second.parentJoint) > 1
-                if apart and links not in self.NEVER:
-                    self._geometry.addCollisionPair(pin.CollisionPair(i, j))
-        self._geometry_data = self._geometry.createData()
-        self._manager = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
-            self._model, self._geometry, self._geometry_data
-        )
-
-    def in_collision(self, q):
-        return pin.computeCollisions(self._model, self._data, self._manager, q, True)
 
 
 OTHERS = {"gripper": 0.0}
@@ -392,18 +270,6 @@ def motion(arm):
     )
 
 
-@pytest.fixture
-def scene(collision):
-    versions = iter(range(7000, 7999))
-
-    def put(position_m, size_m=(0.05, 0.05, 0.8)):
-        post = SceneObject("post", ((Box(size_m), Pose()),), Pose(position_m))
-        assert collision.set_scene(Scene(next(versions), (post,))) is None
-
-    yield put
-    collision.set_scene(EMPTY_SCENE)
-
-
 def ask(robot, collision, motion, from_s=0.0, others=OTHERS, group="arm"):
     return recheck(RecheckQuestion(group, motion, others, from_s), robot, collision)
 
@@ -412,46 +278,36 @@ def test_a_motion_is_free_in_an_empty_scene(robot, collision, motion):
     answer = ask(robot, collision, motion)
     assert answer.contact is None
     assert answer.contact_s is None
+    assert ask(robot, collision, motion, motion.duration_s).contact is None
 
 
-def test_an_obstacle_on_the_way_is_named_with_its_time(robot, collision, motion, scene):
-    scene((0.25, 0.0, 0.2))
+def post(*position_m, size_m=(0.05, 0.05, 0.8)):
+    return thing(Box(size_m), *position_m, name="post")
+
+
+def test_an_obstacle_on_the_way_is_named_with_its_time(robot, collision, motion, put):
+    put(collision, post(0.25, 0.0, 0.2))
     answer = ask(robot, collision, motion)
     assert answer.contact.code == MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
     assert "post" in answer.contact.message
     assert collision.in_collision(np.array([*motion.sample(answer.contact_s)[0], 0.0]))
 
 
-@pytest.mark.parametrize("from_share", [0.0, 0.3, 0.6])
 @pytest.mark.parametrize("angle_rad", [-1.0, -0.4, 0.1, 0.7])
-def test_the_first_contact_of_the_rest_is_found(robot, collision, motion, scene, from_share, angle_rad):
-    scene((float(0.3 * np.cos(angle_rad)), float(0.3 * np.sin(angle_rad)), 0.2))
-    from_s = from_share * motion.duration_s
-    answer = ask(robot, collision, motion, from_s)
-    times_s = np.linspace(from_s, motion.duration_s, 200)
-    touching = [t for t in times_s if collision.in_collision(np.array([*motion.sample(t)[0], 0.0]))]
-    if touching:
-        assert touching[0] - 0.03 <= answer.contact_s <= touching[0] + 0.03
-    else:
-        assert answer.contact is None
+def test_the_first_contact_of_the_rest_is_found(robot, collision, motion, put, angle_rad):
+    put(collision, post(float(0.3 * np.cos(angle_rad)), float(0.3 * np.sin(angle_rad)), 0.2))
+    for from_s in (0.0, 0.3 * motion.duration_s, 0.6 * motion.duration_s):
+        answer = ask(robot, collision, motion, from_s)
+        times_s = np.linspace(from_s, motion.duration_s, 200)
+        touching = [t for t in times_s if collision.in_collision(np.array([*motion.sample(t)[0], 0.0]))]
+        assert (answer.contact is not None) == bool(touching)
+        assert not touching or answer.contact_s == pytest.approx(touching[0], abs=0.03)
 
 
-def test_contacts_behind_the_arm_do_not_count(robot, collision, motion, scene):
-    scene((0.25 * np.cos(-0.6), 0.25 * np.sin(0.6), 0.2))
-    before = ask(robot, collision, motion)
-    assert before.contact is not None
-    later_s = before.contact_s + 0.8 * (motion.duration_s - before.contact_s)
-    assert ask(robot, collision, motion, later_s).contact is None
-
-
-def test_an_obstacle_where_the_arm_is_touches_now(robot, collision, motion, scene):
+def test_an_obstacle_where_the_arm_is_touches_now(robot, collision, motion, put):
     from_s = 0.5 * motion.duration_s
-    scene((0.25, 0.0, 0.2), (0.2, 0.2, 0.8))
+    put(collision, post(0.25, 0.0, 0.2, size_m=(0.2, 0.2, 0.8)))
     assert ask(robot, collision, motion, from_s).contact_s == from_s
-
-
-def test_the_last_moment_of_a_motion_can_be_asked_about(robot, collision, motion):
-    assert ask(robot, collision, motion, motion.duration_s).contact is None
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,15 @@
+"""Pools of planner processes in stepped time: turns, deadlines, races, and processes that end."""
+
 from __future__ import annotations
 
 import asyncio
 import dataclasses
-import errno
 import math
 import os
-import signal
-import subprocess
-import sys
-import time
-from collections.abc import AsyncIterator, Iterator
-from pathlib import Path
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 import pytest_asyncio
 from hypothesis import given
@@ -22,53 +17,48 @@ from hypothesis import strategies as st
 
 from planners import budget
 from planners import pool as pool_module
-from planners.budget import Deadline
-from planners.pipeline import Planner
+from planners.messages import (
+    Answered,
+    Ask,
+    Cancel,
+    Loaded,
+    LoadFailed,
+    LoadRobot,
+    MoreObjects,
+    NewScene,
+    StillSearching,
+)
 from planners.pool import (
+    BRIEF_SCENE_BYTES,
+    LOAD_TIMEOUT_S,
     MAX_ALLOWED_TIME_S,
+    MAX_FAILED_STARTS,
     MAX_WAITING,
     OBJECT_BYTES,
     PART_BYTES,
-    OnHard,
     PlannerPool,
     WorkerProcess,
     allowed_time_s,
     parts,
-    timeout_at,
+    timeout_after,
 )
-from planners.problem import (
-    Answer,
-    MoveItErrorCode,
-    Plan,
-    PlanningFailure,
-    RecheckQuestion,
-    Request,
-    StateAnswer,
-)
-from planners.scene import Box, Mesh, Pose, Scene, SceneObject
+from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, RecheckQuestion, Request
+from planners.scene import EMPTY_SCENE, Box, Mesh, Pose, Scene, SceneObject
 from planners.servo.question import JointVelocities, ServoQuestion
-from robot.channel import MAX_MESSAGE_BYTES
-from robot.description import model
-from tests.helpers import broken_planner
-from tests.helpers.motions import EASY, LONG, REQUESTS, START, STATE, STILL, broken
-from tests.helpers.resources import no_descriptors_left
+from tests.helpers.fake_workers import CRASHES, DEAF, HARD, IN_VAIN, PLAN, SEARCH_S, SOUND, TIMED_OUT, Farm
+from tests.helpers.motions import EASY, REQUESTS, START, STATE, STILL
 from tests.helpers.robots import so101
 from tests.helpers.waiting import until
 
-TWINS = (SceneObject("twin", ((Box((0.1, 0.1, 0.1)), Pose((2.0, 0.0, 0.0))),)),) * 2
+pytestmark = pytest.mark.stepped_time
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def worker() -> AsyncIterator[WorkerProcess]:
-    loaded = asyncio.Event()
-    made = WorkerProcess(so101(), 1 << 30, lambda _worker, _refusal: loaded.set(), lambda _worker: None)
-    await made.start()
-    await asyncio.wait_for(loaded.wait(), 60.0)
-    yield made
-    await made.kill()
+def searched(end: str, others: str = "", allowed_time_s: float = 60.0) -> PlanningProblem:
+    """A problem: how its search ends, and how that of another racer."""
+    return dataclasses.replace(EASY, group=f"{end}|{others}", allowed_time_s=allowed_time_s)
 
 
-in_one_loop = pytest.mark.asyncio(loop_scope="module")
+LONG = searched(IN_VAIN)
 
 
 def boxes(count: int) -> tuple[SceneObject, ...]:
@@ -78,86 +68,606 @@ def boxes(count: int) -> tuple[SceneObject, ...]:
     )
 
 
-@in_one_loop
-async def test_a_scene_is_sent_again_only_when_its_version_is_another(worker: WorkerProcess) -> None:
-    assert isinstance(await worker.ask(STATE, Scene(1, TWINS)), PlanningFailure)
-    # The same version says that nothing has changed; the worker still holds what it refused.
-    assert isinstance(await worker.ask(STATE, Scene(1)), PlanningFailure)
-    assert isinstance(await worker.ask(STATE, Scene(2)), StateAnswer)
-    assert worker.has(Scene(2))
-    assert not worker.has(Scene(1))
+@pytest.fixture(autouse=True)
+def cores(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Two cores, also on a machine with one; call it for another number."""
+
+    def have(number: int) -> None:
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: set(range(number)))
+
+    have(2)
+    return have
 
 
-@in_one_loop
-async def test_a_scene_given_up_half_way_is_sent_anew(worker: WorkerProcess) -> None:
-    large = Scene(3, boxes(600))
-    asking = asyncio.create_task(worker.ask(STATE, large))
-    await asyncio.sleep(0)
-    asking.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await asking
-    await worker.cancel()
-    assert not worker.has(large)
-    # Objects that came twice would be refused as duplicates.
-    assert isinstance(await worker.ask(STATE, large), StateAnswer)
+@pytest_asyncio.fixture
+async def loading(farm: Farm) -> AsyncIterator[PlannerPool]:
+    """A pool whose first worker loads; the spare starts after it."""
+    made = PlannerPool(so101())
+    await made.start()
+    yield made
+    await made.close()
 
 
-@in_one_loop
-async def test_a_request_too_large_for_a_message_is_refused_and_harms_nothing(worker: WorkerProcess) -> None:
-    huge = Mesh(np.zeros((MAX_MESSAGE_BYTES // 24 + 1, 3)), np.zeros((0, 3), dtype=np.int32))
-    answer = await worker.ask(STATE, Scene(4, (SceneObject("huge", ((huge, Pose()),)),)))
+@pytest_asyncio.fixture
+async def pool(loading: PlannerPool) -> PlannerPool:
+    """A pool with one worker for motions and a spare, both idle."""
+    await idle(loading, 2)
+    return loading
+
+
+async def idle(pool: PlannerPool, count: int) -> None:
+    """Wait until that many workers are idle."""
+    await until(lambda: pool.idle_count == count)
+
+
+async def given_up(*asking: asyncio.Task[Any]) -> None:
+    for task in asking:
+        assert not task.done()
+        task.cancel()
+    await asyncio.wait(asking)
+
+
+async def under_way(pool: PlannerPool, request: Request, idle_count: int = 1) -> asyncio.Task[Any]:
+    """Ask, and wait until so many workers are left idle."""
+    asking = asyncio.create_task(pool.ask(request))
+    await idle(pool, idle_count)
+    return asking
+
+
+# Requests and their turns.
+
+
+async def test_requests_sent_together_while_workers_load_are_all_answered(loading: PlannerPool) -> None:
+    assert (loading.idle_count, loading.loaded_count) == (0, 0)
+    assert await asyncio.gather(*(loading.ask(EASY) for _ in range(5))) == [PLAN] * 5
+
+
+async def test_one_worker_stands_by_beside_the_active_ones(pool: PlannerPool) -> None:
+    assert len(pool.pids) == pool.loaded_count == 2
+
+
+async def test_the_spare_starts_once_the_first_worker_has_loaded(loading: PlannerPool, farm: Farm) -> None:
+    await asyncio.sleep(0.4)
+    assert len(farm.workers) == 1
+    await idle(loading, 1)
+    await asyncio.sleep(0.01)
+    assert len(farm.workers) == 2
+
+
+async def test_questions_do_not_wait_for_a_motion_in_planning(pool: PlannerPool) -> None:
+    planning = await under_way(pool, LONG)
+    assert await pool.ask(STATE) is SOUND
+    await given_up(planning)
+
+
+async def test_more_requests_than_may_wait_are_refused(pool: PlannerPool) -> None:
+    asking = [asyncio.create_task(pool.ask(LONG)) for _ in range(MAX_WAITING + 1)]
+    await asyncio.sleep(0.001)
+    answer = await pool.ask(EASY)
     assert isinstance(answer, PlanningFailure)
-    assert str(MAX_MESSAGE_BYTES) in answer.message
-    assert isinstance(await worker.ask(STATE, Scene(5)), StateAnswer)
+    assert answer.code is MoveItErrorCode.FAILURE
+    assert f"limit {MAX_WAITING}" in answer.message
+    await given_up(*asking)
 
 
-@in_one_loop
-async def test_a_cancelled_worker_that_waits_for_a_core_is_waited_for(
-    worker: WorkerProcess, monkeypatch: pytest.MonkeyPatch
+async def test_a_worker_that_has_the_scene_is_taken_before_one_that_has_not(pool: PlannerPool, farm: Farm) -> None:
+    await pool.ask(EASY, Scene(1))
+    assert [worker.has(Scene(1)) for worker in farm.workers] == [True, False]
+    await pool.ask(EASY, Scene(1))
+    assert not farm.workers[1].asked
+
+
+async def test_cancelling_ends_a_long_search_and_keeps_its_worker(pool: PlannerPool, farm: Farm) -> None:
+    for _ in range(3):
+        await given_up(await under_way(pool, LONG))
+        await idle(pool, 2)
+    assert len(farm.workers) == 2
+
+
+async def test_the_spare_takes_over_before_a_cancelled_worker_listens(
+    pool: PlannerPool, farm: Farm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pool_module, "CANCEL_TIMEOUT_S", 0.02)
-    monkeypatch.setattr(pool_module, "read_run_delay_s", lambda _pid: time.monotonic())
-    asking = asyncio.create_task(worker.ask(LONG, Scene(6)))
-    await until(lambda: worker._answer is not None and not worker._answer.done())
-    os.kill(worker.pid, signal.SIGSTOP)
-    cancelling = asyncio.create_task(worker.cancel())
-    await asyncio.sleep(0.2)
-    os.kill(worker.pid, signal.SIGCONT)
-    await asyncio.gather(cancelling, asking)
-    assert worker.usable
+    async def in_a_minute() -> None:
+        await asyncio.sleep(60.0)
+
+    planning = await under_way(pool, searched(DEAF))
+    (busy,) = (worker for worker in farm.workers if worker.asked)
+    monkeypatch.setattr(busy, "cancel", in_a_minute)
+    await given_up(planning)
+    async with asyncio.timeout(1.0):
+        assert await pool.ask(EASY) is PLAN
 
 
-async def test_work_is_cancelled_once_its_deadline_has_passed() -> None:
+async def test_a_cancelled_worker_that_does_not_listen_is_replaced(pool: PlannerPool) -> None:
+    before = set(pool.pids)
+    await given_up(await under_way(pool, searched(DEAF)))
+    await asyncio.sleep(0.01)
+    await idle(pool, 2)
+    assert len(before & set(pool.pids)) == 1
+
+
+# Motions in the background.
+
+
+async def in_background(pool: PlannerPool) -> asyncio.Task[Plan | PlanningFailure | None]:
+    """Have a long search be made in the background."""
+    planning = asyncio.create_task(pool.ask_in_background(LONG))
+    await idle(pool, 1)
+    return planning
+
+
+async def test_a_motion_is_planned_in_the_background(pool: PlannerPool) -> None:
+    assert await pool.ask_in_background(EASY) is PLAN
+
+
+async def test_a_motion_in_the_background_gives_way_to_one_that_is_due(pool: PlannerPool, farm: Farm) -> None:
+    planning = await in_background(pool)
+    assert await pool.ask(EASY) is PLAN
+    assert await planning is None
+    assert len(farm.workers) == 2
+
+
+async def test_a_motion_in_the_background_goes_on_while_questions_are_answered(pool: PlannerPool) -> None:
+    planning = await in_background(pool)
+    assert await asyncio.gather(pool.ask(STATE), pool.ask(STATE)) == [SOUND, SOUND]
+    await given_up(planning)
+
+
+async def test_nothing_is_planned_in_the_background_while_a_motion_is_due(pool: PlannerPool) -> None:
+    due = await under_way(pool, LONG)
+    assert await pool.ask_in_background(EASY) is None
+    await given_up(due)
+
+
+async def test_a_motion_in_the_background_does_not_give_way_to_another_there(pool: PlannerPool) -> None:
+    planning = await in_background(pool)
+    assert await pool.ask_in_background(EASY) is None
+    await given_up(planning)
+
+
+async def test_a_motion_in_the_background_that_is_given_up_frees_its_worker(pool: PlannerPool, farm: Farm) -> None:
+    await given_up(await in_background(pool))
+    await idle(pool, 2)
+    assert len(farm.workers) == 2
+
+
+async def test_a_worker_that_dies_over_a_motion_in_the_background_is_told_and_replaced(pool: PlannerPool) -> None:
+    before = set(pool.pids)
+    answer = await pool.ask_in_background(searched(CRASHES))
+    assert isinstance(answer, PlanningFailure)
+    assert answer.code is MoveItErrorCode.CRASH
+    await idle(pool, 2)
+    assert len(before & set(pool.pids)) == 1
+
+
+# Deadlines.
+
+RECHECK = RecheckQuestion("arm", STILL, START, 0.0)
+SERVO = ServoQuestion("arm", "gripper_frame_link", START, {}, 0.02, JointVelocities({}))
+# It ends 0.5 s later than a worker may that does not wait for a core.
+LATE = searched(IN_VAIN, allowed_time_s=1.0)
+
+
+@pytest.fixture
+def late(pool: PlannerPool, farm: Farm, monkeypatch: pytest.MonkeyPatch) -> Farm:
+    """Workers that answer motions and questions half a second too late."""
+    monkeypatch.setattr(pool_module, "OVERTIME_S", -0.5)
+    monkeypatch.setattr(pool_module, "CHECK_TIME_S", 1.0)
+    farm.question_s = 1.0
+    return farm
+
+
+async def test_a_worker_that_overruns_is_given_up_and_replaced(pool: PlannerPool, late: Farm) -> None:
+    began_s = asyncio.get_running_loop().time()
+    answer = await pool.ask(STATE)
+    assert answer == PlanningFailure(
+        MoveItErrorCode.TIMED_OUT, "the planner did not answer within 1 s and was given up"
+    )
+    assert asyncio.get_running_loop().time() - began_s == pytest.approx(0.5)
+    await asyncio.sleep(0.01)
+    assert [worker.killed > 0 for worker in late.workers[:2]] == [True, False]
+    await idle(pool, 2)
+
+
+@pytest.mark.parametrize(("request_", "answer"), [(LATE, TIMED_OUT), (STATE, SOUND)], ids=["a motion", "a question"])
+async def test_a_worker_that_waits_for_a_core_is_waited_for(
+    pool: PlannerPool, late: Farm, request_: Request, answer: object
+) -> None:
+    for worker in late.workers:
+        worker.waits_for_a_core = True
+    assert await pool.ask(request_) is answer
+
+
+@pytest.mark.parametrize("request_", [RECHECK, SERVO], ids=["a recheck", "steering"])
+async def test_while_an_arm_moves_a_worker_starved_of_cores_is_not_waited_for(
+    pool: PlannerPool, late: Farm, request_: Request
+) -> None:
+    for worker in late.workers:
+        worker.waits_for_a_core = True
+    answer = await pool.ask(request_)
+    assert isinstance(answer, PlanningFailure)
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    await idle(pool, 2)
+    assert not any(worker.killed for worker in late.workers)
+
+
+async def test_a_worker_that_waits_for_a_core_for_ever_is_given_up(
+    pool: PlannerPool, late: Farm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(budget, "MAX_STARVED_S", 0.2)
+    for worker in late.workers:
+        worker.waits_for_a_core = True
+    answer = await pool.ask(LATE)
+    assert isinstance(answer, PlanningFailure)
+    assert answer.message == "the planner did not answer within 1 s and was given up"
+
+
+def waiting_until(until_s: float) -> Callable[[], float]:
+    """Waits of a process that waits for a core from time 0 on, and at a time no more."""
+    return lambda: min(asyncio.get_running_loop().time(), until_s)
+
+
+@pytest.mark.parametrize(("until_s", "ends_s"), [(0.0, 1.0), (5.0, 6.0)])
+async def test_work_has_its_time_and_what_its_process_waits_for_a_core(until_s: float, ends_s: float) -> None:
     with pytest.raises(TimeoutError):
-        async with timeout_at(Deadline(0.01, lambda: 0.0)):
+        async with timeout_after(1.0, waiting_until(until_s)):
             await asyncio.sleep(10.0)
-
-
-async def test_work_is_not_cancelled_while_its_process_waits_for_a_core() -> None:
-    async with timeout_at(Deadline(0.01, time.monotonic)):
-        await asyncio.sleep(0.1)
-
-
-async def test_work_is_cancelled_when_its_process_waits_no_more() -> None:
-    waits_until_s = time.monotonic() + 0.1
-    with pytest.raises(TimeoutError):
-        async with timeout_at(Deadline(0.01, lambda: min(time.monotonic(), waits_until_s))):
-            await asyncio.sleep(10.0)
+    assert asyncio.get_running_loop().time() == pytest.approx(ends_s)
 
 
 async def test_nothing_looks_at_a_deadline_once_the_work_is_done() -> None:
     looked_at_s: list[float] = []
 
     def run_delay_s() -> float:
-        looked_at_s.append(time.monotonic())
+        looked_at_s.append(asyncio.get_running_loop().time())
         return 0.0
 
-    async with timeout_at(Deadline(0.01, run_delay_s)):
+    async with timeout_after(1.0, run_delay_s):
         pass
-    done_s = time.monotonic()
-    await asyncio.sleep(0.05)
-    assert max(looked_at_s) <= done_s
+    await asyncio.sleep(5.0)
+    assert max(looked_at_s) == 0.0
 
+
+async def test_a_time_out_of_reason_does_not_hold_a_worker_for_ever() -> None:
+    for allowed_s in (math.nan, math.inf, -1.0, 1e9):
+        assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=allowed_s)) == MAX_ALLOWED_TIME_S
+
+
+async def test_every_kind_of_request_has_an_allowed_time() -> None:
+    assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=0.7)) == 0.7
+    assert all(0.0 < allowed_time_s(request) < 10.0 for request, _ in REQUESTS)
+
+
+# Races: a worker that is idle searches as well.
+
+
+async def test_a_hard_problem_is_searched_by_the_idle_worker_as_well(pool: PlannerPool, farm: Farm) -> None:
+    assert isinstance(await pool.ask(searched(IN_VAIN, HARD)), Plan)
+    assert isinstance(await pool.ask(searched(HARD, IN_VAIN)), Plan)
+    await idle(pool, 2)
+    # A second racer each time, and both workers are kept.
+    assert [len(worker.asked) for worker in farm.workers] == [2, 2]
+
+
+@pytest.mark.parametrize("ends", [(CRASHES, HARD), (HARD, CRASHES)], ids=["the first", "the other"])
+async def test_a_racer_that_crashes_leaves_the_race_to_the_other(pool: PlannerPool, ends: tuple[str, str]) -> None:
+    assert isinstance(await pool.ask(searched(*ends)), Plan)
+
+
+async def test_when_all_workers_of_a_race_crash_there_is_one_answer(pool: PlannerPool) -> None:
+    answer = await pool.ask(searched(CRASHES, CRASHES))
+    assert isinstance(answer, PlanningFailure)
+    assert answer.code is MoveItErrorCode.CRASH
+
+
+LARGE = Scene(1, boxes(BRIEF_SCENE_BYTES // OBJECT_BYTES + 1))
+
+
+async def not_raced(pool: PlannerPool, farm: Farm, scene: Scene = LARGE, *, background: bool = False) -> bool:
+    """Whether a hard problem is left to one worker, though another is idle and would find a plan."""
+    problem = searched(IN_VAIN, HARD, allowed_time_s=10.0 * SEARCH_S)
+    answer = await (pool.ask_in_background(problem, scene) if background else pool.ask(problem, scene))
+    return answer is TIMED_OUT and sorted(len(worker.asked) for worker in farm.workers) == [0, 1]
+
+
+async def test_on_one_core_nothing_is_raced(pool: PlannerPool, farm: Farm, cores: Callable[[int], None]) -> None:
+    cores(1)
+    assert await not_raced(pool, farm, Scene(1))
+
+
+async def test_a_pool_that_does_not_race_leaves_a_hard_problem_to_one_worker(farm: Farm) -> None:
+    pool = PlannerPool(so101(), racing=False)
+    await pool.start()
+    await idle(pool, 2)
+    assert await not_raced(pool, farm, Scene(1))
+    await pool.close()
+
+
+async def test_a_motion_in_the_background_is_not_raced(pool: PlannerPool, farm: Farm) -> None:
+    assert await not_raced(pool, farm, Scene(1), background=True)
+
+
+async def test_no_worker_sets_up_a_large_scene_for_a_race(pool: PlannerPool, farm: Farm) -> None:
+    assert await not_raced(pool, farm, LARGE)
+
+
+async def test_a_worker_that_has_a_large_scene_joins_a_race_in_it(pool: PlannerPool, farm: Farm) -> None:
+    for worker in farm.workers:
+        await worker.ask(STATE, LARGE)
+    assert isinstance(await pool.ask(searched(IN_VAIN, HARD), LARGE), Plan)
+
+
+async def test_cancelling_frees_all_workers_of_a_race(pool: PlannerPool, farm: Farm) -> None:
+    await given_up(await under_way(pool, searched(IN_VAIN, IN_VAIN), idle_count=0))
+    await idle(pool, 2)
+    assert len(farm.workers) == 2
+
+
+async def test_a_race_gives_a_worker_to_the_request_that_needs_one_and_has_it_again_later(
+    pool: PlannerPool, farm: Farm
+) -> None:
+    asking = await under_way(pool, searched(IN_VAIN, IN_VAIN), idle_count=0)
+    assert await pool.ask(STATE) is SOUND
+    assert not asking.done()
+    await idle(pool, 0)
+    await given_up(asking)
+    assert len(farm.workers) == 2
+
+
+# Processes that end, and those that never begin.
+
+
+async def test_workers_that_died_while_idle_cost_no_goal(pool: PlannerPool, farm: Farm) -> None:
+    for worker in farm.workers:
+        worker.usable = False
+    asking = asyncio.create_task(pool.ask(EASY))
+    await asyncio.sleep(0)
+    for worker in farm.workers[:2]:
+        worker.end()
+    assert await asking is PLAN
+
+
+async def test_a_robot_that_no_worker_can_load_is_told(loading: PlannerPool, farm: Farm) -> None:
+    farm.refusal = "no link"
+    assert await loading.wait_until_loaded() == loading.load_failure == "no link"
+    answer = await loading.ask(EASY)
+    assert answer == PlanningFailure(MoveItErrorCode.FAILURE, "planning is not available: no link")
+    # It is the robot's fault: no other process is tried.
+    farm.workers[0].end()
+    await asyncio.sleep(60.0)
+    assert len(farm.workers) == 1
+
+
+async def test_a_request_for_which_no_worker_is_ready_is_refused_in_the_end(loading: PlannerPool, farm: Farm) -> None:
+    farm.loads = False
+    farm.workers[0].end()
+    answer = await loading.ask(EASY)
+    assert isinstance(answer, PlanningFailure)
+    assert answer.message == "planning is not available: no planner process was ready within 30 s"
+
+
+async def test_the_wait_for_a_worker_ends_when_one_takes_requests(loading: PlannerPool) -> None:
+    assert await loading.wait_until_loaded() is None
+    assert loading.loaded_count == 1
+
+
+async def test_the_wait_for_a_worker_ends_where_the_pool_is_closed(loading: PlannerPool, farm: Farm) -> None:
+    farm.loads = False
+    waiting = asyncio.create_task(loading.wait_until_loaded())
+    await asyncio.sleep(0)
+    await loading.close()
+    assert await waiting is None
+
+
+async def test_after_failed_starts_requests_wait_for_the_next_worker_that_loads(pool: PlannerPool, farm: Farm) -> None:
+    farm.ends_at_start = True
+    for worker in farm.workers[:2]:
+        worker.end()
+    asking = asyncio.create_task(pool.ask(EASY))
+    await asyncio.sleep(0.5 * LOAD_TIMEOUT_S)
+    assert len(farm.workers) > 2 + MAX_FAILED_STARTS
+    assert pool.load_failure is None
+    farm.ends_at_start = False
+    assert await asking is PLAN
+
+
+@pytest.mark.parametrize("never", ["ends_at_start", "starts_fail"])
+async def test_workers_that_never_start_are_told_and_tried_again(
+    loading: PlannerPool, farm: Farm, monkeypatch: pytest.MonkeyPatch, never: str
+) -> None:
+    setattr(farm, never, True)
+    farm.workers[0].end()
+    answer = await loading.ask(EASY)
+    assert isinstance(answer, PlanningFailure)
+    assert answer.message.startswith("planning is not available: planner processes ")
+    assert f"{MAX_FAILED_STARTS} times in a row" in answer.message
+    assert loading.pids == ()
+    setattr(farm, never, False)
+    await until(lambda: loading.idle_count)
+    assert loading.load_failure is None
+    assert await loading.ask(EASY) is PLAN
+
+
+async def test_a_worker_that_hangs_while_it_loads_is_ended(loading: PlannerPool, farm: Farm) -> None:
+    farm.loads = False
+    farm.workers[0].end()
+    await asyncio.sleep(0.9 * LOAD_TIMEOUT_S)
+    assert not farm.workers[1].killed
+    await asyncio.sleep(0.2 * LOAD_TIMEOUT_S)
+    assert farm.workers[1].killed
+
+
+# One worker, and what goes over its channel.
+
+
+class FakeChild:
+    """A child process that takes what it is sent."""
+
+    pid, running, ending = 1, True, "SIGSEGV"
+
+    def __init__(self, _started: object, on_message: Callable[[Any], None], on_exit: Callable[[], None], **_: Any):
+        self.receives, self.exits = on_message, on_exit
+        self.sent: list[Any] = []
+        self.too_large = False
+        self.killed = False
+
+    async def connect(self) -> None:
+        pass
+
+    def send(self, message: object) -> None:
+        if self.too_large:
+            raise ValueError("a message of 9 bytes is over the limit of 8")
+        self.sent.append(message)
+
+    async def wait(self, timeout_s: float) -> None:
+        pass
+
+    async def kill(self) -> None:
+        self.killed = True
+
+    def answers(self, answer: object, *, ending: bool = False) -> None:
+        """Answer the last request."""
+        (number,) = [message.number for message in self.sent if isinstance(message, Ask)][-1:]
+        self.receives(Answered(number, answer, ending))
+
+
+class Worked:
+    """A worker whose child is fake, and its requests."""
+
+    def __init__(self) -> None:
+        self.loaded: list[str | None] = []
+        self.worker = WorkerProcess(so101(), 1 << 30, lambda _, refusal: self.loaded.append(refusal), lambda _: None)
+        self.child: Any = self.worker._child
+        self.hard_s: list[float] = []
+
+    async def asked(self, request: Request = STATE, scene: Scene = EMPTY_SCENE) -> asyncio.Task[Any]:
+        """Ask; what this sends has been sent then."""
+        asking = asyncio.create_task(self.worker.ask(request, scene, self.hard_s.append))
+        await asyncio.sleep(0.001)
+        return asking
+
+    @property
+    def sent(self) -> list[type]:
+        """Kinds of the messages since the last look."""
+        kinds = [type(message) for message in self.child.sent]
+        self.child.sent.clear()
+        return kinds
+
+
+@pytest_asyncio.fixture
+async def worked(monkeypatch: pytest.MonkeyPatch) -> Worked:
+    """A worker that has loaded its robot."""
+    monkeypatch.setattr(pool_module, "StartedChild", lambda _module: None)
+    monkeypatch.setattr(pool_module, "Child", FakeChild)
+    made = Worked()
+    await made.worker.start()
+    assert made.sent == [LoadRobot]
+    assert not made.worker.usable
+    made.child.receives(Loaded())
+    assert made.worker.usable
+    return made
+
+
+async def test_a_worker_that_cannot_load_its_robot_says_why(worked: Worked) -> None:
+    worked.child.receives(LoadFailed("no link"))
+    assert worked.loaded == [None, "no link"]
+
+
+async def test_a_scene_is_sent_again_only_when_its_version_is_another(worked: Worked) -> None:
+    for scene, sent in (
+        (Scene(1, boxes(1)), [NewScene, MoreObjects, Ask]),
+        (Scene(1), [Ask]),
+        (Scene(2), [NewScene, Ask]),
+    ):
+        asking = await worked.asked(STATE, scene)
+        worked.child.answers(SOUND)
+        assert await asking is SOUND
+        assert worked.sent == sent
+        assert worked.worker.has(scene)
+    assert not worked.worker.has(Scene(1))
+
+
+async def test_a_scene_given_up_half_way_is_sent_anew(worked: Worked) -> None:
+    large = Scene(3, boxes(600))
+    asking = asyncio.create_task(worked.worker.ask(STATE, large))
+    await asyncio.sleep(0)
+    asking.cancel()
+    await asyncio.wait([asking])
+    await worked.worker.cancel()
+    assert worked.sent == [NewScene]
+    assert not worked.worker.has(large)
+    await worked.asked(STATE, large)
+    sent = worked.sent
+    assert (sent[0], sent[-1]) == (NewScene, Ask)
+    assert len(sent) == 2 + len(list(parts(large.objects)))
+
+
+async def test_a_request_too_large_for_a_message_is_refused_and_harms_nothing(worked: Worked) -> None:
+    worked.child.too_large = True
+    answer = await worked.worker.ask(STATE, Scene(4))
+    assert isinstance(answer, PlanningFailure)
+    assert "over the limit of 8" in answer.message
+    worked.child.too_large = False
+    asking = await worked.asked(STATE, Scene(4))
+    assert worked.sent == [NewScene, Ask]
+    worked.worker._resolve(SOUND)
+    assert await asking is SOUND
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"), [(SOUND, "answered a PlanningProblem with StateAnswer"), ("yes", "with str")]
+)
+async def test_a_worker_that_answers_with_something_else_gets_no_further_request(
+    worked: Worked, answer: object, words: str
+) -> None:
+    asking = await worked.asked(EASY)
+    worked.child.answers(answer)
+    failure = await asking
+    assert failure.code is MoveItErrorCode.CRASH
+    assert words in failure.message
+    assert not worked.worker.usable
+
+
+async def test_a_worker_that_ends_over_a_request_says_how(worked: Worked) -> None:
+    asking = await worked.asked(EASY)
+    worked.child.exits()
+    assert (await asking).message == "the planner process ended (SIGSEGV) while it worked on this"
+    assert not worked.worker.usable
+
+
+async def test_a_worker_that_answers_and_intends_to_end_gets_no_further_request(worked: Worked) -> None:
+    asking = await worked.asked(EASY)
+    worked.child.answers(PLAN, ending=True)
+    assert await asking is PLAN
+    assert not worked.worker.usable
+
+
+async def test_what_comes_for_an_earlier_request_counts_for_none(worked: Worked) -> None:
+    await given_up(await worked.asked(EASY))
+    (earlier,) = (message.number for message in worked.child.sent if isinstance(message, Ask))
+    asking = await worked.asked(EASY)
+    worked.child.receives(StillSearching(earlier, 0.1))
+    worked.child.receives(Answered(earlier, TIMED_OUT))
+    worked.child.receives(StillSearching(earlier + 1, 0.2))
+    worked.child.answers(PLAN)
+    assert await asking is PLAN
+    assert worked.hard_s == [0.2]
+
+
+@pytest.mark.parametrize(("starved", "killed"), [(False, True), (True, False)])
+async def test_a_cancelled_worker_is_ended_unless_it_answers_or_waits_for_a_core(
+    worked: Worked, monkeypatch: pytest.MonkeyPatch, starved: bool, killed: bool
+) -> None:
+    loop = asyncio.get_running_loop()
+    monkeypatch.setattr(pool_module, "read_run_delay_s", lambda _pid: loop.time() if starved else 0.0)
+    await given_up(await worked.asked(EASY))
+    loop.call_later(10.0, lambda: worked.child.answers(TIMED_OUT))
+    await worked.worker.cancel()
+    assert worked.sent[-1] is Cancel
+    assert (worked.child.killed, worked.worker.usable) == (killed, not killed)
+
+
+# Parts of scenes.
 
 meshes = st.integers(0, 3 * PART_BYTES // 24).map(
     lambda vertices: Mesh(np.zeros((vertices, 3)), np.zeros((0, 3), dtype=np.int32))
@@ -180,502 +690,3 @@ async def test_parts_hold_all_objects_in_order_and_none_could_do_with_fewer(shap
 
 async def test_ten_thousand_objects_come_in_many_parts() -> None:
     assert max(len(part) for part in parts(boxes(10_000))) <= 128
-
-
-@pytest.mark.parametrize("allowed_s", [math.nan, math.inf, -1.0, 1e9])
-async def test_a_time_out_of_reason_does_not_hold_a_worker_for_ever(allowed_s: float) -> None:
-    assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=allowed_s)) == MAX_ALLOWED_TIME_S
-
-
-async def test_every_kind_of_request_has_an_allowed_time() -> None:
-    assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=0.7)) == 0.7
-    assert all(0.0 < allowed_time_s(request) < 10.0 for request, _ in REQUESTS)
-
-
-# Workers load for half a second: one pool serves the tests of this file, and so shows that it survives each.
-pytestmark = pytest.mark.asyncio(loop_scope="module")
-
-ROOT = Path(__file__).parents[2]
-MEMORY_LIMIT_BYTES = 300 << 20
-
-
-def made_of(robot: model.RobotModel) -> PlannerPool:
-    return PlannerPool(robot, memory_limit_bytes=MEMORY_LIMIT_BYTES)
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def pool() -> AsyncIterator[PlannerPool]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(ROOT))
-        patch.setattr(pool_module, "WORKER_MODULE", "tests.helpers.broken_planner")
-        made = made_of(so101())
-        await made.start()
-        assert made.idle_count == 0
-        yield made
-        await made.close()
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def both_idle(pool: PlannerPool) -> PlannerPool:
-    """The pool once it has recovered from whatever came before."""
-    async with asyncio.timeout(60.0):
-        while pool.idle_count < 2:
-            await asyncio.sleep(0.01)
-    return pool
-
-
-def kill_all(pool: PlannerPool) -> None:
-    """End the workers; the pool cannot have heard of it yet, as this does not give the event loop a turn."""
-    for pid in pool.pids:
-        os.kill(pid, signal.SIGKILL)
-    while any(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE for pid in pool.pids):
-        time.sleep(0.01)
-
-
-async def given_up(pool: PlannerPool, request: Request, after_s: float) -> None:
-    """Ask, and cancel while a worker works on it."""
-    asking = asyncio.create_task(pool.ask(request))
-    await asyncio.sleep(after_s)
-    assert not asking.done()
-    asking.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await asking
-
-
-async def test_requests_sent_together_while_workers_load_are_all_answered(pool: PlannerPool) -> None:
-    answers = await asyncio.gather(*(pool.ask(EASY) for _ in range(5)))
-    assert all(isinstance(answer, Plan) for answer in answers)
-    assert pool.idle_count > 0
-
-
-async def test_one_worker_stands_by_beside_the_active_ones(both_idle: PlannerPool) -> None:
-    assert len(both_idle.pids) == both_idle.loaded_count == 2
-
-
-@pytest.mark.parametrize(("request_", "kind"), REQUESTS, ids=[type(request).__name__ for request, _ in REQUESTS])
-async def test_every_kind_of_request_gets_its_kind_of_answer(
-    both_idle: PlannerPool, request_: Request, kind: type[Answer]
-) -> None:
-    assert isinstance(await both_idle.ask(request_), kind)
-
-
-FAULTS = {
-    broken_planner.SEGFAULT: "the planner process ended (SIGSEGV)",
-    broken_planner.ABORT: "the planner process ended (SIGABRT)",
-    broken_planner.EXIT: "the planner process ended (exit code 3)",
-    broken_planner.MEMORY: "more than the 315 MB of memory",
-    broken_planner.EXCEPTION: "ValueError: a bug",
-    broken_planner.WRONG_ANSWER: "answered a PlanningProblem with StateAnswer",
-    broken_planner.NO_ANSWER: "answered a PlanningProblem with str",
-    broken_planner.NOT_TO_BE_PACKED: "the planner process ended (exit code 1)",
-    broken_planner.NO_MESSAGE: "the planner process ended (SIGKILL)",
-    broken_planner.HUGE_MESSAGE: "the planner process ended (SIGKILL)",
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-async def test_a_fault_of_a_worker_costs_one_goal(pool: PlannerPool, fault: str) -> None:
-    answer = await pool.ask(broken(fault))
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.CRASH
-    assert FAULTS[fault] in answer.message
-    assert isinstance(await pool.ask(EASY), Plan)
-
-
-async def test_a_worker_that_ran_out_of_memory_is_replaced(both_idle: PlannerPool) -> None:
-    before = set(both_idle.pids)
-    await both_idle.ask(broken(broken_planner.MEMORY))
-    async with asyncio.timeout(60.0):
-        while both_idle.idle_count < 2:
-            await asyncio.sleep(0.01)
-    assert len(before & set(both_idle.pids)) == 1
-
-
-async def test_a_worker_that_hangs_answers_timed_out_and_is_replaced(both_idle: PlannerPool) -> None:
-    before = both_idle.pids
-    answer = await both_idle.ask(broken(broken_planner.NATIVE_LOOP, allowed_time_s=0.1))
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.TIMED_OUT
-    assert "0.1 s" in answer.message
-    assert isinstance(await both_idle.ask(EASY), Plan)
-    async with asyncio.timeout(60.0):
-        while both_idle.idle_count < 2:
-            await asyncio.sleep(0.01)
-    assert len(set(before) & set(both_idle.pids)) == 1
-
-
-async def test_questions_do_not_wait_for_a_motion_in_planning(both_idle: PlannerPool) -> None:
-    planning = asyncio.create_task(both_idle.ask(LONG))
-    await asyncio.sleep(0.1)
-    assert isinstance(await both_idle.ask(STATE), StateAnswer)
-    assert not planning.done()
-    planning.cancel()
-    await asyncio.wait([planning])
-
-
-async def in_background(pool: PlannerPool) -> asyncio.Task[Plan | PlanningFailure | None]:
-    """Have a long search be made in the background."""
-    planning = asyncio.create_task(pool.ask_in_background(LONG))
-    await until(lambda: pool.idle_count < 2)
-    return planning
-
-
-async def test_a_motion_is_planned_in_the_background(both_idle: PlannerPool) -> None:
-    assert isinstance(await both_idle.ask_in_background(EASY), Plan)
-
-
-async def test_a_motion_in_the_background_gives_way_to_one_that_is_due(both_idle: PlannerPool) -> None:
-    before = both_idle.pids
-    planning = await in_background(both_idle)
-    assert isinstance(await both_idle.ask(EASY), Plan)
-    assert await planning is None
-    assert both_idle.pids == before
-
-
-async def test_a_motion_in_the_background_goes_on_while_questions_are_answered(both_idle: PlannerPool) -> None:
-    planning = await in_background(both_idle)
-    assert isinstance(await both_idle.ask(STATE), StateAnswer)
-    assert not planning.done()
-    planning.cancel()
-    await asyncio.wait([planning])
-
-
-async def test_nothing_is_planned_in_the_background_while_a_motion_is_due(both_idle: PlannerPool) -> None:
-    due = asyncio.create_task(both_idle.ask(LONG))
-    await until(lambda: both_idle.idle_count < 2)
-    assert await both_idle.ask_in_background(EASY) is None
-    assert not due.done()
-    due.cancel()
-    await asyncio.wait([due])
-
-
-async def test_a_motion_in_the_background_does_not_give_way_to_another_there(both_idle: PlannerPool) -> None:
-    planning = await in_background(both_idle)
-    assert await both_idle.ask_in_background(EASY) is None
-    assert not planning.done()
-    planning.cancel()
-    await asyncio.wait([planning])
-
-
-async def test_a_motion_in_the_background_that_is_given_up_frees_its_worker(both_idle: PlannerPool) -> None:
-    before = both_idle.pids
-    planning = await in_background(both_idle)
-    planning.cancel()
-    await until(lambda: both_idle.idle_count == 2)
-    assert planning.cancelled()
-    assert both_idle.pids == before
-
-
-async def test_a_worker_that_dies_over_a_motion_in_the_background_is_told_and_replaced(both_idle: PlannerPool) -> None:
-    answer = await both_idle.ask_in_background(broken(broken_planner.SEGFAULT))
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.CRASH
-    await until(lambda: both_idle.idle_count == 2)
-
-
-async def test_cancelling_ends_a_long_search_and_keeps_its_worker(both_idle: PlannerPool) -> None:
-    before = both_idle.pids
-    for _ in range(3):
-        await given_up(both_idle, LONG, 0.1)
-        assert isinstance(await both_idle.ask(EASY), Plan)
-    assert both_idle.pids == before
-
-
-async def test_the_spare_takes_over_before_a_cancelled_worker_listens(
-    both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pool_module, "CANCEL_TIMEOUT_S", 60.0)
-    before = set(both_idle.pids)
-    await given_up(both_idle, broken(broken_planner.DEAF), 0.05)
-    assert isinstance(await asyncio.wait_for(both_idle.ask(EASY), 30.0), Plan)
-    assert set(both_idle.pids) == before
-    for pid in before:
-        os.kill(pid, signal.SIGKILL)
-
-
-@pytest.mark.parametrize("fault", [broken_planner.NATIVE_LOOP, broken_planner.DEAF])
-async def test_a_cancelled_worker_that_does_not_listen_is_replaced(both_idle: PlannerPool, fault: str) -> None:
-    before = set(both_idle.pids)
-    await given_up(both_idle, broken(fault), 0.05)
-    async with asyncio.timeout(60.0):
-        while both_idle.idle_count < 2:
-            await asyncio.sleep(0.01)
-    assert len(before & set(both_idle.pids)) == 1
-
-
-async def test_workers_that_died_while_idle_cost_no_goal(both_idle: PlannerPool) -> None:
-    kill_all(both_idle)
-    assert isinstance(await both_idle.ask(EASY), Plan)
-
-
-async def test_more_requests_than_may_wait_are_refused(both_idle: PlannerPool) -> None:
-    asking = [asyncio.create_task(both_idle.ask(LONG)) for _ in range(MAX_WAITING + 1)]
-    await until(lambda: both_idle.waiting_count == MAX_WAITING)
-    answer = await both_idle.ask(EASY)
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.FAILURE
-    assert f"limit {MAX_WAITING}" in answer.message
-    for task in asking:
-        task.cancel()
-    await asyncio.wait(asking)
-
-
-async def test_a_robot_that_no_worker_can_load_is_told() -> None:
-    broken_robot = made_of(dataclasses.replace(so101(), urdf="<robot/>"))
-    await broken_robot.start()
-    answer = await broken_robot.ask(EASY)
-    await broken_robot.close()
-    assert broken_robot.pids == ()
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.FAILURE
-    assert "planning is not available" in answer.message
-
-
-async def test_the_wait_for_a_worker_ends_with_the_reason_where_the_robot_is_refused() -> None:
-    broken_robot = made_of(dataclasses.replace(so101(), urdf="<robot/>"))
-    await broken_robot.start()
-    reason = await asyncio.wait_for(broken_robot.wait_until_loaded(), 60.0)
-    await broken_robot.close()
-    assert reason == broken_robot.load_failure
-    assert reason
-
-
-async def test_the_wait_for_a_worker_ends_when_one_takes_requests() -> None:
-    pool = made_of(so101())
-    await pool.start()
-    assert pool.loaded_count == 0
-    assert await asyncio.wait_for(pool.wait_until_loaded(), 60.0) is None
-    assert pool.loaded_count == 1
-    await pool.close()
-
-
-async def test_the_wait_for_a_worker_ends_where_the_pool_is_closed() -> None:
-    pool = made_of(so101())
-    await pool.start()
-    waiting = asyncio.create_task(pool.wait_until_loaded())
-    await asyncio.sleep(0)
-    await pool.close()
-    assert await asyncio.wait_for(waiting, 30.0) is None
-
-
-async def test_after_failed_starts_requests_wait_for_the_next_worker_that_loads(
-    both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.1)
-    monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.no_such_module")
-    kill_all(both_idle)
-    asking = asyncio.create_task(both_idle.ask(EASY))
-    async with asyncio.timeout(60.0):
-        while both_idle._failed_starts < pool_module.MAX_FAILED_STARTS:
-            await asyncio.sleep(0.01)
-    monkeypatch.setattr(pool_module, "WORKER_MODULE", "tests.helpers.broken_planner")
-    assert isinstance(await asking, Plan)
-
-
-async def test_workers_that_never_start_are_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.01)
-    monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.no_such_module")
-    pool = made_of(so101())
-    await pool.start()
-    answer = await asyncio.wait_for(pool.ask(EASY), 60.0)
-    assert isinstance(answer, PlanningFailure)
-    assert "planner processes ended while starting" in answer.message
-    monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.worker")
-    async with asyncio.timeout(60.0):
-        while pool.load_failure is not None:
-            await asyncio.sleep(0.01)
-    assert isinstance(await pool.ask(EASY), Plan)
-    await pool.close()
-
-
-async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both_idle: PlannerPool) -> None:
-    kill_all(both_idle)
-    with no_descriptors_left():
-        async with asyncio.timeout(60.0):
-            while sum(worker.usable for worker in both_idle._idle) < 2:
-                await asyncio.sleep(0.01)
-    assert isinstance(await both_idle.ask(EASY), Plan)
-
-
-async def test_a_worker_that_cannot_be_read_is_ended_and_replaced(
-    both_idle: PlannerPool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    loop = asyncio.get_running_loop()
-    connect, failed = loop.create_unix_connection, []
-
-    async def fail_once(*arguments: Any, **options: Any) -> Any:
-        if not failed:
-            failed.append(arguments)
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return await connect(*arguments, **options)
-
-    monkeypatch.setattr(loop, "create_unix_connection", fail_once)
-    kill_all(both_idle)
-    async with asyncio.timeout(60.0):
-        while sum(worker.usable for worker in both_idle._idle) < 2:
-            await asyncio.sleep(0.01)
-    assert failed
-    assert len(both_idle.pids) == 2
-    assert isinstance(await both_idle.ask(EASY), Plan)
-
-
-async def test_a_worker_that_hangs_while_it_loads_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool_module, "LOAD_TIMEOUT_S", 0.1)
-    monkeypatch.setattr(pool_module, "MAX_FAILED_STARTS", 1)
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    # It lives, but never says that it has loaded anything.
-    monkeypatch.setattr(pool_module, "WORKER_MODULE", "tests.helpers.echo_child")
-    pool = made_of(so101())
-    await pool.start()
-    async with asyncio.timeout(60.0):
-        while pool.load_failure is None:
-            await asyncio.sleep(0.01)
-    await pool.close()
-    assert pool.pids == ()
-
-
-async def test_a_worker_that_has_the_scene_is_taken_before_one_that_has_not(both_idle: PlannerPool) -> None:
-    first, second = both_idle._idle
-    await both_idle.ask(EASY, Scene(1))
-    assert first.has(Scene(1))
-    assert [worker.pid for worker in both_idle._idle] == [second.pid, first.pid]
-    await both_idle.ask(EASY, Scene(1))
-    assert not second.has(Scene(1))
-
-
-class StarvedWorker:
-    """A worker that does nothing but wait for a core; it gives its answer later than it may, or none."""
-
-    usable = True
-
-    def __init__(self, answer: Answer | None) -> None:
-        self.cancelled = 0
-        self.killed = 0
-        self._answer = answer
-
-    def run_delay_s(self) -> float | None:
-        return time.monotonic()
-
-    def has(self, scene: Scene) -> bool:
-        return True
-
-    async def ask(self, request: Request, scene: Scene, on_hard: OnHard) -> Answer:
-        await asyncio.sleep(0.2 if self._answer is not None else 60.0)
-        assert self._answer is not None
-        return self._answer
-
-    async def cancel(self) -> None:
-        self.cancelled += 1
-
-    async def kill(self) -> None:
-        self.killed += 1
-
-
-def with_worker(worker: StarvedWorker) -> PlannerPool:
-    """A pool that has this worker and no process."""
-    pool = made_of(so101())
-    pool._put_back(worker)
-    return pool
-
-
-LATE = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "late")
-
-
-@pytest.fixture
-def brief(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Deadlines of questions, and of motions in EASY_AT_ONCE, that pass before a starved worker answers."""
-    monkeypatch.setattr(pool_module, "CHECK_TIME_S", 0.05)
-    monkeypatch.setattr(pool_module, "OVERTIME_S", 0.05)
-
-
-EASY_AT_ONCE = dataclasses.replace(EASY, allowed_time_s=0.05)
-RECHECK = RecheckQuestion("arm", STILL, START, 0.0)
-SERVO = ServoQuestion("arm", "gripper_frame_link", START, {}, 0.02, JointVelocities({}))
-
-
-@pytest.mark.usefixtures("brief")
-@pytest.mark.parametrize("request_", [EASY_AT_ONCE, STATE], ids=["a motion", "a question"])
-async def test_a_worker_that_waits_for_a_core_is_waited_for(request_: Request) -> None:
-    assert await with_worker(StarvedWorker(LATE)).ask(request_) is LATE
-
-
-@pytest.mark.usefixtures("brief")
-@pytest.mark.parametrize("request_", [RECHECK, SERVO], ids=["a recheck", "steering"])
-async def test_while_an_arm_moves_a_worker_starved_of_cores_is_not_waited_for(request_: Request) -> None:
-    starved = StarvedWorker(None)
-    pool = with_worker(starved)
-    answer = await asyncio.wait_for(pool.ask(request_), 30.0)
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.TIMED_OUT
-    await pool.close()
-    assert (starved.cancelled, starved.killed) == (1, 0)
-
-
-@pytest.mark.usefixtures("brief")
-async def test_a_worker_that_waits_for_a_core_for_ever_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(budget, "MAX_STARVED_S", 0.2)
-    starved = StarvedWorker(None)
-    pool = with_worker(starved)
-    answer = await asyncio.wait_for(pool.ask(EASY_AT_ONCE), 30.0)
-    assert isinstance(answer, PlanningFailure)
-    assert answer.message == "the planner did not answer within 0.05 s and was given up"
-    await pool.close()
-    assert starved.killed == 1
-
-
-@pytest.fixture
-def busy_core() -> Iterator[int]:
-    """A core that eight processes want all the time."""
-    core = max(os.sched_getaffinity(0))
-    program = f"import os; os.sched_setaffinity(0, {{{core}}})\nwhile True: pass"
-    # Each in a session of its own: a kernel that shares cores out by session would give all eight one worker's share.
-    burners = [subprocess.Popen([sys.executable, "-c", program], start_new_session=True) for _ in range(8)]
-    yield core
-    for burner in burners:
-        burner.kill()
-        burner.wait()
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def on_a_busy_core(both_idle: PlannerPool, busy_core: int) -> AsyncIterator[PlannerPool]:
-    """The pool with its workers on that core."""
-    workers = both_idle.pids
-    for pid in workers:
-        os.sched_setaffinity(pid, {busy_core})
-    yield both_idle
-    for pid in set(workers) & set(both_idle.pids):
-        os.sched_setaffinity(pid, os.sched_getaffinity(0))
-
-
-needs_run_delay = pytest.mark.skipif(
-    budget.read_run_delay_s(os.getpid()) is None, reason="this kernel does not count waits for a core"
-)
-
-# A quarter of a second of work.
-WORK = dataclasses.replace(LONG, allowed_time_s=0.8, optimization_time_s=0.02, attempts=10)
-
-
-@needs_run_delay
-async def test_a_busy_machine_does_not_change_what_is_planned(
-    on_a_busy_core: PlannerPool, planner: Planner, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pool_module, "OVERTIME_S", 0.1)
-    # The racer that comes in first depends on the machine.
-    monkeypatch.setattr(on_a_busy_core, "_racing", False)
-    before = on_a_busy_core.pids
-    plan = await on_a_busy_core.ask(WORK)
-    elsewhere = planner.plan(dataclasses.replace(WORK, allowed_time_s=60.0))
-    assert isinstance(plan, Plan)
-    assert isinstance(elsewhere, Plan)
-    assert np.array_equal(plan.trajectory.positions_rad, elsewhere.trajectory.positions_rad)
-    assert on_a_busy_core.pids == before
-
-
-@needs_run_delay
-async def test_a_worker_that_hangs_is_given_up_as_soon_on_a_busy_machine(on_a_busy_core: PlannerPool) -> None:
-    began_s = time.monotonic()
-    answer = await on_a_busy_core.ask(broken(broken_planner.DEAF, allowed_time_s=0.1))
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.TIMED_OUT
-    # Nobody waits for a core that it does not want.
-    assert time.monotonic() - began_s < budget.MAX_STARVED_S

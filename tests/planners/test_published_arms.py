@@ -16,6 +16,7 @@ from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, Planni
 from planners.scene import Pose
 from robot.description import model
 from robot.description.example_robots import PACKAGE, find_example
+from tests.helpers.resources import in_proportion
 from tests.planners.ik.test_constraints import pose_of
 from tests.planners.invariants import assert_touches_nothing
 
@@ -86,7 +87,7 @@ def arm(request):
     return Arm(request.param)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(in_proportion(4)))
 def test_joint_goals_are_reached(arm, seed):
     rng = np.random.default_rng(seed)
     start_q, goal_q = arm.state(rng), arm.state(rng)
@@ -94,7 +95,7 @@ def test_joint_goals_are_reached(arm, seed):
     np.testing.assert_allclose(arm.plan(start_q, goal), goal_q, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(in_proportion(4)))
 def test_full_poses_are_reached(arm, seed):
     rng = np.random.default_rng(seed)
     start_q, pose = arm.state(rng), pose_of(arm.forward, arm.state(rng), arm.tip)

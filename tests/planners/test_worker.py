@@ -1,23 +1,43 @@
+"""The planner process's own part: what it takes, what it answers, and what it loads."""
+
 from __future__ import annotations
 
 import dataclasses
+import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
-import psutil
 import pytest
 
 from planners import worker
-from planners.problem import PlanningProblem
-from tests.helpers import broken_planner
-from tests.helpers.motions import EASY
+from planners.budget import never
+from planners.messages import (
+    Answered,
+    Ask,
+    Cancel,
+    Loaded,
+    LoadFailed,
+    LoadRobot,
+    MoreObjects,
+    NewScene,
+    StillSearching,
+)
+from planners.problem import Answer, MoveItErrorCode, PlanningFailure, PlanningProblem, Request, StateAnswer
+from planners.scene import Box, Pose, Scene, SceneObject
+from robot.channel import Channel
+from robot.description.model import RobotModel
+from tests.helpers.clock import FakeClock
+from tests.helpers.motions import EASY, STATE
+from tests.helpers.robots import so101
 
 ROOT = Path(__file__).parents[2]
 
 # What a plain goal does not need and takes long to load, by the names in sys.modules.
-LATE_LIBRARIES = ("matplotlib", "scipy", "pydantic", "PIL")
+LATE_LIBRARIES = {"matplotlib", "scipy", "pydantic", "PIL"}
 
 
 def output_of(program: str) -> list[str]:
@@ -27,18 +47,14 @@ def output_of(program: str) -> list[str]:
     return done.stdout.split()
 
 
-@pytest.mark.parametrize("library", LATE_LIBRARIES)
-def test_a_worker_starts_without_what_a_plain_goal_does_not_need(loaded_by_a_worker: list[str], library: str) -> None:
-    assert library not in loaded_by_a_worker
-
-
-@pytest.fixture(scope="module")
-def loaded_by_a_worker() -> list[str]:
-    return output_of(
+def test_a_worker_starts_without_what_a_plain_goal_does_not_need() -> None:
+    loaded = output_of(
         "import sys; from pathlib import Path; from planners import worker; from robot.description import model;"
         "arm = Path('robot/arms/so101'); worker.Planner(model.load(arm / 'so101.urdf', arm / 'so101.srdf'));"
         "print(*sys.modules)"
     )
+    assert "planners.pipeline" in loaded
+    assert not LATE_LIBRARIES.intersection(loaded)
 
 
 def test_running_out_of_memory_is_an_error_that_can_be_caught() -> None:
@@ -53,33 +69,17 @@ except MemoryError:
     assert output_of(program) == ["caught"]
 
 
-def test_allowed_time_does_not_pass_while_a_worker_is_off_its_core() -> None:
-    clock = worker.allowed_time_clock()
-    before_s = clock()
-    time.sleep(0.05)
-    assert clock() - before_s < 0.05
-
-
-def test_allowed_time_is_that_on_the_wall_where_the_kernel_does_not_count_waits_for_a_core(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("run_delay_s", "clock"), [(0.5, time.process_time), (None, time.monotonic)])
+def test_allowed_time_is_processor_time_where_the_kernel_counts_waits_for_a_core_and_else_the_wall_s(
+    monkeypatch: pytest.MonkeyPatch, run_delay_s: float | None, clock: Callable[[], float]
 ) -> None:
-    monkeypatch.setattr(worker, "read_run_delay_s", lambda _pid: None)
-    assert worker.allowed_time_clock() is time.monotonic
-
-
-class Clock:
-    """A clock that is set by hand."""
-
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
+    monkeypatch.setattr(worker, "read_run_delay_s", lambda _pid: run_delay_s)
+    assert worker.allowed_time_clock() is clock
 
 
 def reports(problem: PlanningProblem, *checked_after_s: float) -> list[float]:
     """What is reported of a problem that is worked on for so long, checked at these times [s]."""
-    clock, reported = Clock(), list[float]()
+    clock, reported = FakeClock(), list[float]()
     hardness = worker.Hardness(clock, problem, reported.append)
     for after_s in checked_after_s:
         clock.now_s = 100.0 + after_s
@@ -105,29 +105,162 @@ def test_a_problem_is_not_hard_for_the_time_that_it_asks_to_be_shortened_for() -
     assert len(reports(problem, 2.1)) == 1
 
 
-def test_a_worker_that_hangs_ends_with_its_server() -> None:
-    program = f"""
-import asyncio, os
-from planners import pool as pool_module
-from planners.pool import PlannerPool
-from tests.helpers.motions import broken
-from tests.helpers.robots import so101
-async def serve():
-    pool_module.WORKER_MODULE = "tests.helpers.broken_planner"
-    pool = PlannerPool(so101())
-    await pool.start()
-    asking = asyncio.create_task(pool.ask(broken({broken_planner.NATIVE_LOOP!r})))
-    while pool.idle_count != 1 or len(pool.pids) != 2:
-        await asyncio.sleep(0.01)
-    await asyncio.sleep(0.1)
-    print(*pool.pids, flush=True)
-    os._exit(0)
-asyncio.run(serve())
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
-    )
-    pids = [int(pid) for pid in done.stdout.split()]
-    _, alive = psutil.wait_procs([psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)], timeout=30.0)
-    assert len(pids) == 2
-    assert not alive
+class Planning:
+    """A planner that does what a test sets.
+
+    Attributes:
+        works: answers a request; gets it, and what tells that the request is cancelled.
+        scenes: scenes that were set up.
+        refusal: of every scene.
+    """
+
+    def __init__(self, _robot: RobotModel, _clock: Callable[[], float]) -> None:
+        self.works: Callable[[Request, Callable[[], bool]], Answer] = lambda _request, _stop: SOUND
+        self.scenes: list[Scene] = []
+        self.refusal: PlanningFailure | None = None
+
+    def set_scene(self, scene: Scene) -> PlanningFailure | None:
+        self.scenes.append(scene)
+        return self.refusal
+
+    def answer(self, request: Request, should_stop: Callable[[], bool] = never) -> Answer:
+        return self.works(request, should_stop)
+
+
+SOUND = StateAnswer(valid=True, problems=())
+# So small that a socket takes it at once.
+LOAD = LoadRobot(dataclasses.replace(so101(), hulls={}, parts={}, surfaces={}), 1 << 30)
+BOX = SceneObject("box", ((Box((0.1, 0.1, 0.1)), Pose()),))
+
+
+class Server:
+    """The server's end of a worker in this process."""
+
+    def __init__(self, make: Callable[[RobotModel, Callable[[], float]], Any]) -> None:
+        self.socket, theirs = socket.socketpair()
+        self.channel = Channel(self.socket)
+        self.sockets = self.socket, theirs
+        self.worker = worker.Worker(Channel(theirs), make)
+
+    def sends(self, *messages: object) -> list[Any]:
+        """Have the worker take messages; returns its own."""
+        for message in messages:
+            self.channel.send(message)
+            self.worker._take(self.worker._mailbox.next())
+        return self.channel.receive(timeout_s=0.0)
+
+
+@pytest.fixture
+def planning() -> Planning:
+    return Planning(so101(), time.monotonic)
+
+
+@pytest.fixture
+def new(planning: Planning, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    """A worker in this process, whose memory it leaves alone."""
+    monkeypatch.setattr(worker, "limit_memory", lambda _bytes: None)
+    made = Server(lambda _robot, _clock: planning)
+    yield made
+    for each in made.sockets:
+        each.close()
+
+
+@pytest.fixture
+def server(new: Server) -> Server:
+    """A worker that has loaded its robot."""
+    assert new.sends(LOAD) == [Loaded()]
+    return new
+
+
+def test_a_robot_that_cannot_be_loaded_is_told_and_nothing_is_answered(new: Server) -> None:
+    def refuse(_robot: RobotModel, _clock: Callable[[], float]) -> Any:
+        raise ValueError("no link")
+
+    new.worker._make_planner = refuse
+    assert new.sends(LOAD, Ask(1, STATE)) == [LoadFailed("ValueError: no link")]
+
+
+def test_each_request_is_answered_by_its_number(server: Server) -> None:
+    assert server.sends(Ask(1, STATE), Ask(2, STATE)) == [Answered(1, SOUND), Answered(2, SOUND)]
+
+
+def test_a_scene_that_comes_in_parts_is_set_up_once_with_the_next_request(server: Server, planning: Planning) -> None:
+    other = dataclasses.replace(BOX, name="other")
+    server.sends(NewScene(Scene(3)), MoreObjects((BOX,)), MoreObjects((other,)))
+    assert planning.scenes == []
+    server.sends(Ask(1, STATE), Ask(2, STATE))
+    assert planning.scenes == [Scene(3, (BOX, other))]
+    # The parts of one that was given up half-way are dropped.
+    server.sends(NewScene(Scene(4)), MoreObjects((BOX,)), NewScene(Scene(5)), MoreObjects((other,)), Ask(3, STATE))
+    assert planning.scenes[1:] == [Scene(5, (other,))]
+
+
+def test_a_scene_that_is_refused_is_the_answer_to_every_request_in_it(server: Server, planning: Planning) -> None:
+    planning.refusal = PlanningFailure(MoveItErrorCode.INVALID_OBJECT_NAME, "twice")
+    answers = server.sends(NewScene(Scene(3)), Ask(1, STATE), Ask(2, STATE))
+    assert answers == [Answered(1, planning.refusal), Answered(2, planning.refusal)]
+    planning.refusal = None
+    assert server.sends(NewScene(Scene(4)), Ask(3, STATE)) == [Answered(3, SOUND)]
+
+
+def test_a_scene_that_cannot_be_set_up_is_tried_again(server: Server, planning: Planning) -> None:
+    planning.set_scene = lambda _scene: 1 / 0
+    for number in (1, 2):
+        (answered,) = server.sends(*([NewScene(Scene(3))] if number == 1 else []), Ask(number, STATE))
+        assert "ZeroDivisionError" in answered.answer.message
+
+
+def test_a_bug_in_one_request_is_a_crash_and_the_next_is_answered(server: Server, planning: Planning) -> None:
+    planning.works = lambda request, _stop: SOUND if request == STATE else 1 / 0
+    (failed,) = server.sends(Ask(1, EASY))
+    assert failed.answer.code is MoveItErrorCode.CRASH
+    assert failed.answer.message == "the planner failed: ZeroDivisionError: division by zero"
+    assert not failed.ending
+    assert server.sends(Ask(2, STATE)) == [Answered(2, SOUND)]
+
+
+def test_a_worker_that_runs_out_of_memory_says_so_and_ends(server: Server, planning: Planning) -> None:
+    def eat(_request: Request, _stop: Callable[[], bool]) -> Answer:
+        raise MemoryError
+
+    planning.works = eat
+    server.channel.send(Ask(1, STATE))
+    server.worker.run()
+    (answered,) = server.channel.receive(timeout_s=0.0)
+    assert answered.ending
+    assert answered.answer.code is MoveItErrorCode.CRASH
+    assert answered.answer.details == {"memory_limit_mb": pytest.approx((1 << 30) / 1e6)}
+
+
+def test_a_request_is_cancelled_by_its_number_or_by_the_server_s_end(server: Server, planning: Planning) -> None:
+    told: list[bool] = []
+
+    def look(_request: Request, should_stop: Callable[[], bool]) -> Answer:
+        told.append(should_stop())
+        for message in (Cancel(6), Cancel(7)):
+            server.channel.send(message)
+            told.append(should_stop())
+        server.socket.close()
+        told.append(should_stop())
+        return SOUND
+
+    planning.works = look
+    server.channel.send(Ask(7, EASY))
+    server.worker.run()
+    assert told == [False, False, True, True]
+
+
+def test_a_problem_that_proves_hard_is_reported_and_a_question_never(
+    server: Server, planning: Planning, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = FakeClock()
+    monkeypatch.setattr(server.worker, "_clock", clock)
+
+    def take_long(_request: Request, should_stop: Callable[[], bool]) -> Answer:
+        clock.advance(1.0)
+        should_stop()
+        return SOUND
+
+    planning.works = take_long
+    assert server.sends(Ask(1, AT_ONCE)) == [StillSearching(1, 1.0), Answered(1, SOUND)]
+    assert server.sends(Ask(2, STATE)) == [Answered(2, SOUND)]

@@ -16,16 +16,17 @@ SHARED = [name for name in REGISTRY.type_names() if REGISTRY.knows(name) and REG
 def assert_spelled_as(registry, type_name, msg):
     """Every field of the type, in its order, and no other."""
     fields = registry.message(type_name).fields
-    assert list(msg) == [field.name for field in fields]
+    assert list(msg) == [field.name for field in fields], type_name
     for field in fields:
         if not field.primitive:
             for one in [msg[field.name]] if field.array is None else msg[field.name]:
                 assert_spelled_as(registry, field.base, one)
 
 
-@pytest.mark.parametrize("name", SHARED)
-def test_a_message_goes_out_with_the_fields_that_ros1_declares(name):
-    assert_spelled_as(REGISTRY.ros1, name, to_ros1(REGISTRY, name, made_up(REGISTRY, name, 1)))
+def test_a_message_goes_out_with_the_fields_that_ros1_declares():
+    assert len(SHARED) == 226
+    for name in SHARED:
+        assert_spelled_as(REGISTRY.ros1, name, to_ros1(REGISTRY, name, made_up(REGISTRY, name, 1)))
 
 
 @given(st.integers(0, 2**32))
@@ -87,11 +88,6 @@ def test_a_type_that_exists_only_in_ros1_is_spelled_as_ros1_does():
     )
 
 
-def test_rosapi_answers_are_paired_with_those_of_ros1():
-    message = complete(REGISTRY, "rosapi_msgs/srv/GetTime_Response", {"time": {"sec": 3}}, NOW)
-    assert to_ros1(REGISTRY, "rosapi_msgs/srv/GetTime_Response", message) == {"time": {"secs": 3, "nsecs": 0}}
-
-
 def test_a_message_may_be_partial_on_the_way_in():
     assert from_ros1(REGISTRY, "sensor_msgs/JointState", {"header": {"stamp": {"secs": 5}}}) == {
         "header": {"stamp": {"sec": 5}}
@@ -145,28 +141,18 @@ def test_a_type_that_ros1_lacks_is_declared_as_in_ros2():
         declared_in_ros1(REGISTRY, "rcl_interfaces/Nothing")
 
 
-def test_the_default_of_a_parameter_has_another_name_in_ros1():
-    asked = {"name": "/speed", "default": "1"}
-    assert from_ros1(REGISTRY, "rosapi_msgs/srv/GetParam_Request", asked) == {"name": "/speed", "default_value": "1"}
-    ours = {"name": "/speed", "default_value": "1"}
-    assert to_ros1(REGISTRY, "rosapi_msgs/srv/GetParam_Request", ours) == asked
-
-
 ROSAPI = [name for name in REGISTRY.type_names() if name.startswith("rosapi_msgs/srv/")]
 # In ROS 2 since 2025.
-PARAMETERS = ("Get", "Set", "Delete")
+PARAMETERS = ("GetParam_", "SetParam_", "DeleteParam_")
 OUTCOME = ("successful", "reason")
 
 
-@pytest.mark.parametrize("member", ["Request", "Response"])
-@pytest.mark.parametrize("name", ROSAPI)
-def test_every_field_of_rosapi_has_its_counterpart_in_ros1(name, member):
-    message = made_up(REGISTRY, f"{name}_{member}", 1)
-    assert_spelled_as_declared(f"{name}_{member}", to_ros1(REGISTRY, f"{name}_{member}", message))
-    kept = from_ros1(REGISTRY, f"{name}_{member}", to_ros1(REGISTRY, f"{name}_{member}", message))
-    newer = OUTCOME if name.endswith(tuple(f"{verb}Param" for verb in PARAMETERS)) else ()
-    assert kept == {field: value for field, value in message.items() if field not in newer}
-
-
-def assert_spelled_as_declared(name, msg):
-    assert list(msg) == [field.name for field in declared_in_ros1(REGISTRY, name).fields]
+def test_every_field_of_rosapi_has_its_counterpart_in_ros1():
+    assert len(ROSAPI) > 20
+    for name in (f"{service}_{member}" for service in ROSAPI for member in ("Request", "Response")):
+        message = made_up(REGISTRY, name, 1)
+        spelled = to_ros1(REGISTRY, name, message)
+        assert list(spelled) == [field.name for field in declared_in_ros1(REGISTRY, name).fields], name
+        newer = OUTCOME if name.partition("_msgs/srv/")[2].startswith(PARAMETERS) else ()
+        kept = {field: value for field, value in message.items() if field not in newer}
+        assert from_ros1(REGISTRY, name, spelled) == kept, name

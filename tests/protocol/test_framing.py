@@ -3,7 +3,6 @@ from __future__ import annotations
 import contextlib
 import json
 import random
-import time
 
 import bson as pymongo_bson
 import pytest
@@ -123,13 +122,13 @@ def test_an_object_longer_than_the_limit_is_given_up_and_reading_goes_on():
     assert operation == {"op": "c"}
 
 
-@pytest.mark.parametrize("frame", ['{"a":' * 100 + "1" + "}" * 100, 'x{"a":' + "[" * 100 + "]" * 100 + "}"])
+@pytest.mark.parametrize(
+    "frame",
+    ['{"a":' * 100 + "1" + "}" * 100, 'x{"a":' + "[" * 100 + "]" * 100 + "}", '{"a":' * 100],
+    ids=["whole", "behind garbage", "not at its end yet"],
+)
 def test_deep_nesting_is_refused_in_any_framing(frame):
     assert "limit of 64 levels" in str(read(frame)[0])
-
-
-def test_an_object_that_nests_too_deep_is_refused_before_its_end_has_come():
-    assert "limit of 64 levels" in str(read('{"a":' * 100)[0])
 
 
 def test_binary_frames_are_bson_or_json_each_by_its_own_look():
@@ -152,54 +151,6 @@ def test_a_broken_bson_document_is_refused_and_answered_in_kind():
 @given(st.lists(st.text(st.sampled_from('{}[]":,\\ aé1')) | st.binary(max_size=12), max_size=6))
 def test_whatever_comes_the_next_operation_is_read(frames):
     assert read(*frames, '{"op":"a"}')[-1] == {"op": "a"}
-
-
-HOSTILE = [
-    "{",
-    '{"a":',
-    '"',
-    '{"',
-    '{"a\\"',
-    "{}",
-    "[{},",
-    "[{{}},",
-    '["",',
-    "{  ",
-    "}",
-    '{"a":[',
-    '{"":"\\\\',
-    '{"\\',
-    '{"a",}',
-]
-
-
-def seconds_for(text):
-    best = float("inf")
-    for _ in range(3):
-        reader = FrameReader(Limits())
-        started = time.thread_time()
-        reader.feed('{"a":')
-        reader.feed(text)
-        best = min(best, time.thread_time() - started)
-    return best
-
-
-@pytest.mark.parametrize("unit", HOSTILE)
-def test_hostile_frames_take_time_in_proportion_to_their_length(unit):
-    short, long = (seconds_for(unit * (size // len(unit))) for size in (50_000, 800_000))
-    # Sixteen times the length; a quadratic reader would take 256 times as long. The floor is the clock's noise, and
-    # that only the longer one is decoded in pieces.
-    assert long < 64 * max(short, 0.01)
-
-
-def test_an_object_in_very_many_frames_takes_time_in_proportion_to_its_length():
-    reader = FrameReader(Limits())
-    started = time.thread_time()
-    reader.feed('{"a":["')
-    for _ in range(20_000):
-        reader.feed('",{"b":1},"')
-    # Reading it anew with each frame would look at two gigabytes.
-    assert time.thread_time() - started < 5
 
 
 def fragment(num=0, total=2, data="x", mark="m"):
@@ -234,24 +185,9 @@ def test_pieces_are_numbered_in_integers_and_no_longer_than_wanted(text, size):
         assert len(piece["data"]) <= size
 
 
-def test_messages_may_be_interleaved():
-    receiver = reassembly()
-    operations = [fragment(0, mark="a"), fragment(0, mark="b"), fragment(1, mark="b", data="y"), fragment(1, mark="a")]
-    assert outcome(receiver, *operations) == [None, None, "xy", "xx"]
-
-
-def test_a_fragment_that_comes_twice_changes_nothing():
-    assert outcome(reassembly(), fragment(0), fragment(0, data="other"), fragment(1)) == [None, None, "xx"]
-
-
 def test_a_fragment_that_comes_twice_costs_nothing_either():
     receiver = reassembly(max_message_bytes=2, max_fragments=2)
     assert outcome(receiver, fragment(0), fragment(0), fragment(0), fragment(1)) == [None, None, None, "xx"]
-
-
-def test_an_id_can_be_used_again_for_the_next_message():
-    receiver = reassembly()
-    assert outcome(receiver, fragment(0), fragment(1), fragment(0), fragment(1)) == [None, "xx", None, "xx"]
 
 
 @pytest.mark.parametrize("num", [2, 10**9])
@@ -297,17 +233,13 @@ def test_too_many_bytes_are_refused_and_room_is_made_again(data):
     assert outcome(receiver, fragment(0, 2, "x" * 10), fragment(1, 2, "x" * 10)) == [None, "x" * 20]
 
 
-def test_a_message_that_is_not_completed_in_time_is_forgotten():
-    receiver = reassembly(fragment_timeout_s=10.0)
-    receiver.add(fragment(0), 0.0)
-    assert receiver.add(fragment(1), 10.1) is None
-    assert receiver.add(fragment(0), 10.2) == "xx"
-
-
-def test_a_message_that_is_completed_just_in_time_is_whole():
+def test_a_message_is_completed_in_time_or_forgotten():
     receiver = reassembly(fragment_timeout_s=10.0)
     receiver.add(fragment(0), 0.0)
     assert receiver.add(fragment(1), 10.0) == "xx"
+    receiver.add(fragment(0), 20.0)
+    assert receiver.add(fragment(1), 30.1) is None
+    assert receiver.add(fragment(0), 30.2) == "xx"
 
 
 def test_whatever_comes_the_bounds_hold():

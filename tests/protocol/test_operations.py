@@ -75,80 +75,62 @@ def test_fields_left_out_have_the_defaults_of_rosbridge():
     assert advertised == Advertise(topic="/a", type="std_msgs/String", latch=False, queue_size=100, id=None)
 
 
-@pytest.mark.parametrize("op", [op for op in MINIMAL if op not in WITH_ID])
 @pytest.mark.parametrize("mark", ["a", "", 7, -1, None])
-def test_an_id_is_text_integer_or_null_and_stays_what_it_is(op, mark):
-    operation = parse({"op": op, **MINIMAL[op], "id": mark})
-    assert operation.id == mark
-    assert type(operation.id) is type(mark)
+def test_an_id_is_text_integer_or_null_and_stays_what_it_is(mark):
+    for op in MINIMAL.keys() - WITH_ID:
+        operation = parse({"op": op, **MINIMAL[op], "id": mark})
+        assert (operation.id, type(operation.id)) == (mark, type(mark)), op
 
 
-@pytest.mark.parametrize("op", MINIMAL)
-def test_unknown_fields_are_ignored(op):
-    assert parse({"op": op, **MINIMAL[op], "foo": [1]}) == parse({"op": op, **MINIMAL[op]})
+def test_unknown_fields_are_ignored():
+    for op, fields in MINIMAL.items():
+        assert parse({"op": op, **fields, "foo": [1]}) == parse({"op": op, **fields}), op
 
 
-@pytest.mark.parametrize(("op", "field"), [(op, field) for op, fields in MINIMAL.items() for field in fields])
-def test_a_mandatory_field_that_is_missing_is_named(op, field):
-    value = {"op": op, **MINIMAL[op]}
-    del value[field]
-    error = refused(value)
-    assert (error.op, error.field) == (op, field)
-    assert str(error).startswith(f"{op}: field {field}: wanted ")
-    assert str(error).endswith(", got none")
+def test_a_mandatory_field_that_is_missing_is_named():
+    for op, field in ((op, field) for op, fields in MINIMAL.items() for field in fields):
+        error = refused({"op": op} | {name: value for name, value in MINIMAL[op].items() if name != field})
+        assert (error.op, error.field) == (op, field)
+        assert str(error).startswith(f"{op}: field {field}: wanted ")
+        assert str(error).endswith(", got none")
 
 
-@pytest.mark.parametrize(
-    ("op", "field", "value"),
-    [
-        ("publish", "topic", 42),
-        ("publish", "topic", ""),
-        ("publish", "topic", "a" * (MAX_NAME_CHARACTERS + 1)),
-        ("publish", "msg", None),
-        ("publish", "msg", []),
-        ("publish", "msg", "text"),
-        ("publish", "latch", 1),
-        ("publish", "id", True),
-        ("publish", "id", 1.5),
-        ("publish", "id", {}),
-        ("publish", "id", "a" * (MAX_ID_CHARACTERS + 1)),
-        ("advertise", "type", None),
-        ("advertise", "queue_size", -1),
-        ("advertise", "qos", "reliable"),
-        ("subscribe", "type", 3),
-        ("subscribe", "throttle_rate", -1),
-        ("subscribe", "throttle_rate", "100"),
-        ("subscribe", "throttle_rate", True),
-        ("subscribe", "throttle_rate", float("nan")),
-        ("subscribe", "throttle_rate", float("inf")),
-        ("subscribe", "queue_length", -1),
-        ("subscribe", "queue_length", 1.5),
-        ("subscribe", "fragment_size", 0),
-        ("subscribe", "fragment_size", -5),
-        ("subscribe", "fragment_size", "many"),
-        ("subscribe", "compression", 7),
-        ("subscribe", "compression", None),
-        ("call_service", "service", 1),
-        ("call_service", "timeout", -1),
-        ("call_service", "timeout", "long"),
-        ("call_service", "fragment_size", 0),
-        ("service_response", "id", 7),
-        ("service_response", "result", "true"),
-        ("action_result", "status", "done"),
-        ("action_feedback", "values", "text"),
-        ("send_action_goal", "feedback", 1),
-        ("fragment", "num", -1),
-        ("fragment", "total", 0),
-        ("fragment", "data", {}),
-        ("set_level", "level", "loud"),
-        ("status", "msg", None),
-    ],
-)
-def test_a_known_field_of_senseless_value_is_named(op, field, value):
-    error = refused({"op": op, **MINIMAL[op], field: value})
-    assert (error.op, error.field) == (op, field)
-    assert str(error).startswith(f"{op}: field {field}: wanted ")
-    assert "\n" not in str(error)
+SENSELESS = {
+    ("publish", "topic"): (42, "", "a" * (MAX_NAME_CHARACTERS + 1)),
+    ("publish", "msg"): (None, [], "text"),
+    ("publish", "latch"): (1,),
+    ("publish", "id"): (True, 1.5, {}, "a" * (MAX_ID_CHARACTERS + 1)),
+    ("advertise", "type"): (None,),
+    ("advertise", "queue_size"): (-1,),
+    ("advertise", "qos"): ("reliable",),
+    ("subscribe", "type"): (3,),
+    ("subscribe", "throttle_rate"): (-1, "100", True, float("nan"), float("inf")),
+    ("subscribe", "queue_length"): (-1, 1.5),
+    ("subscribe", "fragment_size"): (0, -5, "many"),
+    ("subscribe", "compression"): (7, None),
+    ("call_service", "service"): (1,),
+    ("call_service", "timeout"): (-1, "long"),
+    ("call_service", "fragment_size"): (0,),
+    ("service_response", "id"): (7,),
+    ("service_response", "result"): ("true",),
+    ("action_result", "status"): ("done",),
+    ("action_feedback", "values"): ("text",),
+    ("send_action_goal", "feedback"): (1,),
+    ("fragment", "num"): (-1,),
+    ("fragment", "total"): (0,),
+    ("fragment", "data"): ({},),
+    ("set_level", "level"): ("loud",),
+    ("status", "msg"): (None,),
+}
+
+
+def test_a_known_field_of_senseless_value_is_named():
+    for (op, field), senseless in SENSELESS.items():
+        for value in senseless:
+            error = refused({"op": op, **MINIMAL[op], field: value})
+            assert (error.op, error.field) == (op, field), value
+            assert str(error).startswith(f"{op}: field {field}: wanted ")
+            assert "\n" not in str(error)
 
 
 def test_a_refusal_says_what_was_wanted_and_what_came():

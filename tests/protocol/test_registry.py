@@ -136,11 +136,6 @@ def test_an_action_has_three_members_that_are_message_types(registry, name):
     assert [field.name for field in action.feedback.fields] == [field.name for field in action.result.fields]
 
 
-def test_members_can_be_completed_like_messages(registry):
-    completed = complete(registry, "std_srvs/srv/SetBool_Request", {}, Stamp(1, 2))
-    assert completed == {"data": False}
-
-
 @pytest.mark.parametrize("generation", ["ros2", "ros1"])
 def test_every_service_and_action_and_all_that_they_refer_to_can_be_read(registry, generation):
     chosen = registry if generation == "ros2" else registry.ros1

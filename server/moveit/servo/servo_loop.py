@@ -55,8 +55,10 @@ UNITLESS = "unitless"
 # Sticks are not calibrated exactly.
 UNITLESS_TOLERANCE = 1e-3
 
-# Two ticks of the arm: its goals are read once a tick, and the planners' answer takes effect at the next one.
-LEAD_S = 0.02
+# From the arm's goals, as they were read, to where velocities take effect: two ticks, and as long again because the arm
+# rounds its corners. With two ticks alone, random sticks on an SO-101 came to 0.6 mm of a table that is kept 5 mm away;
+# with four, none of 16 runs came nearer than 7.8 mm.
+LEAD_S = 0.04
 
 # The planners' latency is forgotten in so many answers, more slowly than it is noticed.
 LATENCY_ANSWERS = 10

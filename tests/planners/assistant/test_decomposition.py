@@ -52,13 +52,10 @@ def test_the_same_seed_gives_the_same_parts(of_channel):
 
 
 def test_bounds_give_the_closest_parts_and_their_deviation():
+    assert len(decompose(surface(channel()), Limits(max_time_s=0.0)).parts) == 1
     found = decompose(surface(channel()), Limits(max_parts=1))
     assert len(found.parts) == 1
     assert found.deviation.outside_m == pytest.approx(0.016, abs=0.0005)
-
-
-def test_no_time_gives_the_hull():
-    assert len(decompose(surface(channel()), Limits(max_time_s=0.0)).parts) == 1
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -33,21 +33,10 @@ def test_the_folder_loads_without_a_problem(imported):
     arm = robot_folder.load(out).model
     assert arm.groups["arm"].joints == ("turn", "lift", "bend", "roll")
     assert arm.tip_link == "tool_point"
-
-
-def test_the_gripper_opens_where_its_fingers_are_apart(imported):
-    gripper = robot_folder.load(imported[0]).model.gripper
-    assert gripper.joints == ("left_finger", "right_finger")
-    assert (gripper.open, gripper.closed) == (0.03, 0.0)
-
-
-def test_home_is_zero_or_the_middle_of_the_range(imported):
-    states = robot_folder.load(imported[0]).model.named_states["arm"]
-    assert states["home"] == {"turn": 0.0, "lift": 0.0, "bend": 0.0, "roll": 1.75}
-
-
-def test_nothing_touches_at_home(imported):
-    arm = robot_folder.load(imported[0]).model
+    # The gripper opens where its fingers are apart; home is zero, or the middle of the range, and nothing touches.
+    assert arm.gripper.joints == ("left_finger", "right_finger")
+    assert (arm.gripper.open, arm.gripper.closed) == (0.03, 0.0)
+    assert arm.named_states["arm"]["home"] == {"turn": 0.0, "lift": 0.0, "bend": 0.0, "roll": 1.75}
     collision = CollisionModel(arm)
     home = {**dict.fromkeys(collision.joint_names, 0.0), **arm.named_states["arm"]["home"]}
     assert not collision.in_collision(np.array([home[name] for name in collision.joint_names]))
@@ -101,9 +90,10 @@ def test_progress_names_each_link_and_how_far_its_parts_are(imported):
     assert "600 of 600 states" in told
 
 
-def test_the_same_seed_makes_the_same_folder(imported, urdf, tmp_path):
-    import_robot(ImportOptions(urdf, tmp_path / "arm", samples=600), silent)
-    assert files(tmp_path / "arm") == files(imported[0])
+def test_the_same_seed_makes_the_same_folder(urdf, tmp_path):
+    for name in ("first", "again"):
+        import_robot(ImportOptions(urdf, tmp_path / name / "arm", samples=QUICK, convex=False), silent)
+    assert files(tmp_path / "first") == files(tmp_path / "again")
 
 
 def test_a_folder_that_is_there_is_not_touched(urdf, tmp_path):
@@ -165,16 +155,10 @@ def test_a_link_that_is_only_seen_is_mentioned(tmp_path):
     assert any(line.startswith("CHECK: tool_point: these links are seen but have no <collision>") for line in lines)
 
 
-def test_the_samples_are_bounded(urdf, tmp_path):
+def test_what_cannot_be_imported_is_refused(urdf, tmp_path):
+    assert default_folder(urdf) == Path("mesh_arm")
     with pytest.raises(AssistantError, match="--samples 0: must be from 1 to 1000000"):
         import_robot(ImportOptions(urdf, tmp_path / "arm", samples=0), silent)
-
-
-def test_the_folder_has_the_robots_name_by_default(urdf):
-    assert default_folder(urdf) == Path("mesh_arm")
-
-
-def test_what_is_no_urdf_is_refused(tmp_path):
     (tmp_path / "a.urdf").write_text("<sdf/>")
     with pytest.raises(AssistantError, match="is no URDF: it must start with <robot>, not <sdf>"):
         import_robot(ImportOptions(tmp_path / "a.urdf", tmp_path / "out"), silent)

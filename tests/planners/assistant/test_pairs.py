@@ -46,11 +46,9 @@ def test_links_of_one_joint_are_adjacent_over_links_without_shape(found):
     }
 
 
-def test_links_that_touch_in_no_state_never_do(found):
+def test_links_that_touch_in_no_state_never_do_and_others_are_checked(found):
     assert UncheckedPair("post", "far", "Never") in found
-
-
-def test_links_that_touch_in_some_states_are_checked(found):
+    # Those that touch in some states are checked.
     assert frozenset(("post", "bar")) not in {frozenset((pair.first, pair.second)) for pair in found}
 
 

@@ -75,27 +75,6 @@ def test_a_point_lies_in_each_corner_and_close_ones_beside_it(follower):
     assert np.diff(along_m)[corner] <= 3.0 * CORNER_STEP_M
 
 
-def test_the_end_of_reach_is_told_with_the_distance_left(follower):
-    ended = following(follower, START, [shifted(follower, 0.6, 0.0, 0.0)]).from_point(START).ended
-    assert ended.reason == "reach"
-    assert 0.3 < ended.details["distance_m"] < 0.6
-
-
-def test_an_orientation_that_cannot_be_kept_ends_the_path(follower):
-    task = following(follower, START, [shifted(follower, 0.0, 0.1, 0.0)], orientation_tolerance_rad=0.1)
-    ended = task.from_point(START).ended
-    assert ended.reason == "orientation"
-    assert ended.details["deviation_rad"] > 0.1
-
-
-def test_a_joint_step_beyond_the_threshold_ends_the_path_and_is_named(follower):
-    task = following(follower, START, [shifted(follower, 0.0, 0.05, 0.0)], max_joint_step_rad=1e-4)
-    ended = task.from_point(START).ended
-    assert ended.reason == "jump"
-    assert ended.details["joint"] in task.joint_names
-    assert ended.details["step_rad"] > 1e-4
-
-
 def test_a_flaw_ends_the_path_at_its_first_point(follower):
     limit_rad = START[0] - 0.1
     flaw = PathEnd("constraint", "too far to the right", {})
@@ -110,11 +89,6 @@ def test_a_flaw_ends_the_path_at_its_first_point(follower):
     assert limit_rad <= followed.points[-1][0] < limit_rad + 0.003
 
 
-def test_following_stops_when_told_to(follower):
-    task = following(follower, START, [shifted(follower, 0.0, 0.1, 0.0)], should_stop=lambda: True)
-    assert len(task.from_point(START).points) == 1
-
-
 coordinates = st.floats(-2.0, 2.0).map(lambda value: round(value, 3))
 curves = st.lists(st.tuples(*[coordinates] * 3), min_size=2, max_size=12).map(np.array)
 spacings = st.integers(1, 5)
@@ -124,40 +98,6 @@ def spline(points, spacing):
     """Knots now near each other, now further apart."""
     spans = 0.01 * (1.0 + np.arange(len(points) - 1) % spacing)
     return SplinePath(np.concatenate(([0.0], np.cumsum(spans))), points)
-
-
-@given(curves, spacings)
-def test_the_curve_goes_through_its_points(points, spacing):
-    path = spline(points, spacing)
-    np.testing.assert_allclose(path(path.knots), points, atol=1e-12)
-
-
-@given(curves, spacings)
-def test_slope_and_bend_are_the_derivatives_of_the_position(points, spacing):
-    path = spline(points, spacing)
-    middle = 0.5 * (path.knots[1:] + path.knots[:-1])
-    step = 1e-6
-    slope = (path(middle + step) - path(middle - step)) / (2 * step)
-    bend = (path(middle + step, 1) - path(middle - step, 1)) / (2 * step)
-    np.testing.assert_allclose(slope, path(middle, 1), atol=1e-5 * max(1.0, np.abs(slope).max()))
-    np.testing.assert_allclose(bend, path(middle, 2), atol=1e-5 * max(1.0, np.abs(bend).max()))
-
-
-@given(curves, spacings)
-def test_slope_and_bend_do_not_jump_in_the_points(points, spacing):
-    path = spline(points, spacing)
-    before, after = np.nextafter(path.knots[1:-1], 0.0), np.nextafter(path.knots[1:-1], 9.0)
-    for order in (1, 2):
-        scale = max(1.0, np.abs(path(path.knots, order)).max())
-        np.testing.assert_allclose(path(before, order), path(after, order), atol=1e-9 * scale)
-
-
-@given(st.tuples(*[coordinates] * 3).map(np.array), spacings)
-def test_points_on_a_line_make_a_line(direction, spacing):
-    points = np.linspace(0.0, 1.0, 7)[:, np.newaxis] * direction
-    path = SplinePath(np.linspace(0.0, 1.0, 7), points)
-    at = np.linspace(0.0, 1.0, 50)
-    np.testing.assert_allclose(path(at), at[:, np.newaxis] * direction, atol=1e-12)
 
 
 @given(curves, spacings)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from dataclasses import replace
 
@@ -23,10 +22,9 @@ from planners.problem import (
     Plan,
     PlanningFailure,
 )
-from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
-from tests.planners.following import TIP, arc, line
-
-VERSIONS = itertools.count(7_100_001)
+from planners.scene import Box
+from tests.planners.following import arc, line
+from tests.planners.scenes import thing
 
 START = np.array([0.0, -0.3, 0.5, 1.0, 0.0])
 
@@ -35,18 +33,6 @@ START = np.array([0.0, -0.3, 0.5, 1.0, 0.0])
 def own_planner(robot):
     # By the clock of planner processes, which a busy machine does not hurry.
     return Planner(robot, time.process_time)
-
-
-@pytest.fixture
-def scene(own_planner):
-    def put(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> None:
-        objects = tuple(
-            SceneObject(f"box {i}", ((Box(size_m), Pose()),), Pose(at_m)) for i, (at_m, size_m) in enumerate(boxes)
-        )
-        assert own_planner.set_scene(Scene(next(VERSIONS), objects)) is None
-
-    yield put
-    own_planner.set_scene(EMPTY_SCENE)
 
 
 def shifted(follower, *by_m, turned=None):
@@ -66,9 +52,9 @@ def found(planner, problem, allowed_time_s=5.0):
 
 
 def beside(follower, *, y_m=0.11):
-    """A wall to the left of the tip: at, and whole edges [m]."""
-    tip_m = follower.pose(START).translation
-    return (float(tip_m[0]), float(tip_m[1]) + y_m, 0.3), (0.4, 0.01, 0.6)
+    """A wall to the left of the tip."""
+    x, y, _ = follower.pose(START).translation.tolist()
+    return thing(Box((0.4, 0.01, 0.6)), x, y + y_m, 0.3)
 
 
 def lines_and_arcs(follower):
@@ -79,10 +65,9 @@ def lines_and_arcs(follower):
     }
 
 
-@pytest.mark.parametrize("keep_orientation", [False, True])
-@pytest.mark.parametrize("kind", ["line", "arc", "two lines"])
-def test_the_same_path_can_be_planned_to_the_end_that_is_found(follower, own_planner, scene, kind, keep_orientation):
-    scene(beside(follower))
+@pytest.mark.parametrize(("kind", "keep_orientation"), [("line", True), ("arc", False), ("two lines", True)])
+def test_the_same_path_can_be_planned_to_the_end_that_is_found(follower, own_planner, put, kind, keep_orientation):
+    put(own_planner, beside(follower))
     segments = lines_and_arcs(follower)[kind]
     asked = {"keep_orientation": True, "orientation_tolerance_rad": 0.3} if keep_orientation else {}
     problem = follower.problem(START, *segments, **asked)
@@ -102,27 +87,25 @@ def test_the_same_path_can_be_planned_to_the_end_that_is_found(follower, own_pla
     assert again.stopped_by is None
 
 
-def test_the_end_that_is_found_is_planned_again_whole_wherever_the_path_leaves_the_reach(follower, own_planner):
-    for aside_m in np.linspace(-0.2, 0.2, 12):
-        problem = follower.problem(START, line(shifted(follower, 0.5, float(aside_m), 0.0)))
-        goal, _ = found(own_planner, problem)
-        again = own_planner.answer(replace(problem, segments=(Line(goal.end),)))
-        assert again.stopped_by is None
+def test_the_end_that_is_found_is_planned_again_whole_where_the_path_leaves_the_reach(follower, own_planner):
+    problem = follower.problem(START, line(shifted(follower, 0.5, -0.2, 0.0)))
+    goal, _ = found(own_planner, problem)
+    assert own_planner.answer(replace(problem, segments=(Line(goal.end),))).stopped_by is None
 
 
-@pytest.mark.parametrize("y_m", [0.07897435897435898, 0.08794871794871796, 0.1076923076923077, 0.12])
-def test_the_end_that_is_found_is_planned_again_whole_where_its_rounding_would_touch(follower, own_planner, scene, y_m):
-    scene(beside(follower, y_m=y_m))
-    for down_m in (0.0, -0.02, 0.03):
+def test_the_end_that_is_found_is_planned_again_whole_where_its_rounding_would_touch(follower, own_planner, put):
+    # Before the second wall the first end that is tried is not followed whole.
+    for y_m, down_m in ((0.07897435897435898, 0.0), (0.12, 0.03)):
+        put(own_planner, beside(follower, y_m=y_m))
         problem = follower.problem(START, line(shifted(follower, 0.0, 0.12, -down_m)))
         goal, _ = found(own_planner, problem)
         again = own_planner.answer(replace(problem, segments=(Line(goal.end),)))
         assert again.stopped_by is None
 
 
-def test_the_end_of_a_path_behind_an_obstacle_is_reached_by_another_way(follower, own_planner, scene):
-    tip_m = follower.pose(START).translation
-    scene(((float(tip_m[0]), float(tip_m[1]) + 0.08, 0.0), (0.3, 0.01, 2.0 * float(tip_m[2]) + 0.03)))
+def test_the_end_of_a_path_behind_an_obstacle_is_reached_by_another_way(follower, own_planner, put):
+    x, y, z = follower.pose(START).translation.tolist()
+    put(own_planner, thing(Box((0.3, 0.01, 2.0 * z + 0.03)), x, y + 0.08, 0.0))
     problem = follower.problem(START, line(shifted(follower, 0.0, 0.2, 0.0)))
     goal, plan = found(own_planner, problem)
     assert plan.fraction < 1.0
@@ -146,8 +129,8 @@ def test_an_end_out_of_reach_is_reached_by_no_other_way(follower, own_planner):
     assert not goal.end_by_other_way
 
 
-def test_the_failure_of_a_path_has_the_place_that_its_motion_reaches(follower, own_planner, scene):
-    scene(beside(follower))
+def test_the_failure_of_a_path_has_the_place_that_its_motion_reaches(follower, own_planner, put):
+    put(own_planner, beside(follower))
     plan = own_planner.answer(follower.problem(START, line(shifted(follower, 0.0, 0.12, 0.0))))
     details = plan.stopped_by.details
     reached = follower.pose(plan.trajectory.positions_rad[-1])
@@ -171,8 +154,8 @@ def test_a_path_that_does_not_begin_names_no_place(follower, own_planner):
     assert goal == PathGoal(None, 0.0, goal.length_m, end_by_other_way=True)
 
 
-def test_without_time_once_cancelled_or_for_a_problem_that_is_refused_there_is_none(follower, own_planner, scene):
-    scene(beside(follower))
+def test_without_time_once_cancelled_or_for_a_problem_that_is_refused_there_is_none(follower, own_planner, put):
+    put(own_planner, beside(follower))
     problem = follower.problem(START, line(shifted(follower, 0.0, 0.12, 0.0)))
     assert found(own_planner, problem, 1e-9)[0] is None
     assert own_planner.answer(NearestGoalQuestion(problem, 5.0), lambda: True) == NearestGoalAnswer(None)
@@ -182,21 +165,14 @@ def test_without_time_once_cancelled_or_for_a_problem_that_is_refused_there_is_n
     assert unknown is None
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.77, 0.95])
 @pytest.mark.parametrize("kind", ["line", "arc", "two lines"])
-def test_the_first_part_of_a_path_is_where_the_path_is(follower, kind, share):
+def test_the_first_part_of_a_path_is_where_the_path_is(follower, kind):
     start, segments = follower.pose(START), lines_and_arcs(follower)[kind]
     whole = TipPath(start, segments)
-    part = TipPath(start, first_part(start, segments, share * whole.length_m, 9))
-    assert part.length_m == pytest.approx(share * whole.length_m, abs=1e-6)
-    for along_m in np.linspace(0.0, part.length_m, 7):
-        assert apart_m(part.at(along_m), whole.at(along_m)) < 1e-6
-        assert apart_rad(part.at(along_m), whole.at(along_m)) < 1e-4
-
-
-def test_a_part_as_long_as_the_path_is_the_path(follower):
-    start, segments = follower.pose(START), lines_and_arcs(follower)["two lines"]
-    part = first_part(start, segments, TipPath(start, segments).length_m + 1.0, 9)
-    assert part == segments
-    assert isinstance(part[0], Line)
-    assert follower.problem(START, *part).link == TIP
+    for share in (0.1, 0.5, 0.77, 0.95):
+        part = TipPath(start, first_part(start, segments, share * whole.length_m, 9))
+        assert part.length_m == pytest.approx(share * whole.length_m, abs=1e-6)
+        for along_m in np.linspace(0.0, part.length_m, 7):
+            assert apart_m(part.at(along_m), whole.at(along_m)) < 1e-6
+            assert apart_rad(part.at(along_m), whole.at(along_m)) < 1e-4
+    assert first_part(start, segments, whole.length_m + 1.0, 9) == segments

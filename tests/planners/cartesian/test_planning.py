@@ -15,7 +15,6 @@ from scipy.interpolate import CubicSpline
 from planners.cartesian.following import SplinePath
 from planners.cartesian.planning import (
     SAMPLE_PERIOD_S,
-    SHORTEST_INTERVAL_S,
     Profile,
     sampled,
     time_along,
@@ -24,8 +23,8 @@ from planners.cartesian.planning import (
 )
 from planners.cartesian.tip_path import arc_flaw
 from planners.goals import Constraints, JointConstraint, OrientationConstraint
-from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, RateLimits
-from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
+from planners.problem import MoveItErrorCode, PlanningFailure, RateLimits
+from planners.scene import Box
 from robot.trajectory import Trajectory
 from tests.helpers.resources import examples
 from tests.planners.following import TIP, arc, as_pose, line, shares
@@ -37,6 +36,7 @@ from tests.planners.invariants import (
     assert_well_formed,
     fine_samples,
 )
+from tests.planners.scenes import thing
 
 POINTS = np.array([[0.0, 0.0], [0.5, 0.2], [1.0, -0.1]])
 
@@ -177,12 +177,6 @@ def test_a_path_that_turns_back_is_timed_and_comes_back():
     assert np.abs(motion.positions_rad[:, 0]).max() == pytest.approx(0.5, abs=1e-3)
 
 
-def test_samples_are_ten_milliseconds_apart_at_most():
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.0, -1.0, 1.0]])
-    motion = time_along(spline(points), NAMES, LIMITS)
-    assert np.diff(motion.time_s).max() <= 1.1 * (SAMPLE_PERIOD_S + SHORTEST_INTERVAL_S)
-
-
 def test_progress_is_what_toppra_makes_of_another_spline():
     path = spline(np.random.default_rng(1).uniform(-0.8, 0.8, (12, 3)))
     points = path(path.knots)
@@ -229,18 +223,21 @@ def test_a_stretch_where_no_joint_moves_hardly_takes_time(points):
     assert motion.duration_s < 1.5 * alone_s
 
 
-def test_a_path_that_stands_from_start_to_end_has_no_timing():
-    assert toppra_profile(SplinePath(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3))), LIMITS) is None
+OUT = np.cumsum(0.03 ** np.arange(7))[:, np.newaxis] * np.array([1.0, 0.5, -0.2])
+ENDS = np.array([[0.0] * 3, [1.0] * 3])
 
 
-def test_a_bend_that_the_arm_could_not_get_away_from_has_no_timing():
-    out = np.cumsum(0.03 ** np.arange(7))[:, np.newaxis] * np.array([1.0, 0.5, -0.2])
-    assert toppra_profile(spline(np.vstack((out, out[-2::-1]))), LIMITS) is None
-
-
-def test_numbers_that_are_not_finite_have_no_timing():
-    line = SplinePath(np.array([0.0, 1.0]), np.array([[0.0] * 3, [1.0] * 3]))
-    assert toppra_profile(line, RateLimits(np.ones(3), np.full(3, np.nan))) is None
+@pytest.mark.parametrize(
+    ("path", "limits"),
+    [
+        (SplinePath(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3))), LIMITS),
+        (spline(np.vstack((OUT, OUT[-2::-1]))), LIMITS),
+        (spline(ENDS), RateLimits(np.ones(3), np.full(3, np.nan))),
+    ],
+    ids=["stands", "has a bend that the arm could not get away from", "has limits that are not finite"],
+)
+def test_a_path_without_any_timing_has_none(path, limits):
+    assert toppra_profile(path, limits) is None
 
 
 def test_a_curve_of_many_points_takes_as_long_as_one_of_few():
@@ -255,22 +252,6 @@ FOLDED_INTO_ITSELF = np.array([0.0, -1.74, 1.69, 1.2, 0.0])
 
 # Between the points that are measured the tip may be off by a little more than at them.
 BOUND_M = 3e-4
-
-
-@pytest.fixture
-def scene(collision):
-    """Sets scenes one after the other."""
-    versions = iter(range(9000, 9999))
-
-    def put(*objects):
-        assert collision.set_scene(Scene(next(versions), tuple(objects))) is None
-
-    yield put
-    collision.set_scene(EMPTY_SCENE)
-
-
-def box(name, position_m, size_m):
-    return SceneObject(name, ((Box(size_m), Pose()),), Pose(position_m))
 
 
 def shifted(follower, *offset_m):
@@ -294,7 +275,8 @@ def distance_to_line_m(places_m, start_m, end_m):
 def test_on_any_line_the_tip_is_on_it_and_the_motion_keeps_every_limit(follower, rate_limits, share, near):
     start = follower.point(share)
     end = follower.pose(follower.near(start, near))
-    plan = follower.plan(follower.problem(start, line(end)))
+    problem = follower.problem(start, line(end))
+    plan = follower.plan(problem)
     if isinstance(plan, PlanningFailure):
         assert plan.code == MoveItErrorCode.START_STATE_IN_COLLISION
         return
@@ -304,6 +286,7 @@ def test_on_any_line_the_tip_is_on_it_and_the_motion_keeps_every_limit(follower,
         return
     assert_keeps_rates(plan.trajectory, rate_limits)
     assert_keeps_positions(plan.trajectory, follower.lower_rad, follower.upper_rad)
+    assert_touches_nothing(plan.trajectory, follower.collision, problem.start_rad)
     start_m = follower.pose(start).translation
     off_m = distance_to_line_m(tips_m(follower, plan), start_m, end.translation).max()
     assert off_m <= BOUND_M
@@ -329,15 +312,6 @@ def test_on_any_arc_the_tip_stays_on_the_circle(follower, rate_limits, share, ne
     radius_m = np.linalg.norm(begin.translation - center_m)
     assert np.abs((places_m - center_m) @ normal).max() / np.linalg.norm(normal) <= BOUND_M
     assert np.abs(np.linalg.norm(places_m - center_m, axis=1) - radius_m).max() <= BOUND_M
-
-
-@given(share=shares, near=shares)
-@examples(10)
-def test_a_motion_touches_nothing_on_its_way(follower, collision, share, near):
-    problem = follower.problem(start := follower.point(share), line(follower.pose(follower.near(start, near))))
-    plan = follower.plan(problem)
-    if isinstance(plan, CartesianPlan) and not collision.in_collision(np.array([*start, 0.0])):
-        assert_touches_nothing(plan.trajectory, collision, problem.start_rad)
 
 
 def test_a_motion_starts_and_ends_at_rest_and_in_its_points(follower):
@@ -427,38 +401,44 @@ def test_five_joints_keep_the_orientation_in_the_plane_of_the_arm(follower):
     assert plan.deviation.orientation_rad < 0.02
 
 
-@examples(8)
-@given(places=st.lists(st.floats(0.03, 0.12), min_size=2, max_size=3, unique=True).map(sorted))
-def test_the_nearer_an_obstacle_the_less_of_the_path_is_followed(follower, collision, places):
-    problem = follower.problem(START, shifted(follower, 0.0, 0.12, 0.0))
+def wall(follower, beside_m):
+    """A wall to the left of the tip in START."""
+    x, y, _ = follower.pose(START).translation.tolist()
+    return thing(Box((0.4, 0.01, 0.6)), x, y + beside_m, 0.3, name="wall")
+
+
+def to_the_left(follower, **asked):
+    return follower.problem(START, shifted(follower, 0.0, 0.12, 0.0), **asked)
+
+
+def test_the_nearer_an_obstacle_the_less_of_the_path_is_followed(follower, put):
     fractions = []
-    for version, place in enumerate(places):
-        tip_m = follower.pose(START).translation
-        wall = box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.05 + place, 0.3), (0.4, 0.01, 0.6))
-        assert collision.set_scene(Scene(8000 + version, (wall,))) is None
-        fractions.append(follower.plan(problem).fraction)
-        collision.set_scene(EMPTY_SCENE)
+    for beside_m in (0.08, 0.09, 0.11, 0.14, 0.17):
+        put(follower.collision, wall(follower, beside_m))
+        fractions.append(follower.plan(to_the_left(follower)).fraction)
     assert all(first <= second + 0.02 for first, second in pairwise(fractions))
+    assert fractions[0] < fractions[-1] == 1.0
 
 
-def test_a_contact_within_the_last_step_of_a_path_ends_it_there(follower, scene):
-    tip_m = follower.pose(START).translation
-    scene(box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.1288, 0.3), (0.4, 0.01, 0.6)))
-    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.12, 0.0)))
-    assert 0.9 < plan.fraction < 1.0
-    assert plan.stopped_by.details["reason"] == "collision"
+@pytest.mark.parametrize(
+    ("beside_m", "asked", "least", "most"),
+    [
+        (0.1288, {}, 0.9, 0.99),
+        (0.130078125, {}, 1.0, 1.0),
+        (0.11, {"avoid_collisions": False}, 1.0, 1.0),
+    ],
+    ids=["a contact within the last step", "only parts touch", "contacts are not to be avoided"],
+)
+def test_a_path_ends_only_at_a_contact_that_counts(follower, put, beside_m, asked, least, most):
+    put(follower.collision, wall(follower, beside_m))
+    plan = follower.plan(to_the_left(follower, **asked))
+    assert least <= plan.fraction <= most
+    assert (plan.stopped_by is None) == (most == 1.0)
 
 
-def test_a_path_along_which_only_parts_touch_is_followed_to_its_end(follower, scene):
-    tip_m = follower.pose(START).translation
-    scene(box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.130078125, 0.3), (0.4, 0.01, 0.6)))
-    assert follower.plan(follower.problem(START, shifted(follower, 0.0, 0.12, 0.0))).fraction == 1.0
-
-
-def test_a_path_into_an_obstacle_ends_before_it_and_names_the_pair(follower, collision, scene):
-    tip_m = follower.pose(START).translation
-    scene(box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.11, 0.3), (0.4, 0.01, 0.6)))
-    problem = follower.problem(START, shifted(follower, 0.0, 0.12, 0.0))
+def test_a_path_into_an_obstacle_ends_before_it_and_names_the_pair(follower, collision, put):
+    put(follower.collision, wall(follower, 0.11))
+    problem = to_the_left(follower)
     plan = follower.plan(problem)
     assert 0.1 < plan.fraction < 0.9
     assert plan.stopped_by.code == MoveItErrorCode.INVALID_MOTION_PLAN
@@ -467,13 +447,6 @@ def test_a_path_into_an_obstacle_ends_before_it_and_names_the_pair(follower, col
     assert "wall" in (pair["first"], pair["second"])
     assert "wall" in plan.stopped_by.message
     assert_touches_nothing(plan.trajectory, collision, problem.start_rad)
-
-
-def test_contacts_do_not_end_the_path_when_they_are_not_to_be_avoided(follower, scene):
-    tip_m = follower.pose(START).translation
-    scene(box("wall", (float(tip_m[0]), float(tip_m[1]) + 0.11, 0.3), (0.4, 0.01, 0.6)))
-    problem = follower.problem(START, shifted(follower, 0.0, 0.12, 0.0), avoid_collisions=False)
-    assert follower.plan(problem).fraction == 1.0
 
 
 def test_out_of_reach_is_told_with_how_far(follower):
@@ -500,18 +473,13 @@ def test_path_constraints_end_the_path_where_they_no_longer_hold(follower):
     assert np.abs(plan.trajectory.positions_rad[:, 0]).max() <= 0.1 + 1e-6
 
 
-def test_a_start_that_violates_the_path_constraints_is_refused(follower):
+def test_a_start_that_cannot_be_followed_from_is_refused(follower):
     upside_down = as_pose(pin.SE3(follower.pose(START).rotation @ np.diag([1.0, -1.0, -1.0]), np.zeros(3)))
     constraints = Constraints(orientations=(OrientationConstraint(TIP, upside_down.orientation, (0.1, 0.1, 0.1)),))
-    answer = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.1, 0.0), path_constraints=constraints))
-    assert answer.code == MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS
-
-
-def test_a_start_in_collision_is_refused(follower):
-    answer = follower.plan(follower.problem(FOLDED_INTO_ITSELF, shifted(follower, 0.0, 0.0, 0.0)))
-    assert answer.code == MoveItErrorCode.START_STATE_IN_COLLISION
-
-
-def test_planning_ends_when_nobody_wants_it_any_more(follower):
-    problem = follower.problem(START, shifted(follower, 0.0, 0.1, 0.0))
-    assert follower.plan(problem, should_stop=lambda: True).code == MoveItErrorCode.PREEMPTED
+    path = shifted(follower, 0.0, 0.1, 0.0)
+    violating = follower.plan(follower.problem(START, path, path_constraints=constraints))
+    assert violating.code == MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS
+    colliding = follower.plan(follower.problem(FOLDED_INTO_ITSELF, path))
+    assert colliding.code == MoveItErrorCode.START_STATE_IN_COLLISION
+    stopped = follower.plan(follower.problem(START, path), should_stop=lambda: True)
+    assert stopped.code == MoveItErrorCode.PREEMPTED

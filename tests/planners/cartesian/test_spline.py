@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from planners.cartesian.spline import NaturalSpline, solve_tridiagonal
+from planners.cartesian.spline import NaturalSpline
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 8, 37, 400])
@@ -17,12 +17,3 @@ def test_the_curve_is_the_natural_cubic_spline(count, order):
     expected = CubicSpline(knots, points, bc_type="natural")(at, order)
     scale = max(1.0, np.abs(expected).max())
     np.testing.assert_allclose(NaturalSpline(knots, points)(at, order), expected, atol=1e-9 * scale)
-
-
-def test_the_system_is_solved():
-    rng = np.random.default_rng(3)
-    lower, upper = rng.uniform(-1.0, 1.0, (2, 21))
-    lower[0] = upper[-1] = 0.0
-    middle, right = rng.uniform(2.5, 4.0, 21), rng.normal(size=(21, 2))
-    full = np.diag(middle) + np.diag(lower[1:], -1) + np.diag(upper[:-1], 1)
-    np.testing.assert_allclose(full @ solve_tridiagonal(lower, middle, upper, right), right, atol=1e-12)

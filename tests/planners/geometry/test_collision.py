@@ -8,7 +8,6 @@ import pytest
 
 from planners.geometry.collision import (
     DEPTH_ACCURACY_M,
-    CollidingPair,
     CollisionModel,
     PairFilter,
     attached_bodies,
@@ -18,8 +17,7 @@ from planners.geometry.collision import (
 )
 from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import robot_shapes
-from planners.problem import MoveItErrorCode
-from planners.scene import EMPTY_SCENE, AttachedObject, Box, Mesh, Plane, Pose, Scene, SceneObject, Sphere
+from planners.scene import EMPTY_SCENE, AttachedObject, Box, Mesh, Plane, Pose, Scene, SceneObject
 from tests.helpers.resources import in_proportion
 from tests.planners.scenes import CORNERS_M, FACES, SHAPES, around_the_arm, scene, thing
 
@@ -131,28 +129,27 @@ def collision(robot):
     return CollisionModel(replace(robot, parts={}))
 
 
-@pytest.fixture
-def changing(robot):
-    """One whose scene may change."""
+@pytest.fixture(scope="module")
+def own(robot):
     return CollisionModel(robot)
 
 
 @pytest.fixture
+def changing(own):
+    """One whose scene may change."""
+    yield own
+    own.set_scene(scene())
+
+
+@pytest.fixture
 def random_states(collision):
-    return np.random.default_rng(4).uniform(collision.lower_rad, collision.upper_rad, (300, 6))
+    return np.random.default_rng(4).uniform(collision.lower_rad, collision.upper_rad, (150, 6))
 
 
-@pytest.mark.parametrize("jaw_rad", JAW_POSITIONS_RAD)
-@pytest.mark.parametrize("name", ["home", "ready", "rest", "extended"])
-def test_named_states_touch_nothing(robot, collision, name, jaw_rad):
-    q = state(collision, **robot.named_states["arm"][name], gripper=jaw_rad)
-    assert not collision.in_collision(q)
-
-
-def test_limits_and_names_are_those_of_the_robot(robot, collision):
-    assert set(collision.joint_names) == {joint.name for joint in robot.movable_joints}
-    for name, lower, upper in zip(collision.joint_names, collision.lower_rad, collision.upper_rad, strict=True):
-        assert (lower, upper) == (robot.joints[name].lower, robot.joints[name].upper)
+def test_named_states_touch_nothing(robot, collision):
+    for name, positions_rad in robot.named_states["arm"].items():
+        for jaw_rad in JAW_POSITIONS_RAD:
+            assert not collision.in_collision(state(collision, **positions_rad, gripper=jaw_rad)), name
 
 
 def test_colliding_pairs_name_the_links_deepest_first(collision):
@@ -167,14 +164,9 @@ def test_no_verdict_depends_on_what_was_asked_before(robot, collision):
     # The search for a common point starts from hints that earlier questions left behind.
     rng = np.random.default_rng(3)
     other = CollisionModel(replace(robot, parts={}))
-    for q, asked_before in rng.uniform(collision.lower_rad, collision.upper_rad, (in_proportion(20_000), 2, 6)):
+    for q, asked_before in rng.uniform(collision.lower_rad, collision.upper_rad, (in_proportion(8_000), 2, 6)):
         other.colliding_pairs(asked_before)
         assert bool(collision.colliding_pairs(q)) == bool(other.colliding_pairs(q))
-
-
-def test_both_ways_to_ask_for_collisions_agree(collision, random_states):
-    for q in random_states:
-        assert collision.in_collision(q) == bool(collision.colliding_pairs(q))
 
 
 def test_an_allowed_contact_is_none_until_it_gets_deeper(collision):
@@ -183,27 +175,16 @@ def test_an_allowed_contact_is_none_until_it_gets_deeper(collision):
     assert not collision.in_collision(q, allowed)
     shallower = {links: depth_m - 2.0 * DEPTH_ACCURACY_M for links, depth_m in allowed.items()}
     assert collision.in_collision(q, shallower)
-
-
-def test_a_contact_that_is_not_allowed_counts_beside_allowed_ones(collision):
-    q = state(collision, **FOLDED_TOO_FAR)
-    first, *others = collision.colliding_pairs(q)
+    # One that is not allowed counts beside those that are.
+    first, *others = allowed
     assert others
-    assert collision.in_collision(q, {first.links: 1.0})
-
-
-def test_links_of_a_pair_have_no_order():
-    assert CollidingPair("a", "b", 0.0).links == CollidingPair("b", "a", 0.0).links
+    assert collision.in_collision(q, {first: 1.0})
 
 
 def test_tip_of_the_stretched_arm_is_where_it_was_measured(collision):
     # Figures of the official description at all joints zero.
     tip_m = collision.tip_positions([np.zeros(6)], "gripper_frame_link")[0]
     np.testing.assert_allclose(tip_m, (0.391, 0.0, 0.226), atol=1e-3)
-
-
-def test_links_that_do_not_move_stay(collision, random_states):
-    np.testing.assert_array_equal(collision.tip_positions(random_states[:5], "base_link"), np.zeros((5, 3)))
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
@@ -222,13 +203,6 @@ def test_every_object_can_be_taken_away_again(changing, random_states):
     assert [changing.in_collision(q) for q in random_states] != before
     changing.set_scene(scene())
     assert [changing.in_collision(q) for q in random_states] == before
-
-
-def test_a_refused_scene_leaves_the_one_before(changing):
-    changing.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.35, 0.0, 0.2)))
-    refusal = changing.set_scene(scene(thing(Sphere(-1.0))))
-    assert refusal.code == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
-    assert changing.in_collision(np.zeros(6))
 
 
 def test_a_table_in_the_plane_of_the_base_is_no_contact_with_the_base(changing):

@@ -36,7 +36,7 @@ def test_the_last_point_of_a_curve_is_checked(joint_space):
     assert not joint_space.curve_free(np.array([HOME, READY, folded]), step_m=10.0)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_nothing_touches_within_a_range_that_is_free(robot, arm, seed):
     collision = CollisionModel(robot)
     collision.set_scene(around_the_arm(seed))
@@ -67,12 +67,6 @@ def test_threats_to_a_wide_range_include_those_to_a_narrow_one_in_it(robot, arm)
         assert space.touches_any(within, around[0]) == (not space.free(within))
 
 
-def test_a_condition_holds_in_every_free_point(collision, arm):
-    space = JointSpace(collision, arm, np.zeros(6), holds=lambda q: q[0] < 0.5)
-    assert space.free(HOME)
-    assert not space.free(HOME + np.array([0.6, 0.0, 0.0, 0.0, 0.0]))
-
-
 def test_a_condition_is_asked_all_along_a_line(collision, arm):
     asked = []
     space = JointSpace(collision, arm, np.zeros(6), holds=lambda q: asked.append(q[0]) is None)
@@ -84,6 +78,8 @@ def test_a_condition_is_asked_all_along_a_line(collision, arm):
 def test_a_line_that_leaves_its_condition_on_the_way_is_not_free(collision, arm):
     space = JointSpace(collision, arm, np.zeros(6), holds=lambda q: not 0.4 < q[0] < 0.45)
     line = HOME, HOME + np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+    assert [space.free(point) for point in line] == [True, True]
+    assert not space.free(0.42 * line[1])
     assert not space.line_free(*line)
     assert not space.curve_free(np.array(line))
 

@@ -70,16 +70,3 @@ def test_many_placements_are_those_one_by_one(robot, collision):
         forward.place(q)
         np.testing.assert_array_equal(placements.rotations[i], forward.placement("gripper_link").rotation)
         np.testing.assert_array_equal(placements.positions_m[i], forward.placement("gripper_link").translation)
-
-
-def test_jacobian_is_the_derivative_of_the_position(robot, collision):
-    forward = ForwardKinematics(robot, collision.joint_names)
-    q, step = np.array([0.3, -0.4, 0.5, 0.2, -0.6, 0.1]), 1e-6
-    jacobian = forward.jacobian(q, "gripper_frame_link")
-    for joint in range(6):
-        moved = q + step * np.eye(6)[joint]
-        difference_m = (
-            collision.tip_positions([moved], "gripper_frame_link")[0]
-            - collision.tip_positions([q], "gripper_frame_link")[0]
-        )
-        np.testing.assert_allclose(jacobian[:3, joint], difference_m / step, atol=1e-5)

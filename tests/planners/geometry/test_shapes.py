@@ -23,26 +23,14 @@ from planners.geometry.shapes import (
     solid,
     urdf_shapes,
 )
-from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Sphere
+from planners.scene import Plane, Pose
 from robot.description import model
 from tests.helpers import robots
 from tests.helpers.resources import examples
+from tests.planners.scenes import outside_m
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
 CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
-
-
-def outside_m(hull, points):
-    """Return the distance of the farthest of the points from a hull."""
-    corners = np.asarray(hull.points())
-    triangles = [hull.polygons(i) for i in range(hull.num_polygons)]
-    a, b, c = (corners[[triangle[k] for triangle in triangles]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1)
-    normals, a = normals[lengths > 1e-12] / lengths[lengths > 1e-12, None], a[lengths > 1e-12]
-    heights = (normals * a).sum(axis=1)
-    inwards = np.sign(heights - normals @ corners.mean(axis=0))
-    return np.max((points @ normals.T - heights) * inwards)
 
 
 def test_few_corners_stay_as_they_are():
@@ -57,7 +45,7 @@ def test_many_points_are_enclosed_by_few_corners(seed, size_m):
     points = 0.3 + np.array(size_m) * points / np.linalg.norm(points, axis=1)[:, None]
     hull = enclosing(points)
     assert len(hull.points()) <= MAX_CORNERS
-    assert outside_m(hull, points) < 1e-9
+    assert outside_m(hull, points).max() < 1e-9
     assert hull.computeVolume() < 1.2 * convex(points).computeVolume()
 
 
@@ -65,7 +53,7 @@ def test_many_points_are_enclosed_by_few_corners(seed, size_m):
 def test_flat_points_get_a_thin_plate(flat):
     points = CUBE * flat
     hull = convex(points)
-    assert outside_m(hull, points) < 0.0
+    assert outside_m(hull, points).max() < 0.0
     assert np.max(np.ptp(hull.points(), axis=0) - np.ptp(points, axis=0)) <= 2.0 * PLATE_M + 1e-12
 
 
@@ -74,7 +62,7 @@ def test_a_corner_with_hundreds_of_neighbours_is_enclosed():
     cone = np.vstack((np.stack((np.cos(angles), np.sin(angles), 0.0 * angles), axis=1), [(0.0, 0.0, 1.0)]))
     with pytest.raises(RuntimeError, match="Too many neighbors"):
         convex(cone)
-    assert outside_m(enclosing(cone), cone) < 1e-9
+    assert outside_m(enclosing(cone), cone).max() < 1e-9
 
 
 def shapes_of(arm):
@@ -155,25 +143,6 @@ def test_official_description_collides_only_where_the_hulls_do(shared_data, coll
 def _tetrahedron_stl():
     corners = [(0, 0, 0), (0.3, 0, 0), (0, 0.02, 0), (0, 0, 0.02)]
     return stl([[corners[i] for i in face] for face in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))])
-
-
-CORNERS = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
-FACES = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], dtype=np.int32)
-
-SHAPES = [
-    Box((0.1, 0.1, 0.1)),
-    Sphere(0.1),
-    Cylinder(0.1, 0.2),
-    Cone(0.1, 0.2),
-    Plane((0.0, 0.0, 1.0), 0.0),
-    Mesh(CORNERS, FACES),
-]
-
-
-@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
-def test_every_shape_becomes_one_of_coal(shape):
-    geometry, _ = solid(shape, 1.0)
-    assert isinstance(geometry, coal.CollisionGeometry)
 
 
 def test_quaternions_are_brought_to_length_one():

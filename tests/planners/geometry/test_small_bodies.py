@@ -17,7 +17,7 @@ from tests.helpers.meshes import ball
 from tests.helpers.resources import in_proportion
 from tests.planners.scenes import scene, thing
 
-RADII_M = (0.001, 0.002, 0.004, 0.006)
+RADII_M = (0.001, 0.006)
 
 # A point counts as in the material beyond this winding number, and as outside below the other: screw holes and the
 # gaps between the triangles of the published meshes are in between.
@@ -45,9 +45,16 @@ def drawn(pieces: surfaces.Pieces, random: np.random.Generator) -> np.ndarray:
     return random.uniform(pieces.lower_m.min(axis=0), pieces.upper_m.max(axis=0))
 
 
-def winding_numbers(links, point_m: np.ndarray) -> list[float]:
-    """How often the surface of each link winds around a point of the arm's frame [m]."""
-    return [abs(pieces.winding_number(place.actInv(point_m))) for pieces, place in links.values()]
+def winding_number(links, point_m: np.ndarray) -> float:
+    """How often the surface of a link winds around a point of the arm's frame [m], at most."""
+    here = [(pieces, place.actInv(point_m)) for pieces, place in links.values()]
+    # Beside its box a surface winds around nothing.
+    return max((abs(pieces.winding_number(at)) for pieces, at in here if in_box(pieces, at)), default=0.0)
+
+
+def in_box(pieces: surfaces.Pieces, point_m: np.ndarray) -> bool:
+    """Whether a point is in the box around a surface [m]."""
+    return bool(np.all((point_m > pieces.lower_m.min(axis=0)) & (point_m < pieces.upper_m.max(axis=0))))
 
 
 @pytest.mark.parametrize("radius_m", RADII_M)
@@ -70,15 +77,14 @@ def test_a_sphere_outside_of_every_link_is_free_by_the_surfaces(collision, links
     q, found = np.zeros(len(collision.joint_names)), 0
     # Steps that leave no gap between the directions for a link's edge.
     directions = np.vstack([ball(1.0, 12)[0], np.zeros((1, 3))])
-    while found < in_proportion(40):
+    while found < in_proportion(20):
         pieces, place = list(links.values())[random.integers(len(links))]
         point_m = place.act(drawn(pieces, random))
         around_m = point_m + (radius_m + 0.002) * directions
         clear_m = min(
             np.linalg.norm(each._vertices_m - at.actInv(point_m), axis=1).min() for each, at in links.values()
         )
-        outside = all(max(winding_numbers(links, near_m)) < OUTSIDE for near_m in around_m)
-        if outside and clear_m > radius_m + 0.004:
+        if clear_m > radius_m + 0.004 and all(winding_number(links, near_m) < OUTSIDE for near_m in around_m):
             found += 1
             collision.set_scene(scene(thing(Sphere(radius_m), *point_m.tolist())))
             touched = [pair for pair in collision.colliding_pairs(q) if "base_link" not in (pair.first, pair.second)]

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from planners.geometry.kinematics import Placements
 from planners.goals import (
     AxisGoal,
-    ConstraintGoal,
     Constraints,
     JointConstraint,
     OrientationConstraint,
@@ -189,12 +188,6 @@ def test_a_pose_of_a_configuration_holds_there_and_not_elsewhere(forward, joints
     assert wanted.deviation(turned).orientation_rad == pytest.approx(0.1, abs=1e-6)
 
 
-def test_orientation_is_only_preferred_unless_the_pose_is_strict(joints):
-    goal = PoseGoal(TIP, Pose((0.3, 0.0, 0.2)), 0.01, (0.05, 0.05, 0.05))
-    assert [type(c) for c in goal_conditions(goal, joints).preferred] == [TurnCondition]
-    assert len(goal_conditions(goal, joints).required) == 1
-
-
 def test_goal_of_a_point_is_measured_at_its_offset(forward, joints):
     forward.place(HOME)
     placement = forward.placement(TIP)
@@ -249,12 +242,3 @@ def test_violations_name_what_and_by_how_much(condition_set):
 def test_weight_that_nobody_set_counts_as_one(joints):
     constraint = JointConstraint("elbow_flex", 0.0, 0.1, 0.1, weight=0.0)
     assert conditions(Constraints(joints=(constraint,)), joints)[0].weight == 1.0
-
-
-def test_goal_of_constraints_demands_them_all(joints):
-    constraints = Constraints(
-        joints=(JointConstraint("elbow_flex", 0.5, 0.1, 0.1),),
-        positions=(PositionConstraint(TIP, Pose((0.3, 0.0, 0.2)), half_size_m=(0.1, 0.1, 0.1)),),
-        orientations=(OrientationConstraint(TIP, (0.0, 0.0, 0.0, 1.0), (0.1, 0.1, 0.1)),),
-    )
-    assert len(goal_conditions(ConstraintGoal(constraints), joints).required) == 3

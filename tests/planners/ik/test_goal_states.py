@@ -93,20 +93,6 @@ def test_a_row_of_descents_is_as_patient_as_it_is_told(results):
     assert hopeless.enough(wanted=6)
 
 
-def test_nearest_is_free_even_if_one_in_contact_is_nearer(results):
-    found = results(FOLDED, tolerance_m=0.001)
-    found.add(FOLDED)
-    found.add(HOME)
-    assert found.result(no_time).nearest_q is HOME
-
-
-def test_contacts_count_only_where_they_are_minded(goal_states, collision, joints):
-    goal = PositionGoal(TIP, tuple(collision.tip_positions([FOLDED], TIP)[0]), 0.1)
-    found = DescentResults(goal_states.forward, None, goal_conditions(goal, joints))
-    found.add(FOLDED)
-    assert len(found.result(no_time).solutions) == 1
-
-
 def test_patience_ends_sooner_once_there_is_a_solution(results):
     found, hopeless = results(HOME), results(HOME + 0.5, tolerance_m=0.001)
     found.add(HOME)
@@ -123,20 +109,11 @@ def test_patience_ends_sooner_once_there_is_a_solution(results):
 
 def test_of_preferences_only_the_best_met_stay(goal_states, collision, joints):
     forward = goal_states.forward
-    forward.place(HOME)
-    position_m = tuple(collision.tip_positions([HOME], TIP)[0])
-    rotation = forward.placement(TIP).rotation
-    goal = PoseGoal(TIP, Pose(position_m, tuple(_quaternion(rotation))), 0.05, (0.02, 0.02, 0.02))
+    goal = PoseGoal(TIP, pose_of(forward, HOME), 0.05, (0.02, 0.02, 0.02))
     found = DescentResults(forward, collision, goal_conditions(goal, joints))
     found.add(HOME + 0.5 * ROLL)
     found.add(HOME)
     assert [q is HOME for q in found.result(no_time).solutions] == [True]
-
-
-def _quaternion(rotation):
-    w = 0.5 * np.sqrt(1.0 + np.trace(rotation))
-    skew = rotation - rotation.T
-    return *(np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / (4.0 * w)), w
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +123,7 @@ def search(robot, collision):
 
 @pytest.fixture(scope="module")
 def free_states(collision):
-    states = np.random.default_rng(5).uniform(collision.lower_rad, collision.upper_rad, (80, 6))
+    states = np.random.default_rng(5).uniform(collision.lower_rad, collision.upper_rad, (24, 6))
     states[:, collision.joint_names.index("gripper")] = 0.0
     return [q for q in states if not collision.in_collision(q)]
 
@@ -300,27 +277,10 @@ def test_a_point_out_of_reach_comes_with_the_configuration_that_has_the_nearest_
     np.testing.assert_allclose(collision.tip_positions([q], TIP)[0], failure.details["nearest_m"], atol=1e-3)
 
 
-def test_a_reachable_strict_pose_is_reached(find, goal_states):
-    q = np.array([0.4, -0.3, 0.6, 0.5, 0.2, 0.0])
-    goal = PoseGoal(TIP, pose_of(goal_states.forward, q), 0.001, (0.01, 0.01, 0.01), strict=True)
-    assert all(state.deviation.orientation_rad < 0.018 for state in find(goal))
-
-
-def test_axis_goal_says_how_far_off_the_axis_is(find):
-    failure = find(AxisGoal(TIP, (0.4, 0.0, 0.3), 0.001, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.05))
-    assert failure.code is MoveItErrorCode.NO_IK_SOLUTION
-    assert "°" in failure.message
-
-
 def test_alternatives_are_sorted_by_time_and_told_apart(find):
     states = find(AnyOf((PositionGoal(TIP, (0.0, 0.3, 0.2), 0.001), JointGoal({"wrist_roll": 0.2}))))
     assert states[0].alternative == 1
     assert {state.alternative for state in states} == {0, 1}
-
-
-def test_alternative_that_cannot_be_had_is_left_out(find):
-    states = find(AnyOf((PositionGoal(TIP, (2.0, 0.0, 0.2), 0.001), JointGoal({"wrist_roll": 0.2}))))
-    assert [state.alternative for state in states] == [1]
 
 
 def test_alternatives_of_which_none_can_be_had_are_refused_together(find):
@@ -382,8 +342,3 @@ def test_object_in_the_goal_is_named(robot, arm):
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
     assert "mug" in failure.message
     assert "mug" in {pair[side] for pair in failure.details["pairs"] for side in ("first", "second")}
-
-
-def test_stopped_search_is_preempted(find):
-    failure = find(PositionGoal(TIP, (0.0, 0.0, 2.0), 0.01), should_stop=lambda: True)
-    assert failure.code is MoveItErrorCode.PREEMPTED

@@ -79,11 +79,6 @@ def test_a_search_that_is_stopped_checks_nothing():
     assert asked.space.checks == 0
 
 
-def test_the_same_draws_give_the_same_path():
-    first, again = (found(query(Walled(0.3, 0.9), RIGHT), seed=4) for _ in range(2))
-    np.testing.assert_array_equal(first, again)
-
-
 def test_a_path_of_the_arm_ends_at_a_goal_and_is_free_at_its_points(joint_space):
     start, goal = (np.array(point) for point in BLOCKED_LINES[1])
     asked = Query(CountedSpace(joint_space), start, [goal], 0.08)

@@ -28,6 +28,7 @@ class SteeredArm:
         robot: the arm.
         start_rad: where it stands; joints not named are at 0 [rad].
         limits: how it is steered.
+        period_s: time between two answers, a multiple of two ticks [s].
     """
 
     def __init__(
@@ -36,9 +37,11 @@ class SteeredArm:
         robot: RobotModel,
         start_rad: Mapping[str, float] = READY,
         limits: ServoLimits | None = None,
+        period_s: float = PERIOD_S,
     ) -> None:
         self._planner = planner
         self._limits = limits or ServoLimits()
+        self._period_s = period_s
         self._names = robot.groups["arm"].joints
         self._others = {joint.name: 0.0 for joint in robot.movable_joints} | dict(start_rad)
         self._forward = ForwardKinematics(robot, list(self._others))
@@ -66,12 +69,12 @@ class SteeredArm:
 
     def steer(self, command: ServoCommand | Callable[[float], ServoCommand], seconds: float) -> ServoAnswer:
         """Steer for a while; returns the last answer."""
-        for step in range(round(seconds / PERIOD_S)):
-            wanted = command(step * PERIOD_S) if callable(command) else command
+        for step in range(round(seconds / self._period_s)):
+            wanted = command(step * self._period_s) if callable(command) else command
             ahead = self.tracking.position_rad + LEAD_S * self.tracking.velocity_rad_s
             positions_rad = self._others | dict(zip(self._names, ahead.tolist(), strict=True))
             question = ServoQuestion(
-                "arm", TIP, positions_rad, self._velocity, PERIOD_S, wanted, self._anchor, self._limits
+                "arm", TIP, positions_rad, self._velocity, self._period_s, wanted, self._anchor, self._limits
             )
             answer = self._planner.answer(question)
             assert isinstance(answer, ServoAnswer), answer
@@ -80,7 +83,8 @@ class SteeredArm:
             # The answer reaches the arm a tick later.
             self.tracking.advance(TICK_S)
             self.tracking.set_target(np.array([answer.velocity_rad_s[name] for name in self._names]))
-            self.tracking.advance(TICK_S)
-            self.tips_m.append(self.tip_m)
-            self.joints_rad.append(self.tracking.position_rad)
+            for _ in range(round(self._period_s / TICK_S) - 1):
+                self.tracking.advance(TICK_S)
+                self.tips_m.append(self.tip_m)
+                self.joints_rad.append(self.tracking.position_rad)
         return self.answers[-1]

@@ -19,7 +19,7 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from tests.helpers.resources import make_pair
 from tests.helpers.robots import so101
 from tests.helpers.server import free_port
-from tests.planners.files.dask_cluster import DaskCluster
+from tests.processes.planners.dask_cluster import DaskCluster
 
 distributed = pytest.importorskip("distributed", reason="the extra [dask] is not installed")
 

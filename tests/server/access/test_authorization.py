@@ -1,12 +1,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from hashlib import sha512
 from typing import Any
 
 import pytest
 
-from protocol.operations import Auth, CallService, Operation, Publish, SendActionGoal, parse
+from protocol.operations import Auth, CallService, Publish, SendActionGoal, parse
 from protocol.registry import Registry
 from server.access import authorization
 from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
@@ -79,6 +78,7 @@ NEEDS = [
     (Role.VIEW, "call_service", {"service": "/armbridge/goal_record"}),
     (Role.VIEW, "call_service", {"service": "/arm/stop"}),
     (Role.VIEW, "call_service", {"service": "arm/emergency_stop"}),
+    (Role.VIEW, "call_service", {"service": "/servo_node/stop_servo"}),
     (Role.VIEW, "call_service", {"service": "/move_action/_action/cancel_goal"}),
     (Role.VIEW, "publish", {"topic": "/stop"}),
     (Role.VIEW, "publish", {"topic": "stop"}),
@@ -245,13 +245,6 @@ class TestControl:
         action = {"action": "/execute_trajectory", "action_type": "moveit_msgs/action/ExecuteTrajectory", "args": args}
         assert asked(world.authorizer(name="second"), "send_action_goal", **action) is not None
 
-    def test_a_client_that_leaves_frees_it(self) -> None:
-        world = World()
-        first, second = world.authorizer(name="first"), world.authorizer(name="second")
-        asked(first, "publish", **GOAL)
-        first.leave()
-        assert asked(second, "publish", **GOAL) is None
-
     def test_a_refused_operation_takes_no_control(self) -> None:
         world = World(topics_glob=["/joint_states"])
         asked(world.authorizer(), "publish", **GOAL)
@@ -345,21 +338,6 @@ def access_of(**settings: Any) -> Access:
     return Access(AccessSettings.model_validate(values), lambda: 0.0, lambda: 1000.0)
 
 
-def test_a_client_is_known_by_its_token() -> None:
-    assert access_of().identify(Auth(token=TOKEN)) == Identity("otto", Role.OPERATE)
-
-
-def test_a_wrong_token_is_nobodys_and_not_repeated() -> None:
-    refusal = access_of().identify(Auth(token="guess"))
-    assert str(refusal).startswith("field token: it is none of the tokens here; a one-time token")
-
-
-def test_a_client_is_known_by_a_proof_as_clients_of_rosauth_make_it() -> None:
-    mac = sha512(f"{TOKEN}clientdestrand1000user2000".encode()).hexdigest()
-    shown = Auth(mac=mac, client="client", dest="dest", rand="rand", t=1000, level="user", end=2000)
-    assert access_of().identify(shown) == Identity("otto", Role.OPERATE)
-
-
 def test_an_auth_without_a_token_names_the_missing_field() -> None:
     assert "wanted the field token" in str(access_of().identify(Auth()))
 
@@ -403,45 +381,29 @@ async def test_every_topic_that_the_server_listens_to_has_a_rule(client: ArmClie
     ] == []
 
 
-@pytest.mark.parametrize(
-    "name", ["/arm/stop", "/arm/emergency_stop", "/servo_node/stop_servo", "/move_action/_action/cancel_goal"]
+STOPPING_TOPICS = (
+    "/stop",
+    "/emergency_stop",
+    "/trajectory_execution_event",
+    "/moveit_goal_cancel",
+    "/move_group/cancel",
+    "/arm_controller/follow_joint_trajectory/cancel",
 )
-def test_services_that_stop_the_arm_are_open_to_viewers(name: str) -> None:
-    assert authorization.rule_of_service(name).stops
-    assert authorization.rule_of_service(name).role is Role.VIEW
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "/stop",
-        "/emergency_stop",
-        "/trajectory_execution_event",
-        "/moveit_goal_cancel",
-        "/move_group/cancel",
-        "/arm_controller/follow_joint_trajectory/cancel",
-    ],
+MOVING_TOPICS = (
+    "/moveit_goal_named",
+    "/move_group/goal",
+    "/gripper_controller/gripper_cmd/goal",
+    "/arm_controller/joint_trajectory",
+    "/arm_controller/follow_joint_trajectory/goal",
+    "/servo_node/delta_twist_cmds",
+    "/arm/speed_factor",
 )
-def test_topics_that_stop_the_arm_are_open_to_viewers(name: str) -> None:
-    assert authorization.rule_of_topic(name).stops
-    assert authorization.rule_of_topic(name).role is Role.VIEW
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "/moveit_goal_named",
-        "/move_group/goal",
-        "/gripper_controller/gripper_cmd/goal",
-        "/arm_controller/joint_trajectory",
-        "/arm_controller/follow_joint_trajectory/goal",
-        "/servo_node/delta_twist_cmds",
-        "/arm/speed_factor",
-    ],
-)
-def test_topics_that_move_the_arm_drive(name: str) -> None:
-    assert authorization.rule_of_topic(name).drives
-    assert authorization.rule_of_topic(name).role is Role.OPERATE
+def test_topics_that_stop_the_arm_are_open_to_viewers_and_those_that_move_it_need_control() -> None:
+    rules = {name: authorization.rule_of_topic(name) for name in STOPPING_TOPICS + MOVING_TOPICS}
+    assert {name for name, rule in rules.items() if rule.stops and rule.role is Role.VIEW} == set(STOPPING_TOPICS)
+    assert {name for name, rule in rules.items() if rule.drives and rule.role is Role.OPERATE} == set(MOVING_TOPICS)
 
 
 @pytest.mark.parametrize("name", ["/arm/set_speed_limit", "/left/arm/set_speed_limit"])
@@ -461,39 +423,35 @@ def test_services_of_clients_need_the_role_operate_and_no_control() -> None:
         assert not rule.drives
 
 
-@pytest.mark.parametrize("name", ["//stop", "/stop/", "/Stop", "/x/stop", "/mine/cancel", "/emergency_stop "])
-def test_names_that_look_like_a_stop_are_none(name: str) -> None:
-    assert not authorization.rule_of_topic(name).stops
+def test_names_that_look_like_a_stop_are_none() -> None:
+    for name in ("//stop", "/stop/", "/Stop", "/x/stop", "/mine/cancel", "/emergency_stop "):
+        assert not authorization.rule_of_topic(name).stops, name
+
+
+IN_OPTIONS, IN_CALL = authorization.PLANNING_GOAL, authorization.CALLED_GOAL
 
 
 @pytest.mark.parametrize(
-    ("goal", "planned_only"),
+    ("rule", "goal", "planned_only"),
     [
-        ({"planning_options": {"plan_only": True}}, True),
-        ({"planning_options": {"plan_only": 1}}, False),
-        ({"planning_options": {"plan_only": False}}, False),
-        ({"planning_options": [True]}, False),
-        ({"plan_only": True}, False),
-        ([{}, {"plan_only": True}], False),
-        (None, False),
+        (IN_OPTIONS, {"planning_options": {"plan_only": True}}, True),
+        (IN_OPTIONS, {"planning_options": {"plan_only": 1}}, False),
+        (IN_OPTIONS, {"planning_options": {"plan_only": False}}, False),
+        (IN_OPTIONS, {"planning_options": [True]}, False),
+        (IN_OPTIONS, {"plan_only": True}, False),
+        (IN_OPTIONS, [{}, {"plan_only": True}], False),
+        (IN_OPTIONS, None, False),
+        (IN_CALL, {"plan_only": True}, True),
+        (IN_CALL, {"plan_only": 1}, False),
+        (IN_CALL, {"planning_options": {"plan_only": True}}, False),
+        (IN_CALL, ["home", {}, {}, "", 0.0, 0.0, True], False),
+        (IN_CALL, None, False),
     ],
 )
-def test_a_goal_that_only_asks_for_a_plan_says_so_in_its_options(goal: object, planned_only: bool) -> None:
-    assert authorization.plans_only(authorization.PLANNING_GOAL, goal) is planned_only
-
-
-@pytest.mark.parametrize(
-    ("goal", "planned_only"),
-    [
-        ({"plan_only": True}, True),
-        ({"plan_only": 1}, False),
-        ({"planning_options": {"plan_only": True}}, False),
-        (["home", {}, {}, "", 0.0, 0.0, True], False),
-        (None, False),
-    ],
-)
-def test_a_goal_of_one_call_says_so_itself(goal: object, planned_only: bool) -> None:
-    assert authorization.plans_only(authorization.CALLED_GOAL, goal) is planned_only
+def test_a_goal_says_in_its_options_or_itself_that_it_only_asks_for_a_plan(
+    rule: authorization.Rule, goal: object, planned_only: bool
+) -> None:
+    assert authorization.plans_only(rule, goal) is planned_only
 
 
 def test_a_goal_that_moves_always_drives() -> None:
@@ -501,54 +459,39 @@ def test_a_goal_that_moves_always_drives() -> None:
     assert not authorization.plans_only(authorization.GOAL, True)
 
 
-@pytest.mark.parametrize(
-    "operation",
-    [
-        Publish(topic="/stop"),
-        Publish(topic="stop"),
-        Publish(topic="/emergency_stop"),
-        Publish(topic="/trajectory_execution_event", msg={"data": "stop"}),
-        CallService(service="/arm/stop#7"),
-        CallService(service="/arm/emergency_stop"),
-        CallService(service="/servo_node/stop_servo"),
-    ],
+AT_ONCE = (
+    Publish(topic="/stop"),
+    Publish(topic="stop"),
+    Publish(topic="/emergency_stop"),
+    Publish(topic="/trajectory_execution_event", msg={"data": "stop"}),
+    CallService(service="/arm/stop#7"),
+    CallService(service="/arm/emergency_stop"),
+    CallService(service="/servo_node/stop_servo"),
 )
-def test_what_stops_the_arm_goes_ahead_of_everything_that_waits(operation: Operation) -> None:
-    assert authorization.is_stop(operation)
-
-
-@pytest.mark.parametrize(
-    "operation",
-    [
-        Publish(topic="/trajectory_execution_event", msg={"data": "go"}),
-        Publish(topic="/trajectory_execution_event"),
-        Publish(topic="/moveit_goal_cancel"),
-        Publish(topic="/move_group/cancel"),
-        CallService(service="/move_action/_action/cancel_goal"),
-        CallService(service="/arm/pause"),
-        SendActionGoal(action="/stop", action_type="std_msgs/Empty"),
-    ],
+IN_TURN = (
+    Publish(topic="/trajectory_execution_event", msg={"data": "go"}),
+    Publish(topic="/trajectory_execution_event"),
+    Publish(topic="/moveit_goal_cancel"),
+    Publish(topic="/move_group/cancel"),
+    CallService(service="/move_action/_action/cancel_goal"),
+    CallService(service="/arm/pause"),
+    SendActionGoal(action="/stop", action_type="std_msgs/Empty"),
 )
-def test_what_ends_single_goals_waits_its_turn(operation: Operation) -> None:
-    assert not authorization.is_stop(operation)
 
 
-@pytest.mark.parametrize("name", ["/check_goals", "/compute_ik", "/plan_kinematic_path"])
-def test_services_that_plan_are_known(name: str) -> None:
-    assert authorization.rule_of_service(name).plans
-    assert not authorization.rule_of_service("/compute_fk").plans
+def test_what_stops_the_arm_goes_ahead_of_everything_that_waits_and_what_ends_single_goals_does_not() -> None:
+    assert [operation for operation in AT_ONCE + IN_TURN if authorization.is_stop(operation)] == list(AT_ONCE)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "/left_gripper_controller/gripper_action",
-        "/gripper_controller/gripper_cmd",
-        "/a_controller/follow_joint_trajectory",
-    ],
-)
-def test_actions_of_every_controller_drive(name: str) -> None:
-    assert authorization.rule_of_action(name).goal
+def test_services_that_plan_are_known() -> None:
+    planning = ["/check_goals", "/compute_ik", "/plan_kinematic_path"]
+    assert [name for name in (*planning, "/compute_fk") if authorization.rule_of_service(name).plans] == planning
+
+
+def test_actions_of_every_controller_drive() -> None:
+    actions = ("left_gripper_controller/gripper_action", "gripper_controller/gripper_cmd")
+    for name in (*actions, "a_controller/follow_joint_trajectory"):
+        assert authorization.rule_of_action(f"/{name}").goal, name
 
 
 ENABLE = {"service": "/arm/enable"}
@@ -584,11 +527,9 @@ class TestSeveralArms:
         a.leave()
         assert asked(b, "call_service", **ENABLE) is None
 
-    @pytest.mark.parametrize("service", ["/left/arm/stop", "/right/arm/emergency_stop"])
-    def test_a_viewer_may_stop_an_arm_by_its_name(self, world: World, service: str) -> None:
-        assert asked(world.authorizer(SCREEN), "call_service", service=service) is None
-
-    def test_a_viewer_may_not_move_an_arm_by_its_name(self, world: World) -> None:
+    def test_a_viewer_may_stop_an_arm_by_its_name_and_not_move_it(self, world: World) -> None:
+        for service in ("/left/arm/stop", "/right/arm/emergency_stop"):
+            assert asked(world.authorizer(SCREEN), "call_service", service=service) is None
         for fields in ({"topic": "/left/moveit_goal_named"}, {"topic": "/left/servo_node/delta_twist_cmds"}):
             assert "needs the role operate" in (asked(world.authorizer(SCREEN), "publish", **fields) or "")
 

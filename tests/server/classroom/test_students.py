@@ -16,21 +16,15 @@ TOKEN = "t" * 24
 HOST = "127.0.0.1"
 
 
-def test_ports_follow_the_first(tmp_path: Path) -> None:
+def test_ports_follow_the_first_and_free_ones_and_tokens_are_all_different(tmp_path: Path) -> None:
     assert [student.port for student in places(3, 9100, tmp_path, HOST)] == [9100, 9101, 9102]
-
-
-def test_free_ports_are_all_different(tmp_path: Path) -> None:
-    assert len({student.port for student in places(20, 0, tmp_path, HOST)}) == 20
+    students = places(20, 0, tmp_path, HOST)
+    assert len({student.port for student in students}) == len({student.token for student in students}) == 20
 
 
 def test_ports_that_do_not_exist_are_refused_with_the_last_that_does(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="65530 to 65539, there are none above 65535"):
         places(10, 65_530, tmp_path, HOST)
-
-
-def test_each_student_has_a_token_of_its_own(tmp_path: Path) -> None:
-    assert len({student.token for student in places(20, 9100, tmp_path, HOST)}) == 20
 
 
 def test_tokens_of_the_list_stay_and_new_students_get_new_ones(tmp_path: Path) -> None:
@@ -55,12 +49,11 @@ def test_the_list_has_a_line_for_each_with_name_address_and_token(tmp_path: Path
     assert stat.S_IMODE((tmp_path / LIST_FILE).stat().st_mode) == 0o600
 
 
-@pytest.mark.parametrize("text", ["", "name,url\nstudent01,ws://x\n", "name,url,token\nstudent01,ws://x,short\n"])
+@pytest.mark.parametrize("text", ["name,url\nstudent01,ws://x\n", "name,url,token\nstudent01,ws://x,short\n"])
 def test_a_file_that_is_no_such_list_is_refused_and_left_alone(tmp_path: Path, text: str) -> None:
+    (tmp_path / LIST_FILE).write_text("")
+    assert read_tokens(tmp_path / LIST_FILE) == {}
     (tmp_path / LIST_FILE).write_text(text)
-    if not text:
-        assert read_tokens(tmp_path / LIST_FILE) == {}
-        return
     with pytest.raises(StartError, match="is no list of students"):
         places(1, 9100, tmp_path, HOST)
     assert (tmp_path / LIST_FILE).read_text() == text
@@ -68,12 +61,10 @@ def test_a_file_that_is_no_such_list_is_refused_and_left_alone(tmp_path: Path, t
 
 def test_a_student_operates_the_own_arm_and_the_teacher_may_do_everything(tmp_path: Path) -> None:
     (student,) = places(1, 9100, tmp_path, HOST)
-    settings = student.settings(Settings(), TOKEN)
-    tokens = Tokens.from_settings(settings.access)
-    assert (found := tokens.identify(student.token)) is not None
-    assert (found.name, found.role) == ("student01", Role.OPERATE)
-    assert (found := tokens.identify(TOKEN)) is not None
-    assert (found.name, found.role) == (TEACHER, Role.ADMIN)
+    tokens = Tokens.from_settings(student.settings(Settings(), TOKEN).access)
+    found = [tokens.identify(token) for token in (student.token, TOKEN)]
+    told = [each and (each.name, each.role) for each in found]
+    assert told == [("student01", Role.OPERATE), (TEACHER, Role.ADMIN)]
     assert tokens.anonymous is None
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from robot.description import robot_folder
 from robot.emulator.servo_bus import BAUDRATE
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.interface import run_to_end
@@ -29,6 +30,16 @@ from tests.robot.conftest import (  # noqa: F401 - fixtures
     terminal,
     write_log,
 )
+
+
+@pytest.fixture(autouse=True, scope="session")
+def shapes_are_read_once() -> Iterator[None]:
+    """Every command reads its arm's description; most of the time goes into the shapes of the links."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("_hulls", "_parts"):
+            patch.setattr(robot_folder, name, functools.cache(getattr(robot_folder, name)))
+        yield
+
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

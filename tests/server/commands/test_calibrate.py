@@ -68,12 +68,17 @@ def held(bus, servo_id):
     return tuple(bus.read(servo_id, register) for register in registers)
 
 
+def calibrated(armbridge, deeds, file, *options):
+    """Calibrate into a file; returns the answer and the joints of the file."""
+    answer = armbridge("calibrate", str(file), *options, descriptor=deeds)
+    assert answer.returncode == ExitCode.DONE, answer.stderr
+    return answer, Calibration.load(file, SO101_SERVOS).joints
+
+
 def test_a_sweep_by_hand_becomes_a_file_and_leaves_the_servos_alone(armbridge, person, bus, tmp_path):
     before = held(bus, ELBOW)
     deeds = person([*MEASURED, "skip all"])
-    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--yes", descriptor=deeds)
-    assert answer.returncode == ExitCode.DONE, answer.stderr
-    elbow = Calibration.load(tmp_path / "arm.json", SO101_SERVOS).joints[2]
+    answer, (_, _, elbow, *_) = calibrated(armbridge, deeds, tmp_path / "arm.json", "--yes")
     assert (elbow.range_min, elbow.range_max) == STOPS[ELBOW]
     assert str(elbow.range_min) in answer.stdout
     assert held(bus, ELBOW) == before
@@ -83,30 +88,20 @@ def test_on_request_the_servos_get_what_the_file_says(armbridge, person, bus, tm
     # With another offset in the servo the same stops have other ticks.
     bus.write(ELBOW, Register.HOMING_OFFSET, -900)
     deeds = person([{**deed, ELBOW: deed[ELBOW] + 900} if isinstance(deed, dict) else deed for deed in MEASURED])
-    answer = armbridge(
-        "calibrate", str(tmp_path / "arm.json"), "--yes", "--write-servos", "--no-directions", descriptor=deeds
-    )
-    assert answer.returncode == ExitCode.DONE, answer.stderr
-    elbow = Calibration.load(tmp_path / "arm.json", SO101_SERVOS).joints[2]
+    options = "--yes", "--write-servos", "--no-directions"
+    _, (_, _, elbow, *_) = calibrated(armbridge, deeds, tmp_path / "arm.json", *options)
     assert elbow.homing_offset == pytest.approx(0, abs=1)
     assert held(bus, ELBOW) == (elbow.homing_offset, elbow.range_min, elbow.range_max)
 
 
-def test_a_mirrored_gripper_is_found_by_opening_it(armbridge, person, tmp_path):
-    # Its servo falls when it opens.
-    deeds = person([*MEASURED, *["skip"] * 5, {GRIPPER: MIDDLE - 400}, ""])
-    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--yes", descriptor=deeds)
-    assert answer.returncode == ExitCode.DONE, answer.stderr
+def test_mirrored_joints_are_found_by_moving_them_and_told_before_anything_is_written(armbridge, person, tmp_path):
+    # The gripper's servo falls when it opens.
+    shown = ["skip", "skip", {ELBOW: MIDDLE + 400}, "", "skip", "skip", {GRIPPER: MIDDLE - 400}, "", ""]
+    answer, joints = calibrated(armbridge, person(["", *MEASURED, *shown]), tmp_path / "arm.json")
+    assert "elbow_flex turned the other way than the model" in answer.stderr
     assert "Now open the gripper" in answer.stderr
     assert "gripper is mirrored" in answer.stderr
-    assert Calibration.load(tmp_path / "arm.json", SO101_SERVOS).joints[-1].drive_mode == 1
-
-
-def test_a_mirrored_joint_is_told_before_anything_is_written(armbridge, person, tmp_path):
-    deeds = person(["", *MEASURED, "skip", "skip", {ELBOW: MIDDLE + 400}, "", "skip all", ""])
-    answer = armbridge("calibrate", str(tmp_path / "arm.json"), descriptor=deeds)
-    assert answer.returncode == ExitCode.DONE, answer.stderr
-    assert "elbow_flex turned the other way than the model" in answer.stderr
+    assert joints[-1].drive_mode == 1
 
 
 def test_a_file_that_is_there_is_not_replaced(armbridge, tmp_path):
@@ -138,19 +133,13 @@ def test_an_arm_that_lacks_a_servo_is_not_calibrated(armbridge, emulator, tmp_pa
     assert "2 (shoulder_lift)" in answer.stderr
 
 
-def test_offsets_that_another_program_has_written_are_written_back(armbridge, bus, tmp_path):
+@pytest.mark.parametrize(("typed", "code"), [("y\n", ExitCode.DONE), ("n\n", ExitCode.FAILED)])
+def test_offsets_that_another_program_has_written_are_written_back_after_a_yes(armbridge, bus, tmp_path, typed, code):
     save(nominal_calibration(), tmp_path / "arm.json")
     calibrated = held(bus, ELBOW)
     bus.write(ELBOW, Register.HOMING_OFFSET, 200)
-    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--write-back", answers="y\n")
-    assert answer.returncode == ExitCode.DONE, answer.stderr
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--write-back", answers=typed)
+    assert answer.returncode == code, answer.stderr
     assert "HOMING_OFFSET" in answer.stderr
-    assert held(bus, ELBOW) == calibrated
-
-
-def test_nothing_is_written_back_without_a_yes(armbridge, bus, tmp_path):
-    save(nominal_calibration(), tmp_path / "arm.json")
-    bus.write(ELBOW, Register.HOMING_OFFSET, 200)
-    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--write-back", answers="n\n")
-    assert answer.returncode == ExitCode.FAILED
-    assert held(bus, ELBOW)[0] == 200
+    assert held(bus, ELBOW)[0] == (calibrated[0] if code is ExitCode.DONE else 200)
+    assert held(bus, ELBOW)[1:] == calibrated[1:]

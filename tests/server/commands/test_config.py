@@ -49,9 +49,6 @@ def test_the_table_has_a_line_a_setting(file, capsys):
     assert ["server.port", "2", "environment"] in rows
     assert ["arm.watchdog_s", "0.5", "s", "default"] in rows
     assert ["arm.serial", "-", "default"] in rows
-
-
-def test_the_template_is_printed(capsys):
     assert cli.main(["config", "--template"]) == ExitCode.DONE
     assert "[moveit.servo]" in capsys.readouterr().out
 

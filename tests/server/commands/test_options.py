@@ -36,12 +36,9 @@ def test_without_options_the_adapter_is_looked_for_and_no_calibration_read():
     assert read_calibration(options) is None
 
 
-def test_a_calibration_is_read_from_its_file(tmp_path):
+def test_a_calibration_is_read_from_its_file_and_one_of_unknown_id_is_refused(tmp_path):
     save(nominal_calibration(), tmp_path / "arm.json")
     assert read_calibration(parsed("--calibration", str(tmp_path / "arm.json"))) == nominal_calibration()
-
-
-def test_a_calibration_of_unknown_id_is_refused():
     with pytest.raises(CalibrationError):
         read_calibration(parsed("--calibration", "nobodys"))
 
@@ -76,43 +73,39 @@ def options(*arguments):
     return cli._parser().parse_args(["serve", *arguments])
 
 
-def test_options_override_settings_by_section_and_key():
-    assert overrides(options("--port", "0", "--serial", "auto", "--log-level", "error")) == {
-        "server": {"port": 0, "log_level": "error"},
-        "arm": {"serial": "auto"},
-    }
+OVERRIDES = {
+    "settings by section and key": (
+        ("--port", "0", "--serial", "auto", "--log-level", "error"),
+        {"server": {"port": 0, "log_level": "error"}, "arm": {"serial": "auto"}},
+    ),
+    "a recording": (
+        ("--record", "run.mcap", "--record-limit-mb", "200"),
+        {"recording": {"file": Path("run.mcap"), "limit_mb": 200}},
+    ),
+    "folders of interfaces one by one": (
+        ("--interfaces", "a_msgs", "--interfaces", "ws/src"),
+        {"server": {"interfaces": [Path("a_msgs"), Path("ws/src")]}},
+    ),
+    "an option counts more than an assignment": (
+        ("--set", "server.port=1", "--port", "2"),
+        {"server": {"port": 2}},
+    ),
+    "a table is assigned as TOML": (
+        ("--set", "arm.zero_offset_rad={elbow_flex=0.02}"),
+        {"arm": {"zero_offset_rad": {"elbow_flex": 0.02}}},
+    ),
+}
 
 
-def test_a_recording_has_options_of_its_own():
-    assert overrides(options("--record", "run.mcap", "--record-limit-mb", "200")) == {
-        "recording": {"file": Path("run.mcap"), "limit_mb": 200}
-    }
+@pytest.mark.parametrize(("arguments", "settings"), OVERRIDES.values(), ids=OVERRIDES.keys())
+def test_options_override_settings(arguments, settings):
+    assert overrides(options(*arguments)) == settings
 
 
-def test_folders_of_interfaces_may_be_given_one_by_one():
-    assert overrides(options("--interfaces", "a_msgs", "--interfaces", "ws/src")) == {
-        "server": {"interfaces": [Path("a_msgs"), Path("ws/src")]}
-    }
-
-
-def test_any_setting_can_be_assigned():
-    settings, _ = read_settings(options("--set", "moveit.servo.rate_hz=30", "--set", "goals.confirm = true"))
-    assert settings.moveit.servo.rate_hz == 30.0
-    assert settings.goals.confirm is True
-
-
-def test_a_table_is_assigned_as_toml():
-    settings, _ = read_settings(options("--set", "arm.zero_offset_rad={elbow_flex=0.02}"))
-    assert settings.arm.zero_offset_rad == {"elbow_flex": 0.02}
-
-
-def test_an_option_counts_more_than_an_assignment():
-    assert overrides(options("--set", "server.port=1", "--port", "2")) == {"server": {"port": 2}}
-
-
-def test_insecure_is_said_by_an_option():
-    settings, sources = read_settings(options("--insecure"))
-    assert settings.access.insecure is True
+def test_settings_have_what_the_options_say_and_know_it_from_the_command_line():
+    assigned = ("--set", "moveit.servo.rate_hz=30", "--set", "goals.confirm = true")
+    settings, sources = read_settings(options("--insecure", *assigned))
+    assert (settings.access.insecure, settings.moveit.servo.rate_hz, settings.goals.confirm) == (True, 30.0, True)
     assert sources["access.insecure"] == "command line"
     assert read_settings(options())[0].access.insecure is False
 

@@ -14,6 +14,8 @@ def test_a_sound_folder_is_shown_with_its_joints_and_servos(capsys: pytest.Captu
     printed = capsys.readouterr().out
     assert "elbow_flex     revolute  -1.690 .. 1.690  1.6       5             sts3215, id 3" in printed
     assert "tip gripper_frame_link" in printed
+    assert main(["robot", "check", "so102"]) == ExitCode.PROBLEMS
+    assert "'so102' is no folder" in capsys.readouterr().out
 
 
 def test_everything_that_is_wrong_with_a_folder_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -25,11 +27,6 @@ def test_everything_that_is_wrong_with_a_folder_is_printed(tmp_path: Path, capsy
         "gripper.joints: is missing",
         "gripper.closed: is missing",
     ]
-
-
-def test_an_arm_that_is_not_there_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["robot", "check", "so102"]) == ExitCode.PROBLEMS
-    assert "'so102' is no folder" in capsys.readouterr().out
 
 
 def test_the_built_in_arms_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import argparse
 import contextlib
 import re
 import subprocess
@@ -12,18 +11,12 @@ import pytest
 from robot.hardware.feetech.bus import Bus
 from server import cli
 from server.app import App
-from server.commands import serve
 from server.commands.terminal import ExitCode
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.server.recordings import record, text
 
-
-def test_an_id_that_lerobot_does_not_know_is_one_line_and_exit_2(capsys):
-    assert cli.main(["serve", "--calibration", "nobodys"]) == ExitCode.USAGE
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 USAGE = {
+    "unknown id": (["--calibration", "nobodys"], "nobodys"),
     "wrong setting": (["--port", "70000"], "server.port"),
     "urdf alone": (["--urdf", "a.urdf"], "urdf and srdf must be given together"),
     "missing configuration": (["--config", "/nowhere.toml"], "/nowhere.toml cannot be read"),
@@ -114,11 +107,6 @@ def test_problems_of_interface_files_are_told_together_with_exit_2(
     assert re.findall(r"Thing\.msg:(\d): '(int3\d)", capsys.readouterr().err) == [("1", "int33"), ("2", "int34")]
 
 
-def test_a_recording_is_played_to_its_end(tmp_path: Path) -> None:
-    path = record(tmp_path / "run.mcap", [text(0), text(1)])
-    assert cli.main(["replay", str(path), "--port", "0", "--rate", "100"]) == ExitCode.DONE
-
-
 def test_a_file_that_is_no_recording_is_one_line_and_exit_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "notes.txt").write_text("no recording")
     assert cli.main(["replay", str(tmp_path / "notes.txt"), "--port", "0"]) == ExitCode.FAILED
@@ -162,21 +150,14 @@ def test_an_option_out_of_range_is_named_with_its_limits(
     assert words in capsys.readouterr().err
 
 
-def parse(*arguments: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    serve.add_emulate_parser(parser.add_subparsers())
-    return parser.parse_args(["emulate", *arguments])
-
-
 def test_a_start_that_cannot_be_is_told_in_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    options = parse("--start=0,0")
-    assert options.run(options) == ExitCode.FAILED
+    assert cli.main(["emulate", "--start=0,0"]) == ExitCode.FAILED
     assert "armbridge: the start pose needs 6 positions, not 2" in capsys.readouterr().err
 
 
 def test_help_lists_options_and_live_commands(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        parse("--help")
+        cli.main(["emulate", "--help"])
     printed = capsys.readouterr().out
     assert "--lose-instruction" in printed
     assert '{"plugged": "renamed"}' in printed
@@ -184,19 +165,13 @@ def test_help_lists_options_and_live_commands(capsys: pytest.CaptureFixture[str]
 
 
 def test_it_prints_the_port_of_six_servos_and_runs_until_told_to_end(tmp_path: Path) -> None:
-    program = f"""
-import argparse
-from server.commands import serve
-parser = argparse.ArgumentParser()
-serve.add_emulate_parser(parser.add_subparsers())
-options = parser.parse_args(["emulate", "--link", {str(tmp_path / "arm")!r}])
-raise SystemExit(options.run(options))
-"""
-    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
+    link = tmp_path / "arm"
+    command = [sys.executable, "-m", "server.cli", "emulate", "--link", str(link)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            assert process.stdout.readline().strip() == str((tmp_path / "arm").readlink())
-            with contextlib.closing(Bus.open(str(tmp_path / "arm"))) as bus:
+            assert process.stdout.readline().strip() == str(link.readlink())
+            with contextlib.closing(Bus.open(str(link))) as bus:
                 assert [bus.ping(servo_id) for servo_id in range(1, 7)] == [777] * 6
             process.terminate()
             assert process.wait(30.0) == 0

@@ -107,11 +107,22 @@ def agree(_text: str) -> str:
     return "y\n"
 
 
+def refuse(_text: str) -> str:
+    return "n\n"
+
+
 @pytest.fixture
-def plug(kit):
+def asked() -> list[str]:
+    """The joints whose servos were asked for, in their order."""
+    return []
+
+
+@pytest.fixture
+def plug(kit, asked):
     """Plugs in the servo that is asked for, and no other, and presses Enter."""
 
     def plug(joint: str) -> str:
+        asked.append(joint)
         kit.plug(JOINTS.index(joint))
         return "\n"
 
@@ -137,17 +148,13 @@ def test_a_kit_out_of_the_box_becomes_an_arm(run_setup, kit, plug, tmp_path):
     assert str(backups(tmp_path)[0]) in person.heard[-1]
 
 
-def test_nothing_is_written_without_a_yes_and_what_was_left_is_said(run_setup, kit, plug, tmp_path):
-    before = [kit.held(place) for place in range(6)]
-    code, person = run_setup(plug=plug, confirm=lambda _text: "n\n")
+def test_nothing_is_written_without_a_yes_to_what_is_shown(run_setup, kit, plug, tmp_path):
+    before = kit.held(5)
+    code, person = run_setup("--joint", "gripper", plug=plug, confirm=refuse)
     assert code == ExitCode.PROBLEMS
-    assert [kit.held(place) for place in range(6)] == before
+    assert kit.held(5) == before
     assert "left as they are: gripper" in person.said
     assert backups(tmp_path) == []
-
-
-def test_what_is_to_be_written_is_shown_before_the_question(run_setup, kit, plug):
-    _, person = run_setup("--joint", "gripper", plug=plug, confirm=lambda _text: "n\n")
     shown = person.heard[person.heard.index(next(text for text in person.heard if "[y/N]" in text)) - 1]
     assert re.search(r"gripper +1 +RETURN_DELAY +250 +0\n", shown)
     assert re.search(r"gripper +1 +ID +1 +6$", shown)
@@ -166,9 +173,7 @@ def test_two_servos_plugged_in_are_refused_until_one_is_left(run_setup, kit):
     assert ids(kit) == [1, 1, 1, 1, 1, 6]
 
 
-def test_a_servo_left_plugged_in_does_not_become_the_next_one(run_setup, kit):
-    asked = []
-
+def test_a_servo_left_plugged_in_does_not_become_the_next_one(run_setup, kit, asked):
     def plug(joint: str) -> str:
         asked.append(joint)
         # The first time that the wrist is asked for, the gripper's is still there.
@@ -197,11 +202,10 @@ def test_ctrl_c_in_the_middle_is_said_and_the_next_run_goes_on(run_setup, kit, p
     assert ids(kit) == [1, 2, 3, 4, 5, 6]
 
 
-def test_servos_that_are_done_and_connected_are_not_asked_for_again(run_setup, kit):
+def test_servos_that_are_done_and_connected_are_not_asked_for_again(run_setup, kit, asked):
     for place, servo_id in ((4, 5), (5, 6)):
         set_registers(kit.servos[place], {Register.ID: servo_id, Register.RETURN_DELAY: 0})
     kit.plug(4, 5)
-    asked = []
 
     def chain(joint: str) -> str:
         asked.append(joint)
@@ -213,22 +217,17 @@ def test_servos_that_are_done_and_connected_are_not_asked_for_again(run_setup, k
     assert ids(kit) == [1, 2, 3, 4, 5, 6]
 
 
-def test_a_new_servo_that_is_connected_at_the_start_is_not_taken_for_the_last_one(run_setup, kit):
+def test_a_new_servo_that_is_connected_at_the_start_is_not_taken_for_the_last_one(run_setup, kit, plug, asked):
     for servo in kit.servos:
         set_registers(servo, {Register.RETURN_DELAY: 0})
     kit.plug(5)
-    asked = []
-
-    def plug(joint: str) -> str:
-        asked.append(joint)
-        kit.plug(JOINTS.index(joint))
-        return "\n"
-
     assert run_setup("--yes", plug=plug)[0] == ExitCode.DONE
     assert asked == JOINTS[::-1]
 
 
-def test_a_servo_unplugged_while_it_is_written_is_asked_for_again_and_finished(run_setup, kit, monkeypatch):
+def test_a_servo_unplugged_while_it_is_written_is_asked_for_again_and_finished(
+    run_setup, kit, plug, asked, monkeypatch
+):
     port = kit.emulator.port
     write_port, once = type(port).writePort, iter([True])
 
@@ -238,13 +237,6 @@ def test_a_servo_unplugged_while_it_is_written_is_asked_for_again_and_finished(r
         return write_port(port, packet)
 
     monkeypatch.setattr(port, "writePort", write_until_unlocked, raising=False)
-    asked = []
-
-    def plug(joint: str) -> str:
-        asked.append(joint)
-        kit.plug(5)
-        return "\n"
-
     code, person = run_setup("--joint", "gripper", "--yes", plug=plug)
     assert (code, asked) == (ExitCode.DONE, ["gripper", "gripper"])
     assert "gave no valid reply" in person.said
@@ -259,72 +251,55 @@ def arm_of(kit: Kit) -> None:
     kit.plug(*range(6))
 
 
-@pytest.mark.parametrize("options", [(), ("--registers",)])
-def test_of_an_arm_with_its_ids_only_the_settings_are_brought_into_order(run_setup, kit, options):
+def test_of_an_arm_with_its_ids_only_the_settings_are_brought_into_order(run_setup, kit):
     arm_of(kit)
-    code, person = run_setup(*options, confirm=agree)
+    code, person = run_setup(confirm=agree)
     assert code == ExitCode.DONE
     assert "6 of 6: gripper (id 6): written and read back RETURN_DELAY" in person.said
     assert all(kit.held(place).items() >= FINISHED.items() for place in range(6))
-    assert run_setup(*options)[0] == ExitCode.DONE
+    # Of an arm that has them there is nothing left to ask.
+    for options in ((), ("--registers",)):
+        assert run_setup(*options)[0] == ExitCode.DONE
 
 
-def test_an_arm_that_holds_is_lowered_before_it_is_written(run_setup, kit):
+def test_an_arm_that_holds_is_lowered_and_written_with_the_profile_that_was_asked_for(run_setup, kit):
     arm_of(kit)
     kit.servos[2].power_up(holding=True)
-    code, person = run_setup("--registers", "--yes")
+    code, person = run_setup("--registers", "--profile", "lerobot", "--yes")
     assert code == ExitCode.DONE
     assert person.heard.index("relaxing: support the arm ...") < person.heard.index("torque is off on all servos")
     assert kit.servos[2].value(Register.TORQUE_ENABLE) == 0
-
-
-def test_a_profile_is_written_on_request(run_setup, kit):
-    arm_of(kit)
-    assert run_setup("--registers", "--profile", "lerobot", "--yes")[0] == ExitCode.DONE
     assert [kit.held(place)[Register.P_GAIN] for place in range(6)] == [16] * 6
     assert [kit.held(place)[Register.OVERLOAD_TORQUE] for place in range(6)] == [80] * 5 + [25]
 
 
-def test_a_missing_servo_is_named_and_the_others_are_brought_into_order(run_setup, kit):
+def test_a_missing_servo_and_too_high_a_supply_are_named_and_the_others_brought_into_order(run_setup, kit):
     arm_of(kit)
     kit.plug(0, 1, 2, 3, 4)
-    code, person = run_setup("--registers", "--yes")
-    assert code == ExitCode.PROBLEMS
-    assert "no answer from servo 6 (gripper)" in person.said
-    assert [kit.held(place)[Register.RETURN_DELAY] for place in range(6)] == [0] * 5 + [250]
-
-
-def test_a_supply_that_is_too_high_is_said(run_setup, kit):
-    arm_of(kit)
     kit.emulator.command(supply=12.0)
     code, person = run_setup("--registers", "--yes")
     assert code == ExitCode.PROBLEMS
+    assert "no answer from servo 6 (gripper)" in person.said
     assert "12.0 V and is made for 4.0 to 8.0 V" in person.said
+    assert [kit.held(place)[Register.RETURN_DELAY] for place in range(6)] == [0] * 5 + [250]
 
 
-def test_a_restored_arm_has_its_settings_back_and_keeps_its_ids(run_setup, kit, plug, tmp_path):
-    before = [kit.held(place) for place in range(6)]
-    run_setup("--yes", plug=plug)
-    kit.plug(*range(6))
-    file = str(backups(tmp_path)[0])
-    code, person = run_setup("--restore", file, "--backup", str(tmp_path / "again.json"), confirm=agree)
-    assert code == ExitCode.DONE
-    assert ids(kit) == [1, 2, 3, 4, 5, 6]
-    assert [{**kit.held(place), Register.ID: 1} for place in range(6)] == before
+def test_a_restored_servo_has_its_settings_back_and_keeps_its_id_unless_it_is_alone(run_setup, kit, plug, tmp_path):
+    before = kit.held(5)
+    file = str(tmp_path / "before.json")
+    run_setup("--joint", "gripper", "--joint", "wrist_roll", "--yes", "--backup", file, plug=plug)
+    kit.plug(4, 5)
+    after, options = kit.held(5), ("--restore", file)
+    code, person = run_setup(*options, confirm=refuse)
+    assert (code, kit.held(5)) == (ExitCode.PROBLEMS, after)
+    assert re.search(r"gripper +6 +RETURN_DELAY +0 +250\n", person.said)
+    code, person = run_setup(*options, confirm=agree)
+    assert (code, ids(kit)[4:]) == (ExitCode.DONE, [5, 6])
+    assert {**kit.held(5), Register.ID: 1} == before
     assert "gripper) keeps its id" in person.said
     kit.plug(5)
-    code, _ = run_setup("--restore", file, "--backup", str(tmp_path / "more.json"), confirm=agree)
-    assert code == ExitCode.DONE
-    assert kit.held(5) == before[5]
-
-
-def test_a_restore_shows_what_differs_and_writes_nothing_without_a_yes(run_setup, kit, plug, tmp_path):
-    run_setup("--joint", "gripper", "--yes", plug=plug)
-    after = kit.held(5)
-    code, person = run_setup("--restore", str(backups(tmp_path)[0]), confirm=lambda _text: "n\n")
-    assert code == ExitCode.PROBLEMS
-    assert re.search(r"gripper +6 +RETURN_DELAY +0 +250\n", person.said)
-    assert kit.held(5) == after
+    assert run_setup(*options, "--backup", str(tmp_path / "more.json"), confirm=agree)[0] == ExitCode.DONE
+    assert kit.held(5) == before
 
 
 def test_a_backup_is_never_overwritten(run_setup, kit, plug, tmp_path):
@@ -361,23 +336,22 @@ def test_a_servo_of_an_unknown_model_is_refused_until_it_is_said_to_be_fine(run_
     assert run_setup("--joint", "gripper", "--yes", "--any-model", plug=plug)[0] == ExitCode.DONE
 
 
-def test_registers_of_an_arm_with_two_servos_of_one_id_are_left_alone(run_setup, kit):
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        (("--registers", "--yes"), ExitCode.FAILED, "several servos with the id 1"),
+        (("--robot", "koch_v1_1"), ExitCode.FAILED, "this command needs Feetech servos"),
+        (("--joint", "elbow"), ExitCode.USAGE, "elbow_flex"),
+    ],
+    ids=["two servos of one id", "Dynamixel servos", "no such joint"],
+)
+def test_an_arm_that_cannot_be_set_up_is_left_alone(run_setup, kit, options, code, words):
     kit.plug(4, 5)
-    code, person = run_setup("--registers", "--yes")
-    assert code == ExitCode.FAILED
-    assert "several servos with the id 1" in person.said
-
-
-def test_an_arm_with_dynamixel_servos_is_refused(run_setup):
-    code, person = run_setup("--robot", "koch_v1_1")
-    assert code == ExitCode.FAILED
-    assert "this command needs Feetech servos" in person.said
-
-
-def test_a_joint_that_the_arm_does_not_have_is_called_wrongly(run_setup):
-    code, person = run_setup("--joint", "elbow")
-    assert code == ExitCode.USAGE
-    assert "elbow_flex" in person.said
+    before = [kit.held(place) for place in range(6)]
+    done, person = run_setup(*options)
+    assert done == code
+    assert words in person.said
+    assert [kit.held(place) for place in range(6)] == before
 
 
 def test_questions_that_nobody_answers_end_the_command(armbridge, emulator):

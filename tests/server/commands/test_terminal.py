@@ -57,13 +57,10 @@ def test_results_and_progress_go_separate_ways(capsys):
     assert (said.out, said.err) == ("result\n", "progress\n")
 
 
-def test_a_live_table_is_for_terminals_only(capsys):
-    Terminal().show_live("1\n2")
-    assert capsys.readouterr().err == ""
-
-
-def test_a_live_table_replaces_the_last_one(capsys, monkeypatch):
+def test_a_live_table_replaces_the_last_one_and_is_for_terminals_only(capsys, monkeypatch):
     terminal = Terminal()
+    terminal.show_live("1\n2")
+    assert capsys.readouterr().err == ""
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     terminal.show_live("1\n2")
     terminal.show_live("3\n4")

@@ -56,13 +56,13 @@ def image(at_s: float, red: int, topic: str = "/camera/image/compressed", **size
 Record = Callable[[Iterable[RecordedMessage]], Path]
 
 
+def in_order(entries: Iterable[RecordedMessage]) -> list[RecordedMessage]:
+    """The messages in the order of their times."""
+    return sorted(entries, key=lambda each: each.log_time_ns)
+
+
 @pytest.fixture
 def recorded(tmp_path: Path) -> Record:
     """Write messages, in the order of their times, as a recording."""
     numbers = iter(range(1000))
-
-    def write(entries: Iterable[RecordedMessage]) -> Path:
-        ordered = sorted(entries, key=lambda each: each.log_time_ns)
-        return record(tmp_path / f"run_{next(numbers)}.mcap", ordered)
-
-    return write
+    return lambda entries: record(tmp_path / f"run_{next(numbers)}.mcap", in_order(entries))

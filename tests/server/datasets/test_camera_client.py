@@ -6,7 +6,8 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Awaitable
+from collections.abc import AsyncIterator, Awaitable
+from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
@@ -48,44 +49,49 @@ class HeldConnection:
         return [int(opened(base64.b64decode(data)).getpixel((0, 0))[0]) for data in images]  # type: ignore[index]
 
 
+class Publishing:
+    """A client that publishes what a scripted source takes, on a connection whose pongs the test gives."""
+
+    def __init__(self, source: Scripted, **how: Any) -> None:
+        self.source, self.connection = source, HeldConnection()
+        self.client = CameraClient(options(**how), lambda _: None)
+        self.images = NewestImage(source, 0.0, self.client._arrived.set, wall_clock_ns=lambda: 5_000_000_007)
+        self.images.start()
+        self.task = asyncio.create_task(self.client.publish(self.connection, self.images))
+
+    async def pong(self, number: int) -> None:
+        """Answer a ping, once it has come."""
+        await until(lambda: len(self.connection.pongs) > number)
+        self.connection.pongs[number].set_result(0.0)
+
+
 async def test_no_image_leaves_before_the_server_has_taken_the_last_and_then_the_newest_does() -> None:
-    source, connection = Scripted(count=40), HeldConnection()
-    client = CameraClient(options(token="secret"), lambda _: None)
-    images = NewestImage(source, 0.0, client._arrived.set)
-    images.start()
-    source.allowed.release()
-    publishing = asyncio.create_task(client.publish(connection, images))
+    publishing = Publishing(Scripted(count=40), token="secret")
+    connection = publishing.connection
+    publishing.source.allowed.release()
     await until(lambda: connection.pongs)
     assert [each["op"] for each in connection.sent] == ["auth", "advertise", "publish"]
-    source.allowed.release(20)
-    await until(lambda: images.captured == 21)
-    assert (connection.numbers, client.published) == ([1], 0)
-    connection.pongs[0].set_result(0.0)
+    publishing.source.allowed.release(20)
+    await until(lambda: publishing.images.captured == 21)
+    assert (connection.numbers, publishing.client.published) == ([1], 0)
+    await publishing.pong(0)
     await until(lambda: len(connection.pongs) == 2)
     assert connection.numbers == [1, 21]
-    connection.pongs[1].set_result(0.0)
-    source.allowed.release(20)
-    await until(lambda: images.ended)
-    while not publishing.done():
-        for pong in connection.pongs:
-            if not pong.done():
-                pong.set_result(0.0)
-        await asyncio.sleep(0.001)
-    assert connection.numbers[-1] == 40
-    assert client.published == len(connection.numbers)
+    publishing.source.allowed.release(20)
+    await until(lambda: publishing.images.ended)
+    await publishing.pong(1)
+    await publishing.pong(2)
+    await until(publishing.task.done)
+    assert connection.numbers == [1, 21, 40]
+    assert publishing.client.published == 3
 
 
 async def test_an_image_has_stamp_frame_and_format() -> None:
-    source, connection = Scripted(count=1), HeldConnection()
-    client = CameraClient(options(), lambda _: None)
-    images = NewestImage(source, 0.0, client._arrived.set, wall_clock_ns=lambda: 5_000_000_007)
-    images.start()
-    source.allowed.release(2)
-    publishing = asyncio.create_task(client.publish(connection, images))
-    await until(lambda: connection.pongs)
-    connection.pongs[0].set_result(0.0)
-    await asyncio.wait_for(publishing, 30.0)
-    advertised, image = connection.sent
+    publishing = Publishing(Scripted(count=1))
+    publishing.source.allowed.release(2)
+    await publishing.pong(0)
+    await until(publishing.task.done)
+    advertised, image = publishing.connection.sent
     assert advertised == {"op": "advertise", "topic": TOPIC, "type": "sensor_msgs/CompressedImage"}
     assert image["msg"]["header"] == {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": "wrist"}
     assert image["msg"]["format"] == "jpeg"
@@ -106,6 +112,15 @@ async def test_an_end_that_comes_together_with_an_image_is_not_lost(turns: int) 
     assert publishing.cancelled()
 
 
+@asynccontextmanager
+async def running(client: CameraClient) -> AsyncIterator[None]:
+    """Run a client as long as the block lasts."""
+    task = asyncio.create_task(client.run(TestPattern(32)))
+    yield
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+
+
 async def test_it_connects_again_and_tells_complaints_once(monkeypatch: Any) -> None:
     monkeypatch.setattr(camera_client, "FIRST_DELAY_S", 0.01)
     told: list[str] = []
@@ -123,10 +138,8 @@ async def test_it_connects_again_and_tells_complaints_once(monkeypatch: Any) -> 
     async with serve(talk, "127.0.0.1", 0) as server:
         port = server.sockets[0].getsockname()[1]
         client = CameraClient(options(f"ws://127.0.0.1:{port}"), told.append)
-        running = asyncio.create_task(client.run(TestPattern(32)))
-        await until(lambda: len(connections) >= 3)
-        running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
+        async with running(client):
+            await until(lambda: len(connections) >= 3)
     assert sum("not so" in sentence for sentence in told) == 1
     assert any("trying again in 0.01 s" in sentence for sentence in told)
 
@@ -136,10 +149,8 @@ async def test_it_waits_longer_each_time_for_a_server_that_is_not_there(monkeypa
     monkeypatch.setattr(camera_client, "LAST_DELAY_S", 0.04)
     told: list[str] = []
     client = CameraClient(options(f"ws://127.0.0.1:{free_port()}"), told.append)
-    running = asyncio.create_task(client.run(TestPattern(32)))
-    await until(lambda: len(told) >= 4)
-    running.cancel()
-    await asyncio.gather(running, return_exceptions=True)
+    async with running(client):
+        await until(lambda: len(told) >= 4)
     assert [sentence.rpartition(" in ")[2] for sentence in told[:4]] == ["0.01 s", "0.02 s", "0.04 s", "0.04 s"]
 
 

@@ -4,30 +4,27 @@ import pytest
 
 from server.datasets.episodes import MAX_TASK_CHARACTERS, START, Episode, Mark, episodes_of, parse_mark
 
-
-def test_a_recording_without_marks_is_one_episode() -> None:
-    assert episodes_of([], 0.0, 9.0) == ([Episode(0.0, 9.0, "")], [])
-
-
-def test_an_episode_lasts_from_start_to_stop_and_has_the_task_of_its_start() -> None:
-    marks = [(1.0, "start pick the cube"), (3.0, "stop"), (4.0, "start"), (6.0, "stop")]
-    assert episodes_of(marks, 0.0, 9.0) == ([Episode(1.0, 3.0, "pick the cube"), Episode(4.0, 6.0, "")], [])
-
-
-def test_a_discard_drops_the_episode_in_progress() -> None:
-    assert episodes_of([(1.0, "start"), (2.0, "discard"), (3.0, "start"), (4.0, "stop")], 0.0, 9.0) == (
+MARKS: dict[str, tuple[list[tuple[float, str]], list[Episode]]] = {
+    "a recording without marks is one episode": ([], [Episode(0.0, 9.0, "")]),
+    "an episode lasts from start to stop and has the task of its start": (
+        [(1.0, "start pick the cube"), (3.0, "stop"), (4.0, "start"), (6.0, "stop")],
+        [Episode(1.0, 3.0, "pick the cube"), Episode(4.0, 6.0, "")],
+    ),
+    "a discard drops the episode in progress": (
+        [(1.0, "start"), (2.0, "discard"), (3.0, "start"), (4.0, "stop")],
         [Episode(3.0, 4.0, "")],
-        [],
-    )
+    ),
+    "a discard between episodes drops the last one": (
+        [(1.0, "start"), (2.0, "stop"), (3.0, "start"), (4.0, "stop"), (5.0, "discard")],
+        [Episode(1.0, 2.0, "")],
+    ),
+    "a recording whose episodes are all discarded has none": ([(1.0, "start"), (2.0, "discard")], []),
+}
 
 
-def test_a_discard_between_episodes_drops_the_last_one() -> None:
-    marks = [(1.0, "start"), (2.0, "stop"), (3.0, "start"), (4.0, "stop"), (5.0, "discard")]
-    assert episodes_of(marks, 0.0, 9.0) == ([Episode(1.0, 2.0, "")], [])
-
-
-def test_a_recording_whose_episodes_are_all_discarded_has_none() -> None:
-    assert episodes_of([(1.0, "start"), (2.0, "discard")], 0.0, 9.0) == ([], [])
+@pytest.mark.parametrize(("marks", "episodes"), MARKS.values(), ids=MARKS.keys())
+def test_marks_make_episodes(marks: list[tuple[float, str]], episodes: list[Episode]) -> None:
+    assert episodes_of(marks, 0.0, 9.0) == (episodes, [])
 
 
 ODD_MARKS = {
@@ -49,10 +46,7 @@ def test_a_mark_that_does_not_fit_is_said(marks: list[tuple[float, str]], count:
 
 def test_a_task_is_one_line_and_a_long_one_is_refused_with_the_limit() -> None:
     assert parse_mark(" start  pick\n the cube ") == Mark(START, "pick the cube")
-    with pytest.raises(ValueError, match=f"task: must have at most {MAX_TASK_CHARACTERS} characters, not 301"):
-        parse_mark("start " + "x" * 301)
-
-
-def test_the_text_of_a_mark_is_read_as_the_mark() -> None:
     for mark in (Mark(START), Mark(START, "pick the cube")):
         assert parse_mark(mark.text) == mark
+    with pytest.raises(ValueError, match=f"task: must have at most {MAX_TASK_CHARACTERS} characters, not 301"):
+        parse_mark("start " + "x" * 301)

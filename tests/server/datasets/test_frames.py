@@ -84,11 +84,8 @@ def test_a_topic_that_is_silent_between_episodes_begins_again_in_each() -> None:
     assert frames.actions[:, 0] == pytest.approx(1.12 + np.arange(9) / 10)
 
 
-def test_an_episode_of_one_frame_is_left_out() -> None:
+def test_an_episode_of_one_frame_is_left_out_and_one_beside_a_gap_is_not() -> None:
     assert left_out(TRACKS, Episode(1.0, 1.15, "")) == "it has 1 frames at 10 a second, and needs 2"
-
-
-def test_a_gap_outside_of_an_episode_does_not_matter() -> None:
     assert frames_of(Episode(2.0, 3.0, ""), HOLED, 10).count == 10
 
 

@@ -12,14 +12,7 @@ from server.access.settings import AccessSettings
 from server.errors import UnsuccessfulError
 from server.graph.node import Node
 from server.graph.topics import Subscriber
-from tests.conformance.cases import cases, play
 from tests.helpers.gateway import InProcess
-
-
-@pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])
-async def test_conformance_in_process(case: dict[str, Any]) -> None:
-    options = {option: case.get(option, False) for option in ("relay_unknown_types", "rosapi", "interfaces")}
-    await play(case, InProcess(**options))
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from server.gateway.admission import (
     ConnectionSlot,
 )
 from tests.helpers.gateway import TIMEOUT_S, exchange, limiter_of, listening, request, status, until_empty
+from tests.helpers.waiting import until
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"
 MANY = 100_000
@@ -188,9 +189,7 @@ async def test_a_client_beyond_the_limit_is_answered_and_connects_when_there_is_
 async def test_a_connection_counts_before_it_asks_for_anything() -> None:
     async with listening(ServerSettings(port=0, max_clients=1)) as listener:
         _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
-        async with asyncio.timeout(TIMEOUT_S):
-            while not limiter_of(listener).open_count:
-                await asyncio.sleep(0.005)
+        await until(lambda: limiter_of(listener).open_count)
         assert status(await exchange(listener.port, request())) == 503
         writer.close()
         await until_empty(listener)

@@ -14,11 +14,11 @@ from protocol.publication import EncodedMessage
 from protocol.registry import Registry
 from server.access.settings import SessionSettings
 from server.config import ServerSettings
-from server.gateway import connection
 from server.gateway.listener import Listener
 from server.gateway.transport import WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
+from tests.helpers.gateway import listening
 from tests.helpers.waiting import until
 
 TALKER = Node("talker")
@@ -72,15 +72,10 @@ async def world_with(
     graph = Graph(Registry.load())
     graph.advertise(TALKER, "/t", "std_msgs/String")
     settings = ServerSettings(port=0, limits=limits or SessionSettings(), max_queued_bytes=max_queued_bytes)
-    listener = Listener(graph, settings)
-    await listener.bind()
-    await listener.open()
-    world = World(listener, graph)
-    try:
+    async with listening(settings, graph=graph) as listener:
+        world = World(listener, graph)
         async with world.clients:
             yield world
-    finally:
-        await listener.close()
 
 
 async def test_large_messages_that_are_published_at_once_all_arrive() -> None:
@@ -89,18 +84,6 @@ async def test_large_messages_that_are_published_at_once_all_arrive() -> None:
         world.publish(30, 400_000)
         assert await numbers(reader, 30) == list(range(30))
         assert world.listener.traffic.counts().dropped_messages == 0
-
-
-@pytest.mark.real_time
-async def test_pictures_pass_to_four_readers_without_loss() -> None:
-    count = 90
-    async with world_with() as world:
-        readers = [await world.reader() for _ in range(4)]
-        reading = [asyncio.create_task(numbers(reader, count)) for reader in readers]
-        for number in range(count):
-            world.graph.publish(TALKER, "/t", {"data": f"{number} {'x' * 1_000_000}"})
-            await asyncio.sleep(1 / 30)
-        assert await asyncio.gather(*reading) == [list(range(count))] * 4
 
 
 async def test_large_answers_that_come_at_once_all_arrive() -> None:
@@ -142,27 +125,6 @@ async def test_a_client_that_stands_still_gives_its_memory_back_though_nothing_m
         await until(lambda: world.used_bytes > 10_000_000)
         await until(lambda: world.used_bytes == 0)
         assert world.listener.traffic.counts().dropped_messages > 20
-
-
-@pytest.mark.real_time
-async def test_a_client_that_reads_one_large_message_slowly_keeps_those_behind_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(connection, "UNREAD_TIMEOUT_S", 0.3)
-    async with world_with(SessionSettings(max_topic_delay_s=0.3)) as world:
-        reader = await world.deaf()
-        world.publish(1, 30_000_000)
-        await until(lambda: world.listener.traffic.counts().sent_messages > 0)
-        world.publish(3, 1000)
-        # Longer than a message may wait with a client that stands still, a piece at a time.
-        receiving = asyncio.create_task(numbers(reader, 4))
-        for _ in range(10):
-            await asyncio.sleep(0.09)
-            reader.transport.resume_reading()
-            await asyncio.sleep(0.001)
-            reader.transport.pause_reading()
-        reader.transport.resume_reading()
-        assert await receiving == [0, 0, 1, 2]
 
 
 async def test_a_full_budget_takes_nothing_from_a_client_that_reads() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 import uvloop
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin
 
@@ -42,13 +42,10 @@ from server.gateway.listener import (
 )
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
-from server.rosapi import RosApi
-from tests.conformance.cases import cases, play
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import (
     TIMEOUT_S,
     UPGRADE,
-    USER_REGISTRY,
     exchange,
     limiter_of,
     listening,
@@ -104,6 +101,12 @@ def test_a_key_with_a_passphrase_is_refused_and_nobody_is_asked_for_it(
     assert "openssl pkey -in KEY -out NEW" in str(refused.value)
 
 
+def copied(pair: Pair, target: Pair) -> Pair:
+    for source, file in zip(pair, target, strict=True):
+        file.write_bytes(source.read_bytes())
+    return target
+
+
 def certificate_shown(tls: Tls) -> bytes:
     """The certificate, in DER, that a client gets that names no server."""
     trusting = ssl.create_default_context()
@@ -121,9 +124,7 @@ def test_a_new_pair_is_taken_and_a_broken_one_is_not(
     pairs: tuple[Pair, Pair], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     one, other = pairs
-    used = Pair(tmp_path / "certificate.pem", tmp_path / "key.pem")
-    used.certificate.write_bytes(one.certificate.read_bytes())
-    used.key.write_bytes(one.key.read_bytes())
+    used = copied(one, Pair(tmp_path / "certificate.pem", tmp_path / "key.pem"))
     tls = Tls(*used)
     first = certificate_shown(tls)
     assert first == ssl.PEM_cert_to_DER_cert(one.certificate.read_text())
@@ -136,9 +137,9 @@ def test_a_new_pair_is_taken_and_a_broken_one_is_not(
     assert certificate_shown(tls) == ssl.PEM_cert_to_DER_cert(other.certificate.read_text())
 
 
-@pytest.fixture(scope="module")
-def pair(tmp_path_factory: pytest.TempPathFactory) -> Pair:
-    return make_pair(tmp_path_factory.mktemp("tls"))
+@pytest.fixture
+def pair(pairs: tuple[Pair, Pair]) -> Pair:
+    return pairs[0]
 
 
 @pytest.fixture
@@ -234,16 +235,14 @@ async def test_a_client_without_tls_is_logged_once(encrypted: Listener, caplog: 
     assert caplog.text.count("a client speaks ws:// or http://, and here is wss:// and https://") == 1
 
 
-async def test_a_new_certificate_is_for_new_connections(pair: Pair, tmp_path: Path) -> None:
-    used, new = Pair(tmp_path / "certificate.pem", tmp_path / "key.pem"), make_pair(tmp_path / "new")
-    for source, target in zip(pair, used, strict=True):
-        target.write_bytes(source.read_bytes())
+async def test_a_new_certificate_is_for_new_connections(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
+    pair, new = pairs
+    used = copied(pair, Pair(tmp_path / "certificate.pem", tmp_path / "key.pem"))
     async with (
         listening(over_tls_with(used)) as listener,
         connect(listener.url, ssl=trusting(pair)) as client,
     ):
-        for source, target in zip(new, used, strict=True):
-            target.write_bytes(source.read_bytes())
+        copied(new, used)
         listener.reload_certificate()
         async with connect(listener.url, ssl=trusting(new)):
             await asyncio.wait_for(await client.ping(), TIMEOUT_S)
@@ -310,138 +309,44 @@ def test_a_list_that_is_closed_publishes_no_more() -> None:
 
 REGISTRY = Registry.load()
 
-NOTHING_S = 0.02
-FRAME_TIMEOUT_S = 30.0
-
-# The server takes a frame from its queue and sends what comes of it in two or three.
-TURNS = 10
-
-
-class OverSockets:
-    """Real clients of a real listener."""
-
-    def __init__(self, listener: Listener) -> None:
-        self._listener = listener
-        self._clients: dict[str, ClientConnection] = {}
-
-    async def connect(self, client: str) -> ClientConnection:
-        if client not in self._clients:
-            self._clients[client] = await connect(f"ws://127.0.0.1:{self._listener.port}/any/path?x=1")
-        return self._clients[client]
-
-    async def send(self, client: str, frame: str | bytes) -> None:
-        websocket = await self.connect(client)
-        await websocket.send(frame)
-        # Once the pong is there, the server has the frame in its queue; it serves it in the next turns of its loop.
-        await asyncio.wait_for(await websocket.ping(), FRAME_TIMEOUT_S)
-        for _ in range(TURNS):
-            await asyncio.sleep(0)
-
-    async def next_frame(self, client: str) -> str | bytes | None:
-        with contextlib.suppress(TimeoutError):
-            return await asyncio.wait_for((await self.connect(client)).recv(), FRAME_TIMEOUT_S)
-        return None
-
-    async def nothing_comes(self, client: str) -> bool:
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for((await self.connect(client)).recv(), NOTHING_S)
-            return False
-        return True
-
-    async def close(self, client: str) -> None:
-        clients = self._listener.traffic.clients
-        await self._clients.pop(client).close()
-        # The server's side of the close is not ordered with what other clients send next.
-        async with asyncio.timeout(FRAME_TIMEOUT_S):
-            while self._listener.traffic.clients == clients:
-                await asyncio.sleep(0)
-
-    async def advance(self, seconds: float) -> None:
-        await asyncio.sleep(seconds)
-
-    async def end(self) -> None:
-        for websocket in self._clients.values():
-            await websocket.close()
-
-
-@contextlib.asynccontextmanager
-async def open_listener(graph: Graph) -> AsyncIterator[Listener]:
-    made = Listener(graph, ServerSettings(port=0))
-    await made.bind()
-    await made.open()
-    yield made
-    await made.close()
-
 
 @pytest.fixture
 async def listener() -> AsyncIterator[Listener]:
-    async with open_listener(Graph(REGISTRY)) as made:
+    async with listening() as made:
         yield made
 
 
-@pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])
-async def test_conformance_over_sockets(case: dict[str, Any]) -> None:
-    registry = USER_REGISTRY if case.get("interfaces") else REGISTRY
-    graph = Graph(registry, relay_unknown_types=case.get("relay_unknown_types", False))
-    if case.get("rosapi", False):
-        RosApi(graph)
-    async with open_listener(graph) as listener:
-        player = OverSockets(listener)
-        try:
-            await play(case, player)
-        finally:
-            await player.end()
-
-
 async def test_any_subprotocol_may_be_offered(listener: Listener) -> None:
-    async with connect(f"ws://127.0.0.1:{listener.port}", subprotocols=["anything"]) as websocket:  # type: ignore[list-item]
+    async with connect(listener.url, subprotocols=["anything"]) as websocket:  # type: ignore[list-item]
         assert websocket.subprotocol is None
 
 
 async def test_a_message_in_1024_byte_frames_is_one_message(listener: Listener) -> None:
-    async with connect(f"ws://127.0.0.1:{listener.port}", max_size=None) as websocket:
+    async with connect(listener.url, max_size=None) as websocket:
         await websocket.send(json.dumps({"op": "subscribe", "topic": "/t", "type": "std_msgs/String"}))
         frame = json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * 6_000_000}})
         await websocket.send(frame[start : start + 1024] for start in range(0, len(frame), 1024))
-        received = await asyncio.wait_for(websocket.recv(), FRAME_TIMEOUT_S)
+        received = await asyncio.wait_for(websocket.recv(), TIMEOUT_S)
     assert len(json.loads(received)["msg"]["data"]) == 6_000_000
 
 
-async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on(
-    listener: Listener, caplog: pytest.LogCaptureFixture
-) -> None:
-    limit = Limits().max_message_bytes
-    async with connect(f"ws://127.0.0.1:{listener.port}", max_size=None) as websocket:
+@pytest.mark.parametrize("limit", [None, 100_000], ids=["default", "set"])
+async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on(limit: int | None) -> None:
+    limits = SessionSettings() if limit is None else SessionSettings(max_message_bytes=limit)
+    limit = limit or Limits().max_message_bytes
+    async with listening(ServerSettings(port=0, limits=limits)) as made, connect(made.url, max_size=None) as websocket:
         await websocket.send(json.dumps({"op": "set_level", "level": "error"}))
         await websocket.send("x" * (limit + 1))
-        told = json.loads(await asyncio.wait_for(websocket.recv(), FRAME_TIMEOUT_S))
+        told = json.loads(await asyncio.wait_for(websocket.recv(), TIMEOUT_S))
+        await asyncio.wait_for(await websocket.ping(), TIMEOUT_S)
     assert told == {"op": "status", "level": "error", "msg": f"message of {limit + 1} bytes, the limit is {limit}"}
-
-
-async def test_the_limits_that_are_set_are_those_of_a_client() -> None:
-    made = Listener(Graph(REGISTRY), ServerSettings(port=0, limits=SessionSettings(max_message_bytes=100_000)))
-    await made.bind()
-    await made.open()
-    async with connect(f"ws://127.0.0.1:{made.port}", max_size=None) as websocket:
-        await websocket.send(json.dumps({"op": "set_level", "level": "error"}))
-        await websocket.send("x" * 100_001)
-        told = json.loads(await asyncio.wait_for(websocket.recv(), FRAME_TIMEOUT_S))
-    await made.close()
-    assert told["msg"] == "message of 100001 bytes, the limit is 100000"
 
 
 async def test_refused_connections_are_counted_by_reason(listener: Listener) -> None:
     for origin in ("https://evil.example", "https://evil.example"):
         with pytest.raises(InvalidStatus):
-            await connect(f"ws://127.0.0.1:{listener.port}", origin=Origin(origin))
+            await connect(listener.url, origin=Origin(origin))
     assert listener.refused_connections() == {"origin": 2, "limit": 0}
-
-
-async def test_a_taken_port_is_told_with_its_number() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(StartError, match=f"port in use: 127.0.0.1:{port}"):
-            await Listener(Graph(REGISTRY), ServerSettings(port=port)).bind()
 
 
 async def test_an_address_that_is_not_ours_is_told() -> None:
@@ -479,9 +384,9 @@ async def test_without_a_certificate_there_is_nothing_to_read_again(
 
 
 async def test_closing_ends_every_connection(listener: Listener) -> None:
-    websocket = await connect(f"ws://127.0.0.1:{listener.port}")
-    await asyncio.wait_for(listener.close(), FRAME_TIMEOUT_S)
-    await asyncio.wait_for(websocket.wait_closed(), FRAME_TIMEOUT_S)
+    websocket = await connect(listener.url)
+    await asyncio.wait_for(listener.close(), TIMEOUT_S)
+    await asyncio.wait_for(websocket.wait_closed(), TIMEOUT_S)
     assert websocket.close_code == 1001
 
 
@@ -623,16 +528,6 @@ async def test_clients_beyond_the_files_that_the_system_allows_are_refused_and_t
 
 def listener_of(server: ServerSettings, access: AccessSettings | None = None) -> Listener:
     return Listener(Graph(REGISTRY), server, access=Access(access or AccessSettings()))
-
-
-def test_without_a_certificate_there_is_no_tls(pair: Pair) -> None:
-    assert listener_of(ServerSettings()).url.startswith("ws://")
-    assert listener_of(over_tls_with(pair)).url.startswith("wss://")
-
-
-def test_a_certificate_that_cannot_be_used_is_told_at_the_start() -> None:
-    with pytest.raises(ConfigurationError, match=r"server.tls_certificate: nowhere.pem cannot be read"):
-        listener_of(ServerSettings(tls_certificate=Path("nowhere.pem"), tls_key=Path("nowhere.pem")))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import logging
 import time
 import weakref
 from collections.abc import AsyncIterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 from pydantic import SecretStr
@@ -29,7 +29,19 @@ from server.gateway.listener import Listener
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
-from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, listening, request, status, until_empty
+from tests.helpers.gateway import (
+    TIMEOUT_S,
+    UPGRADE,
+    FullTransport,
+    exchange,
+    limiter_of,
+    listening,
+    request,
+    status,
+    until_empty,
+    warnings_of,
+)
+from tests.helpers.waiting import until
 
 TALKER = Node("talker")
 
@@ -43,9 +55,7 @@ class Link(NamedTuple):
 
     async def subscribe(self) -> None:
         await self.client.send(json.dumps({"op": "subscribe", "topic": "/t"}))
-        async with asyncio.timeout(TIMEOUT_S):
-            while not self.graph.subscribers("/t"):
-                await asyncio.sleep(0.005)
+        await until(lambda: self.graph.subscribers("/t"))
 
     async def received(self, count: int) -> list[str]:
         async with asyncio.timeout(TIMEOUT_S):
@@ -56,17 +66,11 @@ class Link(NamedTuple):
 async def linked() -> AsyncIterator[Link]:
     graph = Graph(Registry.load())
     graph.advertise(TALKER, "/t", "std_msgs/String")
-    listener = Listener(graph, ServerSettings(port=0))
-    await listener.bind()
-    await listener.open()
-    try:
-        async with connect(f"ws://127.0.0.1:{listener.port}", compression=None) as client:
-            (websockets_server,) = listener._servers
-            (server,) = websockets_server.connections
-            assert isinstance(server, WebSocket)
-            yield Link(client, server, graph)
-    finally:
-        await listener.close()
+    async with listening(graph=graph) as listener, connect(listener.url, compression=None) as client:
+        (websockets_server,) = listener._servers
+        (server,) = websockets_server.connections
+        assert isinstance(server, WebSocket)
+        yield Link(client, server, graph)
 
 
 NUMBERS = [str(number) for number in range(1000)]
@@ -83,7 +87,7 @@ async def test_a_flood_is_carried_out_in_order_however_long_a_turn_is(
         link.client.transport.write(
             b"".join(Frame(Opcode.TEXT, frame.encode()).serialize(mask=True) for frame in frames)
         )
-        assert await link.received(1000) == NUMBERS
+        assert await link.received(len(NUMBERS)) == NUMBERS
 
 
 async def test_frames_behind_a_fragmented_one_wait_and_do_not_overtake_it() -> None:
@@ -103,11 +107,11 @@ async def test_a_connection_that_is_held_reads_on_where_it_stopped() -> None:
     async with linked() as link:
         await link.subscribe()
         link.server.hold_reading()
-        flood = flood_of(1000)
+        flood = flood_of(len(NUMBERS))
         link.server.data_received(flood)
         assert link.server._unread == flood
         link.server.release_reading()
-        assert await link.received(1000) == NUMBERS
+        assert await link.received(len(NUMBERS)) == NUMBERS
 
 
 class FullMemory(bytes):
@@ -124,16 +128,10 @@ class FullReader:
         raise MemoryError
 
 
-def lines_of_an_end(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
-
-
 async def refused_for_memory(link: Link, caplog: pytest.LogCaptureFixture) -> None:
     await asyncio.wait_for(link.client.wait_closed(), TIMEOUT_S)
-    async with asyncio.timeout(TIMEOUT_S):
-        while not lines_of_an_end(caplog):
-            await asyncio.sleep(0.005)
-    (line,) = lines_of_an_end(caplog)
+    await until(lambda: warnings_of(caplog))
+    (line,) = warnings_of(caplog)
     assert transport.OUT_OF_MEMORY in line
 
 
@@ -191,16 +189,7 @@ async def test_a_message_that_cannot_be_written_for_want_of_memory_ends_its_conn
     async with linked() as link:
         await link.subscribe()
         link.server._last_sent_s = time.monotonic()
-        real = link.server.transport
-
-        class FullTransport:
-            def writelines(self, _: object) -> None:
-                raise MemoryError
-
-            def __getattr__(self, name: str) -> Any:
-                return getattr(real, name)
-
-        link.server.transport = FullTransport()  # type: ignore[assignment]
+        link.server.transport = FullTransport(link.server.transport)  # type: ignore[assignment]
         link.graph.publish(TALKER, "/t", {"data": "hello"})
         await refused_for_memory(link, caplog)
 
@@ -222,7 +211,7 @@ async def test_messages_sent_in_one_turn_of_the_loop_arrive_in_order(
         await link.subscribe()
         for number in NUMBERS:
             link.graph.publish(TALKER, "/t", {"data": number})
-        assert await link.received(1000) == NUMBERS
+        assert await link.received(len(NUMBERS)) == NUMBERS
 
 
 async def test_in_one_turn_of_the_loop_no_more_is_taken_than_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,13 +244,11 @@ async def test_of_a_flood_that_comes_at_once_only_a_turns_worth_is_read(monkeypa
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with linked() as link:
         await link.subscribe()
-        flood = flood_of(1000)
+        flood = flood_of(len(NUMBERS))
         link.server.data_received(flood)
         assert len(link.server._unread) == len(flood) - len(flood_of(1))
-        async with asyncio.timeout(TIMEOUT_S):
-            while link.server._unread:
-                await asyncio.sleep(0)
-        assert await link.received(1000) == NUMBERS
+        await until(lambda: not link.server._unread)
+        assert await link.received(len(NUMBERS)) == NUMBERS
 
 
 async def test_a_flood_is_carried_out_in_order_while_the_queue_fills_again_and_again(
@@ -270,17 +257,17 @@ async def test_a_flood_is_carried_out_in_order_while_the_queue_fills_again_and_a
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with linked() as link:
         await link.subscribe()
-        flood = flood_of(1000)
+        flood = flood_of(len(NUMBERS))
         for begin in range(0, len(flood), 10_000):
             link.server.data_received(flood[begin : begin + 10_000])
-        assert await link.received(1000) == NUMBERS
+        assert await link.received(len(NUMBERS)) == NUMBERS
         assert not link.server._unread
 
 
 async def test_frames_not_read_before_a_connection_ends_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with linked() as link:
-        link.server.data_received(flood_of(1000))
+        link.server.data_received(flood_of(len(NUMBERS)))
         link.server.transport.abort()
         await asyncio.wait_for(link.server.wait_closed(), TIMEOUT_S)
         await asyncio.sleep(0)
@@ -308,49 +295,40 @@ async def read_to_end(reader: asyncio.StreamReader) -> bytes:
             return b""
 
 
-async def test_a_client_that_sends_no_request_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
-    async with listening() as listener:
-        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
-        assert await read_to_end(reader) == b""
-        writer.close()
-
-
 HALF_A_REQUEST = (b"G", b"GET / HTTP/1.1\r\n", b"GET / HTTP/1.1\r\nHost: localhost\r\n")
 
 
-@pytest.mark.parametrize("sent", HALF_A_REQUEST)
+async def answered(listener: Listener, sent: bytes, *, ended: bool) -> str:
+    """The answer to half a request, after which the connection ends."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+    writer.write(sent)
+    if ended:
+        writer.write_eof()
+    answer = (await read_to_end(reader)).decode()
+    await until_empty(listener)
+    writer.close()
+    return answer
+
+
+@pytest.mark.parametrize(
+    ("ended", "reason"),
+    [
+        (False, f"the request was not complete within {LOWEST_S:g} s\n"),
+        (True, "this is no complete HTTP request: connection closed while reading HTTP"),
+    ],
+    ids=["waits", "ends its stream"],
+)
 async def test_a_client_that_does_not_finish_its_request_is_answered_400_and_disconnected(
-    sent: bytes, monkeypatch: pytest.MonkeyPatch
+    ended: bool, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
-        answer = await exchange(listener.port, sent)
-        await until_empty(listener)
-    assert status(answer) == 400
-    assert answer.endswith(f"the request was not complete within {LOWEST_S:g} s\n")
-
-
-@pytest.mark.parametrize("sent", HALF_A_REQUEST)
-async def test_a_client_that_ends_its_stream_within_its_request_is_answered_400(sent: bytes) -> None:
-    async with listening() as listener:
-        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
-        writer.write(sent)
-        writer.write_eof()
-        answer = (await read_to_end(reader)).decode()
-        await until_empty(listener)
-        writer.close()
-    assert status(answer) == 400
-    assert "this is no complete HTTP request: connection closed while reading HTTP" in answer
-
-
-async def test_a_client_that_ends_its_stream_without_a_request_is_not_answered() -> None:
-    async with listening() as listener:
-        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
-        writer.write_eof()
-        assert await read_to_end(reader) == b""
-        await until_empty(listener)
-        writer.close()
+        # Without a byte of a request nothing is answered.
+        assert await answered(listener, b"", ended=ended) == ""
+        for sent in HALF_A_REQUEST:
+            answer = await answered(listener, sent, ended=ended)
+            assert status(answer) == 400, sent
+            assert reason in answer, sent
 
 
 async def test_a_client_that_stays_after_the_answer_to_a_broken_request_is_disconnected(
@@ -433,9 +411,7 @@ async def test_a_client_whose_machine_is_gone_is_let_go(caplog: pytest.LogCaptur
         writer.write(request(*UPGRADE))
         assert (await read_to_end(reader)).startswith(b"HTTP/1.1 101")
         writer.close()
-        async with asyncio.timeout(TIMEOUT_S):
-            while "connection closed" not in caplog.text:
-                await asyncio.sleep(0.01)
+        await until(lambda: "connection closed" in caplog.text)
     assert "keepalive ping timeout" in caplog.text
 
 
@@ -465,7 +441,7 @@ async def test_the_end_of_the_server_does_not_wait_for_those_who_have_asked_noth
     async with listening() as listener:
         _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(b"GET / HTTP/1.1\r\n")
-        await asyncio.sleep(0.02)
+        await until(lambda: limiter_of(listener).open_count)
         await asyncio.wait_for(listener.close(), TIMEOUT_S)
         writer.close()
 
@@ -491,9 +467,10 @@ async def test_a_client_that_stays_open_after_an_answer_is_disconnected_without_
 ) -> None:
     monkeypatch.setattr(listener_module, "CLOSE_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
-        _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(request(path="/nothing"))
-        await asyncio.sleep(3 * LOWEST_S)
+        assert await read_to_end(reader)
+        await until_empty(listener)
         gc.collect()
         assert "never retrieved" not in caplog.text
         writer.close()
@@ -551,16 +528,11 @@ async def test_a_plain_request_that_is_refused_is_answered_and_counted_once(
     lines: tuple[str, ...], path: str, answer: int
 ) -> None:
     tokens = AccessSettings(token=SecretStr("right-" * 6))
-    listener = Listener(Graph(Registry.load()), ServerSettings(port=0), access=Access(tokens))
-    await listener.bind()
-    await listener.open()
-    try:
+    async with listening(access=Access(tokens)) as listener:
         host = None if lines and lines[0].startswith("Host") else "localhost"
         refused = await exchange(listener.port, request(*UPGRADE, *lines, path=path, host=host))
         assert status(refused) == answer
         assert sum(listener.refused_connections().values()) == 1
-    finally:
-        await listener.close()
 
 
 async def test_a_client_that_has_left_is_freed_without_the_garbage_collector() -> None:
@@ -577,8 +549,6 @@ async def test_a_client_that_has_left_is_freed_without_the_garbage_collector() -
                 left = [weakref.ref(part) for part in parts]
                 del each, connection, parts
             await until_empty(listener)
-            async with asyncio.timeout(TIMEOUT_S):
-                while any(reference() is not None for reference in left):
-                    await asyncio.sleep(0.01)
+            await until(lambda: all(reference() is None for reference in left))
         finally:
             gc.enable()

@@ -13,6 +13,7 @@ from robot import logs as changed
 from robot.logs import OUR_LOGGER
 from server.monitoring import systemd
 from server.monitoring.systemd import on_hangup, toggle_debug
+from tests.helpers.waiting import until
 
 
 class Told:
@@ -29,9 +30,7 @@ class Told:
 
     async def after_hangup(self) -> list[str]:
         signal.raise_signal(signal.SIGHUP)
-        async with asyncio.timeout(30.0):
-            while not self.calls:
-                await asyncio.sleep(0.005)
+        await until(lambda: self.calls)
         return self.calls
 
 
@@ -46,20 +45,17 @@ async def test_a_service_reads_its_files_again(told: Told) -> None:
     assert await told.after_hangup() == ["reload"]
 
 
-async def test_a_program_in_a_terminal_reads_its_files_again_when_it_is_asked_to(told: Told) -> None:
+@pytest.mark.parametrize(("gone", "call"), [(False, "reload"), (True, "end")])
+async def test_a_program_in_a_terminal_reads_its_files_again_and_ends_with_the_terminal(
+    told: Told, gone: bool, call: str
+) -> None:
     ours, theirs = pty.openpty()
     on_hangup(told.reload, told.end, lambda _descriptor: os.isatty(theirs))
-    assert await told.after_hangup() == ["reload"]
-    os.close(ours)
-    os.close(theirs)
-
-
-async def test_a_program_whose_terminal_is_gone_ends(told: Told) -> None:
-    ours, theirs = pty.openpty()
-    on_hangup(told.reload, told.end, lambda _descriptor: os.isatty(theirs))
-    os.close(ours)
-    assert await told.after_hangup() == ["end"]
-    os.close(theirs)
+    if gone:
+        os.close(ours)
+    assert await told.after_hangup() == [call]
+    for descriptor in (theirs,) if gone else (ours, theirs):
+        os.close(descriptor)
 
 
 @pytest.fixture

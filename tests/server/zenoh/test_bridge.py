@@ -1,8 +1,7 @@
 from __future__ import annotations
 
 import asyncio
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from server.zenoh.topics import OutgoingTopics
 from tests.helpers.resources import Pair, make_pair, make_signed_pair
 from tests.helpers.server import ROOT
 from tests.helpers.waiting import TIMEOUT_S, until
-from tests.helpers.zenoh_network import REGISTRY, RosMachine, Site, free_port
+from tests.helpers.zenoh_network import REGISTRY, RosMachine, Site, free_port, networked
 from tests.test_readme import blocks
 
 # The bridge.
@@ -124,14 +123,12 @@ async def test_a_client_sends_goals_to_another_arm_by_its_name_there() -> None:
 
 
 async def test_a_machine_without_a_namespace_does_not_take_this_arms_out_of_its_own() -> None:
-    port = free_port()
-    async with Site(port, namespace="/arm1", publish=("/joint_states", "/news")) as site:
-        with RosMachine(port) as machine:
-            machine.announce_topic("/joint_states", STRING)
-            site.graph.advertise(site.client, "/news", STRING)
-            await until(lambda: machine.has_token("/MP/%/%arm1/armbridge/%arm1%news/"))
-            site.graph.advertise(site.part, "/joint_states", STRING)
-            await until(lambda: machine.has_token("/MP/%/%arm1/armbridge/%arm1%joint_states/"))
+    async with networked(namespace="/arm1", publish=("/joint_states", "/news")) as (site, machine):
+        machine.announce_topic("/joint_states", STRING)
+        site.graph.advertise(site.client, "/news", STRING)
+        await until(lambda: machine.has_token("/MP/%/%arm1/armbridge/%arm1%news/"))
+        site.graph.advertise(site.part, "/joint_states", STRING)
+        await until(lambda: machine.has_token("/MP/%/%arm1/armbridge/%arm1%joint_states/"))
 
 
 async def test_one_server_shows_the_arms_of_others_to_its_viewers() -> None:
@@ -151,41 +148,38 @@ async def test_one_server_shows_the_arms_of_others_to_its_viewers() -> None:
 
 
 async def test_a_network_that_may_send_goals_may_stop_the_arm() -> None:
-    port = free_port()
-    async with Site(port, subscribe=("/moveit_goal_named",), offer=("/arm/enable",)) as site:
+    async with networked(subscribe=("/moveit_goal_named",), offer=("/arm/enable",)) as (site, machine):
         for topic in ("/moveit_goal_named", "/moveit_goal_joints", "/stop"):
             site.hear(topic, STRING, site.part)
         for service in ("/arm/enable", "/arm/relax", "/arm/stop"):
             site.graph.services.offer(site.part, service, "std_srvs/Trigger", lambda _request: {})
-        with RosMachine(port) as machine:
-            await until(lambda: machine.has_token("/MS/%/%/armbridge/%stop/"))
-            await until(lambda: machine.has_token("/SS/%/%/armbridge/%arm%stop/"))
-            assert not machine.has_token("%moveit_goal_joints")
-            assert not machine.has_token("%arm%relax")
+        await until(lambda: machine.has_token("/MS/%/%/armbridge/%stop/"))
+        await until(lambda: machine.has_token("/SS/%/%/armbridge/%arm%stop/"))
+        assert not machine.has_token("%moveit_goal_joints")
+        assert not machine.has_token("%arm%relax")
 
 
 @pytest.mark.parametrize("publish", [(), ("/arm1/moveit_goal_*",)])
-@pytest.mark.parametrize("stop", ["/stop", "/emergency_stop", "/left/stop", "/left/emergency_stop"])
-async def test_a_stop_reaches_the_other_arm_whatever_is_published(stop: str, publish: tuple[str, ...]) -> None:
-    port = free_port()
+async def test_a_stop_reaches_the_other_arm_whatever_is_published(publish: tuple[str, ...]) -> None:
+    port, names = free_port(), ("/stop", "/emergency_stop", "/left/stop", "/left/emergency_stop")
     async with (
         Site(port, namespace="/arm1", arms=("left", "right"), subscribe=("/moveit_goal_*",)) as arm,
         Site(to=(port,), publish=publish, subscribe=("/arm1/*",)) as edge,
     ):
-        stops = arm.hear(stop, EMPTY, arm.part)
-        edge.graph.advertise(edge.client, f"/arm1{stop}", EMPTY)
-        edge.graph.publish(edge.client, f"/arm1{stop}", {}, lifespan_s=TIMEOUT_S)
-        await until(lambda: stops)
+        for name in names:
+            stops = arm.hear(name, EMPTY, arm.part)
+            await edge.until_seen(f"/MS/%/%arm1/armbridge/%arm1{name.replace('/', '%')}/")
+            edge.graph.advertise(edge.client, f"/arm1{name}", EMPTY)
+            edge.graph.publish(edge.client, f"/arm1{name}", {}, lifespan_s=TIMEOUT_S)
+            await until(lambda stops=stops: stops)
 
 
 async def test_an_arm_that_others_command_by_calls_alone_takes_their_stop() -> None:
-    port = free_port()
-    async with Site(port, offer=("/moveit_goal",)) as site:
+    async with networked(offer=("/moveit_goal",)) as (site, machine):
         stops = site.hear("/stop", EMPTY, site.part)
-        with RosMachine(port) as machine:
-            await until(lambda: machine.has_token("/MS/%/%/armbridge/%stop/"))
-            machine.publish("/stop", EMPTY)
-            await until(lambda: stops)
+        await until(lambda: machine.has_token("/MS/%/%/armbridge/%stop/"))
+        machine.publish("/stop", EMPTY)
+        await until(lambda: stops)
 
 
 async def test_a_topic_of_a_client_that_does_not_go_out_is_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
@@ -226,30 +220,12 @@ async def test_an_error_does_not_end_the_sharing(
 
 # Zenoh is optional.
 
-MAX_BYTES = 10_000_000
 
-
-def test_a_server_that_shares_nothing_has_no_bridge() -> None:
-    assert bridge_of(ZenohSettings(), Graph(REGISTRY), unlimited(), MAX_BYTES) is None
-
-
-def test_a_server_that_takes_part_has_one() -> None:
-    assert isinstance(bridge_of(ZenohSettings(mode="peer"), Graph(REGISTRY), unlimited(), MAX_BYTES), Bridge)
-
-
-def test_a_server_that_shares_nothing_does_not_load_zenoh() -> None:
-    program = """
-import sys
-from server.access.authorization import unlimited
-from server.graph.topics import Graph
-from server.zenoh.bridge import bridge_of
-from server.zenoh.settings import ZenohSettings
-from protocol.registry import Registry
-bridge_of(ZenohSettings(), Graph(Registry.load()), unlimited(), 10_000_000)
-print("zenoh" in sys.modules)
-"""
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=True)
-    assert ran.stdout == "False\n"
+def test_only_a_server_that_takes_part_has_a_bridge() -> None:
+    made = [
+        bridge_of(ZenohSettings(**mode), Graph(REGISTRY), unlimited(), 10_000_000) for mode in ({}, {"mode": "peer"})
+    ]
+    assert [type(each) for each in made] == [type(None), Bridge]
 
 
 # Discovery.
@@ -257,92 +233,78 @@ print("zenoh" in sys.modules)
 CHATTER = Endpoint("/chatter", "std_msgs/msg/String", "RIHS01_0")
 
 
-def all_concern(_entity: Entity) -> bool:
-    return True
+class Found:
+    """What a server discovers of another machine; ``concerns`` tells what it is about."""
+
+    def __init__(self, concerns: Callable[[Entity], bool] = lambda _entity: True) -> None:
+        self.discovery = Discovery(0, "us", concerns)
+        self.theirs, self.ours = (LivelinessTokens(0, machine, "") for machine in ("them", "us"))
+
+    def token(self, topic: str = "/chatter") -> str:
+        """A new token of the other machine for a topic that it publishes."""
+        return self.theirs.entity(EntityKind.PUBLISHER, Endpoint(topic, CHATTER.type_name, "RIHS01_0"))
+
+    def update(self, token: str, *, alive: bool = True) -> tuple[Entity, ...]:
+        """Take a token; returns what is known then."""
+        self.discovery.update(token, alive=alive)
+        return self.discovery.entities()
 
 
 def test_an_entity_is_known_until_it_goes() -> None:
-    others = Discovery(0, "us", all_concern)
-    token = LivelinessTokens(0, "them", "").entity(EntityKind.PUBLISHER, CHATTER)
-    others.update(token, alive=True)
-    assert others.entities() == (Entity(EntityKind.PUBLISHER, "them", CHATTER, latched=False),)
-    others.update(token, alive=False)
-    assert others.entities() == ()
+    found = Found()
+    token = found.token()
+    assert found.update(token) == (Entity(EntityKind.PUBLISHER, "them", CHATTER, latched=False),)
+    assert found.update(token, alive=False) == ()
 
 
-def test_the_server_does_not_discover_itself() -> None:
-    others = Discovery(0, "us", all_concern)
-    others.update(LivelinessTokens(0, "us", "").entity(EntityKind.PUBLISHER, CHATTER), alive=True)
-    assert others.entities() == ()
-
-
-def test_an_entity_of_no_concern_is_not_kept() -> None:
-    others = Discovery(0, "us", lambda entity: entity.kind is EntityKind.SERVICE)
-    others.update(LivelinessTokens(0, "them", "").entity(EntityKind.PUBLISHER, CHATTER), alive=True)
-    assert others.entities() == ()
+def test_only_valid_tokens_of_others_that_are_of_concern_are_kept() -> None:
+    services = Found(lambda entity: entity.kind is EntityKind.SERVICE)
+    assert services.update(services.token()) == ()
+    found = Found()
+    assert found.update(found.ours.entity(EntityKind.PUBLISHER, CHATTER)) == ()
+    for alive in (True, False):
+        assert found.update("@ros2_lv/0/nonsense", alive=alive) == ()
 
 
 def test_several_that_do_the_same_are_one() -> None:
-    others, tokens = Discovery(0, "us", all_concern), LivelinessTokens(0, "them", "")
-    both = [tokens.entity(EntityKind.PUBLISHER, CHATTER) for _ in range(2)]
-    for token in both:
-        others.update(token, alive=True)
-    assert len(others.entities()) == 1
-    others.update(both[0], alive=False)
-    assert len(others.entities()) == 1
-    others.update(both[1], alive=False)
-    assert others.entities() == ()
+    found = Found()
+    first, second = found.token(), found.token()
+    assert len(found.update(first)) == len(found.update(second)) == 1
+    assert len(found.update(first, alive=False)) == 1
+    assert found.update(second, alive=False) == ()
 
 
 def test_nothing_new_is_told_by_the_same_object() -> None:
-    others, tokens = Discovery(0, "us", all_concern), LivelinessTokens(0, "them", "")
-    before = others.entities()
-    assert others.entities() is before
-    others.update(tokens.entity(EntityKind.PUBLISHER, CHATTER), alive=True)
-    after = others.entities()
+    found = Found()
+    before = found.discovery.entities()
+    assert found.discovery.entities() is before
+    after = found.update(found.token())
     assert after is not before
-    others.update(LivelinessTokens(0, "us", "").entity(EntityKind.PUBLISHER, CHATTER), alive=True)
-    assert others.entities() is after
+    assert found.update(found.ours.entity(EntityKind.PUBLISHER, CHATTER)) is after
 
 
 def test_invented_liveliness_tokens_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bridge, "MAX_ENTITIES", 3)
-    others, tokens = Discovery(0, "us", all_concern), LivelinessTokens(0, "them", "")
+    found = Found()
     for number in range(10):
-        others.update(
-            tokens.entity(EntityKind.PUBLISHER, Endpoint(f"/t{number}", CHATTER.type_name, "RIHS01_0")), alive=True
-        )
-    assert len(others.entities()) == 3
-
-
-def test_an_invalid_liveliness_token_changes_nothing() -> None:
-    others = Discovery(0, "us", all_concern)
-    others.update("@ros2_lv/0/nonsense", alive=True)
-    others.update("@ros2_lv/0/nonsense", alive=False)
-    assert others.entities() == ()
+        found.update(found.token(f"/t{number}"))
+    assert len(found.discovery.entities()) == 3
 
 
 async def test_names_are_looked_at_again_after_changes_and_from_time_to_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    now_s, refreshes = 0.0, 0
+    now_s, refreshes, settings = 0.0, [], ZenohSettings(mode="peer", publish=("/news",))
     async with Site(free_port(), publish=("/news",)) as site:
         network = site.bridge._sharing._network  # type: ignore[union-attr]
-        sharing = Sharing(
-            network, ZenohSettings(mode="peer", publish=("/news",)), site.bridge._authorizer, lambda: now_s
-        )
+        sharing = Sharing(network, settings, site.bridge._authorizer, lambda: now_s)
+        monkeypatch.setattr(sharing, "refresh", lambda: refreshes.append(now_s))
 
-        def count() -> None:
-            nonlocal refreshes
-            refreshes += 1
+        def follow() -> int:
+            for _ in range(3):
+                sharing.follow()
+            return len(refreshes)
 
-        monkeypatch.setattr(sharing, "refresh", count)
-        for _ in range(3):
-            sharing.follow()
-        assert refreshes == 1
+        assert follow() == 1
         site.graph.advertise(site.part, "/news", STRING)
-        for _ in range(3):
-            sharing.follow()
-        assert refreshes == 2
+        assert follow() == 2
         now_s += FULL_REFRESH_PERIOD_S
-        for _ in range(3):
-            sharing.follow()
-        assert refreshes == 3
+        assert follow() == 3

@@ -36,45 +36,60 @@ class Waiting:
         raise AssertionError
 
 
+class Decoding:
+    """A decoder on such threads, and what it has made of messages."""
+
+    def __init__(self) -> None:
+        self.background = Waiting()
+        self.decoded: list[ReceivedMessage | MessageError] = []
+
+    def take(self, octets: bytes, type_name: str = STRING) -> None:
+        Decoder(TYPES, self.background).decode(type_name, octets, self.decoded.append)
+
+    def work(self) -> None:
+        """Have the threads do what they were given, which is one job."""
+        (job,) = self.background.jobs
+        job()
+
+
+@pytest.fixture
+def decoding() -> Decoding:
+    return Decoding()
+
+
 def octets_of(text: str) -> bytes:
     return cdr.serialize(REGISTRY, STRING, {"data": text})
 
 
-def test_a_small_message_is_decoded_at_once() -> None:
-    background, decoded = Waiting(), list[ReceivedMessage | MessageError]()
-    Decoder(TYPES, background).decode(STRING, octets_of("a"), decoded.append)
-    assert background.jobs == []
-    assert isinstance(decoded[0], ReceivedMessage)
-    assert TYPES.complete(STRING, decoded[0]) == {"data": "a"}
+def test_a_small_message_is_decoded_at_once(decoding: Decoding) -> None:
+    decoding.take(octets_of("a"))
+    assert decoding.background.jobs == []
+    assert isinstance(decoding.decoded[0], ReceivedMessage)
+    assert TYPES.complete(STRING, decoding.decoded[0]) == {"data": "a"}
 
 
-def test_a_large_message_is_decoded_and_completed_by_a_thread() -> None:
-    background, decoded = Waiting(), list[ReceivedMessage | MessageError]()
+def test_a_large_message_is_decoded_and_completed_by_a_thread(decoding: Decoding) -> None:
     text = "x" * BYTES_AT_ONCE
-    Decoder(TYPES, background).decode(STRING, octets_of(text), decoded.append)
-    assert decoded == []
-    background.jobs.pop()()
-    assert isinstance(decoded[0], ReceivedMessage)
-    assert decoded[0].completed(STRING) == {"data": text}
+    decoding.take(octets_of(text))
+    assert decoding.decoded == []
+    decoding.work()
+    assert isinstance(decoding.decoded[0], ReceivedMessage)
+    assert decoding.decoded[0].completed(STRING) == {"data": text}
 
 
-@pytest.mark.parametrize("length", [1, BYTES_AT_ONCE])
-def test_of_octets_that_are_no_message_the_reason_is_told(length: int) -> None:
-    background, decoded = Waiting(), list[ReceivedMessage | MessageError]()
-    Decoder(TYPES, background).decode("std_msgs/msg/Header", b"\0" * (length + 1), decoded.append)
-    for job in background.jobs:
-        job()
-    assert len(decoded) == 1
-    if length == 1:
-        assert isinstance(decoded[0], MessageError)
+def test_of_octets_that_are_no_message_the_reason_is_told(decoding: Decoding) -> None:
+    decoding.take(b"\0\0", "std_msgs/msg/Header")
+    assert isinstance(decoding.decoded[0], MessageError)
+    decoding.take(b"\xff" * (BYTES_AT_ONCE + 1))
+    decoding.work()
+    assert isinstance(decoding.decoded[1], MessageError)
 
 
-def test_a_thread_that_fails_leaves_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_thread_that_fails_leaves_a_reason(decoding: Decoding, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise RuntimeError
 
     monkeypatch.setattr(cdr, "deserialize", fail)
-    background, decoded = Waiting(), list[ReceivedMessage | MessageError]()
-    Decoder(TYPES, background).decode(STRING, b"x" * (BYTES_AT_ONCE + 1), decoded.append)
-    background.jobs.pop()()
-    assert isinstance(decoded[0], MessageError)
+    decoding.take(b"x" * (BYTES_AT_ONCE + 1))
+    decoding.work()
+    assert isinstance(decoding.decoded[0], MessageError)

@@ -62,20 +62,16 @@ async def test_a_type_that_is_unknown_has_no_endpoint(alone: Network, caplog: py
 
 
 async def test_types_agree_by_their_hash(alone: Network) -> None:
-    assert alone.agrees(Endpoint("/a", "std_msgs/msg/String", STRING_HASH), "msg")
-    assert not alone.agrees(Endpoint("/a", "std_msgs/msg/String", "RIHS01_0"), "msg")
-    assert not alone.agrees(Endpoint("/a", "nobodys_msgs/msg/Thing", "RIHS01_0"), "msg")
+    endpoints = [("std_msgs/msg/String", STRING_HASH), ("std_msgs/msg/String", "RIHS01_0"), ("nobodys_msgs/msg/A", "")]
+    assert [alone.agrees(Endpoint("/a", *each), "msg") for each in endpoints] == [True, False, False]
 
 
 async def test_parts_of_the_server_are_told_from_clients(alone: Network) -> None:
-    part, client = Node("part"), Node("client", remote=True)
-    for node, name in ((part, "/own"), (client, "/theirs")):
+    for node, name in ((Node("part"), "/own"), (Node("client", remote=True), "/theirs")):
         alone.graph.advertise(node, name, "std_msgs/String")
         alone.graph.subscribe(node, name, None, Subscriber(print))
-    assert alone.is_own_publication("/own")
-    assert alone.is_own_subscription("/own")
-    assert not alone.is_own_publication("/theirs")
-    assert not alone.is_own_subscription("/theirs")
+    assert [alone.is_own_publication(name) for name in ("/own", "/theirs")] == [True, False]
+    assert [alone.is_own_subscription(name) for name in ("/own", "/theirs")] == [True, False]
 
 
 class Jobs:
@@ -114,36 +110,33 @@ def test_a_pattern_fits_whole_names_with_all_that_lies_below() -> None:
     assert [name for name in names if patterns.matches(name)] == ["/joint_states", "/arm/a/b"]
 
 
-def test_no_pattern_fits_nothing() -> None:
-    assert not NameFilter([]).matches("/joint_states")
-
-
-@pytest.mark.parametrize("patterns", [[], ["/goal"]])
-def test_further_names_match_whatever_the_patterns_are(patterns: list[str]) -> None:
-    assert NameFilter(patterns, lambda name: name == "/stop").matches("/stop")
+def test_further_names_match_whatever_the_patterns_are() -> None:
+    for patterns in ([], ["/goal"]):
+        assert NameFilter(patterns, lambda name: name == "/stop").matches("/stop")
+        assert not NameFilter(patterns).matches("/stop")
 
 
 def test_a_name_that_is_a_pattern_of_keys_is_never_shared() -> None:
     assert not NameFilter(["*"]).matches("/**")
 
 
-def test_names_get_the_namespace_on_their_way_out_and_lose_it_on_their_way_in() -> None:
-    namespace = Namespace("/arm1")
-    assert namespace.to_network("/joint_states") == "/arm1/joint_states"
-    assert namespace.to_local("/arm1/joint_states") == "/joint_states"
-
-
-def test_names_of_other_namespaces_come_in_as_they_are() -> None:
-    namespace = Namespace("/arm1")
-    assert namespace.to_local("/arm2/joint_states") == "/arm2/joint_states"
-    assert namespace.to_local("/arm12/joint_states") == "/arm12/joint_states"
-    assert not namespace.contains("/arm12/joint_states")
-
-
-def test_without_a_namespace_names_are_the_same_on_both_sides() -> None:
-    namespace = Namespace("")
-    assert namespace.to_network("/a") == namespace.to_local("/a") == "/a"
-    assert namespace.contains("/a")
+@pytest.mark.parametrize(
+    ("namespace", "there", "here"),
+    [
+        ("/arm1", "/arm1/joint_states", "/joint_states"),
+        ("/arm1", "/arm2/joint_states", "/arm2/joint_states"),
+        ("/arm1", "/arm12/joint_states", "/arm12/joint_states"),
+        ("", "/joint_states", "/joint_states"),
+    ],
+)
+def test_names_lose_the_namespace_of_this_server_and_no_other_on_their_way_in(
+    namespace: str, there: str, here: str
+) -> None:
+    found = Namespace(namespace)
+    assert found.to_local(there) == here
+    assert found.contains(there) == there.startswith(f"{namespace}/")
+    if found.contains(there):
+        assert found.to_network(here) == there
 
 
 async def test_a_type_of_the_users_packages_has_an_endpoint(alone: Network) -> None:

@@ -10,7 +10,7 @@ from server.access.settings import AccessSettings
 from server.errors import ServiceError
 from server.zenoh import services
 from tests.helpers.waiting import until
-from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, free_port
+from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, free_port, networked
 
 TRIGGER = "std_srvs/srv/Trigger"
 DONE = b"\x00\x01\x00\x00\x01\x00\x00\x00\x05\x00\x00\x00done\x00"
@@ -33,12 +33,16 @@ async def replies(machine: RosMachine, service: str = "/arm/stop", **how: Any) -
     return await asyncio.to_thread(machine.call, service, **how)
 
 
+def failure(reply: zenoh.Reply) -> str:
+    """The sentence by which a call has failed."""
+    assert reply.err is not None
+    return bytes(reply.err.payload).decode()
+
+
 async def test_a_ros_2_machine_calls_a_service_and_knows_its_answer_again() -> None:
-    port = free_port()
-    async with Site(port, offer=("/arm/*",)) as site:
+    async with networked(offer=("/arm/*",)) as (site, machine):
         requests = offered(site)
-        with RosMachine(port) as machine:
-            (reply,) = await replies(machine, number=42)
+        (reply,) = await replies(machine, number=42)
     assert len(requests) == 1
     assert reply.ok is not None
     assert str(reply.ok.key_expr) == f"0/arm/stop/{TRIGGER_KEY}"
@@ -50,86 +54,62 @@ async def test_a_ros_2_machine_calls_a_service_and_knows_its_answer_again() -> N
 
 
 async def test_a_service_that_fits_no_pattern_cannot_be_called() -> None:
-    port = free_port()
-    async with Site(port, offer=("/arm/stop",)) as site:
+    async with networked(offer=("/arm/stop",)) as (site, machine):
         offered(site)
         requests = offered(site, "/arm/enable")
-        with RosMachine(port) as machine:
-            assert await replies(machine, "/arm/stop")
-            assert await asyncio.to_thread(machine.call, "/arm/enable") == []
+        assert await replies(machine, "/arm/stop")
+        assert await asyncio.to_thread(machine.call, "/arm/enable") == []
     assert requests == []
 
 
 async def test_a_query_for_many_keys_calls_no_service() -> None:
-    port = free_port()
-    async with Site(port, offer=("/arm/*",)) as site:
+    async with networked(offer=("/arm/*",)) as (site, machine):
         requests = offered(site)
-        with RosMachine(port) as machine:
-            await until(lambda: machine.has_token("%arm%stop"))
-            ask, request = machine.session.get, b"\0\1\0\0\0"
-            for asked, payload in (("0/**", None), (f"0/arm/stop/{TRIGGER_KEY}", None), ("0/arm/**", request)):
-                assert await asyncio.to_thread(lambda to=asked, what=payload: list(ask(to, payload=what))) == []
+        await until(lambda: machine.has_token("%arm%stop"))
+        ask, request = machine.session.get, b"\0\1\0\0\0"
+        for asked, payload in (("0/**", None), (f"0/arm/stop/{TRIGGER_KEY}", None), ("0/arm/**", request)):
+            assert await asyncio.to_thread(lambda to=asked, what=payload: list(ask(to, payload=what))) == []
     assert requests == []
 
 
 async def test_a_service_that_fails_says_why() -> None:
-    port = free_port()
-
     def fail(_request: dict[str, Any]) -> dict[str, Any]:
         raise ServiceError("the arm is not there")
 
-    async with Site(port, offer=("/arm/*",)) as site:
+    async with networked(offer=("/arm/*",)) as (site, machine):
         site.graph.services.offer(site.part, "/arm/stop", TRIGGER, fail)
-        with RosMachine(port) as machine:
-            (reply,) = await replies(machine)
-    assert reply.err is not None
-    assert bytes(reply.err.payload) == b"the arm is not there"
+        (reply,) = await replies(machine)
+    assert failure(reply) == "the arm is not there"
 
 
-async def test_a_request_that_cannot_be_read_is_refused() -> None:
-    port = free_port()
-    async with Site(port, offer=("/arm/*",)) as site:
+@pytest.mark.parametrize(
+    ("max_bytes", "payload"), [(100, b"\xff"), (4, b"\0\1\0\0\0")], ids=["unreadable", "too large"]
+)
+async def test_a_bad_request_is_refused(max_bytes: int, payload: bytes) -> None:
+    async with networked(max_message_bytes=max_bytes, offer=("/arm/*",)) as (site, machine):
         requests = offered(site)
-        with RosMachine(port) as machine:
-            (reply,) = await replies(machine, payload=b"\xff")
+        (reply,) = await replies(machine, payload=payload)
     assert requests == []
-    assert reply.err is not None
-    assert bytes(reply.err.payload).startswith(b"Service /arm/stop: message: wanted CDR")
-
-
-async def test_a_request_that_is_too_large_is_refused() -> None:
-    port = free_port()
-    async with Site(port, max_message_bytes=4, offer=("/arm/*",)) as site:
-        requests = offered(site)
-        with RosMachine(port) as machine:
-            (reply,) = await replies(machine)
-    assert requests == []
-    assert reply.err is not None
+    assert failure(reply).startswith("Service /arm/stop: message: wanted CDR")
 
 
 async def test_a_viewing_network_is_told_the_missing_role_but_may_stop_the_arm() -> None:
-    port = free_port()
-    async with Site(port, offer=("/arm/*",), role="view") as site:
+    async with networked(offer=("/arm/*",), role="view") as (site, machine):
         requests = offered(site, "/arm/enable")
         offered(site)
-        with RosMachine(port) as machine:
-            (refused,) = await replies(machine, "/arm/enable")
-            (stopped,) = await replies(machine)
+        (refused,) = await replies(machine, "/arm/enable")
+        (stopped,) = await replies(machine)
     assert requests == []
-    assert refused.err is not None
-    assert b"needs the role operate" in bytes(refused.err.payload)
+    assert "needs the role operate" in failure(refused)
     assert stopped.ok is not None
 
 
 async def test_a_service_that_moves_the_arm_needs_control_of_it() -> None:
-    port = free_port()
-    async with Site(port, offer=("/arm/*",), access=AccessSettings(control="lease")) as site:
+    async with networked(offer=("/arm/*",), access=AccessSettings(control="lease")) as (site, machine):
         offered(site, "/arm/enable")
         site.access.lease.drive(site.client, asyncio.get_running_loop().time())
-        with RosMachine(port) as machine:
-            (reply,) = await replies(machine, "/arm/enable")
-    assert reply.err is not None
-    assert b"client has controlled the arm since" in bytes(reply.err.payload)
+        (reply,) = await replies(machine, "/arm/enable")
+    assert "client has controlled the arm since" in failure(reply)
 
 
 async def test_of_too_many_calls_at_a_time_those_beyond_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,20 +129,17 @@ async def test_of_too_many_calls_at_a_time_those_beyond_are_refused(monkeypatch:
             go_on.set()
             answered = [(await call)[0] for call in first]
             (later,) = await replies(machine)
-    assert refused.err is not None
-    assert bytes(refused.err.payload) == b"Service /arm/stop: 2 calls are on their way already"
+    assert failure(refused) == "Service /arm/stop: 2 calls are on their way already"
     assert all(reply.ok is not None for reply in (*answered, later))
 
 
 async def test_a_service_that_is_withdrawn_is_taken_back() -> None:
-    port = free_port()
-    async with Site(port, offer=("/arm/*",)) as site:
+    async with networked(offer=("/arm/*",)) as (site, machine):
         offered(site)
-        with RosMachine(port) as machine:
-            assert await replies(machine)
-            site.graph.services.withdraw(site.part, "/arm/stop")
-            await until(lambda: not machine.has_token("%arm%stop"))
-            assert await asyncio.to_thread(machine.call, "/arm/stop") == []
+        assert await replies(machine)
+        site.graph.services.withdraw(site.part, "/arm/stop")
+        await until(lambda: not machine.has_token("%arm%stop"))
+        assert await asyncio.to_thread(machine.call, "/arm/stop") == []
 
 
 # Services of other machines that clients call.
@@ -199,13 +176,11 @@ async def found_by(site: Site, service: str = "/lamp/switch") -> None:
 
 
 async def test_a_client_calls_a_service_of_a_ros_2_machine() -> None:
-    port = free_port()
-    async with Site(port, call=("/lamp/*",)) as site:
-        with RosMachine(port) as machine:
-            offering = Offering(machine)
-            await found_by(site)
-            response = await site.called("/lamp/switch")
-            again = await site.called("/lamp/switch")
+    async with networked(call=("/lamp/*",)) as (site, machine):
+        offering = Offering(machine)
+        await found_by(site)
+        response = await site.called("/lamp/switch")
+        again = await site.called("/lamp/switch")
     assert response.values == again.values == {"success": True, "message": "done"}
     # An empty request is one octet; the calls are counted.
     assert [payload for payload, _ in offering.queries] == [b"\x00\x01\x00\x00\x00"] * 2
@@ -227,25 +202,21 @@ async def test_a_service_that_goes_is_gone_and_calls_on_their_way_fail() -> None
     assert "/lamp/switch" in response.values
 
 
-async def test_a_response_that_cannot_be_read_fails_the_call() -> None:
-    port = free_port()
-    async with Site(port, call=("/lamp/*",)) as site:
-        with RosMachine(port) as machine:
-            Offering(machine, response=b"nonsense")
-            await found_by(site)
-            response = await site.called("/lamp/switch")
-    assert not response.ok
-    assert "gave a response that does not fit std_srvs/srv/Trigger" in response.values
-
-
-async def test_a_response_that_is_too_large_fails_the_call() -> None:
-    port = free_port()
-    async with Site(port, max_message_bytes=len(DONE) - 1, call=("/lamp/*",)) as site:
-        with RosMachine(port) as machine:
-            Offering(machine)
-            await found_by(site)
-            response = await site.called("/lamp/switch")
-    assert response.values == f"Service /lamp/switch gave a response of more than {len(DONE) - 1} bytes"
+@pytest.mark.parametrize(
+    ("response", "sentence"),
+    [
+        (b"nonsense", "gave a response that does not fit std_srvs/srv/Trigger"),
+        (DONE + b"x", f"gave a response of more than {len(DONE)} bytes"),
+    ],
+    ids=["unreadable", "too large"],
+)
+async def test_a_bad_response_fails_the_call(response: bytes, sentence: str) -> None:
+    async with networked(max_message_bytes=len(DONE), call=("/lamp/*",)) as (site, machine):
+        Offering(machine, response=response)
+        await found_by(site)
+        answer = await site.called("/lamp/switch")
+    assert not answer.ok
+    assert sentence in answer.values
 
 
 async def test_a_name_that_is_taken_here_keeps_its_service(caplog: pytest.LogCaptureFixture) -> None:
@@ -266,30 +237,26 @@ async def test_a_name_that_is_taken_here_keeps_its_service(caplog: pytest.LogCap
 
 
 async def test_services_that_fit_no_pattern_are_not_there() -> None:
-    port = free_port()
-    async with Site(port, call=("/lamp/*",)) as site:
-        with RosMachine(port) as machine:
-            Offering(machine, "/door/open")
-            Offering(machine)
-            await found_by(site)
+    async with networked(call=("/lamp/*",)) as (site, machine):
+        Offering(machine, "/door/open")
+        Offering(machine)
+        await found_by(site)
     assert site.graph.services.type_of("/door/open") is None
 
 
 async def test_of_too_many_calls_at_a_time_those_beyond_fail_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(services, "MAX_OUTGOING_CALLS", 1)
-    port = free_port()
-    async with Site(port, call=("/lamp/*",)) as site:
-        with RosMachine(port) as machine:
-            offering = Offering(machine, response=None)
-            await found_by(site)
-            waiting = asyncio.create_task(site.called("/lamp/switch"))
-            await until(lambda: offering.queries)
-            response = await site.called("/lamp/switch")
-            offering.give_up()
-            unanswered = await waiting
-            again = asyncio.create_task(site.called("/lamp/switch"))
-            await until(lambda: len(offering.queries) == 2)
-            offering.give_up()
-            await again
+    async with networked(call=("/lamp/*",)) as (site, machine):
+        offering = Offering(machine, response=None)
+        await found_by(site)
+        waiting = asyncio.create_task(site.called("/lamp/switch"))
+        await until(lambda: offering.queries)
+        response = await site.called("/lamp/switch")
+        offering.give_up()
+        unanswered = await waiting
+        again = asyncio.create_task(site.called("/lamp/switch"))
+        await until(lambda: len(offering.queries) == 2)
+        offering.give_up()
+        await again
     assert unanswered.values == "Service /lamp/switch has not answered"
     assert response.values == "Service /lamp/switch: 1 calls are on their way already"

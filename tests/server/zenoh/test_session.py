@@ -41,77 +41,68 @@ def hanging(do: Callable[[session_module.Job], bool]) -> Iterator[None]:
     go_on.set()
 
 
-class Opened:
-    """Waits for the session."""
-
-    def __init__(self) -> None:
-        self.thread = SessionThread(open_session)
-
-    def wait(self) -> str:
-        return self.thread.opened.result(TIMEOUT_S)
-
-
 @pytest.fixture
-def opened() -> Iterator[Opened]:
-    running = Opened()
-    running.thread.start()
-    running.wait()
-    yield running
-    running.thread.close()
+def opened() -> Iterator[SessionThread]:
+    """A thread with an open session."""
+    thread = SessionThread(open_session)
+    thread.start()
+    assert thread.opened.result(TIMEOUT_S)
+    yield thread
+    thread.close()
 
 
-def test_jobs_are_done_in_their_order_with_the_open_session(opened: Opened) -> None:
+def test_jobs_are_done_in_their_order_with_the_open_session(opened: SessionThread) -> None:
     done: queue.Queue[tuple[int, bool]] = queue.Queue()
     for number in range(3):
-        assert opened.thread.submit(lambda session, number=number: done.put((number, session.is_closed())))
+        assert opened.submit(lambda session, number=number: done.put((number, session.is_closed())))
     assert [done.get(timeout=TIMEOUT_S) for _ in range(3)] == [(0, False), (1, False), (2, False)]
 
 
-def test_a_job_that_fails_ends_no_other(opened: Opened, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_job_that_fails_ends_no_other(opened: SessionThread, caplog: pytest.LogCaptureFixture) -> None:
     done = threading.Event()
 
     def fail(_session: zenoh.Session) -> None:
         raise RuntimeError("a bug")
 
-    opened.thread.submit(lambda session: session.put("not//a/key", b""))
-    opened.thread.submit(fail)
-    opened.thread.submit(lambda _session: done.set())
+    opened.submit(lambda session: session.put("not//a/key", b""))
+    opened.submit(fail)
+    opened.submit(lambda _session: done.set())
     assert done.wait(TIMEOUT_S)
     assert [record.levelno for record in caplog.records] == [logging.WARNING, logging.ERROR]
 
 
-def test_work_submitted_before_the_end_is_done(opened: Opened) -> None:
+def test_work_submitted_before_the_end_is_done(opened: SessionThread) -> None:
     go_on, done = threading.Event(), threading.Event()
-    opened.thread.submit(lambda _session: go_on.wait(TIMEOUT_S))
-    opened.thread.submit(lambda _session: done.set())
+    opened.submit(lambda _session: go_on.wait(TIMEOUT_S))
+    opened.submit(lambda _session: done.set())
     with ThreadPoolExecutor(1) as other:
-        closed = other.submit(opened.thread.close)
+        closed = other.submit(opened.close)
         go_on.set()
         assert closed.result(TIMEOUT_S)
     assert done.is_set()
 
 
-def test_a_call_that_waits_for_its_machine_holds_up_no_topic(opened: Opened) -> None:
+def test_a_call_that_waits_for_its_machine_holds_up_no_topic(opened: SessionThread) -> None:
     done = threading.Event()
-    with hanging(opened.thread.submit_call):
-        opened.thread.submit(lambda _session: done.set())
+    with hanging(opened.submit_call):
+        opened.submit(lambda _session: done.set())
         assert done.wait(TIMEOUT_S)
 
 
-def test_a_call_that_waits_for_its_machine_does_not_hold_up_the_end(opened: Opened) -> None:
-    with hanging(opened.thread.submit_call):
-        assert opened.thread.close()
+def test_a_call_that_waits_for_its_machine_does_not_hold_up_the_end(opened: SessionThread) -> None:
+    with hanging(opened.submit_call):
+        assert opened.close()
 
 
 def test_a_network_that_stands_still_holds_up_neither_work_nor_the_end(
-    opened: Opened, monkeypatch: pytest.MonkeyPatch
+    opened: SessionThread, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(session_module, "CLOSE_TIMEOUT_S", 0.05)
-    with hanging(opened.thread.submit):
-        accepted = sum(opened.thread.submit(lambda _session: None) for _ in range(session_module.MAX_JOBS + 10))
-        assert not opened.thread.close()
+    with hanging(opened.submit):
+        accepted = sum(opened.submit(lambda _session: None) for _ in range(session_module.MAX_JOBS + 10))
+        assert not opened.close()
     assert session_module.MAX_JOBS - 1 <= accepted <= session_module.MAX_JOBS
-    assert opened.thread.rejected >= 9
+    assert opened.rejected >= 9
 
 
 def test_a_session_that_cannot_be_opened_is_tried_again(
@@ -149,39 +140,43 @@ def test_a_session_that_never_opens_does_not_hold_up_the_end(monkeypatch: pytest
 # The queue to the event loop.
 
 
-async def test_items_of_other_threads_come_to_the_loop_in_order() -> None:
-    taken: list[int] = []
-    box = ReceiveQueue[int](asyncio.get_running_loop(), taken.append)
-    thread = threading.Thread(target=lambda: [box.put(number, 1) for number in range(100)])
-    thread.start()
+@pytest.fixture
+async def taken() -> list[int]:
+    """What the event loop has taken out of the queue."""
+    return []
+
+
+@pytest.fixture
+async def box(taken: list[int]) -> ReceiveQueue[int]:
+    return ReceiveQueue[int](asyncio.get_running_loop(), taken.append)
+
+
+async def test_items_of_other_threads_come_to_the_loop_in_order(box: ReceiveQueue[int], taken: list[int]) -> None:
+    await asyncio.to_thread(lambda: [box.put(number, 1) for number in range(100)])
     await until(lambda: len(taken) == 100)
-    thread.join()
     assert taken == list(range(100))
     assert box.dropped == 0
 
 
-async def test_of_too_many_items_the_newest_are_kept() -> None:
-    taken: list[int] = []
-    box = ReceiveQueue[int](asyncio.get_running_loop(), taken.append)
-    for number in range(session_module.MAX_WAITING + 5):
-        box.put(number, 1)
-    await until(lambda: len(taken) >= session_module.MAX_WAITING)
-    assert taken == list(range(5, session_module.MAX_WAITING + 5))
-    assert box.dropped == 5
+HALF_BYTES = session_module.MAX_WAITING_BYTES // 2
 
 
-async def test_of_too_large_items_the_newest_are_kept() -> None:
-    taken: list[int] = []
-    box = ReceiveQueue[int](asyncio.get_running_loop(), taken.append)
-    for number in range(3):
-        box.put(number, session_module.MAX_WAITING_BYTES // 2)
-    await until(lambda: len(taken) >= 2)
-    assert taken == [1, 2]
+@pytest.mark.parametrize(
+    ("count", "size_bytes", "kept"),
+    [(session_module.MAX_WAITING + 5, 1, session_module.MAX_WAITING), (3, HALF_BYTES, 2)],
+    ids=["too many", "too large"],
+)
+async def test_of_more_items_than_fit_the_newest_are_kept(
+    box: ReceiveQueue[int], taken: list[int], count: int, size_bytes: int, kept: int
+) -> None:
+    for number in range(count):
+        box.put(number, size_bytes)
+    await until(lambda: len(taken) >= kept)
+    assert taken == list(range(count - kept, count))
+    assert box.dropped == count - kept
 
 
-async def test_a_full_inbox_lets_others_have_their_turn() -> None:
-    taken: list[int] = []
-    box = ReceiveQueue[int](asyncio.get_running_loop(), taken.append)
+async def test_a_full_inbox_lets_others_have_their_turn(box: ReceiveQueue[int], taken: list[int]) -> None:
     for number in range(3 * session_module.ITEMS_AT_A_TIME):
         box.put(number, 1)
     await asyncio.sleep(0)

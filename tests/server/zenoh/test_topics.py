@@ -16,7 +16,7 @@ from server.access.settings import AccessSettings
 from server.graph.topics import Subscriber
 from server.zenoh import topics
 from tests.helpers.waiting import TIMEOUT_S, until
-from tests.helpers.zenoh_network import RosMachine, Site, free_port
+from tests.helpers.zenoh_network import RosMachine, Site, free_port, networked
 
 # Published topics.
 
@@ -28,15 +28,13 @@ MAX_ROUNDS = 30
 
 
 async def test_a_message_goes_out_as_a_ros_2_machine_expects_it() -> None:
-    port = free_port()
-    async with Site(port, publish=("/news",)) as site:
+    async with networked(publish=("/news",)) as (site, machine):
         site.graph.advertise(site.part, "/news", STRING)
-        with RosMachine(port) as machine:
-            heard = machine.hear("/news", STRING)
-            await until(lambda: machine.has_token("/MP/%/%/armbridge/%news/std_msgs::msg::dds_::String_/RIHS01_df66"))
-            for text in ("one", "two"):
-                site.graph.publish(site.part, "/news", {"data": text})
-            await until(lambda: len(heard) == 2)
+        heard = machine.hear("/news", STRING)
+        await until(lambda: machine.has_token("/MP/%/%/armbridge/%news/std_msgs::msg::dds_::String_/RIHS01_df66"))
+        for text in ("one", "two"):
+            site.graph.publish(site.part, "/news", {"data": text})
+        await until(lambda: len(heard) == 2)
     assert [message.data for message, _ in heard] == ["one", "two"]
     first, second = (struct.unpack("<qqB16s", attached) for _, attached in heard)
     assert (first[0], second[0]) == (1, 2)
@@ -44,45 +42,30 @@ async def test_a_message_goes_out_as_a_ros_2_machine_expects_it() -> None:
     assert first[2:] == second[2:]
 
 
-async def test_a_namespace_stands_before_the_names_at_the_others() -> None:
-    port = free_port()
-    async with Site(port, publish=("/news",), namespace="/arm1") as site:
-        site.graph.advertise(site.part, "/news", STRING)
-        with RosMachine(port) as machine:
-            heard = machine.hear("/arm1/news", STRING)
-            await until(lambda: machine.has_token("/MP/%/%arm1/armbridge/%arm1%news/"))
-            site.graph.publish(site.part, "/news", {"data": "one"})
-            await until(lambda: heard)
-
-
 async def test_a_late_subscriber_on_the_network_gets_the_latched_message() -> None:
-    port = free_port()
-    async with Site(port, publish=("/description",)) as site:
+    async with networked(publish=("/description",)) as (site, machine):
         site.graph.advertise(site.part, "/description", STRING, latch=True)
         site.graph.publish(site.part, "/description", {"data": "an arm"})
-        with RosMachine(port) as machine:
-            await until(lambda: machine.has_token("%description/std_msgs"))
-            assert machine.has_token("/:1:,1:,:,:,,")
-            heard: list[bytes] = []
-            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
-            zenoh.ext.declare_advanced_subscriber(
-                machine.session,
-                machine.key("/description", STRING),
-                lambda sample: heard.append(bytes(sample.payload)),
-                history=history,
-            )
-            await until(lambda: heard)
-            assert heard == [machine.message(STRING, data="an arm")]
+        await until(lambda: machine.has_token("%description/std_msgs"))
+        assert machine.has_token("/:1:,1:,:,:,,")
+        heard: list[bytes] = []
+        history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+        zenoh.ext.declare_advanced_subscriber(
+            machine.session,
+            machine.key("/description", STRING),
+            lambda sample: heard.append(bytes(sample.payload)),
+            history=history,
+        )
+        await until(lambda: heard)
+        assert heard == [machine.message(STRING, data="an arm")]
 
 
 async def test_topics_without_a_matching_pattern_or_a_ros_name_are_not_shared() -> None:
-    port = free_port()
-    async with Site(port, publish=("/news*", "/*\\*")) as site:
+    async with networked(publish=("/news*", "/*\\*")) as (site, machine):
         for name in ("/other", "/news/**", "/news"):
             site.graph.advertise(site.part, name, STRING)
-        with RosMachine(port) as machine:
-            await until(lambda: machine.has_token("%news"))
-            assert len([token for token in machine.tokens if "/MP/" in token]) == 1
+        await until(lambda: machine.has_token("%news"))
+        assert len([token for token in machine.tokens if "/MP/" in token]) == 1
 
 
 async def test_a_topic_that_nobody_publishes_any_more_is_taken_back() -> None:
@@ -97,14 +80,12 @@ async def test_a_topic_that_nobody_publishes_any_more_is_taken_back() -> None:
 
 
 async def test_the_first_message_of_a_client_on_a_new_topic_is_not_lost() -> None:
-    port = free_port()
-    async with Site(port, publish=("/news",)) as site:
-        with RosMachine(port) as machine:
-            heard = machine.hear("/news", STRING)
-            await until(lambda: machine.has_token("/NN/"))
-            site.graph.advertise(site.client, "/news", STRING)
-            site.graph.publish(site.client, "/news", {"data": "one"}, lifespan_s=1.0)
-            await until(lambda: heard)
+    async with networked(publish=("/news",)) as (site, machine):
+        heard = machine.hear("/news", STRING)
+        await until(lambda: machine.has_token("/NN/"))
+        site.graph.advertise(site.client, "/news", STRING)
+        site.graph.publish(site.client, "/news", {"data": "one"}, lifespan_s=1.0)
+        await until(lambda: heard)
 
 
 async def test_of_messages_that_come_faster_than_the_network_takes_them_the_newest_go_out() -> None:
@@ -135,17 +116,6 @@ async def listening(machine: RosMachine, topic: str = "%moveit_goal_named") -> N
     await until(lambda: machine.has_token(f"/MS/%/%/armbridge/{topic}/"))
 
 
-async def test_a_goal_of_a_ros_2_machine_reaches_the_part_that_takes_goals() -> None:
-    port = free_port()
-    async with Site(port, subscribe=GOALS) as site:
-        goals = site.hear("/moveit_goal_named", STRING, site.part)
-        with RosMachine(port) as machine:
-            await listening(machine)
-            machine.publish("/moveit_goal_named", STRING, data="ready")
-            await until(lambda: goals)
-    assert goals[0].msg == {"data": "ready"}
-
-
 async def test_no_goal_is_lost_when_its_sender_is_discovered_or_goes() -> None:
     port, topic = free_port(), "/moveit_goal_named"
     unbounded = AccessSettings(goals_per_s=1_000.0, goal_burst=10_000)
@@ -172,14 +142,12 @@ async def test_no_goal_is_lost_when_its_sender_is_discovered_or_goes() -> None:
 
 
 async def test_a_goal_in_the_namespace_is_for_this_server_and_one_outside_is_not() -> None:
-    port = free_port()
-    async with Site(port, subscribe=GOALS, namespace="/arm1") as site:
+    async with networked(subscribe=GOALS, namespace="/arm1") as (site, machine):
         goals = site.hear("/moveit_goal_named", STRING, site.part)
-        with RosMachine(port) as machine:
-            await until(lambda: machine.has_token("%arm1%moveit_goal_named"))
-            machine.publish("/moveit_goal_named", STRING, data="other")
-            machine.publish("/arm1/moveit_goal_named", STRING, data="own")
-            await until(lambda: goals)
+        await until(lambda: machine.has_token("%arm1%moveit_goal_named"))
+        machine.publish("/moveit_goal_named", STRING, data="other")
+        machine.publish("/arm1/moveit_goal_named", STRING, data="own")
+        await until(lambda: goals)
     assert [goal.msg["data"] for goal in goals] == ["own"]
 
 
@@ -197,78 +165,68 @@ async def test_topics_of_other_machines_are_there_for_clients_until_they_go() ->
 
 
 async def test_nothing_comes_in_that_fits_no_pattern() -> None:
-    port = free_port()
-    async with Site(port, subscribe=("/camera/*",)) as site:
+    async with networked(subscribe=("/camera/*",)) as (site, machine):
         goals = site.hear("/moveit_goal_named", STRING, site.part)
         names = site.hear("/camera/name", STRING)
-        with RosMachine(port) as machine:
-            machine.announce_topic("/camera/name", STRING)
-            machine.announce_topic("/moveit_goal_named", STRING)
-            await listening(machine, "%camera%name")
-            machine.publish("/moveit_goal_named", STRING, data="ready")
-            machine.publish("/camera/name", STRING, data="front")
-            await until(lambda: names)
-            assert not machine.has_token("/MS/%/%/armbridge/%moveit_goal_named")
+        machine.announce_topic("/camera/name", STRING)
+        machine.announce_topic("/moveit_goal_named", STRING)
+        await listening(machine, "%camera%name")
+        machine.publish("/moveit_goal_named", STRING, data="ready")
+        machine.publish("/camera/name", STRING, data="front")
+        await until(lambda: names)
+        assert not machine.has_token("/MS/%/%/armbridge/%moveit_goal_named")
     assert goals == []
 
 
 async def test_received_messages_are_not_sent_back() -> None:
-    port = free_port()
-    async with Site(port, subscribe=("/chat",), publish=("/chat",)) as site:
-        with RosMachine(port) as machine:
-            machine.announce_topic("/chat", STRING)
-            site.graph.advertise(site.client, "/chat", STRING)
-            heard, echoes = site.hear("/chat", STRING), machine.hear("/chat", STRING)
-            await listening(machine, "%chat")
-            machine.publish("/chat", STRING, data="hello")
-            await until(lambda: heard)
-            site.graph.publish(site.client, "/chat", {"data": "answer"})
-            await until(lambda: len(echoes) == 2)
-            machine.publish("/chat", STRING, data="end")
-            await until(lambda: len(echoes) == 3 and heard[-1].msg["data"] == "end")
+    async with networked(subscribe=("/chat",), publish=("/chat",)) as (site, machine):
+        machine.announce_topic("/chat", STRING)
+        site.graph.advertise(site.client, "/chat", STRING)
+        heard, echoes = site.hear("/chat", STRING), machine.hear("/chat", STRING)
+        await listening(machine, "%chat")
+        machine.publish("/chat", STRING, data="hello")
+        await until(lambda: heard)
+        site.graph.publish(site.client, "/chat", {"data": "answer"})
+        await until(lambda: len(echoes) == 2)
+        machine.publish("/chat", STRING, data="end")
+        await until(lambda: len(echoes) == 3 and heard[-1].msg["data"] == "end")
     assert [message.data for message, _ in echoes] == [message.msg["data"] for message in heard]
     assert [message.msg["data"] for message in heard] == ["hello", "answer", "end"]
 
 
 async def test_topics_of_other_machines_are_not_announced_as_this_servers() -> None:
-    port = free_port()
-    async with Site(port, subscribe=("/chat",), publish=("/*",)) as site:
-        with RosMachine(port) as machine:
-            machine.announce_topic("/chat", STRING)
-            await listening(machine, "%chat")
-            site.graph.advertise(site.part, "/news", STRING)
-            await until(lambda: machine.has_token("/MP/%/%/armbridge/%news/"))
-            assert not machine.has_token("/MP/%/%/armbridge/%chat/")
+    async with networked(subscribe=("/chat",), publish=("/*",)) as (site, machine):
+        machine.announce_topic("/chat", STRING)
+        await listening(machine, "%chat")
+        site.graph.advertise(site.part, "/news", STRING)
+        await until(lambda: machine.has_token("/MP/%/%/armbridge/%news/"))
+        assert not machine.has_token("/MP/%/%/armbridge/%chat/")
 
 
 async def test_another_machine_cannot_speak_for_the_arm(caplog: pytest.LogCaptureFixture) -> None:
-    port = free_port()
-    async with Site(port, subscribe=("/*",)) as site:
+    async with networked(subscribe=("/*",)) as (site, machine):
         site.graph.advertise(site.part, "/joint_states", STRING)
         heard, news = site.hear("/joint_states"), site.hear("/news", STRING)
-        with RosMachine(port) as machine:
-            machine.announce_topic("/joint_states", STRING)
-            machine.announce_topic("/news", STRING)
-            await listening(machine, "%news")
-            machine.publish("/joint_states", STRING, data="false")
-            machine.publish("/news", STRING, data="true")
-            await until(lambda: news)
+        machine.announce_topic("/joint_states", STRING)
+        machine.announce_topic("/news", STRING)
+        await listening(machine, "%news")
+        machine.publish("/joint_states", STRING, data="false")
+        machine.publish("/news", STRING, data="true")
+        await until(lambda: news)
     assert heard == []
     assert "set zenoh.namespace on one of them" in caplog.text
 
 
 async def test_a_publisher_of_another_type_does_not_keep_goals_away() -> None:
-    port = free_port()
-    async with Site(port, subscribe=(*GOALS, "/news")) as site:
+    async with networked(subscribe=(*GOALS, "/news")) as (site, machine):
         goals = site.hear("/moveit_goal_named", STRING, site.part)
-        with RosMachine(port) as machine:
-            machine.announce_topic("/moveit_goal_named", "std_msgs/msg/Bool")
-            machine.announce_topic("/news", STRING)
-            await listening(machine)
-            # Announced after the other, and so known after it.
-            await until(lambda: site.graph.topic_type("/news") == STRING)
-            machine.publish("/moveit_goal_named", STRING, data="ready")
-            await until(lambda: goals)
+        machine.announce_topic("/moveit_goal_named", "std_msgs/msg/Bool")
+        machine.announce_topic("/news", STRING)
+        await listening(machine)
+        # Announced after the other, and so known after it.
+        await until(lambda: site.graph.topic_type("/news") == STRING)
+        machine.publish("/moveit_goal_named", STRING, data="ready")
+        await until(lambda: goals)
 
 
 async def test_a_goal_that_was_latched_before_the_server_came_does_not_move_the_arm() -> None:
@@ -294,29 +252,17 @@ async def test_a_goal_that_was_latched_before_the_server_came_does_not_move_the_
     assert [goal.msg["data"] for goal in goals] == ["new", "newer"]
 
 
-async def test_a_key_for_all_topics_is_for_none() -> None:
-    port = free_port()
-    async with Site(port, subscribe=GOALS) as site:
-        goals = site.hear("/moveit_goal_named", STRING, site.part)
-        with RosMachine(port) as machine:
-            await listening(machine)
-            machine.session.put("0/**", machine.message(STRING, data="every"))
-            machine.publish("/moveit_goal_named", STRING, data="one")
-            await until(lambda: goals)
-    assert [goal.msg["data"] for goal in goals] == ["one"]
-
-
 async def test_garbage_costs_a_warning_and_nothing_else(caplog: pytest.LogCaptureFixture) -> None:
-    port = free_port()
-    async with Site(port, max_message_bytes=100, subscribe=GOALS) as site:
+    async with networked(max_message_bytes=100, subscribe=GOALS) as (site, machine):
         goals = site.hear("/moveit_goal_named", STRING, site.part)
-        with RosMachine(port) as machine:
-            await listening(machine)
-            key = machine.key("/moveit_goal_named", STRING)
-            for octets in (b"", b"\0\1\0\0\xff\xff\xff\xff", machine.message(STRING, data="x" * 200)):
-                machine.session.put(key, octets)
-            machine.publish("/moveit_goal_named", STRING, data="ready")
-            await until(lambda: goals)
+        await listening(machine)
+        key = machine.key("/moveit_goal_named", STRING)
+        # A key for all topics is for none.
+        machine.session.put("0/**", machine.message(STRING, data="every"))
+        for octets in (b"", b"\0\1\0\0\xff\xff\xff\xff", machine.message(STRING, data="x" * 200)):
+            machine.session.put(key, octets)
+        machine.publish("/moveit_goal_named", STRING, data="ready")
+        await until(lambda: goals)
     assert [goal.msg["data"] for goal in goals] == ["ready"]
     assert caplog.text.count("a message on /moveit_goal_named is left out") == 3
     assert "more than 100 bytes (server.limits.max_message_bytes)" in caplog.text
@@ -341,33 +287,29 @@ async def test_a_viewing_network_sends_no_goals_and_is_answered(caplog: pytest.L
 
 
 async def test_while_a_client_controls_the_arm_others_send_no_goals_but_stop_it() -> None:
-    port = free_port()
-    async with Site(port, subscribe=GOALS, access=AccessSettings(control="lease")) as site:
+    async with networked(subscribe=GOALS, access=AccessSettings(control="lease")) as (site, machine):
         goals, stops = (
             site.hear("/moveit_goal_named", STRING, site.part),
             site.hear("/stop", "std_msgs/msg/Empty", site.part),
         )
         assert site.access.lease.drive(site.client, asyncio.get_running_loop().time()) is None
-        with RosMachine(port) as machine:
-            await listening(machine, "%stop")
-            machine.publish("/moveit_goal_named", STRING, data="ready")
-            machine.publish("/stop", "std_msgs/msg/Empty")
-            await until(lambda: stops)
-            assert goals == []
-            site.access.lease.leave(site.client)
-            machine.publish("/moveit_goal_named", STRING, data="ready")
-            await until(lambda: goals)
+        await listening(machine, "%stop")
+        machine.publish("/moveit_goal_named", STRING, data="ready")
+        machine.publish("/stop", "std_msgs/msg/Empty")
+        await until(lambda: stops)
+        assert goals == []
+        site.access.lease.leave(site.client)
+        machine.publish("/moveit_goal_named", STRING, data="ready")
+        await until(lambda: goals)
 
 
 async def test_a_topic_of_another_version_of_its_type_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    port = free_port()
-    async with Site(port, subscribe=("/*",)) as site:
-        with RosMachine(port) as machine:
-            machine.announce("MP", "/news", f"std_msgs::msg::dds_::String_/RIHS01_{'0' * 64}")
-            await until(lambda: "another version of std_msgs/msg/String" in caplog.text)
-            machine.announce("MP", "/news", f"std_msgs::msg::dds_::String_/RIHS01_{'0' * 64}")
-            machine.announce_topic("/camera/news", STRING)
-            await until(lambda: site.graph.topic_type("/camera/news") == STRING)
+    async with networked(subscribe=("/*",)) as (site, machine):
+        machine.announce("MP", "/news", f"std_msgs::msg::dds_::String_/RIHS01_{'0' * 64}")
+        await until(lambda: "another version of std_msgs/msg/String" in caplog.text)
+        machine.announce("MP", "/news", f"std_msgs::msg::dds_::String_/RIHS01_{'0' * 64}")
+        machine.announce_topic("/camera/news", STRING)
+        await until(lambda: site.graph.topic_type("/camera/news") == STRING)
     assert caplog.text.count("another version") == 1
     assert site.graph.topic_type("/news") is None
 

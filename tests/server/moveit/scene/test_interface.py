@@ -251,6 +251,16 @@ async def test_a_scene_whose_call_was_answered_with_a_failure_is_not_applied_aft
     assert "nothing is changed: its request ended before the change was applied" in caplog.text
 
 
+async def test_a_scene_whose_client_leaves_before_it_is_made_is_made_all_the_same():
+    client = Client()
+    scene = {"is_diff": True, "world": {"collision_objects": MANY}, "robot_state": state_of(0.1)}
+    client.graph.services.call(client.node, APPLY, {"scene": scene}, lambda _answer: None)
+    client.graph.services.remove(client.node)
+    await asyncio.wait_for(client.state.settled(), 30.0)
+    assert len(client.state.contents.objects) == 100
+    assert client.joints() != dict.fromkeys(JOINTS, 0.1)
+
+
 @pytest.mark.parametrize("topic", sorted(TOPICS.keys() - {MONITORED_TOPIC}))
 def test_more_objects_or_shapes_than_a_scene_has_are_refused_before_they_are_completed(topic, caplog):
     graph, _state = opened()

@@ -1,0 +1,240 @@
+"""Real planner processes of a pool: their faults, their hangs, and cores that others want."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import os
+import signal
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+import pytest_asyncio
+
+from planners import budget
+from planners import pool as pool_module
+from planners.budget import read_run_delay_s
+from planners.pipeline import Planner
+from planners.pool import PlannerPool
+from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, Request, StateAnswer
+from planners.scene import Box, Pose, Scene, SceneObject
+from robot.description import model
+from tests.helpers import broken_planner
+from tests.helpers.broken_planner import NONE, PLAN, racers
+from tests.helpers.motions import EASY, LONG, REQUESTS, STATE, broken
+from tests.helpers.resources import no_descriptors_left
+from tests.helpers.robots import so101
+from tests.helpers.waiting import until, wait_until
+
+# Workers load for half a second: one pool serves the tests of this file, and so shows that it survives each.
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+ROOT = Path(__file__).parents[3]
+MEMORY_LIMIT_BYTES = 300 << 20
+
+
+def made_of(robot: model.RobotModel) -> PlannerPool:
+    return PlannerPool(robot, memory_limit_bytes=MEMORY_LIMIT_BYTES)
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def pool() -> AsyncIterator[PlannerPool]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(ROOT))
+        patch.setattr(pool_module, "WORKER_MODULE", "tests.helpers.broken_planner")
+        # Two, also on a machine with one.
+        cores = os.sched_getaffinity(0) | {0, 1}
+        patch.setattr(os, "sched_getaffinity", lambda _pid: cores)
+        made = made_of(so101())
+        await made.start()
+        yield made
+        await made.close()
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def both_idle(pool: PlannerPool) -> PlannerPool:
+    """The pool once it has recovered from whatever came before."""
+    await until(lambda: pool.idle_count == 2, 60.0)
+    return pool
+
+
+def kill_all(pool: PlannerPool) -> None:
+    """End the workers; the pool cannot have heard of it yet, as this does not give the event loop a turn."""
+    for pid in pool.pids:
+        os.kill(pid, signal.SIGKILL)
+    wait_until(lambda: all(psutil.Process(pid).status() == psutil.STATUS_ZOMBIE for pid in pool.pids))
+
+
+async def given_up(pool: PlannerPool, request: Request) -> None:
+    """Ask, and cancel while a worker works on it."""
+    asking = asyncio.create_task(pool.ask(request))
+    await until(lambda: pool.idle_count == 1)
+    asking.cancel()
+    await asyncio.wait([asking])
+
+
+async def test_every_kind_of_request_gets_its_kind_of_answer(pool: PlannerPool) -> None:
+    for request, kind in REQUESTS:
+        assert isinstance(await pool.ask(request), kind), request
+
+
+FAULTS = {
+    broken_planner.SEGFAULT: "the planner process ended (SIGSEGV)",
+    broken_planner.ABORT: "the planner process ended (SIGABRT)",
+    broken_planner.EXIT: "the planner process ended (exit code 3)",
+    broken_planner.MEMORY: "more than the 315 MB of memory",
+    broken_planner.EXCEPTION: "ValueError: a bug",
+    broken_planner.WRONG_ANSWER: "answered a PlanningProblem with StateAnswer",
+    broken_planner.NO_ANSWER: "answered a PlanningProblem with str",
+    broken_planner.NOT_TO_BE_PACKED: "the planner process ended (exit code 1)",
+    broken_planner.NO_MESSAGE: "the planner process ended (SIGKILL)",
+    broken_planner.HUGE_MESSAGE: "the planner process ended (SIGKILL)",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+async def test_a_fault_of_a_worker_costs_one_goal_and_at_most_this_worker(both_idle: PlannerPool, fault: str) -> None:
+    before = set(both_idle.pids)
+    answer = await both_idle.ask(broken(fault))
+    assert isinstance(answer, PlanningFailure)
+    assert answer.code is MoveItErrorCode.CRASH
+    assert FAULTS[fault] in answer.message
+    assert isinstance(await both_idle.ask(EASY), Plan)
+    await until(lambda: both_idle.idle_count == 2, 60.0)
+    assert len(before & set(both_idle.pids)) == (2 if fault == broken_planner.EXCEPTION else 1)
+
+
+async def test_a_worker_that_hangs_answers_timed_out_and_is_replaced(both_idle: PlannerPool) -> None:
+    before = set(both_idle.pids)
+    answer = await both_idle.ask(broken(broken_planner.NATIVE_LOOP, allowed_time_s=0.1))
+    assert isinstance(answer, PlanningFailure)
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    assert "0.1 s" in answer.message
+    await until(lambda: both_idle.idle_count == 2, 60.0)
+    assert len(before & set(both_idle.pids)) == 1
+
+
+@pytest.mark.parametrize(
+    ("request_", "kept"),
+    [(LONG, 2), (broken(broken_planner.NATIVE_LOOP), 1), (broken(broken_planner.DEAF), 1)],
+    ids=["listens", "native loop", "deaf"],
+)
+async def test_a_cancelled_worker_is_kept_if_it_listens_and_else_replaced(
+    both_idle: PlannerPool, request_: Request, kept: int
+) -> None:
+    before = set(both_idle.pids)
+    await given_up(both_idle, request_)
+    await until(lambda: both_idle.idle_count == 2, 60.0)
+    assert len(before & set(both_idle.pids)) == kept
+    assert isinstance(await both_idle.ask(EASY), Plan)
+
+
+async def test_a_hard_problem_is_searched_by_the_idle_worker_as_well(both_idle: PlannerPool) -> None:
+    problem = dataclasses.replace(EASY, group=racers(NONE, PLAN), allowed_time_s=120.0)
+    assert isinstance(await both_idle.ask(problem), Plan)
+
+
+async def test_a_large_scene_reaches_a_worker_whole(both_idle: PlannerPool) -> None:
+    crowd = [
+        SceneObject(f"box {i}", ((Box((0.01, 0.01, 0.01)), Pose()),), Pose((2.0 + 0.02 * i, 0.0, 0.0)))
+        for i in range(600)
+    ]
+    block = SceneObject("block", ((Box((1.0, 1.0, 1.0)), Pose()),), Pose((0.5, 0.0, 0.5)))
+    free = await both_idle.ask(STATE, Scene(1, tuple(crowd)))
+    blocked = await both_idle.ask(STATE, Scene(2, (*crowd, block)))
+    assert isinstance(free, StateAnswer)
+    assert isinstance(blocked, StateAnswer)
+    assert (free.valid, blocked.valid) == (True, False)
+
+
+async def test_workers_that_died_while_idle_cost_no_goal(both_idle: PlannerPool) -> None:
+    kill_all(both_idle)
+    assert isinstance(await both_idle.ask(EASY), Plan)
+
+
+async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both_idle: PlannerPool) -> None:
+    kill_all(both_idle)
+    with no_descriptors_left():
+        await until(lambda: sum(worker.usable for worker in both_idle._idle) == 2, 60.0)
+    assert isinstance(await both_idle.ask(EASY), Plan)
+
+
+async def test_a_robot_that_no_worker_can_load_is_told() -> None:
+    broken_robot = made_of(dataclasses.replace(so101(), urdf="<robot/>"))
+    await broken_robot.start()
+    reason = await asyncio.wait_for(broken_robot.wait_until_loaded(), 60.0)
+    answer = await broken_robot.ask(EASY)
+    await broken_robot.close()
+    assert reason
+    assert broken_robot.pids == ()
+    assert isinstance(answer, PlanningFailure)
+    assert answer.message == f"planning is not available: {reason}"
+
+
+async def test_processes_that_end_at_once_are_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.01)
+    monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.no_such_module")
+    pool = made_of(so101())
+    await pool.start()
+    answer = await asyncio.wait_for(pool.ask(EASY), 60.0)
+    assert isinstance(answer, PlanningFailure)
+    assert "planner processes ended while starting" in answer.message
+    monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.worker")
+    await until(lambda: pool.load_failure is None, 60.0)
+    assert isinstance(await pool.ask(EASY), Plan)
+    await pool.close()
+
+
+# Waits for a core.
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def on_a_busy_core(both_idle: PlannerPool, start_on_one_core: Callable[[], int]) -> AsyncIterator[PlannerPool]:
+    """The pool with its workers on a core that eight processes want."""
+    core = os.sched_getaffinity(start_on_one_core())
+    for _ in range(7):
+        start_on_one_core()
+    workers = both_idle.pids
+    for pid in workers:
+        os.sched_setaffinity(pid, {max(core)})
+    yield both_idle
+    for pid in set(workers) & set(both_idle.pids):
+        os.sched_setaffinity(pid, core)
+
+
+needs_run_delay = pytest.mark.skipif(
+    read_run_delay_s(os.getpid()) is None, reason="this kernel does not count waits for a core"
+)
+
+# A quarter of a second of work.
+WORK = dataclasses.replace(LONG, allowed_time_s=0.8, optimization_time_s=0.02, attempts=10)
+
+
+@needs_run_delay
+async def test_a_busy_machine_does_not_change_what_is_planned(
+    on_a_busy_core: PlannerPool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pool_module, "OVERTIME_S", 0.1)
+    # The racer that comes in first depends on the machine.
+    monkeypatch.setattr(on_a_busy_core, "_racing", False)
+    before = on_a_busy_core.pids
+    plan = await on_a_busy_core.ask(WORK)
+    elsewhere: Answer = Planner(so101(), time.process_time).plan(dataclasses.replace(WORK, allowed_time_s=60.0))
+    assert isinstance(plan, Plan)
+    assert isinstance(elsewhere, Plan)
+    assert np.array_equal(plan.trajectory.positions_rad, elsewhere.trajectory.positions_rad)
+    assert on_a_busy_core.pids == before
+
+
+@needs_run_delay
+async def test_a_worker_that_hangs_is_given_up_as_soon_on_a_busy_machine(on_a_busy_core: PlannerPool) -> None:
+    began_s = time.monotonic()
+    answer = await on_a_busy_core.ask(broken(broken_planner.DEAF, allowed_time_s=0.1))
+    assert isinstance(answer, PlanningFailure)
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    # Nobody waits for a core that it does not want.
+    assert time.monotonic() - began_s < budget.MAX_STARVED_S

@@ -156,7 +156,11 @@ INVALID, UNKNOWN_LINK = MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, MoveItErrorCod
 BAD_GOALS = {
     "an empty one": ([{"position_constraints": [BALL]}, {}], INVALID, ["goal_constraints[1] is empty"]),
     "too many": ([{"position_constraints": [BALL]}] * (MAX_ALTERNATIVES + 1), INVALID, [str(MAX_ALTERNATIVES)]),
-    "visibility": ([{"visibility_constraints": [{}]}], INVALID, ["visibility_constraints", "sensor"]),
+    "visibility": (
+        [{"position_constraints": [BALL], "visibility_constraints": [{}]}],
+        INVALID,
+        ["visibility_constraints", "sensor"],
+    ),
     "an unknown link": ([{"position_constraints": [BALL | HAND]}], UNKNOWN_LINK, ["'hand'"]),
     "an unknown link to turn": ([{"orientation_constraints": [HAND]}], UNKNOWN_LINK, ["'hand'"]),
     "a joint of another group": (
@@ -198,6 +202,10 @@ def test_on_the_way_a_point_can_be_in_one_region_only() -> None:
     two = region((SPHERE, [0.01]), (SPHERE, [0.02]), poses=[point(0.3, 0.0, 0.2), point(0.2, 0.0, 0.2)])
     refusal = on_the_way(position_constraints=[two])
     assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "path_constraints", "2 regions")
+
+
+def test_visibility_on_the_way_is_refused() -> None:
+    assert_refused(on_the_way(visibility_constraints=[{}]), INVALID, "path_constraints.visibility_constraints")
 
 
 def test_constraints_that_contradict_each_other_are_refused() -> None:

@@ -98,10 +98,10 @@ def draft(*objects: dict[str, Any]) -> SceneDraft:
     return SceneDraft(scene_state(*objects).contents, LinkTransforms(ROBOT, FORWARD, BENT))
 
 
-def rejection(function: Callable[..., object], *arguments: object) -> PlanningFailure:
+def rejection(function: Callable[..., object], *arguments: object, **named: object) -> PlanningFailure:
     """The failure of a call that must be rejected."""
     with pytest.raises(RefusedError) as raised:
-        function(*arguments)
+        function(*arguments, **named)
     return raised.value.failure
 
 

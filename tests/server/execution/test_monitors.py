@@ -20,6 +20,7 @@ from server.execution.monitors import CurrentState, SceneMonitor, check_ready, s
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import settle
 from tests.helpers.motions import smooth_move
+from tests.helpers.moveit import rejection
 from tests.helpers.robots import so101
 
 ROBOT = so101()
@@ -100,10 +101,9 @@ HOLDING = ArmState(0.0, Mode.HOLDING, (), goal_rad=GOAL)
 
 @pytest.mark.parametrize(("age_s", "max_age_s"), [(1.5, METAL_MAX_AGE_S), (5.5, SIMULATED_MAX_AGE_S)])
 def test_an_old_state_refuses_motions(age_s: float, max_age_s: float) -> None:
-    with pytest.raises(RefusedError) as refused:
-        check_ready(Read(HOLDING, age_s, max_age_s))
-    assert refused.value.failure.code is MoveItErrorCode.ROBOT_STATE_STALE
-    assert str(refused.value) == f"the last state of the arm is {age_s:.1f} s old (limit {max_age_s:g} s)"
+    refused = rejection(check_ready, Read(HOLDING, age_s, max_age_s))
+    assert refused.code is MoveItErrorCode.ROBOT_STATE_STALE
+    assert refused.message == f"the last state of the arm is {age_s:.1f} s old (limit {max_age_s:g} s)"
 
 
 def test_a_starved_simulated_arm_takes_motions() -> None:

@@ -6,10 +6,10 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.messages import Course, Pace
-from server.errors import RefusedError
 from server.execution.time_limits import MIN_SPEED_FACTOR, ArmClock, ExecutionDeadline, TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm
+from tests.helpers.moveit import rejection
 
 DURATION_S = 3.0
 LIMITS = TimeLimits(scaling=3.0, margin_s=4.0, paused_s=50.0)
@@ -20,9 +20,8 @@ ALLOWED_S = 13.0
 def test_a_motion_that_takes_too_long_is_refused_with_field_limit_and_value(duration_s: float) -> None:
     limits, code = TimeLimits(trajectory_s=12.0), MoveItErrorCode.INVALID_MOTION_PLAN
     limits.check_duration(12.0, "points[3]", code)
-    with pytest.raises(RefusedError) as raised:
-        limits.check_duration(duration_s, "points[3]", code, ": hurry")
-    assert raised.value.failure == PlanningFailure(
+    raised = rejection(limits.check_duration, duration_s, "points[3]", code, ": hurry")
+    assert raised == PlanningFailure(
         code,
         f"points[3] is {duration_s:g} s, longer than goals.max_trajectory_duration_s = 12: hurry",
         {"duration_s": duration_s, "limit_s": 12.0},

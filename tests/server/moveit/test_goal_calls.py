@@ -191,22 +191,6 @@ async def test_the_goal_of_a_client_that_leaves_ends_as_the_setting_says(desk: D
     assert bool(desk.queue.busy) is not takes_along
 
 
-async def test_calls_wait_their_turn_as_goals_of_the_topics(desk: Desk) -> None:
-    await desk.ask(named="ready")
-    await desk.ask(named="home")
-    assert len(desk.asked) == 1
-    desk.finish()
-    await settle()
-    assert len(desk.asked) == 2
-
-
-async def test_a_full_queue_is_answered_at_once(desk: Desk) -> None:
-    for _ in range(6):
-        await desk.ask(named="ready")
-    assert [response.values["code_name"] for response in desk.responses] == ["FAILURE"]
-    assert desk.responses[0].values["goal_id"] == "6"
-
-
 async def test_confirm_mode_holds_for_calls_as_for_topics(desk: Desk) -> None:
     desk.confirmation.enabled = True
     await desk.ask(named="ready")

@@ -1,13 +1,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
 
 from planners.goals import JointGoal, PoseGoal, PositionGoal
-from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
+from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
@@ -17,7 +17,7 @@ from server.errors import RefusedError
 from server.execution.motions import PlannedMotion
 from server.moveit.goal_messages import GoalTranslator, suggestion
 from tests.helpers.fake_arm import HOME, FakeArm
-from tests.helpers.moveit import ROBOT, TRANSLATOR, translator
+from tests.helpers.moveit import ROBOT, TRANSLATOR, rejection, translator
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF
 
 REGISTRY = Registry.load()
@@ -30,12 +30,6 @@ def joint_state(**fields: Any) -> dict[str, Any]:
 def pose_stamped(frame: str, **position: float) -> dict[str, Any]:
     message = {"header": {"frame_id": frame}, "pose": {"position": position}}
     return complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0))
-
-
-def refusal(translate: Callable[[Any], PlannedMotion], message: dict[str, Any]) -> PlanningFailure:
-    with pytest.raises(RefusedError) as refused:
-        translate(message)
-    return refused.value.failure
 
 
 def goal(motion: PlannedMotion, start_rad: Mapping[str, float] | None = None) -> Any:
@@ -58,7 +52,7 @@ def test_a_saved_state_is_a_named_target_with_its_joints_of_the_group() -> None:
 
 @pytest.mark.parametrize("name", ["", "redy", "home2"])
 def test_an_unknown_named_target_is_rejected_with_those_that_exist(name: str) -> None:
-    failure = refusal(TRANSLATOR.named, {"data": name})
+    failure = rejection(TRANSLATOR.named, {"data": name})
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert repr(name) in failure.message
     assert failure.details["known"] == ["Mine", "extended", "home", "ready", "rest"]
@@ -87,7 +81,7 @@ BAD_JOINTS = {
 
 @pytest.mark.parametrize(("name", "position", "words"), BAD_JOINTS.values(), ids=BAD_JOINTS.keys())
 def test_an_invalid_joint_goal_is_rejected_with_the_reason(name: list[str], position: list[float], words: str) -> None:
-    failure = refusal(TRANSLATOR.joints, joint_state(name=name, position=position))
+    failure = rejection(TRANSLATOR.joints, joint_state(name=name, position=position))
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert words in failure.message
 
@@ -106,7 +100,7 @@ def test_a_frame_that_moves_is_resolved_when_the_goals_turn_comes() -> None:
 
 
 def test_a_pose_in_an_unknown_frame_is_rejected_at_once_with_those_that_exist() -> None:
-    failure = refusal(TRANSLATOR.pose, pose_stamped("moon", x=0.3))
+    failure = rejection(TRANSLATOR.pose, pose_stamped("moon", x=0.3))
     assert failure.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
     assert "moon" in failure.message
     assert "base_link" in failure.message
@@ -130,7 +124,7 @@ def test_the_whole_pose_is_returned_in_the_root_link() -> None:
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_a_coordinate_that_is_not_finite_is_named(axis: str) -> None:
-    failure = refusal(TRANSLATOR.pose, pose_stamped("", **{axis: math.nan}))
+    failure = rejection(TRANSLATOR.pose, pose_stamped("", **{axis: math.nan}))
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert f"position.{axis}" in failure.message
 
@@ -205,7 +199,7 @@ NO_ORIENTATIONS = {"zeros": dict.fromkeys("xyzw", 0.0), "too long": {**TURNED, "
 
 @pytest.mark.parametrize("orientation", NO_ORIENTATIONS.values(), ids=NO_ORIENTATIONS.keys())
 def test_seven_joints_need_an_orientation(lifted: GoalTranslator, orientation: dict[str, float]) -> None:
-    failure = refusal(lifted.pose, whole_pose(orientation, x=0.4))
+    failure = rejection(lifted.pose, whole_pose(orientation, x=0.4))
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert "pose.orientation must be a unit quaternion" in failure.message
     assert "group arm has 7 joints" in failure.message
@@ -225,7 +219,7 @@ def test_a_selected_group_is_that_of_later_goals(lifted: GoalTranslator) -> None
 
 
 def test_an_unknown_group_is_rejected_with_those_that_exist(lifted: GoalTranslator) -> None:
-    failure = refusal(lifted.select_group, "legs")  # type: ignore[arg-type]
+    failure = rejection(lifted.select_group, "legs")  # type: ignore[arg-type]
     assert failure.code is MoveItErrorCode.INVALID_GROUP_NAME
     assert "'legs'" in failure.message
     assert "arm, arm_with_torso, gripper" in failure.message

@@ -133,26 +133,6 @@ async def test_gripper_and_arm_move_at_the_same_time(client: ArmClient) -> None:
     assert (await client.until("/moveit_goal_result", bool))[0]["val"] == 1
 
 
-async def test_a_stop_ends_the_grippers_motion_as_well(client: ArmClient) -> None:
-    await move(client, 0.0)
-    goal = await send(client, 1.7)
-    await client.until("/joint_states", lambda states: states[-1]["position"][-1] > 0.2)
-    await client.say("advertise", topic="/stop", type="std_msgs/Empty")
-    await client.say("publish", topic="/stop", msg={})
-    assert (await client.result(goal))["status"] == CANCELED
-
-
-async def test_a_command_before_a_stop_does_not_begin_after_it() -> None:
-    robot = so101()
-    arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
-    gripper = Gripper(arm, [robot.joints["gripper"]], 1.0, 1.0, TimeLimits(), 0.5)
-    moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
-    async with gripper._turn:
-        await asyncio.sleep(0)
-        arm.stop()
-    assert (await moving).outcome is Outcome.STOPPED
-
-
 async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it() -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)

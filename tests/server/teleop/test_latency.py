@@ -7,6 +7,7 @@ the planners is an argument.
 from __future__ import annotations
 
 import asyncio
+import functools
 import itertools
 import math
 from collections.abc import Callable
@@ -155,11 +156,18 @@ def folding(at_s: float) -> dict[str, float]:
     return {"shoulder_lift": max(-1.5 * at_s, -1.7), "elbow_flex": min(1.5 * at_s, 1.7), "wrist_flex": 1.5 * at_s}
 
 
+@functools.cache
+def collision_model() -> CollisionModel:
+    """Return the model of the arm's bodies, which is made once."""
+    return CollisionModel(ROBOT)
+
+
 def least_distance_m(goals_rad: np.ndarray) -> float:
     """The least distance of the links from each other at the goals, shape (ticks, joints) [m]."""
-    collision = CollisionModel(ROBOT)
+    collision = collision_model()
     least_m = WATCHED_M
-    for goals in goals_rad:
+    # A resting arm is looked at once.
+    for goals in np.unique(goals_rad, axis=0):
         positions = dict.fromkeys(JOINTS, 0.0) | dict(zip(STEERED, goals.tolist(), strict=True))
         near = collision.near_pairs(np.array([positions[name] for name in collision.joint_names]), WATCHED_M)
         least_m = min([least_m, *(pair.distance_m for pair in near)])

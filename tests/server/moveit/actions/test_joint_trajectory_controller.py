@@ -270,12 +270,6 @@ REFUSED = {
     ),
     "stamp in the past": ({"header": {"stamp": {"sec": 990}}}, FollowCode.OLD_HEADER_TIMESTAMP, "8.0 s ago"),
     "no positions": ({"points": [{**POINT, "positions": []}]}, FollowCode.INVALID_GOAL, "positions"),
-    "wrong length": ({"points": [{**POINT, "positions": [0.1, 0.2]}]}, FollowCode.INVALID_GOAL, "2 values for 1"),
-    "times that go back": (
-        {"points": [POINT, {"positions": [0.1], "time_from_start": {"sec": 1}}]},
-        FollowCode.INVALID_GOAL,
-        "points[1].time_from_start",
-    ),
     "beyond the limits": ({"points": [{**POINT, "positions": [9.0]}]}, FollowCode.INVALID_GOAL, "9.000 rad"),
     "a swing between its points": (
         {"points": [at_rest(0, 0.0), {**at_rest(1, 0.25), "velocities": [8.0]}, at_rest(2, 0.5)]},

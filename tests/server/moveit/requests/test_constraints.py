@@ -41,6 +41,7 @@ from tests.helpers.moveit import (
     outcome,
     point,
     region,
+    rejection,
     turned,
 )
 
@@ -55,18 +56,20 @@ def on_the_way(reading=None, **fields):
     return outcome(read_path_constraints, constraints(**fields), reading or context())
 
 
-def test_joint_constraints_alone_are_a_joint_goal() -> None:
-    asked = goal({"joint_constraints": [joint("elbow_flex", 0.5, 0.1, 0.1), joint("wrist_roll", -0.2)]})
-    assert asked == JointGoal({"elbow_flex": 0.5, "wrist_roll": -0.2}, 0.01)
+CUBE = region((BOX, [0.01, 0.01, 0.01]), poses=[point(0.3, 0.0, 0.2)])
+SINGLE = {
+    "joints": (
+        {"joint_constraints": [joint("elbow_flex", 0.5, 0.1, 0.1), joint("wrist_roll", -0.2)]},
+        JointGoal({"elbow_flex": 0.5, "wrist_roll": -0.2}, 0.01),
+    ),
+    "a position": ({"position_constraints": [BALL]}, PositionGoal(TIP, (0.3, 0.0, 0.2), 0.005)),
+    "a cube, for the ball within it": ({"position_constraints": [CUBE]}, PositionGoal(TIP, (0.3, 0.0, 0.2), 0.005)),
+}
 
 
-def test_a_position_alone_is_a_position_goal() -> None:
-    assert goal({"position_constraints": [BALL]}) == PositionGoal(TIP, (0.3, 0.0, 0.2), 0.005)
-
-
-def test_a_nearly_cubic_box_is_the_ball_within_it() -> None:
-    box = region((BOX, [0.01, 0.01, 0.01]), poses=[point(0.3, 0.0, 0.2)])
-    assert goal({"position_constraints": [box]}) == PositionGoal(TIP, (0.3, 0.0, 0.2), 0.005)
+@pytest.mark.parametrize(("message", "asked"), SINGLE.values(), ids=SINGLE.keys())
+def test_constraints_of_one_kind_alone_are_the_goal_of_that_kind(message, asked) -> None:
+    assert goal(message) == asked
 
 
 def test_a_long_box_stays_a_box() -> None:
@@ -134,11 +137,6 @@ def test_a_joint_outside_the_group_at_its_goal_is_ignored_with_a_warning() -> No
     assert "gripper" in reading.warnings[0]
 
 
-def test_a_joint_outside_the_group_that_would_have_to_move_is_refused() -> None:
-    refusal = goal({"joint_constraints": [joint("gripper", 1.0)]})
-    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "'arm'", "'gripper'", "elbow_flex")
-
-
 GRIPPER_AT_HALF = {
     "above": (joint("gripper", 0.4, above=0.15), True),
     "too far above": (joint("gripper", 0.4, above=0.05, below=0.5), False),
@@ -153,31 +151,35 @@ def test_a_joint_outside_the_group_is_there_within_its_tolerance(held, holds: bo
     assert isinstance(asked, JointGoal) == holds
 
 
+HAND = {"link_name": "hand"}
+INVALID, UNKNOWN_LINK = MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, MoveItErrorCode.INVALID_LINK_NAME
+BAD_GOALS = {
+    "an empty one": ([{"position_constraints": [BALL]}, {}], INVALID, ["goal_constraints[1] is empty"]),
+    "too many": ([{"position_constraints": [BALL]}] * (MAX_ALTERNATIVES + 1), INVALID, [str(MAX_ALTERNATIVES)]),
+    "visibility": (
+        [{"position_constraints": [BALL], "visibility_constraints": [{}]}],
+        INVALID,
+        ["visibility_constraints", "sensor"],
+    ),
+    "an unknown link": ([{"position_constraints": [BALL | HAND]}], UNKNOWN_LINK, ["'hand'"]),
+    "an unknown link to turn": ([{"orientation_constraints": [HAND]}], UNKNOWN_LINK, ["'hand'"]),
+    "a joint of another group": (
+        [{"joint_constraints": [joint("gripper", 1.0)]}],
+        INVALID,
+        ["'arm'", "'gripper'", "elbow_flex"],
+    ),
+}
+
+
+@pytest.mark.parametrize(("messages", "code", "words"), BAD_GOALS.values(), ids=BAD_GOALS.keys())
+def test_a_goal_that_cannot_be_is_refused_by_its_place(messages, code, words) -> None:
+    assert_refused(goal(*messages), code, *words)
+
+
 def test_no_goal_is_refused() -> None:
     assert_refused(
         outcome(read_goal, [], context()), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "goal_constraints is empty"
     )
-
-
-def test_an_empty_goal_is_refused_by_its_place() -> None:
-    refusal = goal({"position_constraints": [BALL]}, {})
-    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "goal_constraints[1] is empty")
-
-
-def test_more_alternatives_than_can_be_tried_are_refused() -> None:
-    refusal = goal(*[{"position_constraints": [BALL]}] * (MAX_ALTERNATIVES + 1))
-    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(MAX_ALTERNATIVES))
-
-
-def test_visibility_is_refused_with_its_reason() -> None:
-    refusal = goal({"position_constraints": [BALL], "visibility_constraints": [{}]})
-    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "visibility_constraints", "sensor")
-
-
-@pytest.mark.parametrize("where", ["position_constraints", "orientation_constraints"])
-def test_an_unknown_link_in_a_goal_is_named(where: str) -> None:
-    bad = {"position_constraints": [BALL | {"link_name": "hand"}], "orientation_constraints": [{"link_name": "hand"}]}
-    assert_refused(goal({where: bad[where]}), MoveItErrorCode.INVALID_LINK_NAME, "'hand'")
 
 
 def test_an_empty_message_has_no_path_constraints() -> None:
@@ -202,6 +204,10 @@ def test_on_the_way_a_point_can_be_in_one_region_only() -> None:
     assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "path_constraints", "2 regions")
 
 
+def test_visibility_on_the_way_is_refused() -> None:
+    assert_refused(on_the_way(visibility_constraints=[{}]), INVALID, "path_constraints.visibility_constraints")
+
+
 def test_constraints_that_contradict_each_other_are_refused() -> None:
     refusal = on_the_way(joint_constraints=[joint("elbow_flex", 0.5, 0.1, 0.1), joint("elbow_flex", -0.5, 0.1, 0.1)])
     assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "'elbow_flex'")
@@ -213,12 +219,6 @@ ELBOW = ROBOT.joints["elbow_flex"]
 def read_joints(*messages, reading=None, where="goal_constraints[0]"):
     complete = constraints(joint_constraints=list(messages))["joint_constraints"]
     return read_joint_constraints(complete, reading or context(), where)
-
-
-def joint_refusal(*messages):
-    with pytest.raises(RefusedError) as raised:
-        read_joints(*messages)
-    return raised.value.failure
 
 
 def test_a_constraint_without_tolerances_is_exact() -> None:
@@ -253,7 +253,7 @@ def test_a_position_slightly_beyond_the_limit_is_clamped() -> None:
 
 def test_a_position_far_beyond_the_limit_is_refused_with_joint_value_and_limits() -> None:
     failure = assert_refused(
-        joint_refusal(joint("elbow_flex", 2.0)),
+        rejection(read_joints, joint("elbow_flex", 2.0)),
         MoveItErrorCode.INVALID_GOAL_CONSTRAINTS,
         "'elbow_flex'",
         "2",
@@ -275,7 +275,7 @@ BAD_JOINTS = {
 
 @pytest.mark.parametrize(("bad", "words"), BAD_JOINTS.values(), ids=BAD_JOINTS.keys())
 def test_a_senseless_constraint_is_refused_by_field_and_value(bad, words) -> None:
-    assert_refused(joint_refusal(bad), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, *words)
+    assert_refused(rejection(read_joints, bad), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, *words)
 
 
 def test_several_on_one_joint_are_their_common_range() -> None:
@@ -286,7 +286,7 @@ def test_several_on_one_joint_are_their_common_range() -> None:
 
 
 def test_several_that_have_nothing_in_common_are_refused_with_the_joint() -> None:
-    failure = joint_refusal(joint("elbow_flex", 0.0, 0.1, 0.1), joint("elbow_flex", 0.6, 0.1, 0.1))
+    failure = rejection(read_joints, joint("elbow_flex", 0.0, 0.1, 0.1), joint("elbow_flex", 0.6, 0.1, 0.1))
     assert_refused(failure, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "'elbow_flex'", "no position")
 
 
@@ -322,11 +322,8 @@ def test_an_orientation_in_a_link_turns_with_the_link() -> None:
 
 @pytest.mark.parametrize("value", [-0.1, math.nan])
 def test_a_senseless_tolerance_is_refused_by_field_and_value(value: float) -> None:
-    with pytest.raises(RefusedError) as raised:
-        read_orientation(turned((0.1, value, 0.1)))
-    assert_refused(
-        raised.value.failure, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "absolute_y_axis_tolerance", f"{value:g}"
-    )
+    raised = rejection(read_orientation, turned((0.1, value, 0.1)))
+    assert_refused(raised, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "absolute_y_axis_tolerance", f"{value:g}")
 
 
 def test_an_endless_tolerance_leaves_its_axis_free() -> None:
@@ -358,12 +355,6 @@ AT = point(0.3, 0.0, 0.2)
 def read_region(constraint, reading=None):
     (complete,) = constraints(position_constraints=[constraint])["position_constraints"]
     return read_regions(complete, reading or context(), "here")
-
-
-def region_refusal(constraint):
-    with pytest.raises(RefusedError) as raised:
-        read_region(constraint)
-    return raised.value.failure
 
 
 def test_a_sphere_is_its_radius_around_its_pose() -> None:
@@ -431,9 +422,9 @@ BAD_REGIONS = {
 
 @pytest.mark.parametrize(("bad", "words"), BAD_REGIONS.values(), ids=BAD_REGIONS.keys())
 def test_a_senseless_region_is_refused_by_field_and_value(bad, words) -> None:
-    assert_refused(region_refusal(bad), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "here.", *words)
+    assert_refused(rejection(read_region, bad), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "here.", *words)
 
 
 def test_an_unknown_frame_is_named() -> None:
-    failure = region_refusal(ball(0.3, 0.0, 0.2, header={"frame_id": "moon"}))
+    failure = rejection(read_region, ball(0.3, 0.0, 0.2, header={"frame_id": "moon"}))
     assert_refused(failure, MoveItErrorCode.FRAME_TRANSFORM_FAILURE, "'moon'")

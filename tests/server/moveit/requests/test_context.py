@@ -2,14 +2,11 @@ from __future__ import annotations
 
 import math
 
-import pytest
-
 from planners.problem import MoveItErrorCode
 from robot.description.forward_kinematics import ForwardPlacements
-from server.errors import RefusedError
 from server.moveit.poses import pose_of
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import ROBOT, TIP, assert_refused, context, message, near, point
+from tests.helpers.moveit import ROBOT, TIP, assert_refused, context, message, near, point, rejection
 
 
 def pose(x, y, z):
@@ -22,9 +19,8 @@ def test_an_empty_link_is_the_configured_one_of_the_configured_group_only() -> N
 
 
 def test_an_unknown_link_is_named_with_those_that_exist() -> None:
-    with pytest.raises(RefusedError) as raised:
-        context().link("elbow")
-    assert_refused(raised.value.failure, MoveItErrorCode.INVALID_LINK_NAME, "'elbow'", TIP)
+    raised = rejection(context().link, "elbow")
+    assert_refused(raised, MoveItErrorCode.INVALID_LINK_NAME, "'elbow'", TIP)
 
 
 def test_a_pose_in_a_link_is_placed_by_where_the_link_is_at_the_start() -> None:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import pytest
-
 from planners.problem import Deviation, MoveItErrorCode, PlanningFailure
-from server.errors import RefusedError
 from server.moveit.requests.error_codes import (
     deviation_note,
     error_code,
     failure_code,
     invalid,
+    refused,
     required,
     success,
 )
+from tests.helpers.moveit import rejection
 
 
 def test_a_failure_keeps_its_code_and_its_sentence() -> None:
@@ -44,6 +43,9 @@ def test_a_refusal_has_code_sentence_and_details() -> None:
 
 def test_a_failure_that_is_required_not_to_be_one_is_raised() -> None:
     failure = PlanningFailure(MoveItErrorCode.INVALID_LINK_NAME, "no such link")
-    with pytest.raises(RefusedError) as raised:
-        required(failure)
-    assert raised.value.failure is failure
+    raised = rejection(required, failure)
+    assert raised is failure
+
+
+def test_a_refusal_reads_as_its_sentence() -> None:
+    assert str(refused(MoveItErrorCode.FAILURE, "not so")) == "not so"

@@ -19,7 +19,7 @@ from server.moveit.requests.planning_context import (
     state_positions,
 )
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, joint, message, outcome
+from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, joint, message, outcome, rejection
 
 ELBOW = ROBOT.joints["elbow_flex"]
 CURRENT = HOME | {"shoulder_pan": 0.3}
@@ -69,32 +69,24 @@ def test_a_start_far_beyond_a_limit_is_refused_with_joint_value_and_limits() -> 
     assert failure.details["joint"] == "elbow_flex"
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_position_that_is_no_number_is_named(value: float) -> None:
-    assert_refused(start({"elbow_flex": value}), MoveItErrorCode.INVALID_ROBOT_STATE, "'elbow_flex'", str(value))
+NO_STATES = {
+    "a position that is no number": (["elbow_flex"], [math.nan], ["'elbow_flex'", "nan"]),
+    "an infinite position": (["elbow_flex"], [math.inf], ["'elbow_flex'", "inf"]),
+    "an unknown joint": (["knee"], [0.1], ["'knee'", "elbow_flex"]),
+    "unlike lengths": (["elbow_flex"], [], ["1 entries", "0"]),
+    "a joint twice": (["elbow_flex"] * 2, [0.1, 0.2], ["more than once"]),
+}
 
 
-def test_an_unknown_joint_is_named_with_those_that_exist() -> None:
-    assert_refused(start({"knee": 0.1}), MoveItErrorCode.INVALID_ROBOT_STATE, "'knee'", "elbow_flex")
+@pytest.mark.parametrize(("name", "position", "words"), NO_STATES.values(), ids=NO_STATES.keys())
+def test_a_state_that_is_none_is_refused_by_name(name, position, words) -> None:
+    told = message("RobotState", joint_state={"name": name, "position": position})
+    assert_refused(outcome(start_positions, told, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, *words)
 
 
 def test_a_fixed_joint_in_a_state_is_ignored() -> None:
     fixed = next(joint.name for joint in ROBOT.joints.values() if not joint.movable)
     assert start({fixed: 0.0}) == StartState(CURRENT)
-
-
-def test_lists_of_unlike_lengths_are_refused_with_both() -> None:
-    uneven = message("RobotState", joint_state={"name": ["elbow_flex"], "position": []})
-    assert_refused(
-        outcome(start_positions, uneven, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, "1 entries", "0"
-    )
-
-
-def test_a_joint_that_is_named_twice_is_refused() -> None:
-    twice = message("RobotState", joint_state={"name": ["elbow_flex"] * 2, "position": [0.1, 0.2]})
-    assert_refused(
-        outcome(start_positions, twice, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, "more than once"
-    )
 
 
 def test_joints_of_many_dimensions_are_ignored_with_a_warning() -> None:
@@ -149,9 +141,8 @@ def test_a_requests_state_overrides_the_assumed_one(rig: ServiceRig) -> None:
 
 def test_an_arm_that_is_not_read_is_no_start(rig: ServiceRig) -> None:
     rig.arm.lose_positions()
-    with pytest.raises(RefusedError) as raised:
-        rig.context.start(state(), rig.client)
-    assert_refused(raised.value.failure, MoveItErrorCode.ROBOT_STATE_STALE)
+    raised = rejection(rig.context.start, state(), rig.client)
+    assert_refused(raised, MoveItErrorCode.ROBOT_STATE_STALE)
 
 
 def test_the_scene_is_the_present_one_unless_something_is_attached(rig: ServiceRig) -> None:

@@ -10,7 +10,6 @@ import pytest
 from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.problem import PLANNER_IDS, Arc, CartesianProblem, Line, MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
-from server.errors import RefusedError
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,
     MAX_PLANNING_ATTEMPTS,
@@ -29,7 +28,19 @@ from server.moveit.requests.planning_problems import (
     tip_problem,
 )
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import FRAMES, ROBOT, TIP, assert_refused, ball, constraints, context, joint, message, outcome
+from tests.helpers.moveit import (
+    FRAMES,
+    ROBOT,
+    TIP,
+    assert_refused,
+    ball,
+    constraints,
+    context,
+    joint,
+    message,
+    outcome,
+    rejection,
+)
 
 GOAL = {"joint_constraints": [joint("elbow_flex", 0.5)]}
 PARAMETERS = MoveItParameters()
@@ -223,12 +234,6 @@ def path(planner=STRAIGHT, problem=TO_POINT, arc=NO_ARC, tip_speed=0.0):
     return tip_problem(planner, problem, arc, tip_speed, context())
 
 
-def refusal(**fields):
-    with pytest.raises(RefusedError) as raised:
-        path(**fields)
-    return raised.value.failure
-
-
 def test_a_line_ends_at_the_goal_in_whatever_orientation() -> None:
     line = path()
     (segment,) = line.segments
@@ -282,18 +287,18 @@ BAD_ARCS = {
 
 @pytest.mark.parametrize(("arc", "words"), BAD_ARCS.values(), ids=BAD_ARCS.keys())
 def test_a_circle_without_a_point_is_refused(arc, words) -> None:
-    assert_refused(refusal(planner=CIRCULAR, arc=arc), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, words)
+    assert_refused(rejection(path, planner=CIRCULAR, arc=arc), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, words)
 
 
 def test_a_half_circle_about_a_center_is_refused_as_ambiguous() -> None:
     middle = 0.5 * (np.array(FRAMES.resolve(TIP, HOME).position_m) + END)
     arc = constraints(name="center", position_constraints=[ball(*middle.tolist())])
-    assert_refused(refusal(planner=CIRCULAR, arc=arc), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "opposite")
+    assert_refused(rejection(path, planner=CIRCULAR, arc=arc), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "opposite")
 
 
 def test_a_goal_of_several_points_is_no_path() -> None:
     goal = PositionGoal(TIP, END, 0.005, (math.pi, 0.0, 0.0))
-    refused = refusal(problem=PlanningProblem("arm", HOME, goal))
+    refused = rejection(path, problem=PlanningProblem("arm", HOME, goal))
     assert_refused(refused, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "one pose of one link")
 
 

@@ -222,9 +222,7 @@ def test_the_gripper_is_moved_alone() -> None:
 REFUSED: dict[str, tuple[list[str], list[tuple[int, list[float]]], str]] = {
     "limits": (["elbow_flex"], [(2, [5.0])], "elbow_flex would go to 5.000 rad, beyond its limits"),
     "speed": (["elbow_flex"], [(0, [0.0]), (1, [1.5]), (2, [-1.5])], "elbow_flex would move at"),
-    "times": (["elbow_flex"], [(2, [0.1]), (1, [0.2])], "points[1].time_from_start"),
     "groups": (["elbow_flex", "gripper"], [(2, [0.5, 0.5])], "not all of one group"),
-    "joint": (["knee"], [(2, [0.5])], "knee"),
 }
 
 

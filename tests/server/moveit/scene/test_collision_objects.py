@@ -7,7 +7,6 @@ import math
 import pytest
 
 from planners.scene import Box, Plane, Pose, Sphere
-from server.errors import RefusedError
 from server.moveit.scene.collision_objects import (
     MAX_SUBFRAMES,
     AttachedCollisionObject,
@@ -16,7 +15,7 @@ from server.moveit.scene.collision_objects import (
     read_shape_poses,
     with_object_pose,
 )
-from tests.helpers.moveit import box, collision_object, message, pose
+from tests.helpers.moveit import box, collision_object, message, pose, rejection
 
 BALL = {"type": 2, "dimensions": [0.1]}
 QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
@@ -155,8 +154,7 @@ BAD = {
 
 @pytest.mark.parametrize(("fields", "words"), BAD.values(), ids=BAD.keys())
 def test_a_bad_value_is_rejected_with_object_and_field(fields, words):
-    with pytest.raises(RefusedError) as refusal:
-        read_collision_object(collision_object(**{**box("odd one"), **fields}), "", "it")
-    assert words in refusal.value.failure.message
-    assert "'odd one'" in refusal.value.failure.message
-    assert refusal.value.failure.details["object"] == "odd one"
+    refusal = rejection(read_collision_object, collision_object(**{**box("odd one"), **fields}), "", "it")
+    assert words in refusal.message
+    assert "'odd one'" in refusal.message
+    assert refusal.details["object"] == "odd one"

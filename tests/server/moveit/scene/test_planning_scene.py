@@ -10,7 +10,6 @@ import pytest
 from planners.problem import MoveItErrorCode
 from planners.scene import Box, Pose, Sphere
 from planners.scene_checks import MAX_SHAPES
-from server.errors import RefusedError
 from server.moveit.poses import matrix_of
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.collision_objects import ADD, APPEND, MOVE, REMOVE, read_collision_object
@@ -34,6 +33,7 @@ from tests.helpers.moveit import (
     held,
     message,
     pose,
+    rejection,
     scene_state,
 )
 
@@ -59,9 +59,10 @@ def test_an_object_is_transformed_from_its_frame():
 
 
 def test_an_object_in_an_unknown_frame_is_rejected_with_its_name():
-    with pytest.raises(RefusedError) as refusal:
-        draft().in_planning_frame(read_collision_object(collision_object(**box("lid")), "nowhere", "it"))
-    failure = refusal.value.failure
+    refusal = rejection(
+        draft().in_planning_frame, read_collision_object(collision_object(**box("lid")), "nowhere", "it")
+    )
+    failure = refusal
     assert failure.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
     assert (failure.details["object"], failure.details["frame"]) == ("lid", "nowhere")
 
@@ -113,12 +114,6 @@ def changed(*messages, before=(CUP,)):
     for each in messages:
         apply_planning_scene(changing, each, OF_ROBOT)
     return changing
-
-
-def refusal(told):
-    with pytest.raises(RefusedError) as refused:
-        changed(told)
-    return refused.value.failure
 
 
 def test_a_diff_keeps_objects_that_it_does_not_name():
@@ -263,7 +258,7 @@ BAD = {
 
 @pytest.mark.parametrize(("fields", "code", "words"), BAD.values(), ids=BAD.keys())
 def test_a_bad_field_is_rejected_with_its_path(fields, code, words):
-    failure = refusal(diff(**fields))
+    failure = rejection(changed, diff(**fields))
     assert failure.code is MoveItErrorCode(code)
     assert words in failure.message
 
@@ -278,12 +273,6 @@ def after_objects(*messages, before=(TURNED_CUP,)):
     for each in messages:
         apply_collision_object(changing, collision_object(**each), "it")
     return changing
-
-
-def object_refusal(*messages):
-    with pytest.raises(RefusedError) as refused:
-        after_objects(*messages)
-    return refused.value.failure
 
 
 def test_add_transforms_an_object_from_its_frame():
@@ -383,18 +372,18 @@ def test_remove_without_name_drops_everything():
 
 @pytest.mark.parametrize("operation", [MOVE, REMOVE])
 def test_an_unknown_object_cannot_be_moved_or_removed(operation):
-    failure = object_refusal({"id": "ghost", "operation": operation})
+    failure = rejection(after_objects, {"id": "ghost", "operation": operation})
     assert failure.code is MoveItErrorCode.INVALID_OBJECT_NAME
     assert "'ghost'" in failure.message
 
 
 @pytest.mark.parametrize("operation", [ADD, APPEND])
 def test_an_object_without_shapes_is_rejected(operation):
-    assert "'x' has no shape" in object_refusal({"id": "x", "operation": operation}).message
+    assert "'x' has no shape" in rejection(after_objects, {"id": "x", "operation": operation}).message
 
 
 def test_move_must_give_as_many_poses_as_there_are_shapes():
-    failure = object_refusal({"id": "cup", "primitive_poses": [pose()] * 2, "operation": MOVE})
+    failure = rejection(after_objects, {"id": "cup", "primitive_poses": [pose()] * 2, "operation": MOVE})
     assert "poses of 2 shapes; 'cup' has 1" in failure.message
 
 
@@ -407,7 +396,7 @@ def test_move_must_give_as_many_poses_as_there_are_shapes():
     ],
 )
 def test_an_object_that_cannot_be_used_is_refused(message, words):
-    assert words in object_refusal(message).message
+    assert words in rejection(after_objects, message).message
 
 
 LINKS = FORWARD.transforms(BENT)
@@ -418,12 +407,6 @@ def after_attached(*messages, before=(CUP,)):
     for each in messages:
         apply_attached_object(changing, each, "it")
     return changing
-
-
-def attached_refusal(*messages):
-    with pytest.raises(RefusedError) as refused:
-        after_attached(*messages)
-    return refused.value.failure
 
 
 def place_in_root(thing):
@@ -542,6 +525,6 @@ BAD_ATTACHED = {
 
 @pytest.mark.parametrize(("messages", "code", "words"), BAD_ATTACHED.values(), ids=BAD_ATTACHED.keys())
 def test_an_attached_object_that_cannot_be_used_is_refused(messages, code, words):
-    failure = attached_refusal(*messages)
+    failure = rejection(after_attached, *messages)
     assert failure.code is code
     assert words in failure.message

@@ -237,33 +237,27 @@ def test_a_step_is_what_joints_do_while_the_tip_moves_by_a_length() -> None:
     assert found.step_rad == pytest.approx(expected_rad, rel=0.01)
 
 
-def test_an_even_motion_exceeds_no_factor() -> None:
+LIMITS = {
+    "the mean times a factor": (0.0, [0.5, 0.5, 2.0], 2.0),
+    "no less than the least": (0.0, [0.01, 0.01], LEAST_JUMP_RAD),
+    "the stricter of two": (0.3, [0.5, 0.5, 2.0], 0.3),
+}
+
+
+@pytest.mark.parametrize(("step_rad", "steps_rad", "limit_rad"), LIMITS.values(), ids=LIMITS.keys())
+def test_the_limit_of_a_step_is(step_rad: float, steps_rad: list[float], limit_rad: float) -> None:
+    assert JumpThresholds(step_rad, 2.0).limit_rad(np.array(steps_rad)) == pytest.approx(limit_rad)
+
+
+def test_nothing_jumps_without_thresholds_evenly_or_at_rest() -> None:
+    assert not JumpThresholds(0.0, 0.0).any
+    assert jump(EVEN) is None
     assert jump(EVEN, step_m=0.1, factor=1.2) is None
-
-
-def test_the_mean_times_a_factor_is_the_limit_of_a_step() -> None:
-    assert JumpThresholds(0.0, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == pytest.approx(2.0)
-
-
-def test_small_steps_exceed_no_factor() -> None:
-    assert JumpThresholds(0.0, 2.0).limit_rad(np.array([0.01, 0.01])) == LEAST_JUMP_RAD
-
-
-def test_of_two_thresholds_the_stricter_counts() -> None:
-    assert JumpThresholds(0.3, 2.0).limit_rad(np.array([0.5, 0.5, 2.0])) == 0.3
+    assert jump(panned(0.3), step_rad=0.01, factor=1.0) is None
 
 
 def test_the_first_jump_has_the_length_before_it() -> None:
     assert jump(EVEN, step_rad=0.01).along_m == 0.0
-
-
-def test_a_motion_that_stands_has_no_jump() -> None:
-    assert jump(panned(0.3), step_rad=0.01, factor=1.0) is None
-
-
-def test_without_thresholds_nothing_is_a_jump() -> None:
-    assert not JumpThresholds(0.0, 0.0).any
-    assert jump(EVEN) is None
 
 
 def test_a_slow_path_is_looked_at_no_more_often_than_is_quick() -> None:

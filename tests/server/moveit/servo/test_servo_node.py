@@ -272,11 +272,10 @@ def test_a_command_that_a_stop_has_overtaken_is_rejected_even_as_the_first(gate_
 
 def test_after_a_stop_or_an_interruption_a_held_stick_steers_again_when_the_status_is_reset(gate_rig: GateRig) -> None:
     gate_rig.said(0.0)
-    for at_s, end in ((0.1, gate_rig.arm.stop), (0.3, lambda: gate_rig.gate.interrupt("stopped"))):
+    for at_s, end in ((0.1, gate_rig.arm.stop), (0.2, lambda: gate_rig.gate.interrupt("stopped"))):
         end()
-        assert gate_rig.said(at_s) != ""
         gate_rig.gate.reset()
-        assert gate_rig.said(at_s + 0.1) == ""
+        assert gate_rig.said(at_s) == ""
 
 
 def test_the_first_client_keeps_control_while_it_sends_commands() -> None:
@@ -285,22 +284,6 @@ def test_the_first_client_keeps_control_while_it_sends_commands() -> None:
     assert not ownership.take(OTHER, 0.5)
     assert ownership.take(ONE, 0.9 * OWNERSHIP_TIMEOUT_S)
     assert not ownership.take(OTHER, 1.8 * OWNERSHIP_TIMEOUT_S)
-
-
-def test_control_ends_by_silence() -> None:
-    ownership = Ownership(lambda _client: True)
-    ownership.take(ONE, 0.0)
-    assert ownership.take(OTHER, 1.1 * OWNERSHIP_TIMEOUT_S)
-    assert ownership.owner(1.2 * OWNERSHIP_TIMEOUT_S) is OTHER
-
-
-def test_control_ends_when_the_client_leaves() -> None:
-    present = {ONE, OTHER}
-    ownership = Ownership(lambda client: client in present)
-    ownership.take(ONE, 0.0)
-    present.remove(ONE)
-    assert ownership.owner(0.1) is None
-    assert ownership.take(OTHER, 0.1)
 
 
 def test_a_client_shortens_the_timeout_of_its_own_commands_alone() -> None:

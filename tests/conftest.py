@@ -76,8 +76,11 @@ def simulated_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runni
         yield running
 
 
+pytest.register_assert_rewrite("tests.helpers.arm_contract")
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """The one option that moves metal; tests/robot/test_arm_contract.py says what it does and how far it goes."""
+    """The one option that moves metal; tests/helpers/arm_contract.py says what it does and how far it goes."""
     parser.addoption(
         "--arm",
         metavar="PORT,CALIBRATION",

@@ -125,6 +125,7 @@ class GoalExecutor:
         time_limits: of motions.
         in_progress: motions of all goals; None for an executor that is alone.
         current: positions of all joints, also of arms that this one does not move; None for those of the arm.
+        clock: monotonic time of this machine [s].
 
     Attributes:
         recorder: records the arm's states for the answers.
@@ -142,9 +143,11 @@ class GoalExecutor:
         time_limits: TimeLimits | None = None,
         in_progress: MotionsInProgress | None = None,
         current: CurrentState | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
         self._robot = robot
+        self._clock = clock
         self._in_progress = in_progress or MotionsInProgress()
         self._pool = pool
         self._scene = scene
@@ -155,7 +158,7 @@ class GoalExecutor:
         self._scene_monitor = SceneMonitor(pool, scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
         self._time_limits = time_limits or TimeLimits()
-        self._player = Player(arm, robot, self._scene_monitor, self._time_limits, self._in_progress)
+        self._player = Player(arm, robot, self._scene_monitor, self._time_limits, self._in_progress, clock)
         self._work: asyncio.Task[Any] | None = None
         self._cancel_reason = ""
         # Stop epoch in which the active goal was requested.
@@ -252,7 +255,7 @@ class GoalExecutor:
         report(Progress(GoalState.PLANNING, "; ".join(("planning in motion", *request.warnings))))
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
         ask = functools.partial(self._pool.ask, moving, scene)
-        plan = await self._unless_cancelled(_in_time(ask, outgoing.until_s - time.monotonic()))
+        plan = await self._unless_cancelled(_in_time(ask, outgoing.until_s - self._clock()))
         if not isinstance(plan, Plan) or plan.trajectory.duration_s > self._time_limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))

@@ -88,11 +88,6 @@ def test_a_type_that_exists_only_in_ros1_is_spelled_as_ros1_does():
     )
 
 
-def test_rosapi_answers_are_paired_with_those_of_ros1():
-    message = complete(REGISTRY, "rosapi_msgs/srv/GetTime_Response", {"time": {"sec": 3}}, NOW)
-    assert to_ros1(REGISTRY, "rosapi_msgs/srv/GetTime_Response", message) == {"time": {"secs": 3, "nsecs": 0}}
-
-
 def test_a_message_may_be_partial_on_the_way_in():
     assert from_ros1(REGISTRY, "sensor_msgs/JointState", {"header": {"stamp": {"secs": 5}}}) == {
         "header": {"stamp": {"sec": 5}}
@@ -144,13 +139,6 @@ def test_a_type_that_ros1_lacks_is_declared_as_in_ros2():
     assert declared_in_ros1(REGISTRY, "action_msgs/GoalInfo") == REGISTRY.message("action_msgs/GoalInfo")
     with pytest.raises(InterfaceError):
         declared_in_ros1(REGISTRY, "rcl_interfaces/Nothing")
-
-
-def test_the_default_of_a_parameter_has_another_name_in_ros1():
-    asked = {"name": "/speed", "default": "1"}
-    assert from_ros1(REGISTRY, "rosapi_msgs/srv/GetParam_Request", asked) == {"name": "/speed", "default_value": "1"}
-    ours = {"name": "/speed", "default_value": "1"}
-    assert to_ros1(REGISTRY, "rosapi_msgs/srv/GetParam_Request", ours) == asked
 
 
 ROSAPI = [name for name in REGISTRY.type_names() if name.startswith("rosapi_msgs/srv/")]

@@ -4,52 +4,15 @@ from hypothesis import strategies as st
 
 from protocol.errors import (
     MAX_QUOTED_CHARACTERS,
-    FrameError,
-    InterfaceError,
     MessageError,
-    NothingToDoError,
-    OperationError,
-    ProtocolError,
     describe,
     one_line,
     shorten,
 )
 
 
-@pytest.mark.parametrize(
-    "error",
-    [
-        InterfaceError("a/B", "unknown"),
-        MessageError("int32", "null"),
-        OperationError("publish", "topic", "wanted text"),
-        FrameError("not JSON", 3),
-        NothingToDoError("unsubscribe", None, "topic /a"),
-    ],
-)
-def test_every_refusal_is_a_protocol_error_of_one_line(error):
-    assert isinstance(error, ProtocolError)
-    assert "\n" not in str(error)
-
-
-def test_a_message_error_grows_its_path_from_the_inside_out():
-    error = MessageError("float64", "'x'").inside("[1]").inside("positions").inside("[3]").inside("points")
-    assert error.path == "points[3].positions[1]"
-    assert str(error) == "field points[3].positions[1]: wanted float64, got 'x'"
-
-
 def test_a_message_error_about_the_whole_message_names_no_field():
     assert str(MessageError("std_msgs/msg/String", "42")) == "message: wanted std_msgs/msg/String, got 42"
-
-
-def test_an_operation_error_names_op_and_field_as_far_as_they_are_known():
-    assert str(OperationError("publish", "topic", "missing")) == "publish: field topic: missing"
-    assert str(OperationError("publish", None, "too many")) == "publish: too many"
-    assert str(OperationError(None, None, "no object")) == "no object"
-
-
-def test_a_frame_error_names_the_position_where_there_is_one():
-    assert str(FrameError("not JSON", 7)) == "not JSON at position 7"
-    assert str(FrameError("too deep")) == "too deep"
 
 
 @pytest.mark.parametrize(

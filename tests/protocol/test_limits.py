@@ -1,7 +1,3 @@
-import dataclasses
-
-import pytest
-
 from protocol.limits import MAX_SERVER_QUEUED_BYTES, Limits
 
 
@@ -12,10 +8,3 @@ def test_a_client_that_stops_reading_has_a_quarter_of_the_servers_memory_for_wha
 def test_replies_and_requests_leave_room_for_topic_data():
     limits = Limits()
     assert limits.max_queued_request_bytes + limits.max_queued_reply_bytes < limits.max_queued_bytes
-
-
-def test_every_limit_is_above_zero_and_fixed_for_the_session():
-    limits = Limits()
-    assert all(value > 0 for value in dataclasses.asdict(limits).values())
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        limits.max_message_bytes = 1

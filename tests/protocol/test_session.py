@@ -10,6 +10,7 @@ from protocol.messages import Stamp
 from protocol.operations import OPERATIONS, Operation, Publish
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
+from protocol.send_queue import BEHIND_S, BULKY_BYTES
 from protocol.session import DROPS_TOLD_EVERY_S, SEND_BUDGET_BYTES, Packed, Refusal, Session
 
 REGISTRY = Registry.load()
@@ -122,13 +123,6 @@ def test_nothing_that_comes_raises(frame):
 # What goes to the client
 
 
-def test_subscribers_share_the_bytes_of_a_frame():
-    first, second, published = subscribed(), subscribed(), message("x")
-    for session in (first, second):
-        session.deliver(published, 1.0)
-    assert first.data_to_send(1.0)[0].on_wire is second.data_to_send(1.0)[0].on_wire
-
-
 def test_after_unsubscribing_nothing_comes_not_even_what_waited():
     session = subscribed(throttle_rate=100, queue_length=10)
     for data in "xyz":
@@ -208,6 +202,14 @@ def test_replies_are_fragmented_too_each_under_an_id_of_its_own():
     assert len(set(ids)) == 2
 
 
+def test_of_several_subscriptions_the_least_fragment_size_counts_for_their_topic():
+    session = subscribed(id="x", fragment_size=300)
+    session.subscriptions.add(receive(session, op="subscribe", topic="/a", id="y", fragment_size=200))
+    session.subscriptions.add(receive(session, op="subscribe", topic="/a", id="z", fragment_size=2147483647))
+    session.deliver(big_publication(), 1.0)
+    assert max(len(json.loads(frame)["data"]) for frame in sent(session)) == 200
+
+
 @pytest.mark.parametrize("size", [0, -1, 1.5, "100", [100], True])
 def test_a_senseless_fragment_size_is_refused_and_changes_nothing(size):
     session = subscribed()
@@ -265,6 +267,15 @@ def test_a_clients_next_operations_wait_while_a_few_large_replies_do():
         session.reply({"op": "service_response", "values": "y" * 100_000})
         congested.append(session.congested)
     assert congested == [False, False, True]
+
+
+def test_a_result_does_not_overtake_feedback_however_large():
+    session = Session()
+    session.feedback({"op": "action_feedback", "values": "x" * BULKY_BYTES}, 0.0)
+    session.reply({"op": "action_result"})
+    for encoded in session.take_unready():
+        encoded.encode()
+    assert [json.loads(frame)["op"] for frame in sent(session, BEHIND_S + 1.0)] == ["action_feedback", "action_result"]
 
 
 def test_the_data_fetched_at_a_time_is_bounded():

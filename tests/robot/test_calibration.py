@@ -81,15 +81,12 @@ def test_limits_hold_exactly_the_positions_of_the_range(joint, ticks):
     assert (joint.lower_rad <= joint.rad_from_ticks(ticks) <= joint.upper_rad) == inside
 
 
-def test_an_arm_joint_is_at_zero_in_the_middle_of_its_range():
+def test_an_arm_joint_is_at_zero_in_the_middle_of_its_range_unless_an_offset_shifts_it():
     elbow = JointCalibration(SO101_SERVOS[2], 3, 0, 0, 793, 2995)
     assert elbow.rad_from_ticks(1894) == 0.0
     assert elbow.rad_from_ticks(1894 + 1024) == pytest.approx(math.pi / 2)
-
-
-def test_a_zero_offset_shifts_an_arm_joint():
-    elbow = JointCalibration(SO101_SERVOS[2], 3, 0, 0, 793, 2995, zero_offset_rad=0.13)
-    assert elbow.rad_from_ticks(1894) == pytest.approx(0.13)
+    shifted = JointCalibration(SO101_SERVOS[2], 3, 0, 0, 793, 2995, zero_offset_rad=0.13)
+    assert shifted.rad_from_ticks(1894) == pytest.approx(0.13)
 
 
 def test_drive_mode_mirrors_the_gripper_and_no_arm_joint():
@@ -145,30 +142,20 @@ def test_a_file_that_cannot_be_right_is_refused_with_its_field(tmp_path, change,
 
 
 @pytest.mark.parametrize(
-    "old",
+    ("text", "words"),
     [
-        {"homing_offset": [1, 2], "drive_mode": [0, 0], "start_pos": [], "end_pos": []},
-        {"calib_mode": ["DEGREE"]},
+        ('{"homing_offset": [1, 2], "drive_mode": [0, 0], "start_pos": [], "end_pos": []}', "before June 2025"),
+        ('{"calib_mode": ["DEGREE"]}', "before June 2025"),
+        *((text, "arm.json") for text in ("", "{", "[]", "7", "\x00")),
+        (None, "cannot be read"),
     ],
 )
-def test_the_schema_before_june_2025_is_refused_by_name(tmp_path, old):
-    path = tmp_path / "old.json"
-    path.write_text(json.dumps(old))
-    with pytest.raises(CalibrationError, match="before June 2025"):
+def test_a_file_of_an_old_schema_of_no_object_or_that_is_not_there_is_refused(tmp_path, text, words):
+    path = tmp_path / "arm.json"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(CalibrationError, match=words):
         Calibration.load(path, SO101_SERVOS)
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", "7", "\x00"])
-def test_a_file_that_is_no_json_object_is_refused(tmp_path, text):
-    path = tmp_path / "broken.json"
-    path.write_text(text)
-    with pytest.raises(CalibrationError):
-        Calibration.load(path, SO101_SERVOS)
-
-
-def test_a_file_that_does_not_exist_is_refused(tmp_path):
-    with pytest.raises(CalibrationError, match="cannot be read"):
-        Calibration.load(tmp_path / "nowhere.json", SO101_SERVOS)
 
 
 def test_the_elbow_of_every_measured_arm_spans_the_urdf_within_a_degree():
@@ -282,8 +269,10 @@ def test_a_file_that_is_being_calibrated_is_refused_with_the_process(tmp_path):
         pass
 
 
-def test_a_place_that_cannot_be_reserved_is_refused(tmp_path):
+def test_a_place_that_cannot_be_written_or_reserved_is_refused(tmp_path):
     (tmp_path / "file").touch()
+    with pytest.raises(CalibrationError, match="cannot be written"):
+        save(nominal_calibration(), tmp_path / "file" / "arm.json")
     with pytest.raises(CalibrationError, match="cannot be written"), reserved(tmp_path / "file" / "a", overwrite=True):
         pass
 
@@ -295,12 +284,6 @@ def test_a_calibration_that_cannot_be_written_leaves_the_one_before(tmp_path):
     with pytest.raises(CalibrationError, match="cannot be written"):
         save(nominal_calibration().with_zero_offsets({"elbow_flex": 0.1}), path)
     assert Calibration.load(path, SO101_SERVOS) == nominal_calibration()
-
-
-def test_a_place_that_cannot_be_written_is_refused(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(CalibrationError, match="cannot be written"):
-        save(nominal_calibration(), tmp_path / "file" / "arm.json")
 
 
 def test_a_new_calibration_of_an_id_goes_where_lerobot_looks_first(home):

@@ -49,11 +49,8 @@ def test_a_traceback_stays_within_its_json_line() -> None:
     assert fields["exception"].startswith("ValueError: two\nlines")
 
 
-def test_a_plain_line_is_for_people() -> None:
+def test_a_plain_line_is_for_people_and_names_one_of_several_arms() -> None:
     assert PlainFormatter().format(record("hot")).endswith("WARNING armbridge.arm: hot")
-
-
-def test_a_plain_line_of_one_of_several_arms_names_it() -> None:
     assert PlainFormatter("left").format(record("hot")).endswith("WARNING armbridge.arm: left: hot")
 
 
@@ -162,22 +159,17 @@ def test_not_more_loggers_are_changed_than_there_may_be() -> None:
     assert logs.change(changes[0])
 
 
-def test_a_burst_of_lines_is_due_and_then_the_rate() -> None:
-    limiter = LogLimiter(burst=3, lines_per_s=0.5)
-    assert [limiter.due("elbow", 0.0) for _ in range(5)] == [True, True, True, False, False]
-    assert [limiter.due("elbow", 2.0) for _ in range(2)] == [True, False]
-
-
-def test_the_bucket_never_holds_more_than_the_burst() -> None:
-    limiter = LogLimiter(burst=2, lines_per_s=1.0)
-    assert [limiter.due("elbow", now_s) for now_s in (0.0, 1e6, 1e6, 1e6)] == [True, True, True, False]
-
-
-def test_keys_are_limited_independently() -> None:
-    limiter = LogLimiter(burst=1, lines_per_s=0.0)
-    assert limiter.due("elbow", 0.0)
-    assert limiter.due("wrist", 0.0)
-    assert not limiter.due("elbow", 1e9)
+@pytest.mark.parametrize(
+    ("limiter", "lines"),
+    [
+        (LogLimiter(3, 0.5), [("a", 0.0, True)] * 3 + [("a", 0.0, False)] * 2 + [("a", 2.0, True), ("a", 2.0, False)]),
+        (LogLimiter(2, 1.0), [("a", 0.0, True), ("a", 1e6, True), ("a", 1e6, True), ("a", 1e6, False)]),
+        (LogLimiter(1, 0.0), [("a", 0.0, True), ("b", 0.0, True), ("a", 1e9, False)]),
+    ],
+    ids=["a burst and then the rate", "never more than the burst", "each key for itself"],
+)
+def test_lines_are_due_in_bursts_and_then_at_a_rate(limiter: LogLimiter, lines: list[tuple[str, float, bool]]) -> None:
+    assert [limiter.due(key, now_s) for key, now_s, _ in lines] == [due for _, _, due in lines]
 
 
 def test_suppressed_lines_are_counted_up_to_the_next_due_one() -> None:
@@ -232,8 +224,3 @@ def test_keys_that_clients_choose_are_bounded_and_the_end_is_told(caplog: pytest
 def test_a_line_names_the_place_that_writes_it(caplog: pytest.LogCaptureFixture) -> None:
     LogLimiter().write(LOG, logging.WARNING, "refused: no", "x")
     assert caplog.records[0].pathname == __file__
-
-
-def test_the_note_gives_the_number_of_suppressed_lines() -> None:
-    assert logs.suppressed_note(0) == ""
-    assert logs.suppressed_note(2) == " (2 more lines like this were left out before)"

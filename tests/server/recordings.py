@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -61,11 +60,3 @@ def record_killed(path: Path, chunks: Iterable[Iterable[RecordedMessage]]) -> Pa
                 file.add(each)
             file.flush()
     return path
-
-
-def wait_until(condition: Callable[[], bool], timeout_s: float = 30.0) -> bool:
-    """Look again and again; returns whether it came true."""
-    until_s = time.monotonic() + timeout_s
-    while not condition() and time.monotonic() < until_s:
-        time.sleep(0.005)
-    return condition()

@@ -37,18 +37,10 @@ def test_a_goal_without_id_and_stamp_gets_both() -> None:
     assert first.key != second.key
 
 
-def test_an_id_that_is_known_is_not_taken_on_again() -> None:
-    assert tracked("a").add(goal_id("a"), NOW) is None
-
-
 def test_a_cancel_that_says_nothing_means_all_goals_on_their_way() -> None:
     goals = tracked("a", "b", "c")
     goals.end("b", Status.SUCCEEDED, "", 0.0)
     assert goals.to_cancel(goal_id()) == ["a", "c"]
-
-
-def test_a_cancel_means_the_goal_of_its_id() -> None:
-    assert tracked("a", "b").to_cancel(goal_id("b")) == ["b"]
 
 
 def test_a_cancel_with_a_stamp_means_all_that_are_no_younger_and_the_one_of_its_id() -> None:
@@ -164,13 +156,6 @@ def test_a_cancelled_goal_is_preempting_until_it_ends(stage: Stage) -> None:
     assert stage.statuses() == [("one", Status.ACTIVE), ("two", Status.PREEMPTING)]
     stage.goals[1].finish(GoalStatus.CANCELED, {"error_code": {"val": -7}})
     assert stage.results() == [("two", Status.PREEMPTED, "", -7)]
-
-
-def test_an_empty_cancel_ends_all_goals(stage: Stage) -> None:
-    stage.send("one")
-    stage.send("two")
-    stage.cancel()
-    assert all(goal.cancel_requested for goal in stage.goals)
 
 
 def test_a_goal_that_fails_without_a_result_is_answered_with_the_sentence(stage: Stage) -> None:

@@ -65,11 +65,13 @@ async def test_a_start_that_is_refused_leaves_no_recording_behind(tmp_path: Path
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        server = ServerSettings(host="127.0.0.1", port=taken.getsockname()[1])
+        port = taken.getsockname()[1]
+        server = ServerSettings(host="127.0.0.1", port=port)
         app = App(Settings(server=server, recording=RecordingSettings(file=tmp_path / "run.mcap")))
         assert [part.name for part in app._parts()][-1] == "the recording's file"
-        with pytest.raises(StartError, match="in use"):
+        with pytest.raises(StartError) as refused:
             await app.run()
+    assert str(refused.value) == (f"port in use: 127.0.0.1:{port} is taken by another program; choose one with --port")
     assert not (tmp_path / "run.mcap").exists()
 
 

@@ -1,19 +1,22 @@
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from server import cli
+from robot import arm, logs
+from server import app, cli
+from server.errors import StartError
 
-COMMAND = [sys.executable, "-m", "server.cli"]
 
-
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60, check=False)
+@pytest.fixture
+def alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a server start no process, and leave the logging as it is."""
+    monkeypatch.setattr(arm, "start_arm_process", lambda: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(logs, "configure", lambda *_arguments: None)
 
 
 def exit_code_of(*arguments: str) -> object:
@@ -60,14 +63,16 @@ def test_an_option_that_does_not_exist_is_answered_with_the_one_that_was_meant(
     assert said.splitlines()[-1] == "armbridge: error: --prot: unknown; did you mean --port?"
 
 
-def test_a_port_in_use_is_one_line_and_exit_1() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        answer = run("serve", "--port", str(port), "--log-level", "error")
-    assert answer.returncode == 1
-    assert answer.stderr.splitlines() == [
-        f"armbridge: port in use: 127.0.0.1:{port} is taken by another program; choose one with --port"
-    ]
+@pytest.mark.usefixtures("alone")
+def test_a_start_that_fails_is_one_line_and_exit_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_arguments: object) -> None:
+        raise StartError("port in use: 127.0.0.1:9090")
+
+    monkeypatch.setattr(app, "serve", fail)
+    assert cli.main(["serve"]) == 1
+    assert capsys.readouterr().err == "armbridge: port in use: 127.0.0.1:9090\n"
 
 
 FILES = {
@@ -76,18 +81,22 @@ FILES = {
 }
 
 
+@pytest.mark.usefixtures("alone")
 @pytest.mark.parametrize(("options", "words"), FILES.values(), ids=FILES.keys())
-def test_a_file_that_cannot_be_used_is_one_line_and_exit_2(options: list[str], words: str, tmp_path: Path) -> None:
-    answer = run("serve", "--port", "0", *options, str(tmp_path / "missing"))
-    assert answer.returncode == 2
-    assert len(answer.stderr.splitlines()) == 1
-    assert words in answer.stderr
+def test_a_file_that_cannot_be_used_is_one_line_and_exit_2(
+    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["serve", "--port", "0", *options, str(tmp_path / "missing")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert words in line
 
 
 # Sessions of zenoh whose callbacks never end; the interpreter's own end would abort for nearly every one.
 HELD_UP = """
 import threading, time, zenoh
-from server import cli
+from robot import arm, logs
+from server import app, cli
+from server.errors import StartError
 
 def hold(_sample):
     held.release()

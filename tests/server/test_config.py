@@ -5,14 +5,9 @@ from pydantic import BaseModel, ValidationError
 
 from robot.control.checks import CONFIG_RANGES, GUARD_RANGES
 from robot.messages import GuardLimits
-from server.config import ArmSettings, GuardSettings, ServerSettings, Settings
+from server.config import ArmSettings, GuardSettings, ServerSettings
 from server.config_loader import load
 from server.errors import ConfigurationError
-
-
-def test_a_number_from_the_environment_is_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ARMBRIDGE_PLANNING__WORKERS", "4")
-    assert load(None, {}).planning.workers == 4
 
 
 @pytest.mark.parametrize(
@@ -75,13 +70,6 @@ def test_an_arm_that_may_settle_for_longer_needs_motions_that_may_last_for_longe
         load(None, {"arm": {"guards": {"settle_timeout_s": 3.0}}})
     settings = load(None, {"arm": {"guards": {"settle_timeout_s": 3.0}}, "moveit": {"allowed_goal_duration_margin": 4}})
     assert settings.arm.guards.settle_timeout_s == 3.0
-
-
-def test_the_defaults_are_those_of_the_old_goal_node() -> None:
-    moveit = Settings().moveit
-    assert (moveit.group_name, moveit.num_planning_attempts, moveit.allowed_planning_time) == ("", 5, 5.0)
-    assert (moveit.max_velocity_scaling, moveit.max_acceleration_scaling) == (0.3, 0.3)
-    assert (moveit.position_tolerance, moveit.joint_tolerance) == (0.01, 0.01)
 
 
 @pytest.mark.parametrize(("given", "missing"), [("tls_key", "tls_certificate"), ("tls_certificate", "tls_key")])

@@ -13,7 +13,7 @@ from server.errors import ServiceError
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
-from server.rosapi import DONE, MAX_PARAMETER_BYTES, Parameters, Request, RosApi, node_name
+from server.rosapi import DONE, MAX_PARAMETER_BYTES, Parameters, Request, RosApi
 from tests.helpers.clock import FakeClock
 from tests.helpers.cost import count_calls
 
@@ -135,10 +135,6 @@ def test_nodes_and_what_they_do_are_told(world: AskedWorld) -> None:
     assert world.ask("node_details", node="/arm")["services"] == ["/arm/stop"]
     assert world.ask("publishers", topic="/joint_states")["publishers"] == ["/arm"]
     assert world.ask("subscribers", topic="joint_states")["subscribers"] == [client]
-
-
-def test_names_of_nodes_are_ros_names() -> None:
-    assert node_name(CLIENT) == "/client_127_0_0_1_53944"
 
 
 def test_a_service_is_on_the_servers_host(world: AskedWorld) -> None:
@@ -278,13 +274,6 @@ def test_the_texts_of_many_topics_are_bounded(world: AskedWorld, monkeypatch: py
     answer = AskedWorld().ask("topics_and_raw_types")
     assert answer["typedefs_full_text"] == [whole[0], ""]
     assert len(answer["topics"]) == len(answer["types"]) == 2
-
-
-# Requests.
-
-
-def test_a_name_is_qualified() -> None:
-    assert Request({"topic": "chat"}, "ros2").name("topic") == "/chat"
 
 
 # Look-ups.

@@ -382,7 +382,9 @@ class SceneServices:
 
         def end(refusal: RefusedError | None) -> None:
             if refusal is None:
-                assumed.assume(caller, assumed_rad)
+                # What a client that has left assumed is nobody's.
+                if not call.caller_left:
+                    assumed.assume(caller, assumed_rad)
                 call.succeed({"success": True})
             else:
                 log.warning("%s: refused, nothing is changed: %s", APPLY, refusal)
@@ -395,7 +397,8 @@ class SceneServices:
             end(error)
             return
         positions_rad = assumed.completed(assumed_rad, self._current.positions_rad())
-        self._state.submit(self._state.diff(scene), positions_rad, end, lambda: call.ended)
+        # A client that has left was told of no failure: it has asked for the change, and leaves it behind.
+        self._state.submit(self._state.diff(scene), positions_rad, end, lambda: call.ended and not call.caller_left)
 
 
 class SceneInterface:

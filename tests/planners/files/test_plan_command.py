@@ -164,9 +164,10 @@ class TerminalText(io.StringIO):
         return True
 
 
-def test_on_a_terminal_answers_are_counted_as_they_come(path) -> None:
-    errors = TerminalText()
-    plan_command.run(Options([path]), ROBOT, io.StringIO(), errors)
+def test_on_a_terminal_answers_are_counted_as_they_come_and_a_plot_is_drawn(path) -> None:
+    errors, picture = TerminalText(), path.with_name("out.png")
+    plan_command.run(Options([path], plot_path=picture), ROBOT, io.StringIO(), errors)
+    assert picture.read_bytes().startswith(PNG)
     assert [text for text in errors.getvalue().split("\r\x1b[K") if text] == ["1/2", "2/2"]
 
 
@@ -184,9 +185,3 @@ def test_an_impossible_request_is_one_line_and_exit_2(path, options, words) -> N
     assert run.code == EXIT_USAGE
     (line,) = run.errors
     assert words in line
-
-
-def test_a_plot_is_drawn(path) -> None:
-    picture = path.with_name("out.png")
-    Run(Options([path], plot_path=picture))
-    assert picture.read_bytes().startswith(b"\x89PNG")

@@ -108,7 +108,7 @@ def test_certified_motions_are_free_at_a_finer_step(space_in, own_collision, arm
 def test_if_only_hulls_touch_the_parts_decide(own_collision, space_in, arm, robot):
     rng = np.random.default_rng(5)
     space = space_in(scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)))
-    points = rng.uniform(0.6 * space.lower_rad, 0.6 * space.upper_rad, (3000, 5))
+    points = rng.uniform(0.6 * space.lower_rad, 0.6 * space.upper_rad, (1000, 5))
     tight = [point for point in points if is_tight(own_collision, np.append(point, 0.0))]
     assert tight
     for point in tight[:10]:
@@ -122,7 +122,7 @@ def test_a_certificate_is_given_up_when_its_request_is_cancelled(own_collision, 
     rng = np.random.default_rng(5)
     box = scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15))
     free = space_in(box)
-    points = rng.uniform(0.6 * free.lower_rad, 0.6 * free.upper_rad, (3000, 5))
+    points = rng.uniform(0.6 * free.lower_rad, 0.6 * free.upper_rad, (1000, 5))
     tight = next(point for point in points if is_tight(own_collision, np.append(point, 0.0)))
     asked = itertools.count()
     space = space_in(box, also_free=[np.append(tight, 0.0)], should_stop=lambda: next(asked) == 2)

@@ -143,7 +143,7 @@ def changing(own):
 
 @pytest.fixture
 def random_states(collision):
-    return np.random.default_rng(4).uniform(collision.lower_rad, collision.upper_rad, (300, 6))
+    return np.random.default_rng(4).uniform(collision.lower_rad, collision.upper_rad, (150, 6))
 
 
 def test_named_states_touch_nothing(robot, collision):
@@ -164,7 +164,7 @@ def test_no_verdict_depends_on_what_was_asked_before(robot, collision):
     # The search for a common point starts from hints that earlier questions left behind.
     rng = np.random.default_rng(3)
     other = CollisionModel(replace(robot, parts={}))
-    for q, asked_before in rng.uniform(collision.lower_rad, collision.upper_rad, (in_proportion(20_000), 2, 6)):
+    for q, asked_before in rng.uniform(collision.lower_rad, collision.upper_rad, (in_proportion(8_000), 2, 6)):
         other.colliding_pairs(asked_before)
         assert bool(collision.colliding_pairs(q)) == bool(other.colliding_pairs(q))
 

@@ -20,7 +20,7 @@ from tests.helpers.resources import in_proportion
 from tests.planners.scenes import around_the_arm, outside_m, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
-STATES = 150
+STATES = 60
 
 
 @pytest.fixture(params=[1, 2])

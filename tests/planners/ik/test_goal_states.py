@@ -123,7 +123,7 @@ def search(robot, collision):
 
 @pytest.fixture(scope="module")
 def free_states(collision):
-    states = np.random.default_rng(5).uniform(collision.lower_rad, collision.upper_rad, (40, 6))
+    states = np.random.default_rng(5).uniform(collision.lower_rad, collision.upper_rad, (24, 6))
     states[:, collision.joint_names.index("gripper")] = 0.0
     return [q for q in states if not collision.in_collision(q)]
 

@@ -1,8 +1,26 @@
+import itertools
+
 import numpy as np
 import pytest
 
-from planners.motions.path import TREES, CountedSpace, Query, _ompl_space, reachable, search, without_detours
-from planners.problem import PLANNER_IDS
+from planners.geometry.joint_space import JointSpace
+from planners.geometry.sweep import ALL_PAIRS
+from planners.goals import Constraints, OrientationConstraint
+from planners.ik.constraints import ConditionSet, conditions
+from planners.motions.curve import line, polyline
+from planners.motions.path import (
+    TREES,
+    CountedSpace,
+    Query,
+    _ompl_space,
+    checks_in,
+    coarse_first,
+    projected_search,
+    reachable,
+    search,
+    without_detours,
+)
+from planners.problem import PLANNER_IDS, RateLimits
 from tests.planners.invariants import BLOCKED_LINES, never
 
 HOME = np.zeros(5)
@@ -110,3 +128,89 @@ def test_a_tree_grows_without_goals_until_it_is_stopped(space):
     assert len(reachable(Query(space, HOME, [], STEP_M), lambda point: point, 3, after(space, 2000))) > 20
     points = reachable(Query(space, HOME, [READY], STEP_M), lambda point: point, 3, lambda: True)
     np.testing.assert_array_equal(points, [HOME])
+
+
+LIMITS = RateLimits(np.full(5, 3.0), np.full(5, 10.0))
+
+
+def test_every_question_counts(space):
+    space.free(HOME)
+    assert space.checks == 1
+    space.candidate_pairs(np.array([HOME, READY]), np.full((2, 5), 0.01), [ALL_PAIRS, ALL_PAIRS])
+    assert space.checks == 3
+    space.touches_any(HOME, ALL_PAIRS)
+    assert space.checks == 4
+
+
+def test_nothing_is_free_once_nobody_waits_for_it(joint_space):
+    stopped = CountedSpace(joint_space, lambda: True)
+    assert not stopped.line_free(HOME, READY, STEP_M)
+    assert not stopped.curve_free(line(HOME, READY, LIMITS), STEP_M)
+
+
+@pytest.mark.parametrize("blocked", BLOCKED_LINES)
+def test_a_curve_through_the_arm_itself_is_blocked(space, blocked):
+    start, goal = (np.array(point) for point in blocked)
+    assert space.curve_free(line(HOME, READY, LIMITS), STEP_M)
+    assert not space.curve_free(line(start, goal, LIMITS), STEP_M)
+    assert not space.curve_free(polyline(np.array([READY, start, goal]), LIMITS), STEP_M)
+
+
+def test_a_curve_that_leaves_a_joints_range_is_not_free(space):
+    beyond = READY.copy()
+    beyond[0] = space.upper_rad[0] + 0.01
+    assert not space.curve_free(line(READY, beyond, LIMITS), STEP_M)
+
+
+def test_time_is_worth_checks_in_proportion():
+    assert checks_in(0.0) == 0
+    assert checks_in(0.02) == 2 * checks_in(0.01) > 0
+
+
+@pytest.mark.parametrize("pieces", [1, 2, 3, 7, 16])
+def test_every_piece_of_a_line_is_looked_at_once_and_its_end_first(pieces):
+    shares = coarse_first(pieces).ravel()
+    assert shares[0] == 1.0
+    assert sorted(shares) == pytest.approx(np.arange(1, pieces + 1) / pieces)
+
+
+@pytest.mark.parametrize("blocked", BLOCKED_LINES)
+def test_a_sparse_check_of_a_line_finds_obstacles_as_wide_as_its_steps(space, blocked):
+    assert not space.line_free_sparsely(*map(np.array, blocked), STEP_M)
+    assert space.line_free_sparsely(HOME, READY, STEP_M)
+
+
+TIP = "gripper_frame_link"
+# The gripper points down within 6 degrees.
+DOWN = Constraints(orientations=(OrientationConstraint(TIP, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 3.2)),))
+LEFT, RIGHT = np.array([0.8, 0.0, 0.0, 1.57, 0.0, 0.0]), np.array([-0.8, 0.3, 0.0, 1.27, 0.0, 0.0])
+
+
+@pytest.fixture
+def holds(goal_states, joints):
+    return ConditionSet(goal_states.forward, conditions(DOWN, joints)).holds
+
+
+@pytest.fixture
+def projected(goal_states, collision, arm, holds):
+    start, goal = (goal_states.projection(arm, DOWN, q)(q[:5]) for q in (LEFT, RIGHT))
+    space = JointSpace(collision, arm, np.zeros(6), holds=holds)
+    project = goal_states.projection(arm, DOWN, np.zeros(6))
+    return Query(CountedSpace(space), start, [goal], 0.02), project
+
+
+def test_path_leads_from_start_to_goal_where_the_condition_holds(projected, holds):
+    query, project = projected
+    path = projected_search(query, project, 1, never)
+    np.testing.assert_array_equal(path, projected_search(query, project, 1, never))
+    np.testing.assert_array_equal(path[0], query.start)
+    np.testing.assert_array_equal(path[-1], query.goals[0])
+    for start, end in itertools.pairwise(path):
+        assert all(holds(np.append(start + u * (end - start), 0.0)) for u in (0.0, 0.5, 1.0))
+
+
+def test_search_that_is_stopped_has_no_path(projected):
+    query, project = projected
+    assert projected_search(query, project, 1, lambda: True) is None
+    asked = iter(range(50))
+    assert projected_search(query, lambda _: None, 1, lambda: next(asked, None) is None) is None

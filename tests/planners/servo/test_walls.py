@@ -28,8 +28,7 @@ def with_brakes(robot: RobotModel, acceleration_rad_s2: float) -> RobotModel:
     return replace(robot, joints=joints)
 
 
-@pytest.mark.parametrize("period_s", [0.02, 0.06])
-@pytest.mark.parametrize("acceleration_rad_s2", [1.0, 6.0])
+@pytest.mark.parametrize(("acceleration_rad_s2", "period_s"), [(1.0, 0.06), (6.0, 0.02)])
 def test_a_fast_joint_stops_before_a_wall(robot: RobotModel, acceleration_rad_s2: float, period_s: float) -> None:
     robot = with_brakes(robot, acceleration_rad_s2)
     planner, collision = Planner(robot), CollisionModel(robot)

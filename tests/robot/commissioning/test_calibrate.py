@@ -92,19 +92,25 @@ def test_what_the_bus_reads_differs_as_what_a_scan_has_read(bus):
 REGISTERS = (Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT)
 
 
+# Two servos, so that one is done or not begun while the other is written.
+CHANGED = (2, 3)
+
+
 def recalibrated():
-    """The calibration with another offset and range of every joint."""
+    """The calibration with another offset and range of two joints."""
     return Calibration(
         tuple(
             replace(joint, homing_offset=-25, range_min=joint.range_min + 40, range_max=joint.range_max + 30)
+            if joint.servo_id in CHANGED
+            else joint
             for joint in nominal_calibration().joints
         )
     )
 
 
-def calibrated_registers_of(bus):
-    """Offset and limits of every servo, by id."""
-    return {servo: tuple(bus.read(servo, register) for register in REGISTERS) for servo in IDS}
+def calibrated_registers_of(bus, servos=IDS):
+    """Offset and limits of servos, by id."""
+    return {servo: tuple(bus.read(servo, register) for register in REGISTERS) for servo in servos}
 
 
 def lose_port(emulator):
@@ -154,15 +160,15 @@ def test_a_write_that_is_interrupted_at_any_step_leaves_no_new_offset_with_old_l
         if found is None:
             break
         bus, before = found
-        for servo, held in calibrated_registers_of(bus).items():
+        for servo, held in calibrated_registers_of(bus, CHANGED).items():
             assert held[0] == before[servo][0] or held == wanted[servo], (at_step, servo, held)
             if interrupt is nothing:
                 assert held in (before[servo], wanted[servo]), (at_step, servo, held)
                 assert bus.read(servo, Register.LOCK) == 1, (at_step, servo)
-    assert at_step > len(IDS) * len(REGISTERS)
+    assert at_step > len(CHANGED) * len(REGISTERS)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_a_write_with_half_of_the_replies_lost_locks_the_servos_and_changes_all_or_nothing_of_each(seed):
     emulator = SteppedEmulator("--seed", str(seed), wire_time=False)
     bus = emulator.open_bus()

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import pytest
@@ -126,8 +127,16 @@ def answer(name, rig):
     return run_experiment(BY_NAME[name], rig)
 
 
+FOUND = {
+    "return delay register": "it works",
+    "goal register and torque": "torque off keeps the goal; torque on drives to a goal set before",
+    "lag of the position loop": "ticks is followed within",
+    "sync read past a missing servo": "those behind it answer",
+}
+
+
 @pytest.mark.parametrize("name", [each.name for each in EXPERIMENTS if not each.needs_hands])
-def test_every_experiment_leaves_the_servos_as_it_found_them(rig, name):
+def test_every_experiment_has_a_finding_and_leaves_the_servos_as_it_found_them(rig, name):
     def control():
         return [
             rig.bus.read(servo_id, register)
@@ -138,6 +147,7 @@ def test_every_experiment_leaves_the_servos_as_it_found_them(rig, name):
     before = control()
     finding = answer(name, rig)
     assert finding.check == name
+    assert FOUND.get(name, "") in finding.says
     assert control() == before
 
 
@@ -163,34 +173,15 @@ def test_an_arm_that_holds_is_not_touched(rig):
 
 
 def test_a_bus_that_stalls_behind_a_missing_servo_is_found_out(rig, emulator):
-    assert answer("sync read past a missing servo", rig).says == "those behind it answer"
     emulator.command(stall_behind_missing=True)
     assert "servos 2, 3, 4, 5, 6 did not answer" in answer("sync read past a missing servo", rig).says
 
 
-def test_a_return_delay_that_works_is_measured(rig):
-    assert "it works" in answer("return delay register", rig).says
-
-
-def test_a_goal_register_that_survives_torque_off_is_found_out(rig):
-    assert (
-        "torque off keeps the goal; torque on drives to a goal set before"
-        in answer("goal register and torque", rig).says
-    )
-
-
-def test_without_an_overloaded_servo_that_question_stays_open(rig):
+def test_an_overload_that_stays_is_found_out_and_without_one_the_question_is_open(rig, emulator):
     assert answer("overload cleared by torque off and on", rig).verdict is Verdict.OPEN
-
-
-def test_an_overload_that_stays_is_found_out(rig, emulator):
     emulator.command(status={"3": 32})
     assert rig.bus.read(3, Register.STATUS)
     assert answer("overload cleared by torque off and on", rig).says == "it does not"
-
-
-def test_the_lag_of_a_step_is_measured(rig):
-    assert "ticks is followed within" in answer("lag of the position loop", rig).says
 
 
 @pytest.mark.parametrize(("holding", "says"), [(False, "off"), (True, "servos 2 power up with torque on")])
@@ -212,46 +203,34 @@ def test_a_servo_that_falls_silent_leaves_the_question_open(rig, emulator):
     assert answer("damping (torque 2)", rig).verdict is Verdict.OPEN
 
 
-def test_torque_is_on_gently_where_the_servo_stands_and_off_afterwards(rig):
-    with rig.holding() as goal:
+def test_torque_is_on_gently_where_the_servo_stands_and_off_afterwards_also_after_ctrl_c(rig):
+    with contextlib.suppress(KeyboardInterrupt), rig.holding() as goal:
         assert rig.read(Register.TORQUE_ENABLE) == 1
         assert rig.read(Register.TORQUE_LIMIT) == GENTLE_TORQUE
         assert abs(rig.telemetry().position_ticks - goal) <= 2
+        raise KeyboardInterrupt
     assert rig.read(Register.TORQUE_ENABLE) == 0
     assert rig.read(Register.TORQUE_LIMIT) == 1000
 
 
-def test_torque_is_off_after_a_mistake_and_after_ctrl_c(rig):
-    with pytest.raises(KeyboardInterrupt), rig.holding():
-        raise KeyboardInterrupt
-    assert rig.read(Register.TORQUE_ENABLE) == 0
-
-
-def test_torque_does_not_come_on_far_from_the_goal(rig):
+def test_torque_does_not_come_on_far_from_the_goal_or_outside_the_angle_limits(rig):
     far = rig.telemetry().position_ticks + STEP_TICKS + 10
     with pytest.raises(StartupError, match="was moved"), rig.holding(far):
         pass
     assert rig.read(Register.TORQUE_ENABLE) == 0
-
-
-def test_torque_does_not_come_on_outside_the_angle_limits(rig):
     rig.set(Register.MIN_ANGLE_LIMIT, rig.telemetry().position_ticks + 100)
     with pytest.raises(StartupError, match="outside its angle limits"), rig.holding():
         pass
     assert rig.read(Register.TORQUE_ENABLE) == 0
 
 
-def test_a_step_goes_towards_the_middle_and_is_followed(rig):
+def test_a_step_goes_towards_the_middle_and_is_followed_and_sampled_for_as_long_as_it_may_take(rig):
     with rig.holding() as start:
         goal = rig.one_step_from(start)
         samples = rig.go(goal)
     assert goal - start == STEP_TICKS
     assert abs(samples[-1][1].position_ticks - goal) <= 3
-
-
-def test_a_step_is_sampled_for_as_long_as_it_may_take(rig):
-    with rig.holding() as start:
-        times_s = [at_s for at_s, _ in rig.go(rig.one_step_from(start))]
+    times_s = [at_s for at_s, _ in samples]
     assert times_s == sorted(times_s)
     assert 0.9 * STEP_S < times_s[-1] < STEP_S
 

@@ -82,25 +82,19 @@ def test_a_backup_that_is_not_there_is_refused(tmp_path):
         read_backup(tmp_path / "none.json")
 
 
-def test_servos_are_recognised_by_the_ids_that_they_got():
-    kit = [servo(1, new_id) for new_id in (6, 5, 1)]
-    assert match_saved(kit, [1, 5, 9]) == {1: kit[2], 5: kit[1]}
+BECAME_6, BECAME_5, KEPT_1 = (servo(1, new_id) for new_id in (6, 5, 1))
 
 
-def test_a_servo_whose_setup_was_broken_off_is_recognised_by_its_old_id():
-    broken_off = servo(1, 6)
-    assert match_saved([broken_off], [1]) == {1: broken_off}
-
-
-def test_another_servo_with_the_old_id_is_not_taken_for_the_one_that_has_got_its_new_one():
-    gripper = servo(1, 6)
-    assert match_saved([gripper], [1, 6]) == {6: gripper}
-
-
-def test_new_servos_that_cannot_be_told_apart_are_not_mixed_up():
-    assert match_saved([servo(1, 6), servo(1, 5)], [1]) == {}
-
-
-def test_of_two_visits_to_a_servo_the_state_before_the_first_counts():
-    first, again = servo(1, 6, P_GAIN=32), servo(6, 6, P_GAIN=16)
-    assert match_saved([first, again], [6]) == {6: first}
+@pytest.mark.parametrize(
+    ("saved", "found_ids", "matched"),
+    [
+        ([BECAME_6, BECAME_5, KEPT_1], [1, 5, 9], {1: KEPT_1, 5: BECAME_5}),
+        ([BECAME_6], [1], {1: BECAME_6}),
+        ([BECAME_6], [1, 6], {6: BECAME_6}),
+        ([BECAME_6, BECAME_5], [1], {}),
+        ([BECAME_6, servo(6, 6, P_GAIN=16)], [6], {6: BECAME_6}),
+    ],
+    ids=["by new ids", "by the old id after a setup broken off", "not by it else", "none of two alike", "first visit"],
+)
+def test_servos_are_recognised_by_the_ids_that_they_got(saved, found_ids, matched):
+    assert match_saved(saved, found_ids) == matched

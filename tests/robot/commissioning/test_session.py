@@ -113,24 +113,15 @@ def test_a_joint_that_was_not_touched_is_refused_all_the_same():
         session.answer(AS_IT_IS)
 
 
-def test_a_gripper_that_opens_towards_lower_ticks_is_mirrored():
+@pytest.mark.parametrize(("by_ticks", "mirrored"), [(-300, True), (300, False)])
+def test_a_gripper_is_mirrored_if_it_opens_towards_lower_ticks(by_ticks, mirrored):
     session, hand = begun()
     to_directions(session, hand)
     to_direction_of(session, "gripper")
-    hand.move(GRIPPER, MIDDLE - 300)
+    hand.move(GRIPPER, MIDDLE + by_ticks)
     session.answer(DONE)
-    assert session.calibration.joints[-1].drive_mode == 1
-    assert any("gripper is mirrored" in finding for finding in session.findings)
-
-
-def test_a_gripper_that_opens_towards_higher_ticks_is_not():
-    session, hand = begun()
-    to_directions(session, hand)
-    to_direction_of(session, "gripper")
-    hand.move(GRIPPER, MIDDLE + 300)
-    session.answer(DONE)
-    assert session.calibration.joints[-1].drive_mode == 0
-    assert not any("mirrored" in finding for finding in session.findings)
+    assert session.calibration.joints[-1].drive_mode == int(mirrored)
+    assert any("gripper is mirrored" in finding for finding in session.findings) is mirrored
 
 
 def test_a_mirrored_joint_of_the_arm_is_a_finding_that_names_the_sign():

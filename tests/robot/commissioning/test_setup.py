@@ -98,24 +98,21 @@ def test_a_servo_of_several_turns_in_another_mode_counts_one_turn_and_holds_posi
     assert (held[Register.PHASE], held[Register.OPERATING_MODE], held[Register.RESPONSE_LEVEL]) == (12, 0, 1)
 
 
-def test_two_servos_of_one_id_are_refused_with_how_to_part_them(kit):
+@pytest.mark.parametrize(
+    ("fourth", "fifth", "words"),
+    [
+        ({}, {}, r"several servos with the id 1 .*unplug all of them but one"),
+        ({Register.RETURN_DELAY: 0}, {}, "several servos with the id 1"),
+        ({Register.ID: 77}, {Register.ID: 77}, "unplug all"),
+        ({}, {Register.ID: 77}, "servos 1, 77 answer"),
+    ],
+    ids=["one id", "replies that do not collide", "an id that nobody expects", "either might be meant"],
+)
+def test_of_two_servos_none_is_taken_and_how_to_part_them_is_told(kit, fourth, fifth, words):
+    set_registers(kit.servos[4], fourth)
+    set_registers(kit.servos[5], fifth)
     kit.plug(4, 5)
-    with pytest.raises(StartupError, match=r"several servos with the id 1 .*unplug all of them but one"):
-        find(kit, GRIPPER)
-
-
-def test_servos_whose_replies_do_not_collide_are_told_apart_as_well(kit):
-    set_registers(kit.servos[4], {Register.RETURN_DELAY: 0})
-    kit.plug(4, 5)
-    with pytest.raises(StartupError, match="several servos with the id 1"):
-        find(kit, GRIPPER)
-
-
-def test_two_servos_of_an_id_that_nobody_expects_are_refused_as_well(kit):
-    for place in (4, 5):
-        set_registers(kit.servos[place], {Register.ID: 77})
-    kit.plug(4, 5)
-    with pytest.raises(StartupError, match="unplug all"):
+    with pytest.raises(StartupError, match=words):
         find(kit, GRIPPER)
 
 
@@ -148,13 +145,6 @@ def test_a_servo_of_another_joint_is_never_taken(kit):
     set_up(kit, GRIPPER)
     with pytest.raises(StartupError, match=r"only servo 6 \(gripper\) answers.*plug in the servo of wrist_roll"):
         find(kit, ROLL)
-
-
-def test_of_two_servos_that_might_be_meant_none_is_taken(kit):
-    set_registers(kit.servos[5], {Register.ID: 77})
-    kit.plug(4, 5)
-    with pytest.raises(StartupError, match="servos 1, 77 answer"):
-        find(kit, GRIPPER)
 
 
 def test_silence_is_explained(kit):
@@ -304,16 +294,11 @@ def test_a_servo_alone_gets_back_all_that_it_had(kit):
     assert kit.held(5) == before
 
 
-def test_among_others_a_servo_keeps_its_id(kit):
+def test_neither_the_id_among_others_nor_a_baud_rate_that_makes_a_servo_unreachable_is_restored(kit):
     entry = saved(kit, 5, GRIPPER)
     after = set_up(kit, GRIPPER)
     changed = [change.register for change in changes_back(after, entry, alone=False)]
     assert Register.RETURN_DELAY in changed
     assert Register.ID not in changed
-
-
-def test_a_baud_rate_that_would_make_the_servo_unreachable_is_not_restored(kit):
-    entry = saved(kit, 5, GRIPPER)
-    after = set_up(kit, GRIPPER)
     odd = SavedServo("gripper", 1, 6, 1_000_000, {**entry.registers, Register.BAUD_RATE: 5})
     assert Register.BAUD_RATE not in [change.register for change in changes_back(after, odd, alone=True)]

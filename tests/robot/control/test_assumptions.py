@@ -27,20 +27,13 @@ def assumed(**settings: float) -> Assumptions:
     )
 
 
-def test_servos_of_the_factory_are_taken_as_the_limits_say() -> None:
-    made = assumed()
-    assert made.goal_tolerance_rad == pytest.approx(LIMITS.goal_tolerance_rad)
-    assert made.sustained_torque == pytest.approx(FULL)
-    assert np.isinf(made.relieve_after_s).all()
-    assert made.stall_current_a == pytest.approx(LIMITS.stall_current_a)
-    assert made.stall_time_s == pytest.approx(LIMITS.stall_time_s)
-
-
-def test_actuators_without_protection_are_taken_as_the_limits_say() -> None:
-    made = Assumptions.of(LIMITS, Actuation.unprotected(2), FULL)
-    assert made.sustained_torque == pytest.approx(FULL)
-    assert np.isinf(made.relieve_after_s).all()
-    assert made.stall_time_s == pytest.approx(LIMITS.stall_time_s)
+def test_servos_of_the_factory_and_actuators_without_protection_are_taken_as_the_limits_say() -> None:
+    for made in (assumed(), Assumptions.of(LIMITS, Actuation.unprotected(2), FULL)):
+        assert made.goal_tolerance_rad == pytest.approx(LIMITS.goal_tolerance_rad)
+        assert made.sustained_torque == pytest.approx(FULL)
+        assert np.isinf(made.relieve_after_s).all()
+        assert made.stall_current_a == pytest.approx(LIMITS.stall_current_a)
+        assert made.stall_time_s == pytest.approx(LIMITS.stall_time_s)
 
 
 def test_a_joint_with_half_the_gain_may_droop_twice_as_far() -> None:

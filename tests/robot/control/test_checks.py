@@ -144,7 +144,7 @@ def test_a_curve_is_refused_exactly_where_it_leaves_the_limits(
     positions = [0.0, *places[: len(speeds)], 0.0]
     trajectory = curve(time_s, positions, [0.0, *speeds, 0.0])
     inside = np.nextafter(np.array(time_s)[1:], 0.0)
-    sampled = [trajectory.sample(float(at_s)) for at_s in (*np.linspace(1e-9, inside[-1], 3000), *inside)]
+    sampled = [trajectory.sample(float(at_s)) for at_s in (*np.linspace(1e-9, inside[-1], 600), *inside)]
     position, velocity, acceleration = (np.array([float(each[kind][0]) for each in sampled]) for kind in range(3))
     shares = np.array(
         [

@@ -104,29 +104,6 @@ def test_a_relaxed_arm_gets_no_goals(rig: CycleRig) -> None:
     assert rig.hardware.calls == ["read", "check"]
 
 
-def test_an_arm_at_rest_gets_its_goals_at_every_cycle(holding: CycleRig) -> None:
-    for _ in range(3):
-        holding.tick()
-    assert len(holding.hardware.goals) == 3
-
-
-def test_a_motion_moves_the_joints_and_its_end_is_returned(holding: CycleRig) -> None:
-    assert holding.cycle.controller is not None
-    holding.cycle.controller.execute(Execute(7, PAN))
-    ended = [each for _ in range(150) for each in holding.tick()]
-    assert [(each.motion_id, each.outcome) for each in ended] == [(7, Outcome.REACHED)]
-    assert holding.cycle.measured is not None
-    assert holding.cycle.measured.position_rad[0] == pytest.approx(0.5)
-
-
-def test_goals_far_from_the_arm_return_to_it(rig: CycleRig) -> None:
-    controller = rig.control()
-    rig.tick()
-    rig.cycle.hold(np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    assert controller.goal_rad[0] == 0.5
-    assert not controller.resting
-
-
 def test_ticks_write_no_goals_while_a_sequence_writes_its_own(holding: CycleRig) -> None:
     with holding.cycle.writing_paused():
         holding.tick()

@@ -55,12 +55,16 @@ def test_a_finding_of_the_whole_arm_is_no_joint_s_error(counts: ErrorCounts) -> 
     assert [dict(counts.of(joint)) for joint in range(6)] == [{}] * 6
 
 
-def test_the_arm_s_report_has_the_errors_of_each_joint() -> None:
+def test_the_arm_s_report_has_the_errors_of_each_joint_until_the_hardware_is_opened_again() -> None:
     rig = ArmRig()
     rig.run(1.5)
     rig.emulator.command(status={"3": int(StatusFlag.OVERLOAD)})
     rig.run(1.5)
     assert [dict(joint.errors) for joint in rig.health.joints if joint.errors] == [{"overload": 1}]
+    rig.emulator.command(status={"3": 0})
+    rig.connect()
+    rig.run(1.5)
+    assert not any(joint.errors for joint in rig.health.joints)
 
 
 def test_torque_that_something_else_switched_off_is_in_the_report_once() -> None:
@@ -69,14 +73,3 @@ def test_torque_that_something_else_switched_off_is_in_the_report_once() -> None
     rig.bus.write(3, Register.TORQUE_ENABLE, 0)
     rig.run(4.0)
     assert [dict(joint.errors) for joint in rig.health.joints if joint.errors] == [{"torque_lost": 1}]
-
-
-def test_hardware_that_is_opened_again_counts_from_zero() -> None:
-    rig = ArmRig()
-    rig.run(1.5)
-    rig.emulator.command(status={"3": int(StatusFlag.OVERLOAD)})
-    rig.run(1.5)
-    rig.emulator.command(status={"3": 0})
-    rig.connect()
-    rig.run(1.5)
-    assert not any(joint.errors for joint in rig.health.joints)

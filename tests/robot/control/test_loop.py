@@ -19,7 +19,6 @@ from robot.hardware.config import (
     EmulatedConfig,
     EmulatedDynamixelConfig,
     FeetechConfig,
-    HardwareConfig,
     IdealConfig,
 )
 from robot.messages import ArmConfig, Mode
@@ -32,18 +31,18 @@ ROBOT = within_calibration(so101(), CALIBRATION)
 NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
 
 
-@pytest.mark.parametrize("hardware", [EmulatedConfig(CALIBRATION), IdealConfig()])
-def test_simulated_hardware_opens_and_can_be_read_at_once(hardware: HardwareConfig) -> None:
-    opened = hardware_source(ArmConfig(ROBOT, hardware), SteppedClock()).open()
+@pytest.mark.parametrize(
+    "config",
+    [
+        ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)),
+        ArmConfig(ROBOT, IdealConfig()),
+        ArmConfig(dynamixel.ROBOT, EmulatedDynamixelConfig(dynamixel.CALIBRATION)),
+    ],
+)
+def test_simulated_hardware_opens_and_can_be_read_at_once(config: ArmConfig) -> None:
+    opened = hardware_source(config, SteppedClock()).open()
     assert opened.joint_names == NAMES
     measured = opened.read()
-    assert measured is not None
-    assert measured.position_rad == pytest.approx([0.0] * 6, abs=0.002)
-
-
-def test_emulated_dynamixel_servos_open_and_can_be_read_at_once() -> None:
-    config = ArmConfig(dynamixel.ROBOT, EmulatedDynamixelConfig(dynamixel.CALIBRATION))
-    measured = hardware_source(config, SteppedClock()).open().read()
     assert measured is not None
     assert measured.position_rad == pytest.approx([0.0] * 6, abs=0.002)
 
@@ -59,22 +58,17 @@ def test_simulated_joints_are_where_they_were_when_they_are_opened_again() -> No
     assert first.position_rad[2] == again.position_rad[2] == pytest.approx(0.4, abs=0.002)
 
 
-def test_a_port_that_is_not_there_is_an_error_only_when_it_is_opened() -> None:
-    source = hardware_source(ArmConfig(ROBOT, FeetechConfig(CALIBRATION, "/dev/does-not-exist")), SteppedClock())
-    with pytest.raises(PortNotFound):
-        source.open()
-
-
-def test_a_port_of_dynamixel_servos_that_is_not_there_is_an_error_only_when_it_is_opened() -> None:
-    config = ArmConfig(dynamixel.ROBOT, DynamixelConfig(dynamixel.CALIBRATION, "/dev/does-not-exist"))
+@pytest.mark.parametrize(
+    ("config", "error"),
+    [
+        (ArmConfig(ROBOT, FeetechConfig(CALIBRATION, "/dev/none")), PortNotFound),
+        (ArmConfig(dynamixel.ROBOT, DynamixelConfig(dynamixel.CALIBRATION, "/dev/none")), PortNotFound),
+        (ArmConfig(ROBOT, FeetechConfig(CALIBRATION, "usb:0000:0001")), PortError),
+    ],
+)
+def test_a_port_that_is_not_there_is_an_error_only_when_it_is_opened(config: ArmConfig, error: type[PortError]) -> None:
     source = hardware_source(config, SteppedClock())
-    with pytest.raises(PortNotFound):
-        source.open()
-
-
-def test_an_unknown_adapter_is_an_error_when_it_is_opened() -> None:
-    source = hardware_source(ArmConfig(ROBOT, FeetechConfig(CALIBRATION, "usb:0000:0001")), SteppedClock())
-    with pytest.raises(PortError, match="0000:0001"):
+    with pytest.raises(error, match=r"/dev/none|0000:0001"):
         source.open()
 
 

@@ -161,43 +161,6 @@ def test_where_the_joints_settle_there_is_no_way_back() -> None:
     assert playback.completed
 
 
-def halfway(moves: dict[str, tuple[float, float]] | None = None) -> Playback:
-    playback = Playback(smooth_move(moves or MOVES, 2.0), MAX_ACCELERATION)
-    for _ in range(100):
-        playback.advance(PERIOD_S)
-    return playback
-
-
-def rest_of(playback: Playback, from_s: float) -> Trajectory:
-    """The same motion from a time on."""
-    motion = playback.trajectory
-    kept = motion.time_s >= from_s - 1e-9
-    arrays = (motion.positions_rad[kept], motion.velocities_rad_s[kept], motion.accelerations_rad_s2[kept])
-    return Trajectory(motion.joint_names, motion.time_s[kept] - from_s, *arrays)
-
-
-def test_another_trajectory_takes_its_place_without_a_jump() -> None:
-    former = halfway()
-    other = rest_of(former, 0.9)
-    assert former.can_splice(other, 0.9)
-    successor = Playback(other, MAX_ACCELERATION)
-    successor.continue_from(former, 0.9)
-    np.testing.assert_allclose(successor.advance(PERIOD_S), former.advance(PERIOD_S), atol=1e-9)
-
-
-def test_a_trajectory_that_is_elsewhere_now_cannot_take_its_place() -> None:
-    former = halfway()
-    assert not former.can_splice(rest_of(former, 0.9), 0.8)
-    assert not former.can_splice(rest_of(former, 1.2), 1.2)
-    assert not former.can_splice(smooth_move({**MOVES, "elbow_flex": (0.5, 0.6)}, 2.0), 0.0)
-
-
-def test_a_motion_that_brakes_cannot_be_spliced() -> None:
-    former = halfway()
-    former.stop()
-    assert not former.can_splice(rest_of(former, 0.9), 0.9)
-
-
 NAMES = ("shoulder_pan", "gripper")
 BOUNDS = JointBounds.of(so101(), NAMES)
 LIMITS = GuardLimits()
@@ -209,29 +172,11 @@ def at_its_end(limits: GuardLimits = LIMITS, **options: bool) -> tuple[Motion, n
     return motion, np.array([0.0, 1.0])
 
 
-def test_a_motion_has_arrived_when_its_joints_have_settled() -> None:
-    motion, goal = at_its_end()
-    ends = [motion.end(goal, goal, tick / 100) for tick in range(SETTLED_TICKS)]
-    assert ends[:-1] == [None] * (SETTLED_TICKS - 1)
-    assert ends[-1] is not None
-    assert ends[-1].outcome is Outcome.REACHED
-
-
 def test_joints_outside_the_motion_do_not_count() -> None:
     motion, goal = at_its_end()
     elsewhere = goal + np.array([0.5, 0.0])
     ends = [motion.end(goal, elsewhere, tick / 100) for tick in range(SETTLED_TICKS)]
     assert ends[-1] is not None
-
-
-def test_a_joint_that_does_not_settle_is_reported() -> None:
-    motion, goal = at_its_end()
-    short = goal - 0.1
-    assert motion.end(goal, short, 0.0) is None
-    end = motion.end(goal, short, LIMITS.settle_timeout_s)
-    assert end is not None
-    assert end.outcome is Outcome.NOT_SETTLED
-    assert "gripper" in end.message
 
 
 def test_a_gripper_that_stays_short_of_its_goal_has_gripped() -> None:

@@ -78,24 +78,15 @@ def distance_to_rest(rig: ArmRig) -> float:
     return max(abs(at[name] - position) for name, position in REST.items())
 
 
-def test_a_server_that_is_gone_at_rest_leaves_a_parked_and_relaxed_arm(rig: ArmRig) -> None:
-    lose_server(rig)
+@pytest.mark.parametrize("orderly", [True, False], ids=["shut down", "server gone"])
+def test_an_end_at_rest_leaves_a_parked_and_relaxed_arm_that_hardly_sinks(rig: ArmRig, orderly: bool) -> None:
+    if orderly:
+        rig.supervisor.handle(Shutdown())
+    else:
+        lose_server(rig)
     until_ended(rig)
     assert rig.torque() == [0] * 6
-    assert distance_to_rest(rig) < SINK_RAD
-
-
-def test_an_arm_relaxed_at_its_rest_pose_hardly_sinks(rig: ArmRig) -> None:
-    lose_server(rig)
-    until_ended(rig)
     rig.run(10.0)
-    assert distance_to_rest(rig) < SINK_RAD
-
-
-def test_an_orderly_end_parks_the_arm(rig: ArmRig) -> None:
-    rig.supervisor.handle(Shutdown())
-    until_ended(rig)
-    assert rig.torque() == [0] * 6
     assert distance_to_rest(rig) < SINK_RAD
 
 
@@ -120,34 +111,52 @@ def sinks(rig: ArmRig) -> bool:
     return rig.torque() == [0] * 6 and distance_to_rest(rig) > 0.3
 
 
-def test_a_way_that_begins_elsewhere_is_not_played(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
-    rig.execute(smooth_move({"wrist_roll": (0.0, 0.3)}, 1.0))
+@pytest.mark.parametrize("joint", ["wrist_roll", "gripper"])
+def test_a_way_that_begins_elsewhere_is_not_played(rig: ArmRig, caplog: pytest.LogCaptureFixture, joint: str) -> None:
+    rig.execute(smooth_move({joint: (0.0, 0.3)}, 1.0))
     rig.until(lambda: bool(rig.ended))
     lose_server(rig)
     assert sinks(rig)
-    assert "planned with joint wrist_roll at 0.000 rad, which is at 0.300 rad" in caplog.text
+    assert f"planned with joint {joint} at 0.000 rad, which is at 0.300 rad" in caplog.text
 
 
-def test_a_gripper_that_was_moved_since_makes_the_way_one_from_elsewhere(rig: ArmRig) -> None:
-    rig.execute(smooth_move({"gripper": (0.0, 0.5)}, 1.0))
-    rig.until(lambda: bool(rig.ended))
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (KeepParking(None), "no way to the rest pose is known"),
+        (Stream(1, ("shoulder_pan",)), "no way back"),
+        (KeepParking(way_to_rest(PARKING_TIMEOUT_S + 1.0)), "above the limit"),
+        (ChangePace(speed_factor=0.05), f"not at its rest pose after {PARKING_TIMEOUT_S:g} s"),
+    ],
+    ids=["no way", "a stream", "too long a way", "slowed down"],
+)
+def test_an_arm_that_cannot_be_parked_is_relaxed_with_the_reason(
+    rig: ArmRig, caplog: pytest.LogCaptureFixture, message: object, words: str
+) -> None:
+    rig.supervisor.handle(message)
+    rig.tick()
     lose_server(rig)
     assert sinks(rig)
+    assert words in caplog.text
 
 
-def test_without_a_way_the_arm_is_relaxed(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
-    rig.supervisor.handle(KeepParking(None))
-    lose_server(rig)
-    assert sinks(rig)
-    assert "no way to the rest pose is known" in caplog.text
-
-
-def test_a_scene_that_changes_on_the_way_ends_parking(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (KeepParking(None), "the scene has changed"),
+        (Shutdown(hurry=True), "told not to wait"),
+        (Stop(), ""),
+    ],
+    ids=["another scene", "a hurry", "a stop"],
+)
+def test_what_ends_parking_relaxes_the_arm_with_the_reason(
+    rig: ArmRig, caplog: pytest.LogCaptureFixture, message: object, words: str
+) -> None:
     rig.supervisor.handle(Shutdown())
     rig.run(0.5)
-    rig.supervisor.handle(KeepParking(None))
+    rig.supervisor.handle(message)
     assert sinks(rig)
-    assert "the scene has changed" in caplog.text
+    assert words in caplog.text
 
 
 def test_a_motion_that_began_elsewhere_is_braked_and_not_played_back(rig: ArmRig) -> None:
@@ -161,14 +170,6 @@ def test_a_motion_that_began_elsewhere_is_braked_and_not_played_back(rig: ArmRig
     assert rig.state.position_rad[0] > 0.3
 
 
-def test_a_stream_has_no_way_back(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
-    rig.supervisor.handle(Stream(1, ("shoulder_pan",)))
-    rig.tick()
-    lose_server(rig)
-    assert sinks(rig)
-    assert "no way back" in caplog.text
-
-
 def test_a_paused_motion_is_not_set_going_by_the_end(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
     rig.execute(pan())
     rig.run(1.0)
@@ -177,35 +178,6 @@ def test_a_paused_motion_is_not_set_going_by_the_end(rig: ArmRig, caplog: pytest
     lose_server(rig)
     assert sinks(rig)
     assert "the motion is paused" in caplog.text
-
-
-def test_a_way_that_takes_too_long_is_not_begun(start_parked: Start, caplog: pytest.LogCaptureFixture) -> None:
-    rig = start_parked(way_to_rest(PARKING_TIMEOUT_S + 1.0))
-    lose_server(rig)
-    assert sinks(rig)
-    assert "above the limit" in caplog.text
-
-
-def test_parking_that_is_slowed_down_ends_at_its_deadline(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
-    rig.supervisor.handle(ChangePace(speed_factor=0.05))
-    lose_server(rig)
-    assert sinks(rig)
-    assert f"not at its rest pose after {PARKING_TIMEOUT_S:g} s" in caplog.text
-
-
-def test_an_end_in_a_hurry_relaxes_instead(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
-    rig.supervisor.handle(Shutdown())
-    rig.run(0.5)
-    rig.supervisor.handle(Shutdown(hurry=True))
-    assert sinks(rig)
-    assert "told not to wait" in caplog.text
-
-
-def test_a_stop_ends_parking_and_the_arm_is_relaxed(rig: ArmRig) -> None:
-    rig.supervisor.handle(Shutdown())
-    rig.run(0.5)
-    rig.supervisor.handle(Stop())
-    assert sinks(rig)
 
 
 def test_an_emergency_stop_ends_parking(rig: ArmRig) -> None:

@@ -72,3 +72,9 @@ def test_a_motion_that_would_jump_is_refused(trajectory: Trajectory, number: int
 
 def test_nothing_takes_the_place_of_a_grip() -> None:
     assert "a grip" in asked(in_progress(gripping=True), since(0.9))
+
+
+def test_nothing_takes_the_place_of_a_motion_that_brakes() -> None:
+    motions = in_progress()
+    motions[0].stop()
+    assert asked(motions, since(0.9)) != ""

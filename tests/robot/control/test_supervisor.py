@@ -74,18 +74,11 @@ def test_the_real_time_factor_is_that_of_the_loops_clock(arm: ControlCycle) -> N
     assert (health.real_time, health.memory_locked) == (True, True)
 
 
-def ideal_health() -> ArmHealth:
+def test_what_the_hardware_does_not_have_or_measure_is_not_in_its_health() -> None:
     rig = ArmRig(hardware=IdealConfig())
     rig.run(1.5)
-    return rig.health
-
-
-def test_hardware_without_a_bus_has_no_counters_of_one() -> None:
-    assert ideal_health().bus is None
-
-
-def test_what_the_hardware_does_not_measure_is_not_a_number() -> None:
-    for joint in ideal_health().joints:
+    assert rig.health.bus is None
+    for joint in rig.health.joints:
         assert math.isnan(joint.temperature_c)
         assert math.isnan(joint.voltage_v)
         assert math.isnan(joint.current_a)
@@ -93,15 +86,11 @@ def test_what_the_hardware_does_not_measure_is_not_a_number() -> None:
         assert joint.warnings == ()
 
 
-def test_silence_is_tolerated_up_to_its_limit() -> None:
+def test_silence_is_tolerated_up_to_its_limit_from_the_last_message_on() -> None:
     watchdog = Watchdog(0.5, 10.0)
     assert not watchdog.expired(10.5)
     assert watchdog.expired(10.51)
     assert watchdog.silence_s(10.51) > 0.5
-
-
-def test_any_message_ends_the_silence() -> None:
-    watchdog = Watchdog(0.5, 10.0)
     watchdog.feed(11.0)
     assert not watchdog.expired(11.4)
 
@@ -136,14 +125,12 @@ def moving(rig: ArmRig) -> ArmRig:
     return rig
 
 
-def test_an_arm_is_checked_then_switched_on(start_rig: Start) -> None:
+def test_an_arm_is_checked_then_switched_on_or_stays_relaxed_until_it_may_be(start_rig: Start) -> None:
     rig = start_rig()
     assert rig.mode is Mode.CONNECTED
     rig.until_mode(Mode.HOLDING)
     assert rig.torque() == [1] * 6
-
-
-def test_an_arm_that_may_not_be_switched_on_stays_relaxed(start_rig: Start) -> None:
+    assert rig.order(Order.RELAX).done
     rig = start_rig(start_enabled=False)
     rig.until_mode(Mode.RELAXED)
     assert rig.torque() == [0] * 6
@@ -273,13 +260,6 @@ def test_a_servo_that_started_anew_is_found_within_a_second(emulator: SteppedEmu
     assert rig.torque() == [1] * 6
 
 
-def test_torque_switched_off_by_another_program_is_found(rig: ArmRig) -> None:
-    rig.bus.write(4, Register.TORQUE_ENABLE, 0)
-    rig.until_mode(Mode.FAULT)
-    assert rig.fault_code == "torque_lost"
-    assert "wrist_flex" in str(rig.supervisor.fault)
-
-
 def test_a_silent_server_stops_the_arm_which_goes_on_when_it_is_back(moving: ArmRig) -> None:
     moving.alive = False
     moving.until(lambda: moving.mode is Mode.HOLDING)
@@ -312,20 +292,19 @@ def seconds_until_stopped(rig: ArmRig) -> float:
     return rig.clock() - since_s
 
 
-def test_a_real_arm_waits_for_its_server_as_long_as_configured(start_rig: Start) -> None:
-    assert seconds_until_stopped(start_rig(watchdog_s=0.7)) == pytest.approx(0.7, abs=0.3)
-
-
-@pytest.mark.parametrize("hardware", SIMULATED)
-def test_a_simulated_arm_waits_five_seconds_of_its_own_time_for_its_server(
-    start_rig: Start, hardware: HardwareConfig
+@pytest.mark.parametrize(
+    ("settings", "waits_s"),
+    [
+        ({"watchdog_s": 0.7}, 0.7),
+        *(({"hardware": hardware, "watchdog_s": 0.5}, 5.0) for hardware in SIMULATED),
+        ({"hardware": SIMULATED[0], "watchdog_s": 8.0}, 8.0),
+    ],
+    ids=["real", "emulated", "ideal", "longer"],
+)
+def test_an_arm_waits_for_its_server_as_long_as_configured_and_a_simulated_one_five_seconds_at_least(
+    start_rig: Start, settings: dict[str, Any], waits_s: float
 ) -> None:
-    assert seconds_until_stopped(start_rig(hardware=hardware, watchdog_s=0.5)) == pytest.approx(5.0, abs=0.3)
-
-
-def test_a_simulated_arm_waits_for_longer_where_so_configured(start_rig: Start) -> None:
-    rig = start_rig(hardware=EmulatedConfig(CALIBRATION), watchdog_s=8.0)
-    assert seconds_until_stopped(rig) == pytest.approx(8.0, abs=0.3)
+    assert seconds_until_stopped(start_rig(**settings)) == pytest.approx(waits_s, abs=0.3)
 
 
 def silent_servers(rig: ArmRig, caplog: pytest.LogCaptureFixture, times: int) -> list[str]:
@@ -343,25 +322,23 @@ def test_log_lines_about_silences_of_the_server_are_limited(rig: ArmRig, caplog:
     lines = silent_servers(rig, caplog, SILENCE_BURST + 2)
     assert len(lines) == SILENCE_BURST
     assert all(line.endswith("nothing moves") for line in lines)
-    rig.run(1.0 / SILENCE_LINES_PER_S)
+    rig.clock.advance(1.0 / SILENCE_LINES_PER_S)
+    rig.run(0.1)
     (later,) = silent_servers(rig, caplog, 1)
     assert later.endswith("nothing moves (2 more lines like this were left out before)")
 
 
-def test_the_log_line_about_a_silence_during_a_motion_says_stopping(
-    moving: ArmRig, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(("reaction", "words"), [(EndState.HOLD, "s: stopping"), (EndState.RELAX, "s: relaxing")])
+def test_the_log_line_about_a_silence_has_the_arms_reaction(
+    start_rig: Start, caplog: pytest.LogCaptureFixture, reaction: EndState, words: str
 ) -> None:
-    (line,) = silent_servers(moving, caplog, 1)
-    assert line.endswith("s: stopping")
-
-
-def test_the_log_line_about_a_silence_that_relaxes_the_arm_says_relaxing(
-    start_rig: Start, caplog: pytest.LogCaptureFixture
-) -> None:
-    rig = start_rig(on_server_lost=EndState.RELAX)
+    rig = start_rig(on_server_lost=reaction)
     rig.until_mode(Mode.HOLDING)
+    if reaction is EndState.HOLD:
+        rig.execute(PAN)
+        rig.run(0.4)
     (line,) = silent_servers(rig, caplog, 1)
-    assert line.endswith("s: relaxing")
+    assert line.endswith(words)
 
 
 def test_the_log_line_about_a_lost_server_names_the_arms_reaction(
@@ -374,13 +351,23 @@ def test_the_log_line_about_a_lost_server_names_the_arms_reaction(
 
 
 @pytest.mark.parametrize("hardware", SIMULATED)
-def test_a_simulated_arm_at_rest_can_spare_a_tick(start_rig: Start, hardware: HardwareConfig) -> None:
+def test_a_simulated_arm_at_rest_can_spare_a_tick_until_a_motion_or_an_order(
+    start_rig: Start, hardware: HardwareConfig
+) -> None:
     rig = start_rig(hardware=hardware)
     assert rig.supervisor.spare_ticks == 0
     rig.until_mode(Mode.HOLDING)
     rig.tick()
     assert rig.supervisor.spare_ticks == 1
     rig.execute(PAN)
+    assert rig.supervisor.spare_ticks == 0
+    rig.until(lambda: bool(rig.ended))
+    rig.begin(Order.RELAX)
+    assert rig.supervisor.spare_ticks == 0
+
+
+def test_a_real_arm_has_no_tick_to_spare(rig: ArmRig) -> None:
+    rig.tick()
     assert rig.supervisor.spare_ticks == 0
 
 
@@ -400,22 +387,15 @@ def test_a_simulated_arm_at_rest_that_nobody_sees_can_spare_four_ticks_of_five(
 ) -> None:
     rig = at_rest_unseen(start_rig, hardware)
     assert rig.supervisor.spare_ticks == 4
-    rig.observed = True
-    rig.tick()
-    assert rig.supervisor.spare_ticks == 1
-
-
-@pytest.mark.parametrize("hardware", SIMULATED)
-def test_a_simulated_arm_that_nobody_sees_moves_with_every_tick_and_settles_before_it_spares_them(
-    start_rig: Start, hardware: HardwareConfig
-) -> None:
-    rig = at_rest_unseen(start_rig, hardware)
     rig.execute(PAN)
     assert rig.supervisor.spare_ticks == 0
     rig.until(lambda: bool(rig.ended))
     assert rig.supervisor.spare_ticks <= 1
     rig.run(0.6)
     assert rig.supervisor.spare_ticks == 4
+    rig.observed = True
+    rig.tick()
+    assert rig.supervisor.spare_ticks == 1
 
 
 def test_emulated_servos_that_lose_replies_have_every_other_tick(start_rig: Start) -> None:
@@ -433,18 +413,6 @@ def test_states_that_were_left_out_are_not_made_up_for(start_rig: Start) -> None
         rig.clock.advance(PERIOD_S)
         rig.supervisor.tick(rig.pacer, ticks=1, server_gone=False)
     assert sum(isinstance(each, ArmState) for each in rig.sent) in (10, 11)
-
-
-def test_an_order_leaves_no_tick_to_spare(start_rig: Start) -> None:
-    rig = start_rig(hardware=EmulatedConfig(CALIBRATION))
-    rig.until_mode(Mode.HOLDING)
-    rig.begin(Order.RELAX)
-    assert rig.supervisor.spare_ticks == 0
-
-
-def test_a_real_arm_has_no_tick_to_spare(rig: ArmRig) -> None:
-    rig.tick()
-    assert rig.supervisor.spare_ticks == 0
 
 
 def test_skipped_ticks_make_states_no_rarer(start_rig: Start) -> None:
@@ -490,31 +458,6 @@ def test_the_remedy_of_a_simulated_arm_without_answers_asks_for_no_hands(
     assert not rig.order(order).done
     assert rig.supervisor.fault is not None
     assert "online" in rig.supervisor.fault.remedy
-
-
-def test_an_ideal_arm_is_enabled_moves_and_is_relaxed(start_rig: Start) -> None:
-    rig = start_rig(hardware=IdealConfig())
-    rig.until_mode(Mode.HOLDING)
-    rig.execute(PAN)
-    rig.until(lambda: bool(rig.ended))
-    assert rig.ended[0].outcome is Outcome.REACHED
-    assert rig.state.position_rad is not None
-    assert rig.state.position_rad[0] == pytest.approx(1.0, abs=0.01)
-    assert rig.order(Order.RELAX).done
-    assert rig.mode is Mode.RELAXED
-
-
-def test_an_ideal_arm_takes_an_emergency_stop_and_is_enabled_again(start_rig: Start) -> None:
-    rig = start_rig(hardware=IdealConfig())
-    rig.until_mode(Mode.HOLDING)
-    rig.execute(PAN)
-    rig.run(0.7)
-    assert rig.order(Order.EMERGENCY_STOP).done
-    assert [ended.outcome for ended in rig.ended] == [Outcome.FAULT]
-    assert rig.order(Order.RESET_FAULT).done
-    assert rig.mode is Mode.RELAXED
-    assert rig.order(Order.ENABLE).done
-    assert rig.mode is Mode.HOLDING
 
 
 @pytest.mark.parametrize(("end", "torque"), [(EndState.HOLD, [1] * 6), (EndState.RELAX, [0] * 6)])

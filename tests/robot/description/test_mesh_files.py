@@ -30,12 +30,9 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_relative_name_is_sought_beside_the_urdf(package: Path) -> None:
-    assert find_mesh("../meshes/b.stl", package / "urdf", ()) == package / "meshes" / "b.stl"
-
-
-def test_a_file_url_and_an_absolute_path_are_the_path(package: Path) -> None:
+def test_a_relative_name_is_sought_beside_the_urdf_and_a_url_or_an_absolute_path_is_the_path(package: Path) -> None:
     mesh = package / "meshes" / "b.stl"
+    assert find_mesh("../meshes/b.stl", package / "urdf", ()) == mesh
     assert find_mesh(f"file://{mesh}", None, ()) == mesh
     assert find_mesh(str(mesh), package, ()) == mesh
 
@@ -43,20 +40,18 @@ def test_a_file_url_and_an_absolute_path_are_the_path(package: Path) -> None:
 URL = "package://arm_description/meshes/b.stl"
 
 
-def test_a_package_is_found_around_its_own_urdf(package: Path) -> None:
-    assert find_mesh(URL, package / "urdf", ()) == package / "meshes" / "b.stl"
-
-
-def test_a_package_is_found_beside_that_of_the_urdf(package: Path) -> None:
-    other = package.parent / "cell_description" / "urdf"
+def test_a_package_is_found_around_its_own_urdf_beside_that_of_another_and_in_folders_given(
+    package: Path, tmp_path: Path
+) -> None:
+    other, elsewhere = package.parent / "cell_description" / "urdf", tmp_path / "elsewhere"
     other.mkdir(parents=True)
-    assert find_mesh(URL, other, ()) == package / "meshes" / "b.stl"
-
-
-def test_a_package_is_found_by_the_folder_that_contains_it_and_by_itself(package: Path, tmp_path: Path) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    for folder in (package.parent, package):
-        assert find_mesh(URL, elsewhere, (folder,)) == package / "meshes" / "b.stl"
+    for beside, given in (
+        (package / "urdf", ()),
+        (other, ()),
+        (elsewhere, (package.parent,)),
+        (elsewhere, (package,)),
+    ):
+        assert find_mesh(URL, beside, given) == package / "meshes" / "b.stl"
 
 
 def test_a_package_in_a_folder_of_another_name_is_known_by_its_package_xml(package: Path) -> None:

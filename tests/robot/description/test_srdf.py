@@ -44,44 +44,39 @@ def refusal(inner: str) -> str:
     return str(refused.value)
 
 
-def test_a_group_of_joints_is_ordered_from_the_root_and_ends_at_its_last_link() -> None:
-    group = read(RIGHT).groups["right"]
-    assert (group.joints, group.base_link, group.tip_link) == (("r_shoulder", "r_elbow"), "torso", "r2")
+@pytest.mark.parametrize(
+    ("inner", "joints", "tip"),
+    [
+        ('<joint name="r_elbow"/><joint name="r_shoulder"/>', ("r_shoulder", "r_elbow"), "r2"),
+        ('<link name="l1"/><link name="l2"/><link name="l_tool"/>', ("l_shoulder", "l_elbow"), "l_tool"),
+        ('<link name="base"/><link name="torso"/>', ("lift",), "torso"),
+        (
+            '<chain base_link="torso" tip_link="l2"/><chain base_link="torso" tip_link="r2"/>',
+            ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow"),
+            "",
+        ),
+        (
+            '<joint name="l_elbow"/><joint name="l_elbow"/><chain base_link="base" tip_link="l_tool"/>',
+            ("lift", "l_shoulder", "l_elbow"),
+            "l_tool",
+        ),
+    ],
+    ids=["joints", "links", "the root link brings none", "several chains", "a chain and its own joints"],
+)
+def test_a_group_has_its_joints_from_the_root_on_and_ends_at_the_last_link(
+    inner: str, joints: tuple[str, ...], tip: str
+) -> None:
+    group = read(f'<group name="g">{inner}</group>').groups["g"]
+    assert (group.joints, group.tip_link) == (joints, tip)
 
 
-def test_a_group_of_links_has_the_joints_that_carry_them() -> None:
-    group = read('<group name="g"><link name="l1"/><link name="l2"/><link name="l_tool"/></group>').groups["g"]
-    assert (group.joints, group.tip_link) == (("l_shoulder", "l_elbow"), "l_tool")
-
-
-def test_the_root_link_in_a_group_brings_no_joint() -> None:
-    assert read('<group name="g"><link name="base"/><link name="torso"/></group>').groups["g"].joints == ("lift",)
-
-
-def test_nested_groups_bring_their_joints_whatever_their_order_in_the_file() -> None:
-    groups = read(f'<group name="both"><group name="left"/><group name="right"/></group>{LEFT}{RIGHT}').groups
-    assert groups["both"].joints == ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
-
-
-def test_a_group_of_two_arms_has_no_tip() -> None:
-    assert (
-        read(f'{LEFT}{RIGHT}<group name="both"><group name="left"/><group name="right"/></group>')
-        .groups["both"]
-        .tip_link
-        == ""
-    )
-
-
-def test_several_chains_in_a_group_are_taken_together() -> None:
-    chains = '<chain base_link="torso" tip_link="l2"/><chain base_link="torso" tip_link="r2"/>'
-    group = read(f'<group name="both">{chains}</group>').groups["both"]
-    assert group.joints == ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
-
-
-def test_a_chain_and_its_own_joints_are_the_chain() -> None:
-    twice = '<joint name="l_elbow"/><joint name="l_elbow"/>'
-    group = read(f'<group name="arm">{twice}<chain base_link="base" tip_link="l_tool"/></group>').groups["arm"]
-    assert (group.joints, group.tip_link) == (("lift", "l_shoulder", "l_elbow"), "l_tool")
+def test_nested_groups_bring_their_joints_whatever_their_order_in_the_file_and_two_arms_have_no_tip() -> None:
+    both = '<group name="both"><group name="left"/><group name="right"/></group>'
+    for inner in (f"{both}{LEFT}{RIGHT}", f"{LEFT}{RIGHT}{both}"):
+        group = read(inner).groups["both"]
+        assert group.joints == ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
+        assert group.tip_link == ""
+    assert read(RIGHT).groups["right"].base_link == "torso"
 
 
 def test_a_chain_may_lead_from_one_branch_to_another() -> None:
@@ -102,6 +97,7 @@ def test_a_passive_joint_is_in_no_group() -> None:
     semantics = read(f'{RIGHT}<passive_joint name="r_elbow"/>')
     assert semantics.groups["right"].joints == ("r_shoulder",)
     assert semantics.passive_joints == {"r_elbow"}
+    assert semantics.planning_frame == "base"
 
 
 VIRTUAL = '<virtual_joint name="world_joint" type="planar" parent_frame="odom" child_link="base"/>'
@@ -117,10 +113,6 @@ def test_a_virtual_joint_names_the_planning_frame_and_is_no_joint_of_a_group() -
     assert semantics.planning_frame == "odom"
     assert set(semantics.groups) == {"all", "left"}
     assert semantics.named_states == {"all": {"s": {"l_elbow": 1.0}}}
-
-
-def test_without_a_virtual_joint_the_root_link_is_the_planning_frame() -> None:
-    assert read(LEFT).planning_frame == "base"
 
 
 def test_an_end_effector_that_names_the_arm_itself_names_its_tip() -> None:

@@ -119,16 +119,21 @@ def test_an_obstacle_stops_the_joint_on_its_side_until_it_is_taken_away():
     assert run(plant, drive_to(2600.0), 2.0)[-1] == pytest.approx(2600.0, abs=1.0)
 
 
-def test_an_obstacle_may_stand_below_the_joint():
+@pytest.mark.parametrize(
+    ("at", "goal", "stops_at"),
+    [(1800.0, 1500.0, 1800.0), (4090.0, 4095.0, 4000.0)],
+    ids=["below the joint", "beyond the mechanical range"],
+)
+def test_an_obstacle_may_stand_anywhere_and_widens_no_range(at, goal, stops_at):
     plant = plant_at(2000.0)
-    plant.block(1800.0)
-    assert run(plant, drive_to(1500.0), 2.0)[-1] == 1800.0
+    plant.block(at)
+    assert run(plant, drive_to(goal), 3.0)[-1] == stops_at
 
 
-def test_an_obstacle_does_not_widen_the_mechanical_range():
+def test_a_push_stronger_than_the_motor_takes_the_joint_along():
     plant = plant_at(2000.0)
-    plant.block(4090.0)
-    assert run(plant, drive_to(4095.0), 3.0)[-1] == 4000.0
+    plant.push_permille = -400.0
+    assert run(plant, drive_to(2000.0, torque=200.0), 0.5)[-1] < 1800.0
 
 
 def test_a_push_moves_a_free_joint_and_bends_a_driven_one():
@@ -138,12 +143,6 @@ def test_a_push_moves_a_free_joint_and_bends_a_driven_one():
     assert run(driven, drive_to(2000.0), 1.0)[-1] == pytest.approx(2010.0, abs=0.5)
     driven.push_permille = 0.0
     assert run(driven, drive_to(2000.0), 1.0)[-1] == pytest.approx(2000.0, abs=0.5)
-
-
-def test_a_push_stronger_than_the_motor_takes_the_joint_along():
-    plant = plant_at(2000.0)
-    plant.push_permille = -400.0
-    assert run(plant, drive_to(2000.0, torque=200.0), 0.5)[-1] < 1800.0
 
 
 @pytest.mark.parametrize("torque", [0.0, 1000.0])
@@ -173,23 +172,20 @@ def warm(motor, duration_s, current_a):
 
 def test_a_motor_without_current_stays_as_warm_as_the_air_or_cools_to_it():
     assert warm(Motor(), 10.0, 0.0) == AMBIENT_C
-    hot = Motor(70.0)
-    assert AMBIENT_C < warm(hot, WELL_COOLED.cooling_s, 0.0) < 48.0
+    assert AMBIENT_C < warm(Motor(70.0), WELL_COOLED.cooling_s, 0.0) < 48.0
 
 
-def test_a_motor_warms_with_the_square_of_its_current_whatever_its_sign():
+def test_a_motor_warms_with_the_square_of_its_current_whatever_its_sign_and_at_its_rate():
     one, two, back = (warm(Motor(), 1.0, current) - AMBIENT_C for current in (0.5, 1.0, -1.0))
     assert two == pytest.approx(4.0 * one)
     assert two == back > 0.0
+    assert warm(Motor(rate=100.0), 1.0, 1.0) == pytest.approx(warm(Motor(), 100.0, 1.0), rel=0.01)
 
 
-def test_a_stalled_motor_is_too_hot_after_a_minute_and_a_resting_arm_never():
+def test_a_stalled_motor_is_too_hot_after_a_minute_and_a_resting_or_weakly_driven_one_never():
     assert warm(Motor(), 70.0, 2.4) > 70.0
     assert warm(Motor(), 7200.0, 0.2) < 55.0
-
-
-def test_heat_can_be_hastened():
-    assert warm(Motor(rate=100.0), 1.0, 1.0) == pytest.approx(warm(Motor(), 100.0, 1.0), rel=0.01)
+    assert warm(Motor(), 60.0, 0.25 * STALL_CURRENT_A) < 35.0
 
 
 @pytest.mark.parametrize(("share", "within_s"), [(0.25, 60.0), (0.5, 30.0)])
@@ -197,10 +193,6 @@ def test_a_squeezing_gripper_is_at_50_degc_within_a_minute_and_cools_slowly(shar
     gripper = Motor(heating=SQUEEZING)
     assert 50.0 < warm(gripper, within_s, share * STALL_CURRENT_A) < 60.0
     assert warm(gripper, 60.0, 0.0) > 48.0
-
-
-def test_the_other_joints_stay_cool_under_the_same_current():
-    assert warm(Motor(), 60.0, 0.25 * STALL_CURRENT_A) < 35.0
 
 
 def test_half_the_gain_droops_twice_as_far():

@@ -4,22 +4,14 @@ import argparse
 import contextlib
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import pytest
 import serial
 
-from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.faults import PROBABILITIES
-from robot.emulator.process import LINGER_S, Control, PseudoTerminal, UsbAdapter, add_options, build_bus
+from robot.emulator.process import Control, PseudoTerminal, UsbAdapter, add_options, build_bus
 from robot.emulator.servo_bus import Reply
-from robot.errors import NoReply, PortError, PortLost
-from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+from robot.hardware.feetech.registers import Register
 
 
 def test_a_terminal_passes_every_byte_unaltered():
@@ -46,21 +38,16 @@ def test_the_baud_rate_is_the_one_that_the_client_sets(set_to, seen):
         assert terminal.baudrate == seen
 
 
-def test_a_link_leads_to_the_terminal_as_long_as_it_is_there(tmp_path):
+@pytest.mark.parametrize("left", [False, True])
+def test_a_link_leads_to_the_terminal_as_long_as_it_is_there_and_stays_if_it_was_left(tmp_path, left):
     link = tmp_path / "arm"
     link.symlink_to("/dev/null")
     terminal = PseudoTerminal(link)
     assert str(link.readlink()) == terminal.port
+    if left:
+        terminal.leave_link()
     terminal.close()
-    assert not link.is_symlink()
-
-
-def test_a_link_that_was_left_stays(tmp_path):
-    link = tmp_path / "arm"
-    terminal = PseudoTerminal(link)
-    terminal.leave_link()
-    terminal.close()
-    assert link.is_symlink()
+    assert link.is_symlink() is left
 
 
 def test_a_file_in_the_place_of_the_link_is_left_alone(tmp_path):
@@ -91,17 +78,11 @@ def reply(due_s, data):
 BURST = [reply(1.0004, b"one"), reply(1.0012, b"two")]
 
 
-def test_a_burst_is_given_as_a_whole_when_its_last_byte_is_due(adapter, client):
-    adapter.take(BURST)
-    adapter.deliver(1.0011)
-    assert client.read(9) == b""
-    adapter.deliver(1.0012)
-    assert client.read(9) == b"onetwo"
-
-
-def test_a_burst_does_not_wait_for_the_next(adapter, client):
+def test_a_burst_is_given_as_a_whole_when_its_last_byte_is_due_and_does_not_wait_for_the_next(adapter, client):
     adapter.take(BURST)
     adapter.take([reply(9.0, b"late")])
+    adapter.deliver(1.0011)
+    assert client.read(9) == b""
     adapter.deliver(1.0012)
     assert client.read(9) == b"onetwo"
 
@@ -155,122 +136,21 @@ def test_an_adapter_that_is_pulled_takes_port_and_link_away(adapter, client, tmp
     adapter.unplug()
 
 
-def test_an_adapter_that_comes_back_has_dropped_its_queue(adapter, tmp_path):
+@pytest.mark.parametrize("renamed", [False, True])
+def test_an_adapter_that_comes_back_has_dropped_its_queue_and_the_link_leads_there(adapter, tmp_path, renamed):
+    before = adapter.port
     adapter.take(BURST)
     adapter.unplug()
-    adapter.plug_in()
+    adapter.plug_in(renamed=renamed)
+    if renamed:
+        assert adapter.port != before
     assert str((tmp_path / "arm").readlink()) == adapter.port
     with serial.Serial(str(tmp_path / "arm"), timeout=0) as line:
         adapter.deliver(9.0)
         assert line.read(9) == b""
-
-
-def test_it_may_come_back_under_another_name_and_the_link_leads_there(adapter, tmp_path):
-    before = adapter.port
-    adapter.unplug()
+    there, descriptors = adapter.port, adapter.descriptors
     adapter.plug_in(renamed=True)
-    assert adapter.port != before
-    assert str((tmp_path / "arm").readlink()) == adapter.port
-    assert Path(adapter.port).exists()
-
-
-def test_an_adapter_that_is_there_is_not_plugged_in_twice(adapter):
-    before, descriptors = adapter.port, adapter.descriptors
-    adapter.plug_in(renamed=True)
-    assert (adapter.port, adapter.descriptors) == (before, descriptors)
-
-
-@pytest.fixture
-def line(terminal):
-    with contextlib.closing(Bus.open(terminal.port)) as bus:
-        yield bus
-
-
-IDS = (1, 2, 3, 4, 5, 6)
-
-
-def test_live_commands_are_answered_while_the_bus_runs(terminal, line):
-    assert terminal.command(drop=1.0) == {"ok": True}
-    assert line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
-    assert "unknown command" in str(terminal.command(nonsense=1)["error"])
-    assert terminal.command(drop=0.0) == {"ok": True}
-    assert len(line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
-
-
-def test_an_emulator_let_go_serves_on_until_the_bus_is_silent(terminal, line):
-    terminal.let_go()
-    let_go_s = time.monotonic()
-    while time.monotonic() < let_go_s + 1.2 * LINGER_S:
-        assert line.ping(1) == 777
-    silent_from_s = time.monotonic()
-    assert terminal.process.wait(30.0) == 0
-    assert time.monotonic() - silent_from_s > 0.9 * LINGER_S
-
-
-def test_a_controlled_emulator_leaves_ctrl_c_to_its_controller(terminal, line):
-    terminal.process.send_signal(signal.SIGINT)
-    assert line.ping(1) == 777
-    terminal.process.terminate()
-    assert terminal.process.wait(30.0) == 0
-
-
-def test_a_controller_that_sends_no_line_end_is_let_go(terminal):
-    with contextlib.suppress(OSError):
-        terminal._socket.sendall(b"x" * (MAX_COMMAND_BYTES + 4096))
-    assert terminal.process.wait(30.0) == 0
-
-
-def test_an_adapter_is_pulled_under_the_client_and_comes_back_by_its_link(start_terminal, tmp_path):
-    link = tmp_path / "arm"
-    terminal = start_terminal("--link", str(link))
-    with contextlib.closing(Bus.open(str(link))) as bus:
-        bus.write(1, Register.TORQUE_LIMIT, 321)
-        terminal.command(plugged=False)
-        with pytest.raises(PortLost):
-            bus.ping(1)
-    with pytest.raises(PortError):
-        Bus.open(str(link))
-    assert terminal.command(plugged="renamed")["port"] != terminal.port
-    with contextlib.closing(Bus.open(str(link))) as bus:
-        assert bus.read(1, Register.TORQUE_LIMIT) == 321
-
-
-def test_it_serves_a_second_client_after_the_first(terminal):
-    for _ in range(2):
-        with contextlib.closing(Bus.open(terminal.port)) as bus:
-            assert len(bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
-
-
-def test_replies_come_with_the_usb_frames_that_are_asked_for(start_terminal):
-    with contextlib.closing(Bus.open(start_terminal("--usb-frame-ms", "10").port)) as bus:
-        start_s = time.monotonic()
-        for _ in range(3):
-            bus.ping(1)
-        # Two questions each, every one of them answered at the end of another frame.
-        assert time.monotonic() - start_s >= 0.05
-
-
-def test_a_frozen_adapter_is_silent_and_goes_on_when_thawed(terminal, line):
-    terminal.command(frozen=True)
-    assert line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
-    terminal.command(frozen=False)
-    assert line.ping(1) == 777
-
-
-def test_no_servo_answers_at_a_wrong_baud_rate(terminal):
-    with contextlib.closing(Bus.open(terminal.port, 500_000)) as bus, pytest.raises(NoReply):
-        bus.ping(1)
-
-
-@contextlib.contextmanager
-def standalone(*options):
-    """The emulator as a person starts it, killed at the end if it still runs."""
-    command = [sys.executable, "-P", "-m", "robot.emulator", *options]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+    assert (adapter.port, adapter.descriptors) == (there, descriptors)
 
 
 @pytest.mark.parametrize("essential", [True, False])
@@ -284,35 +164,6 @@ def test_only_an_essential_controller_that_is_gone_ends_the_emulator(essential):
     os.close(reader)
     assert control.wanted is not essential
     assert control.descriptors == []
-
-
-def test_without_a_controller_live_commands_come_on_standard_input():
-    with standalone() as process:
-        port = process.stdout.readline().strip()
-        process.stdin.write('{"offline": [6]}\n\n{"explode": 1}\n')
-        process.stdin.flush()
-        assert process.stdout.readline() == '{"ok": true}\n'
-        assert "explode" in process.stdout.readline()
-        process.stdin.close()
-        with contextlib.closing(Bus.open(port)) as bus:
-            assert bus.ping(5) == 777
-            with pytest.raises(NoReply):
-                bus.ping(6)
-        process.terminate()
-        assert process.wait(30.0) == 0
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_without_a_controller_it_prints_the_port_and_runs_until_a_signal(tmp_path, number):
-    link = tmp_path / "arm"
-    with standalone("--link", str(link)) as process:
-        port = process.stdout.readline().strip()
-        with contextlib.closing(Bus.open(str(link))) as bus:
-            assert bus.read(6, Register.ID) == 6
-        assert str(link.readlink()) == port
-        process.send_signal(number)
-        assert process.wait(30.0) == 0
-    assert not link.is_symlink()
 
 
 def parser():
@@ -334,10 +185,10 @@ def test_without_options_there_is_an_arm_without_faults():
         assert {servo.plant.gravity_permille != 0.0 for servo in bus.servos[1:4]} == {True}
 
 
-@pytest.mark.parametrize("name", PROBABILITIES)
-def test_every_fault_that_strikes_by_chance_is_an_option(name):
-    with built("--" + name.replace("_", "-"), "0.25") as bus:
-        assert getattr(bus.faults, name) == 0.25
+def test_every_fault_that_strikes_by_chance_is_an_option():
+    for name in PROBABILITIES:
+        with built("--" + name.replace("_", "-"), "0.25") as bus:
+            assert getattr(bus.faults, name) == 0.25, name
 
 
 def test_the_servos_are_of_the_kind_asked_for():

@@ -70,14 +70,6 @@ def test_torque_switched_on_blindly_makes_the_arm_jump():
     assert servo.present_ticks < 2048 - 300
 
 
-def test_torque_switched_on_at_the_present_position_holds():
-    servo = servo_at()
-    put(servo, Register.GOAL_POSITION, servo.present_ticks)
-    put(servo, Register.TORQUE_ENABLE, 1)
-    run(servo, 0.5)
-    assert servo.present_ticks == 2048
-
-
 def test_a_goal_is_followed_only_with_torque_on():
     servo = servo_at()
     servo.write(Register.ACCELERATION, goal_block(2200, 1000))
@@ -201,15 +193,6 @@ def test_a_hot_servo_reports_it_lets_go_and_holds_again_when_cool():
     assert servo.present_ticks == 2200
 
 
-def test_a_wrong_supply_is_reported_and_does_not_stop_the_motion():
-    servo = holding_servo()
-    servo.voltage_v = 12.0
-    put(servo, Register.GOAL_POSITION, 2200)
-    run(servo, 1.0)
-    assert (servo.error, servo.present_ticks) == (StatusFlag.VOLTAGE, 2200)
-    assert get(servo, Register.PRESENT_VOLTAGE) == 120
-
-
 def test_a_servo_may_power_up_holding_where_it_is():
     servo = servo_at(2500.0, offset=-100)
     servo.powers_up_holding = True
@@ -311,19 +294,6 @@ def after(duration_s, measured, protection=None):
     return protection
 
 
-def test_a_servo_that_is_well_complains_of_nothing_and_gives_all():
-    protection = after(10.0, WELL)
-    assert protection.status == 0
-    assert protection.duty_left_permille(LIMITS) == 1000.0
-
-
-def test_an_overload_is_flagged_after_its_time_and_leaves_a_fifth_of_the_torque():
-    assert after(1.9, STUCK).status == 0
-    protection = after(2.1, STUCK)
-    assert protection.status == StatusFlag.OVERLOAD
-    assert protection.duty_left_permille(LIMITS) == 200.0
-
-
 def test_a_pause_in_the_load_starts_the_timer_anew():
     protection = after(1.5, STUCK)
     after(0.02, WELL, protection)
@@ -360,13 +330,6 @@ def test_a_wrong_supply_is_reported_as_long_as_it_lasts_and_takes_no_torque(volt
     assert protection.status == StatusFlag.VOLTAGE
     assert protection.duty_left_permille(LIMITS) == 1000.0
     assert after(0.01, WELL, protection).status == 0
-
-
-def test_a_hot_servo_gives_nothing_until_it_has_cooled():
-    protection = after(0.01, replace(WELL, temperature_c=71.0))
-    assert protection.status == StatusFlag.TEMPERATURE
-    assert protection.duty_left_permille(LIMITS) == 0.0
-    assert after(0.01, WELL, protection).duty_left_permille(LIMITS) == 1000.0
 
 
 def test_a_complaint_that_does_not_unload_takes_no_torque():

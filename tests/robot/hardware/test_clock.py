@@ -30,21 +30,19 @@ def test_the_machines_time_is_monotonic_and_passes_by_itself() -> None:
     assert clock.real_time_factor == 1.0
 
 
-def test_simulated_time_begins_at_the_machines() -> None:
-    assert SimulationClock(12.5)() == 12.5
-
-
-def test_simulated_time_stands_still_between_ticks() -> None:
-    clock = ticked(PERIOD_S)
-    assert clock() == clock() == pytest.approx(50.0 + PERIOD_S)
-
-
-def test_punctual_ticks_let_simulated_time_pass_as_the_machines() -> None:
-    assert ticked(*[PERIOD_S] * 100)() == pytest.approx(51.0)
-
-
-def test_a_tick_that_starts_one_period_late_is_made_up_for() -> None:
-    assert ticked(2 * PERIOD_S)() == pytest.approx(50.0 + 2 * PERIOD_S)
+@pytest.mark.parametrize(
+    ("gaps_s", "passed_s"),
+    [
+        ([], 0.0),
+        ([PERIOD_S] * 100, 100 * PERIOD_S),
+        ([2 * PERIOD_S], 2 * PERIOD_S),
+        ([3.0, PERIOD_S], MAX_TICK_S + PERIOD_S),
+    ],
+    ids=["before the first tick", "punctual", "one period late", "starved"],
+)
+def test_simulated_time_passes_as_the_machines_up_to_the_bound_of_a_tick(gaps_s: list[float], passed_s: float) -> None:
+    clock = ticked(*gaps_s)
+    assert clock() == clock() == pytest.approx(50.0 + passed_s)
 
 
 @given(GAPS)
@@ -58,30 +56,24 @@ def test_no_tick_lets_more_simulated_time_pass_than_its_bound(gaps_s: list[float
         before_s = clock()
 
 
-def test_time_that_was_lost_to_a_starved_loop_does_not_come_back() -> None:
-    assert ticked(3.0, PERIOD_S)() == pytest.approx(50.0 + MAX_TICK_S + PERIOD_S)
-
-
 def test_a_machines_clock_that_goes_back_takes_no_time_back() -> None:
     clock = ticked(PERIOD_S)
     clock.start_tick(20.0)
     assert clock() == pytest.approx(50.0 + PERIOD_S)
 
 
-def test_the_real_time_factor_before_the_first_tick_is_one() -> None:
-    assert ticked().real_time_factor == 1.0
-
-
-def test_the_real_time_factor_of_punctual_ticks_is_one() -> None:
-    assert ticked(*[PERIOD_S] * 30).real_time_factor == pytest.approx(1.0)
-
-
-def test_the_real_time_factor_is_the_share_of_the_machines_time_that_passed() -> None:
-    assert ticked(*[4 * MAX_TICK_S] * 10).real_time_factor == pytest.approx(0.25)
-
-
-def test_the_real_time_factor_recovers_once_the_loop_is_no_longer_starved() -> None:
-    assert ticked(5.0, *[PERIOD_S] * FACTOR_TICKS).real_time_factor == pytest.approx(1.0)
+@pytest.mark.parametrize(
+    ("gaps_s", "factor"),
+    [
+        ([], 1.0),
+        ([PERIOD_S] * 30, 1.0),
+        ([4 * MAX_TICK_S] * 10, 0.25),
+        ([5.0] + [PERIOD_S] * FACTOR_TICKS, 1.0),
+    ],
+    ids=["before the first tick", "punctual", "starved", "no longer starved"],
+)
+def test_the_real_time_factor_is_the_share_of_the_machines_time_that_passed(gaps_s: list[float], factor: float) -> None:
+    assert ticked(*gaps_s).real_time_factor == pytest.approx(factor)
 
 
 @given(GAPS)

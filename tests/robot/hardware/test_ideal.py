@@ -70,24 +70,17 @@ def test_every_movable_joint_of_the_robot_is_a_joint_of_the_arm() -> None:
     assert NAMES == ("rail", "shoulder", "elbow")
 
 
-def test_a_joint_starts_where_it_is_put() -> None:
-    start_rad = {"rail": 0.3, "elbow": 1.0}
-    assert IdealRig(start_rad=start_rad).read().position_rad == pytest.approx([0.3, 0.0, 1.0])
-
-
-def test_a_joint_whose_range_excludes_zero_starts_at_its_nearer_limit() -> None:
-    assert IdealRig().read().position_rad == pytest.approx(REST)
-
-
-def test_a_start_outside_the_limits_is_brought_inside() -> None:
-    start_rad = {"rail": -3.0, "shoulder": 9.0, "elbow": 0.0}
-    assert IdealRig(start_rad=start_rad).read().position_rad == pytest.approx([-0.2, 1.5, 0.4])
-
-
-def test_a_joint_covers_the_share_of_its_way_that_its_lag_allows() -> None:
-    rig = IdealRig(lag_s=0.05)
-    rig.arm.write_goals(goals(shoulder=0.01))
-    assert rig.read(0.05).position_rad[SHOULDER] == pytest.approx(0.01 * (1.0 - math.exp(-1.0)))
+@pytest.mark.parametrize(
+    ("start_rad", "stands_rad"),
+    [
+        ({"rail": 0.3, "elbow": 1.0}, [0.3, 0.0, 1.0]),
+        ({}, [0.0, 0.0, 0.4]),
+        ({"rail": -3.0, "shoulder": 9.0, "elbow": 0.0}, [-0.2, 1.5, 0.4]),
+    ],
+    ids=["where it is put", "at its nearer limit where 0 is excluded", "inside its limits"],
+)
+def test_a_joint_starts_where_it_is_put_within_its_limits(start_rad: dict[str, float], stands_rad: list[float]) -> None:
+    assert IdealRig(start_rad=start_rad).read().position_rad == pytest.approx(stands_rad)
 
 
 @given(st.lists(st.floats(min_value=1e-4, max_value=0.05), min_size=1, max_size=20))
@@ -114,58 +107,41 @@ def test_no_joint_is_faster_than_its_velocity_limit(joint: str, goal: float, mos
     assert measured.velocity_rad_s[NAMES.index(joint)] == pytest.approx(most)
 
 
-def test_a_prismatic_joint_follows_in_metres_as_others_do_in_radians() -> None:
+def test_an_arm_comes_to_its_goals_and_stands_still_there() -> None:
     rig = IdealRig()
     rig.arm.write_goals(goals(rail=0.4))
-    assert rig.run(3.0).position_rad == pytest.approx([0.4, 0.0, 0.4])
+    measured = rig.run(3.0)
+    assert measured.position_rad == pytest.approx([0.4, 0.0, 0.4])
+    assert measured.velocity_rad_s == pytest.approx(np.zeros(3), abs=1e-9)
 
 
-def test_an_arm_at_its_goals_stands_still() -> None:
-    rig = IdealRig()
-    rig.arm.write_goals(goals(shoulder=0.1))
-    assert rig.run(2.0).velocity_rad_s == pytest.approx(np.zeros(3), abs=1e-9)
-
-
-def test_a_second_reading_in_the_same_tick_is_the_same() -> None:
+def test_a_second_reading_in_the_same_tick_is_the_same_and_a_later_one_changes_neither() -> None:
     rig = IdealRig()
     rig.arm.write_goals(goals(shoulder=0.5))
     first, second = rig.read(PERIOD_S), rig.read()
-    assert second.position_rad.tolist() == first.position_rad.tolist()
-    assert second.velocity_rad_s.tolist() == first.velocity_rad_s.tolist() != [0.0] * 3
-
-
-def test_an_earlier_reading_is_not_changed_by_a_later_one() -> None:
-    rig = IdealRig()
-    rig.arm.write_goals(goals(shoulder=0.5))
-    first = rig.read(PERIOD_S)
     kept = first.position_rad.tolist()
-    rig.read(PERIOD_S)
+    assert second.position_rad.tolist() == kept
+    assert second.velocity_rad_s.tolist() == first.velocity_rad_s.tolist() != [0.0] * 3
+    assert rig.read(PERIOD_S).position_rad.tolist() != kept
     assert first.position_rad.tolist() == kept
 
 
-def test_readings_are_fresh_and_complain_of_nothing() -> None:
+def test_readings_are_fresh_complain_of_nothing_and_hold_no_number_for_what_the_arm_does_not_have() -> None:
     measured = IdealRig().read()
     assert measured.age_s.tolist() == [0.0] * 3
     assert measured.status.tolist() == [0] * 3
-
-
-def test_what_the_arm_does_not_have_is_not_a_number() -> None:
-    measured = IdealRig().read()
     for column in (measured.current_a, measured.voltage_v, measured.temperature_c):
         assert np.isnan(column).all()
 
 
-def test_a_survey_finds_an_arm_that_holds_at_its_goals() -> None:
-    found = run_to_end(IdealRig(start_rad={"shoulder": 0.3}).arm.survey())
-    assert found.driven.tolist() == [True] * 3
-    assert found.goal_rad == pytest.approx([0.0, 0.3, 0.4])
+@pytest.mark.parametrize(("driven", "goal_rad"), [(True, [0.0, 0.3, 0.4]), (False, [math.nan] * 3)])
+def test_a_survey_finds_an_arm_that_holds_at_its_goals_and_a_relaxed_one_without(
+    driven: bool, goal_rad: list[float]
+) -> None:
+    found = run_to_end(IdealRig(start_rad={"shoulder": 0.3}, driven=driven).arm.survey())
+    assert found.driven.tolist() == [driven] * 3
+    assert found.goal_rad == pytest.approx(goal_rad, nan_ok=True)
     assert found.bounds is BOUNDS
-
-
-def test_a_survey_finds_a_relaxed_arm_without_goals() -> None:
-    found = run_to_end(IdealRig(driven=False).arm.survey())
-    assert found.driven.tolist() == [False] * 3
-    assert np.isnan(found.goal_rad).all()
 
 
 def test_a_relaxed_arm_does_not_follow_and_does_not_fall() -> None:
@@ -174,11 +150,13 @@ def test_a_relaxed_arm_does_not_follow_and_does_not_fall() -> None:
     assert rig.run(0.5).position_rad == pytest.approx(REST)
 
 
-def test_an_enabled_arm_holds_where_it_is() -> None:
+def test_an_enabled_arm_holds_where_it_is_whatever_goals_were_written() -> None:
     rig = IdealRig(driven=False, start_rad={"shoulder": 0.3})
-    rig.arm.write_goals(goals(shoulder=1.0))
+    written = goals(shoulder=1.0)
+    rig.arm.write_goals(written)
     held_rad = run_to_end(rig.arm.enable(range(3)), rig.clock.advance)
     assert held_rad == pytest.approx([0.0, 0.3, 0.4])
+    assert written[SHOULDER] == 1.0
     assert rig.run(0.5).position_rad == pytest.approx([0.0, 0.3, 0.4])
     assert run_to_end(rig.arm.driven()).tolist() == [True] * 3
 
@@ -197,28 +175,16 @@ def test_a_joint_that_is_not_enabled_has_its_position_as_goal() -> None:
     assert run_to_end(rig.arm.driven()).tolist() == [False, True, False]
 
 
-def test_goals_that_were_written_are_not_changed_by_enabling() -> None:
-    rig = IdealRig(driven=False)
-    written = goals(shoulder=1.0)
-    rig.arm.write_goals(written)
-    run_to_end(rig.arm.enable(range(3)))
-    assert written[SHOULDER] == 1.0
-
-
-def test_relaxing_takes_a_while_and_leaves_no_torque() -> None:
-    rig = IdealRig()
-    started_s = rig.clock()
-    assert run_to_end(rig.arm.relax(np.ones(3)), rig.clock.advance) == []
-    assert rig.clock() - started_s == pytest.approx(RELAX_S)
-    assert run_to_end(rig.arm.driven()).tolist() == [False] * 3
-
-
-def test_a_relaxing_that_is_given_up_leaves_the_arm_holding() -> None:
+def test_relaxing_takes_a_while_and_leaves_no_torque_unless_it_is_given_up() -> None:
     rig = IdealRig()
     steps = rig.arm.relax(np.ones(3))
     next(steps)
     steps.close()
     assert run_to_end(rig.arm.driven()).tolist() == [True] * 3
+    started_s = rig.clock()
+    assert run_to_end(rig.arm.relax(np.ones(3)), rig.clock.advance) == []
+    assert rig.clock() - started_s == pytest.approx(RELAX_S)
+    assert run_to_end(rig.arm.driven()).tolist() == [False] * 3
 
 
 def test_torque_is_cut_with_the_first_step() -> None:
@@ -230,19 +196,14 @@ def test_torque_is_cut_with_the_first_step() -> None:
     assert rig.run(0.2).position_rad.tolist() == before
 
 
-def test_single_joints_can_be_switched_off() -> None:
-    rig = IdealRig()
-    assert run_to_end(rig.arm.switch_off([ELBOW])) == []
-    assert run_to_end(rig.arm.driven()).tolist() == [True, True, False]
-    assert not rig.arm.condition(ELBOW).torque_enabled
-    assert rig.arm.condition(RAIL).torque_enabled
-
-
-def test_returned_flags_do_not_change_later() -> None:
+def test_single_joints_can_be_switched_off_and_returned_flags_do_not_change() -> None:
     rig = IdealRig()
     flags, found = run_to_end(rig.arm.driven()), run_to_end(rig.arm.survey()).driven
-    run_to_end(rig.arm.switch_off())
+    assert run_to_end(rig.arm.switch_off([ELBOW])) == []
+    assert run_to_end(rig.arm.driven()).tolist() == [True, True, False]
     assert flags.tolist() == found.tolist() == [True] * 3
+    assert not rig.arm.condition(ELBOW).torque_enabled
+    assert rig.arm.condition(RAIL).torque_enabled
 
 
 def test_an_ideal_arm_has_no_bus_and_no_faults_of_its_own() -> None:

@@ -338,15 +338,6 @@ def access_of(**settings: Any) -> Access:
     return Access(AccessSettings.model_validate(values), lambda: 0.0, lambda: 1000.0)
 
 
-def test_a_client_is_known_by_its_token() -> None:
-    assert access_of().identify(Auth(token=TOKEN)) == Identity("otto", Role.OPERATE)
-
-
-def test_a_wrong_token_is_nobodys_and_not_repeated() -> None:
-    refusal = access_of().identify(Auth(token="guess"))
-    assert str(refusal).startswith("field token: it is none of the tokens here; a one-time token")
-
-
 def test_an_auth_without_a_token_names_the_missing_field() -> None:
     assert "wanted the field token" in str(access_of().identify(Auth()))
 

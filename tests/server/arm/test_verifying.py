@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
@@ -16,6 +16,7 @@ from server.arm.verifying import SLOWLY, VerificationProcedure
 from server.execution.queue import Answer
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.robots import so101
+from tests.helpers.waiting import until
 
 pytestmark = pytest.mark.stepped_time
 
@@ -54,13 +55,8 @@ class Verification:
         self.dialogue = Dialogue("verify", lambda: None)
         self.task = asyncio.create_task(self.procedure.run(self.dialogue))
 
-    async def until(self, condition: Callable[[], bool]) -> None:
-        async with asyncio.timeout(5.0):
-            while not condition():
-                await asyncio.sleep(0.01)
-
     async def say_move(self) -> None:
-        await self.until(lambda: self.dialogue.step.name == "torque")
+        await until(lambda: self.dialogue.step.name == "torque")
         self.dialogue.answer("torque", "move")
 
 
@@ -76,7 +72,7 @@ async def test_a_pose_that_cannot_be_planned_is_replaced_by_another_one() -> Non
     goals = Goals(MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.SUCCESS)
     verification = Verification(goals)
     await verification.say_move()
-    await verification.until(lambda: verification.dialogue.step.name == "measuring")
+    await until(lambda: verification.dialogue.step.name == "measuring")
     assert len(goals.asked) == 2
     assert goals.asked[0] != goals.asked[1]
     assert goals.scalings == {SLOWLY}
@@ -97,7 +93,7 @@ async def test_a_fault_on_the_way_ends_it_and_its_goal() -> None:
     goals = Goals()
     verification = Verification(goals)
     await verification.say_move()
-    await verification.until(lambda: bool(goals.asked))
+    await until(lambda: bool(goals.asked))
     fault = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain")
     verification.procedure.take_state(
         replace(verification.arm.state, mode=Mode.FAULT, fault=fault), verification.dialogue

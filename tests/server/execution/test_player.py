@@ -21,6 +21,7 @@ from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, FakeArm, StubbornArm, settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101
+from tests.helpers.waiting import until
 
 pytestmark = pytest.mark.stepped_time
 
@@ -275,9 +276,7 @@ async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage
 async def test_an_outgoing_motion_is_braked_when_none_replaces_it(stage: Stage) -> None:
     stage.player.preempt("preempted by a test")
     await stage.answer()
-    async with asyncio.timeout(5.0):
-        while not stage.arm.stops:
-            await asyncio.sleep(0.01)
+    await until(lambda: stage.arm.stops)
 
 
 async def test_an_outgoing_motion_can_be_stopped(stage: Stage) -> None:

@@ -7,69 +7,43 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress, QueuedGoal, RunningGoal
+from tests.helpers.fake_arm import settle
+from tests.helpers.goal_runner import THERE, GoalRunner
 
-DONE = Answer(MoveItErrorCode.SUCCESS, "done")
 
-
-class ScriptedRunner:
+class ScriptedRunner(GoalRunner):
     """Ends a request when it is told to; a request that is an exception is raised."""
 
     def __init__(self) -> None:
-        self.started: list[object] = []
-        self.stopped: list[str] = []
-        self.ahead: list[tuple[object, float]] = []
-        self.forgotten: list[object] = []
-        self.report: Callable[[Progress], None] = lambda _progress: None
-        self._end: asyncio.Future[Answer] | None = None
-
-    def last_stop(self, _joints: frozenset[str]) -> int:
-        return 0
-
-    def joints_of(self, _request: object) -> frozenset[str]:
-        return frozenset(("joint",))
-
-    def runner(self, _joints: frozenset[str]) -> ScriptedRunner:
-        return self
+        super().__init__("joint")
 
     async def run(self, request: object, report: Callable[[Progress], None], epoch: int) -> Answer:
-        self.started.append(request)
-        self.report = report
         report(Progress(GoalState.PLANNING, "planning"))
         if isinstance(request, Exception):
             raise request
-        self._end = asyncio.get_running_loop().create_future()
-        return await self._end
-
-    def cancel(self, reason: str) -> None:
-        self.finish(Answer(MoveItErrorCode.PREEMPTED, reason))
-
-    def preempt(self, reason: str) -> None:
-        self.cancel(reason)
-
-    def plan_ahead(self, request: object, left_s: float) -> None:
-        self.ahead.append((request, left_s))
-
-    def forget(self, request: object) -> None:
-        self.forgotten.append(request)
-
-    def stop(self, reason: str, _joints: Iterable[str] | None = None) -> None:
-        self.stopped.append(reason)
-        self.cancel(reason)
-
-    def finish(self, answer: Answer = DONE) -> None:
-        if self._end is not None and not self._end.done():
-            self._end.set_result(answer)
+        return await super().run(request, report, epoch)
 
 
 class Desk:
     """A queue, its runner, and all that it told."""
 
-    def __init__(self, policy: GoalPolicy = GoalPolicy.QUEUE, capacity: int = 3) -> None:
-        self.runner = ScriptedRunner()
+    def __init__(self, policy: GoalPolicy = GoalPolicy.QUEUE, runner: ScriptedRunner | None = None) -> None:
+        self.runner = runner or ScriptedRunner()
         self.states: list[tuple[str, GoalState]] = []
         self.answers: list[tuple[str, Answer]] = []
-        self.queue: GoalQueue[object] = GoalQueue(self.runner, policy, capacity, self._progress, self._answer)
+        self.queue: GoalQueue[object] = GoalQueue(self.runner, policy, 3, self._progress, self._answer)
         self.queue.start()
+
+    async def submit(self, *requests: object) -> None:
+        """Submit goals; each is begun, or waits, before the next one comes."""
+        for request in requests:
+            self.queue.submit("/goal", request)
+            await settle()
+
+    async def finish(self) -> None:
+        """Reach the active goal, and let the next one begin."""
+        self.runner.finish()
+        await settle()
 
     def _progress(self, goal: QueuedGoal[object], progress: Progress) -> None:
         self.states.append((goal.goal_id, progress.state))
@@ -81,12 +55,6 @@ class Desk:
         return [(goal_id, answer.code) for goal_id, answer in self.answers]
 
 
-async def settle() -> None:
-    """Let every task that can go on do so."""
-    for _ in range(20):
-        await asyncio.sleep(0)
-
-
 @pytest.fixture
 async def desk() -> AsyncIterator[Desk]:
     made = Desk()
@@ -96,9 +64,7 @@ async def desk() -> AsyncIterator[Desk]:
 
 async def desk_of(policy: GoalPolicy, *requests: str) -> Desk:
     made = Desk(policy)
-    for request in requests:
-        made.queue.submit("/goal", request)
-        await settle()
+    await made.submit(*requests)
     return made
 
 
@@ -107,10 +73,9 @@ async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
         desk.queue.submit("/goal", name)
     for count in (1, 2, 3):
         await settle()
-        assert len(desk.runner.started) == count
-        desk.runner.finish()
-    await settle()
-    assert desk.runner.started == ["a", "b", "c"]
+        assert len(desk.runner.asked) == count
+        await desk.finish()
+    assert desk.runner.asked == ["a", "b", "c"]
     assert desk.codes() == [(str(number), MoveItErrorCode.SUCCESS) for number in (1, 2, 3)]
 
 
@@ -119,8 +84,7 @@ async def test_the_queue_is_busy_while_a_goal_is_active(desk: Desk) -> None:
     desk.queue.submit("/goals", "first")
     await settle()
     assert desk.queue.busy == "goal 1 from /goals is worked on"
-    desk.runner.finish()
-    await settle()
+    await desk.finish()
     assert desk.queue.busy == ""
 
 
@@ -132,47 +96,38 @@ async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_b
     desk.queue.submit("/goals", "second")
     desk.runner.report(Progress(GoalState.EXECUTING, "", 0.25, 3.0))
     assert desk.queue.running == RunningGoal("goal 1 of unity from /goals", 3.0, 1)
-    desk.runner.finish()
-    await settle()
+    await desk.finish()
     assert desk.queue.running == RunningGoal("goal 2 from /goals", None, 0)
 
 
 async def test_a_goal_over_the_capacity_is_rejected_with_the_limit(desk: Desk) -> None:
-    for _ in range(5):
-        desk.queue.submit("/goal", "x")
-        await settle()
+    await desk.submit(*"xxxxx")
     assert desk.codes() == [("5", MoveItErrorCode.FAILURE)]
     assert desk.queue.waiting_count == 3
     assert "3 goals are waiting" in desk.answers[0][1].message
 
 
 async def test_a_rejected_goal_is_answered_at_once_while_another_runs(desk: Desk) -> None:
-    desk.queue.submit("/goal", "a")
-    await settle()
+    await desk.submit("a")
     goal_id = desk.queue.reject("/goal", PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
     assert desk.codes() == [(goal_id, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS)]
-    assert desk.runner.started == ["a"]
+    assert desk.runner.asked == ["a"]
 
 
 async def test_stop_answers_the_active_goal_and_all_that_wait(desk: Desk) -> None:
-    for _ in range(3):
-        desk.queue.submit("/goal", "x")
-    await settle()
+    await desk.submit(*"xxx")
     desk.queue.stop("stopped by a test")
     await settle()
     assert sorted(desk.codes()) == [(str(number), MoveItErrorCode.PREEMPTED) for number in (1, 2, 3)]
     assert all("stopped by a test" in answer.message for _, answer in desk.answers)
-    assert desk.runner.started == ["x"]
+    assert desk.runner.asked == ["x"]
 
 
 async def test_the_queue_works_on_after_a_stop(desk: Desk) -> None:
-    desk.queue.submit("/goal", "a")
-    await settle()
+    await desk.submit("a")
     desk.queue.stop("stopped")
-    desk.queue.submit("/goal", "b")
-    await settle()
-    desk.runner.finish()
-    await settle()
+    await desk.submit("b")
+    await desk.finish()
     assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED), ("2", MoveItErrorCode.SUCCESS)]
 
 
@@ -187,16 +142,14 @@ async def test_policy_preempt_ends_the_active_goal_and_runs_the_new_one() -> Non
     desk = await desk_of(GoalPolicy.PREEMPT, "a", "b")
     assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
     assert "preempted by goal 2 from /goal" in desk.answers[0][1].message
-    assert desk.runner.started == ["a", "b"]
+    assert desk.runner.asked == ["a", "b"]
     await desk.queue.close(0.1)
 
 
 async def test_a_bug_in_the_runner_costs_its_goal_only(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     desk.queue.submit("/goal", ValueError("broken"))
-    desk.queue.submit("/goal", "b")
-    await settle()
-    desk.runner.finish()
-    await settle()
+    await desk.submit("b")
+    await desk.finish()
     assert desk.codes() == [("1", MoveItErrorCode.FAILURE), ("2", MoveItErrorCode.SUCCESS)]
     assert "broken" in desk.answers[0][1].message
     assert "goal 1" in caplog.text
@@ -216,24 +169,16 @@ class DeafRunner(ScriptedRunner):
 
 
 async def test_closing_answers_a_goal_that_does_not_end() -> None:
-    desk = Desk()
-    desk.runner = DeafRunner()
-    desk.queue = GoalQueue(desk.runner, GoalPolicy.QUEUE, 3, desk._progress, desk._answer)
-    desk.queue.start()
-    desk.queue.submit("/goal", "a")
-    await settle()
+    desk = Desk(runner=DeafRunner())
+    await desk.submit("a")
     await desk.queue.close(0.01)
     assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
     assert "did not come to rest in time" in desk.answers[0][1].message
 
 
 async def test_closing_that_is_cut_short_answers_the_active_goal() -> None:
-    desk = Desk()
-    desk.runner = DeafRunner()
-    desk.queue = GoalQueue(desk.runner, GoalPolicy.QUEUE, 3, desk._progress, desk._answer)
-    desk.queue.start()
-    desk.queue.submit("/goal", "a")
-    await settle()
+    desk = Desk(runner=DeafRunner())
+    await desk.submit("a")
     closing = asyncio.create_task(desk.queue.close(60.0))
     await settle()
     closing.cancel()
@@ -243,8 +188,7 @@ async def test_closing_that_is_cut_short_answers_the_active_goal() -> None:
 
 
 async def test_a_waiting_goal_reports_how_many_are_ahead(desk: Desk) -> None:
-    desk.queue.submit("/goal", "a")
-    await settle()
+    await desk.submit("a")
     desk.queue.submit("/goal", "b")
     assert desk.states == [("1", GoalState.QUEUED), ("1", GoalState.PLANNING), ("2", GoalState.QUEUED)]
 
@@ -256,7 +200,7 @@ async def test_a_goal_may_come_with_a_policy_of_its_own(desk: Desk) -> None:
     desk.queue.submit("/action", "c", policy=GoalPolicy.PREEMPT)
     await settle()
     assert desk.codes() == [("2", MoveItErrorCode.PREEMPTED), ("1", MoveItErrorCode.PREEMPTED)]
-    assert desk.runner.started == ["a", "c"]
+    assert desk.runner.asked == ["a", "c"]
     # What else moves, such as the gripper, goes on.
     assert desk.runner.stopped == []
 
@@ -266,17 +210,14 @@ async def test_a_goals_own_listeners_are_called_besides_the_queues(desk: Desk) -
     answers: list[Answer] = []
     desk.queue.submit("/action", "a", on_progress=news.append, on_answer=answers.append)
     await settle()
-    desk.runner.finish()
-    await settle()
+    await desk.finish()
     assert [progress.state for progress in news] == [GoalState.QUEUED, GoalState.PLANNING]
-    assert answers == [DONE] == [answer for _, answer in desk.answers]
+    assert answers == [THERE] == [answer for _, answer in desk.answers]
 
 
 @pytest.mark.parametrize("number", ["1", "2"], ids=["in hand", "waiting"])
 async def test_a_cancelled_goal_is_answered_and_the_other_is_not(desk: Desk, number: str) -> None:
-    for name in "ab":
-        desk.queue.submit("/goal", name)
-    await settle()
+    await desk.submit(*"ab")
     desk.queue.cancel(number, "cancelled")
     await settle()
     assert desk.codes() == [(number, MoveItErrorCode.PREEMPTED)]
@@ -287,11 +228,9 @@ async def test_a_bug_in_a_listener_costs_no_other_goal(desk: Desk, caplog: pytes
         raise ValueError("broken listener")
 
     desk.queue.submit("/goal", "a", on_progress=broken, on_answer=broken)
-    desk.queue.submit("/goal", "b")
-    await settle()
-    desk.runner.finish()
-    await settle()
-    assert desk.runner.started == ["a", "b"]
+    await desk.submit("b")
+    await desk.finish()
+    assert desk.runner.asked == ["a", "b"]
     assert desk.codes() == [("1", MoveItErrorCode.SUCCESS)]
     assert "broken listener" in caplog.text
 
@@ -321,7 +260,7 @@ class TwoArms:
     @property
     def started(self) -> set[str]:
         """The goals that were begun."""
-        return {str(request) for runner in self.runners.values() for request in runner.started}
+        return {str(request) for runner in self.runners.values() for request in runner.asked}
 
 
 class ArmsDesk(Desk):
@@ -332,11 +271,6 @@ class ArmsDesk(Desk):
         self.arms = TwoArms()
         self.queue = GoalQueue(self.arms, policy, 3, self._progress, self._answer)
         self.queue.start()
-
-    async def submit(self, *requests: str) -> None:
-        for request in requests:
-            self.queue.submit("/goal", request)
-            await settle()
 
 
 async def test_goals_without_common_joints_run_at_the_same_time() -> None:
@@ -434,26 +368,21 @@ def move(runner: ScriptedRunner, left_s: float = 3.0) -> None:
 
 
 async def test_the_next_goal_is_planned_ahead_while_a_motion_is_in_progress(desk: Desk) -> None:
-    for name in "abc":
-        desk.queue.submit("/goal", name)
-    await settle()
+    await desk.submit(*"abc")
     assert desk.runner.ahead == []
     move(desk.runner)
     assert desk.runner.ahead == [("b", 3.0)]
 
 
 async def test_a_goal_that_comes_during_a_motion_is_planned_ahead_at_once(desk: Desk) -> None:
-    desk.queue.submit("/goal", "a")
-    await settle()
+    await desk.submit("a")
     move(desk.runner)
     desk.queue.submit("/goal", "b")
     assert desk.runner.ahead == [("b", 3.0)]
 
 
 async def test_a_goal_stays_queued_while_it_is_planned_ahead(desk: Desk) -> None:
-    for name in "ab":
-        desk.queue.submit("/goal", name)
-    await settle()
+    await desk.submit(*"ab")
     move(desk.runner)
     assert [state for goal_id, state in desk.states if goal_id == "2"] == [GoalState.QUEUED]
 
@@ -486,16 +415,12 @@ async def test_each_arm_plans_its_own_next_goal_ahead() -> None:
 
 
 async def test_a_goal_that_is_cancelled_before_its_turn_is_forgotten(desk: Desk) -> None:
-    for name in "abc":
-        desk.queue.submit("/goal", name)
-    await settle()
+    await desk.submit(*"abc")
     desk.queue.cancel("2", "enough")
     assert desk.runner.forgotten == ["b"]
 
 
 async def test_goals_that_are_cleared_are_forgotten(desk: Desk) -> None:
-    for name in "abc":
-        desk.queue.submit("/goal", name)
-    await settle()
+    await desk.submit(*"abc")
     desk.queue.stop("enough")
     assert desk.runner.forgotten == ["b", "c"]

@@ -82,14 +82,6 @@ def test_operations_without_a_response_are_acknowledged_but_for_messages(
     assert [message["level"] for message in told.messages()] == levels
 
 
-def test_level_none_silences_all() -> None:
-    told = Told("none")
-    told.status.refuse(Refusal(None, None, "no"))
-    told.status.tell("warning", Publish(topic="/a"), "hm")
-    told.status.acknowledge(Advertise(topic="/a", type="std_msgs/String"))
-    assert told.messages() == []
-
-
 @pytest.mark.parametrize(("level", "logged"), [("error", "ERROR"), ("warning", "WARNING"), ("info", "INFO")])
 def test_a_status_from_a_client_is_logged_at_its_level_and_shortened(
     caplog: pytest.LogCaptureFixture, level: str, logged: str

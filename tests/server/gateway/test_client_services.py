@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from protocol.limits import Limits
@@ -62,13 +64,6 @@ def test_calls_that_failed_make_room_too(world: InProcess) -> None:
     assert len(world.heard("p")) == 1
 
 
-def test_a_client_may_not_take_the_servers_place(world: InProcess) -> None:
-    world.graph.services.offer(Node("server"), "/mine", TYPE, lambda _: {"message": "mine"})
-    world.say("p", op="advertise_service", service="/mine", type=TYPE)
-    world.say("c", op="call_service", service="/mine")
-    assert world.heard("c")[0]["values"]["message"] == "mine"
-
-
 def test_a_call_that_timed_out_is_forgotten(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
     world.say("c", op="call_service", service="/s", timeout=1)
     world.clock.advance(2.0)
@@ -124,36 +119,38 @@ async def test_a_service_that_does_not_answer_in_the_time_that_is_set_fails() ->
     assert "did not answer in 3 s" in response["values"]
 
 
-@pytest.mark.parametrize(("role", "limit"), [(Role.VIEW, 16), (Role.OPERATE, 64), (Role.ADMIN, 64)])
-def test_calls_of_services_that_plan_are_limited_by_role(role: Role, limit: int) -> None:
-    world = InProcess()
+def call_while_planning(world: InProcess, role: Role, service: str, count: int, **fields: Any) -> list[Call]:
+    """Calls of a service that never answers, as many as one client makes."""
     started: list[Call] = []
-    world.graph.services.offer_calls(Node("planner"), "/check_goals", "std_srvs/srv/Trigger", started.append)
+    world.graph.services.offer_calls(Node("planner"), service, "armbridge_msgs/srv/MoveitGoal", started.append)
     world.enter("c", Identity("c", role))
-    for number in range(limit + 1):
-        world.say("c", op="call_service", service="/check_goals", id=number)
+    for number in range(count):
+        world.say("c", op="call_service", service=service, id=number, **fields)
+    return started
+
+
+@pytest.mark.parametrize(
+    ("role", "limit", "service", "fields"),
+    [
+        (Role.VIEW, 16, "/check_goals", {}),
+        (Role.OPERATE, 64, "/check_goals", {}),
+        (Role.ADMIN, 64, "/check_goals", {}),
+        # Below the name of one of several arms.
+        (Role.OPERATE, 64, "/left/moveit_goal", {"args": {"plan_only": True}}),
+    ],
+)
+def test_calls_of_services_that_plan_are_limited_by_role(
+    role: Role, limit: int, service: str, fields: dict[str, Any]
+) -> None:
+    world = InProcess(arms=("left", "right"))
+    started = call_while_planning(world, role, service, limit + 1, **fields)
     assert len(started) == limit
     (refused,) = world.heard("c")
     assert (refused["id"], refused["result"]) == (limit, False)
     assert f"the limit of its role is {limit}" in refused["values"]
     started[0].succeed({})
-    world.say("c", op="call_service", service="/check_goals", id="next")
+    world.say("c", op="call_service", service=service, id="next", **fields)
     assert len(started) == limit + 1
-
-
-def test_calls_below_the_name_of_one_of_several_arms_are_limited_as_well() -> None:
-    world = InProcess(arms=("left", "right"))
-    started: list[Call] = []
-    world.graph.services.offer_calls(
-        Node("planner"), "/left/moveit_goal", "armbridge_msgs/srv/MoveitGoal", started.append
-    )
-    world.enter("c", Identity("c", Role.OPERATE))
-    for number in range(65):
-        world.say("c", op="call_service", service="/left/moveit_goal", args={"plan_only": True}, id=number)
-    assert len(started) == 64
-    (refused,) = world.heard("c")
-    assert (refused["id"], refused["result"]) == (64, False)
-    assert "the limit of its role is 64" in refused["values"]
 
 
 def test_a_client_that_has_left_is_answered_nothing() -> None:

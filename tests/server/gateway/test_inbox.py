@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.codecs import png
-from protocol.operations import Auth, CallService, CancelActionGoal, Operation, Publish
+from protocol.operations import Auth, CancelActionGoal, Operation, Publish
 from protocol.registry import Registry
 from protocol.session import Packed, Refusal, Session
 from robot.stop_epochs import STOP_EPOCHS
@@ -186,9 +186,9 @@ def test_what_comes_behind_waits_in_order(world: World) -> None:
     client.publish("/1", "/2", "/3")
     client.publish("/4")
     client.publish("/5", length=LONG_FRAME_BYTES)
-    client.publish("/6")
+    client.inbox.receive_frame(json.dumps({"op": "call_service", "service": "/c"}))
     world.run()
-    assert world.done == [f"/{number}" for number in range(1, 7)]
+    assert world.done == [*(f"/{number}" for number in range(1, 6)), "call_service"]
 
 
 def test_what_is_published_strictly_keeps_its_place(world: World) -> None:
@@ -361,17 +361,6 @@ def test_a_cancel_behind_a_frame_that_is_not_read_yet_is_carried_out_twice_at_mo
     assert world.done == ["/cancel", "/goal", "again /cancel"]
 
 
-def test_a_stop_overtakes_what_a_thread_works_on(world: World) -> None:
-    client = world.client()
-    client.publish("/large")
-    for _ in range(5):
-        client.publish("/goal")
-    client.publish("/stop")
-    assert world.done == ["/stop"]
-    world.run()
-    assert world.done == ["/stop", "/large"] + ["no /goal"] * 5
-
-
 def test_what_comes_behind_a_frame_that_a_thread_reads_is_read_after_it(world: World) -> None:
     client = world.client()
     client.publish("/1", length=LONG_FRAME_BYTES)
@@ -384,14 +373,20 @@ def test_what_comes_behind_a_frame_that_a_thread_reads_is_read_after_it(world: W
     assert world.done == ["/1", "/2", "/3"]
 
 
-def test_a_stop_overtakes_frames_that_are_not_read_yet(world: World) -> None:
+@pytest.mark.parametrize(
+    ("first", "length", "carried_out"), [("/large", 0, "/large"), ("/goal", LONG_FRAME_BYTES, "no /goal")]
+)
+def test_a_stop_overtakes_what_a_thread_completes_or_has_not_read_yet(
+    world: World, first: str, length: int, carried_out: str
+) -> None:
     client = world.client()
-    client.publish("/goal", length=LONG_FRAME_BYTES)
-    client.publish("/goal")
+    client.publish(first, length=length)
+    for _ in range(5):
+        client.publish("/goal")
     client.publish("/stop")
     assert world.done == ["/stop"]
     world.run()
-    assert world.done == ["/stop", "no /goal", "no /goal"]
+    assert world.done == ["/stop", carried_out] + ["no /goal"] * 5
 
 
 def test_what_is_behind_a_message_completed_in_the_background_waits_for_it(world: World) -> None:
@@ -508,12 +503,3 @@ def test_whatever_one_client_sends_anothers_stop_is_carried_out_when_it_comes(
         other.publish("/stop")
         assert world.done[-1] == "other /stop"
         assert world.clock() == before_s
-
-
-def test_a_call_that_is_no_stop_waits_its_turn(world: World) -> None:
-    client = world.client(step_s=ROUND_S)
-    client.publish("/a", "/b")
-    client.inbox.receive_frame(json.dumps({"op": "call_service", "service": "/c"}))
-    assert CallService(service="/c").op not in world.done
-    world.run()
-    assert world.done == ["/a", "/b", "call_service"]

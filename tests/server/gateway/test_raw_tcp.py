@@ -5,7 +5,6 @@ import itertools
 import json
 import socket
 import ssl
-import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -72,22 +71,6 @@ async def test_a_client_subscribes_publishes_and_calls(listener: Listener, *, sp
         assert answer["values"] == {"success": True, "message": "done"}
 
 
-async def test_a_client_by_tcp_offers_a_service_that_another_one_calls(listener: Listener) -> None:
-    async with (
-        await RawClient.connect(port_of(listener), speaks_bson=True) as offering,
-        await RawClient.connect(port_of(listener)) as calling,
-    ):
-        offering.send(op="advertise_service", service="/mine", type="std_srvs/SetBool")
-        offering.send(op="call_service", service="/nobody")
-        assert (await offering.receive())["service"] == "/nobody"
-        calling.send(op="call_service", service="/mine", args={"data": True}, id="c")
-        call = await offering.receive()
-        assert (call["op"], call["service"], call["args"]) == ("call_service", "/mine", {"data": True})
-        values = {"success": True, "message": "set"}
-        offering.send(op="service_response", id=call["id"], service="/mine", result=True, values=values)
-        assert (await calling.receive())["values"] == values
-
-
 @pytest.mark.parametrize(("version", "stamp"), [(1, {"secs": 1, "nsecs": 2}), (2, {"sec": 1, "nanosec": 2})])
 async def test_clients_get_the_spelling_of_the_generation_that_is_set(version: int, stamp: dict[str, int]) -> None:
     graph = Graph(REGISTRY)
@@ -101,14 +84,6 @@ async def test_clients_get_the_spelling_of_the_generation_that_is_set(version: i
         header = await client.until_topic("/h")
         assert header["stamp"] == stamp
         assert ("seq" in header) is (version == 1)
-
-
-async def test_bytes_go_to_a_bson_client_as_binary(graph: Graph, listener: Listener) -> None:
-    graph.advertise(TALKER, "/image", "sensor_msgs/CompressedImage", latch=True)
-    graph.publish(TALKER, "/image", {"format": "jpeg", "data": "AAEC"})
-    async with await RawClient.connect(port_of(listener), speaks_bson=True) as client:
-        client.send(op="subscribe", topic="/image")
-        assert (await client.until_topic("/image"))["data"] == b"\x00\x01\x02"
 
 
 @settings(max_examples=20, deadline=None)
@@ -228,16 +203,14 @@ async def test_what_came_before_an_error_is_carried_out(listener: Listener) -> N
         assert (await client.receive())["op"] == "status"
 
 
-async def test_a_client_that_has_said_its_last_still_gets_its_answers(graph: Graph, listener: Listener) -> None:
-    def slow(_request: dict[str, Any]) -> dict[str, Any]:
-        # Longer than a turn, so that most calls wait when the client's end is seen.
-        time.sleep(0.002)
-        return {}
-
-    graph.services.offer(TALKER, "/slow", "std_srvs/Trigger", slow)
+async def test_a_client_that_has_said_its_last_still_gets_its_answers(
+    listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A call a turn, so that most of them wait when the client's end is seen.
+    monkeypatch.setattr(raw_tcp, "TURN_S", 0.0)
     async with await RawClient.connect(port_of(listener)) as client:
         for number in range(50):
-            client.send(op="call_service", service="/slow", id=str(number))
+            client.send(op="call_service", service="/trigger", id=str(number))
         client.writer.write_eof()
         assert [(await client.receive())["id"] for _ in range(50)] == [str(number) for number in range(50)]
         assert await client.next_frame() is None
@@ -282,6 +255,17 @@ async def test_a_client_that_closes_its_side_is_not_waited_for_any_longer(
         stream.end("enough")
         assert (await client.receive())["msg"] == "enough"
     await until_empty(listener)
+
+
+async def test_a_connection_that_is_closing_is_not_waited_for(listener: Listener) -> None:
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.send(op="call_service", service="/trigger")
+        await client.receive()
+        (stream,) = streams_of(listener)
+        stream.abort()
+        stream.end("too late")
+        assert stream._end_timer is None
+        assert await client.next_frame() is None
 
 
 async def test_a_connection_that_is_held_reads_on_where_it_stopped(graph: Graph, listener: Listener) -> None:

@@ -73,7 +73,7 @@ async def linked() -> AsyncIterator[Link]:
         yield Link(client, server, graph)
 
 
-NUMBERS = [str(number) for number in range(300)]
+NUMBERS = [str(number) for number in range(1000)]
 
 
 @pytest.mark.parametrize("turn_s", [0.0, 0.0001, 60.0])

@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.errors import GraphError
 from server.graph.actions import MAX_GOAL_S, Actions, Goal, GoalStatus, Result
@@ -35,36 +34,12 @@ def sent() -> Sent:
     return Sent()
 
 
-def test_feedback_that_does_not_fit_is_an_error_to_the_provider_alone(sent: Sent) -> None:
-    with pytest.raises(MessageError, match="position"):
-        sent.goal.feedback({"position": "far"})
-    assert sent.feedback == []
-    assert not sent.goal.ended
-
-
-def test_a_result_that_does_not_fit_ends_the_goal_as_a_failure(sent: Sent) -> None:
-    with pytest.raises(MessageError, match="position"):
-        sent.goal.finish(GoalStatus.SUCCEEDED, {"position": "far"})
-    assert (sent.results[0].ok, sent.results[0].status) == (False, GoalStatus.ABORTED)
-
-
 def test_only_the_first_end_counts_and_nothing_is_heard_afterwards(sent: Sent) -> None:
     sent.goal.fail("jammed")
     sent.goal.finish(GoalStatus.SUCCEEDED, {})
     sent.goal.feedback({})
     assert sent.results == [Result(ok=False, status=6, values="jammed")]
     assert sent.feedback == []
-
-
-def test_a_cancel_is_told_once_and_the_provider_says_how_it_ends(sent: Sent) -> None:
-    told: list[str] = []
-    sent.goal.when_canceled(lambda: told.append("cancel"))
-    sent.goal.cancel()
-    sent.goal.cancel()
-    assert told == ["cancel"]
-    assert not sent.goal.ended
-    sent.goal.finish(GoalStatus.CANCELED, {})
-    assert sent.results[0].status == 5
 
 
 def test_a_late_listener_is_told_of_a_cancel_at_once(sent: Sent) -> None:
@@ -138,23 +113,6 @@ def test_a_local_part_may_end_a_goal_later_and_as_canceled(world: World) -> None
     assert world.results[0].status == 5
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"name": "/nobody"}, "/nobody: does not exist"),
-        ({"type_name": "control_msgs/PointHead"}, "is of type control_msgs/action/GripperCommand"),
-        ({"type_name": "control_msgs/Nothing"}, "control_msgs/Nothing"),
-        ({"arguments": {"command": 5}}, "field command"),
-    ],
-)
-def test_a_goal_that_cannot_be_taken_on_fails_at_once(world: World, options: dict[str, Any], text: str) -> None:
-    _, goals = world.offer()
-    assert world.send(**options) is None
-    assert goals == []
-    assert (world.results[0].ok, world.results[0].status) == (False, 0)
-    assert text in world.results[0].values
-
-
 def test_goals_end_when_their_provider_leaves(world: World) -> None:
     provider, _ = world.offer()
     world.send()
@@ -178,17 +136,6 @@ def test_a_goal_that_has_ended_leaves_nothing_behind(world: World) -> None:
     goals[0].finish(GoalStatus.SUCCEEDED, {})
     assert world.clock.waiting == 0
     assert not world.actions._offers.get("/grip").goals
-
-
-def test_the_cancel_service_cancels_all_goals_and_lists_them(world: World) -> None:
-    _, goals = world.offer()
-    for _ in range(2):
-        world.send()
-    answer = world.cancel_service({})
-    assert all(goal.cancel_requested for goal in goals)
-    assert answer["return_code"] == 0
-    listed = [info["goal_id"]["uuid"] for info in answer["goals_canceling"]]
-    assert listed == [b64encode(goal.goal_id).decode() for goal in goals]
 
 
 def test_the_cancel_service_cancels_one_goal_by_its_id(world: World) -> None:

@@ -8,7 +8,6 @@ import pytest
 
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from server.errors import UnsuccessfulError
 from server.graph.actions import Result
 from server.graph.list_limits import MAX_VALUES, ListLimits
 from server.graph.message_types import MessageTypes, ReceivedMessage
@@ -137,13 +136,3 @@ def test_a_message_with_too_long_a_list_is_refused_before_it_is_completed_and_it
         graph.publish(CLIENT, "/poses", {"poses": [{}] * 3})
     assert refused == ["field poses: wanted at most 2 elements in all, got 3"]
     assert graph.message_types.completed == 0
-
-
-async def test_the_reason_of_a_service_that_has_not_succeeded_comes_with_its_response(graph: Graph) -> None:
-    def serve(_request: dict[str, Any]) -> dict[str, Any]:
-        raise UnsuccessfulError({"success": False}, "the disk is full")
-
-    graph.services.offer(SERVER, "/save", "moveit_msgs/srv/SaveGeometryToFile", serve)
-    responses: list[Response] = []
-    graph.services.call(CLIENT, "/save", {}, responses.append)
-    assert responses == [Response(ok=True, values={"success": False}, reason="the disk is full")]

@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.errors import GraphError, ServiceError
 from server.graph.message_types import MessageTypes
@@ -35,35 +34,11 @@ def responses(call: Call) -> list[Response]:
     return heard
 
 
-def test_a_response_is_completed(call: Call, responses: list[Response]) -> None:
-    call.succeed({})
-    assert responses == [Response(ok=True, values={"success": False, "message": ""})]
-
-
 def test_a_response_that_is_complete_is_told_as_it_is(call: Call, responses: list[Response]) -> None:
     complete = {"success": True, "message": "done"}
     call.succeed_as_it_is(complete)
     assert responses[0].ok
     assert responses[0].values is complete
-
-
-def test_a_response_that_does_not_fit_is_a_failure_to_the_caller_and_an_error_to_the_provider(
-    call: Call, responses: list[Response]
-) -> None:
-    with pytest.raises(MessageError):
-        call.succeed("done")
-    assert not responses[0].ok
-    assert "does not fit std_srvs/srv/SetBool" in responses[0].values
-
-
-def test_a_failure_carries_what_the_provider_gave(call: Call, responses: list[Response]) -> None:
-    call.fail({"reason": 7})
-    assert responses == [Response(ok=False, values={"reason": 7})]
-
-
-def test_a_function_gets_the_request(call: Call, responses: list[Response]) -> None:
-    answer(call, lambda request: {"success": request["data"]})
-    assert responses[0].values["success"] is True
 
 
 async def test_an_awaited_service_error_is_a_failure(call: Call, responses: list[Response]) -> None:
@@ -174,15 +149,6 @@ async def test_a_function_that_takes_too_long_is_cancelled(services: Services, c
 
 
 # Services of clients
-
-
-def test_only_the_first_end_counts(services: Services) -> None:
-    provider = Provider(services)
-    responses = ask(services)
-    provider.calls[0].fail("first")
-    provider.calls[0].succeed(ON)
-    provider.calls[0].fail("third")
-    assert [response.values for response in responses] == ["first"]
 
 
 @pytest.mark.parametrize(

@@ -58,22 +58,6 @@ def graph(clock: FakeClock) -> Graph:
 TALKER = Node("talker")
 
 
-def test_the_first_type_of_a_topic_stays(graph: Graph) -> None:
-    graph.advertise(TALKER, "/t", "std_msgs/String")
-    listener = Listening()
-    with pytest.raises(GraphError, match=r"/t.*std_msgs/msg/String.*std_msgs/Bool"):
-        graph.subscribe(listener.node, "/t", "std_msgs/Bool", listener.subscriber)
-    graph.publish(TALKER, "/t", {"data": "x"})
-    assert listener.messages == []
-    assert graph.topic_types() == {"/t": "std_msgs/msg/String"}
-
-
-def test_a_type_that_nobody_knows_is_refused(graph: Graph) -> None:
-    with pytest.raises(GraphError, match="std_msgs/Strang"):
-        graph.advertise(TALKER, "/t", "std_msgs/Strang")
-    assert graph.topic_types() == {}
-
-
 def test_a_message_that_does_not_fit_is_refused_to_its_sender_and_told_to_local_subscribers(graph: Graph) -> None:
     listener = Listening()
     graph.subscribe(listener.node, "/t", "std_msgs/String", listener.subscriber)
@@ -284,16 +268,6 @@ def test_a_message_with_a_lifespan_reaches_subscribers_within_it(graph: Graph, c
     assert data_for_newcomer(graph) == []
 
 
-def test_a_latched_message_outlives_its_publisher_as_the_type_does(graph: Graph, clock: FakeClock) -> None:
-    graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
-    graph.publish(TALKER, "/t", {"data": "x"})
-    graph.remove(TALKER)
-    clock.now_s += UNREGISTER_TIMEOUT_S * 0.9
-    assert data_for_newcomer(graph) == ["x"]
-    clock.now_s += UNREGISTER_TIMEOUT_S * 0.2
-    assert data_for_newcomer(graph) == []
-
-
 def test_a_topic_of_a_new_type_has_nothing_of_the_old_one(graph: Graph, few_topics: int) -> None:
     graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
     graph.publish(TALKER, "/t", {"data": "x"})
@@ -329,6 +303,17 @@ class TestWhatClientsLatch:
     def latch(self, graph: Graph, node: Node, topic: str, size_bytes: int = 900) -> str | None:
         graph.advertise(node, topic, "std_msgs/String")
         return graph.publish(node, topic, {"data": "x" * size_bytes}, latch=True)
+
+    def test_the_servers_messages_are_latched_whatever_clients_have_latched(self, graph: Graph) -> None:
+        for node in (self.FIRST, self.SECOND):
+            assert self.latch(graph, node, f"/of_{node}") is None
+        assert self.latch(graph, TALKER, "/planning_scene", 1900) is None
+        assert len(data_for_newcomer(graph, "/planning_scene")) == 1
+
+    def test_one_client_leaves_room_for_another(self, graph: Graph) -> None:
+        self.latch(graph, self.FIRST, "/a")
+        self.latch(graph, self.FIRST, "/b")
+        assert self.latch(graph, self.SECOND, "/c") is None
 
     def test_changing_names_use_nothing_up(self, graph: Graph) -> None:
         for number in range(10):

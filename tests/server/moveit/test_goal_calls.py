@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -17,7 +16,9 @@ from server.graph.services import Response
 from server.moveit.goal_calls import NAME, GoalCalls
 from server.moveit.goal_topics import Confirmation
 from tests.helpers.fake_arm import HOME, settle
-from tests.helpers.moveit import THERE, ActionDesk, translator
+from tests.helpers.goal_runner import THERE
+from tests.helpers.moveit import ActionDesk, translator
+from tests.helpers.waiting import until
 
 OUT_OF_REACH = {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 2.0}}}
 POINT = {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 0.25, "y": 0.05, "z": 0.15}}}
@@ -175,9 +176,7 @@ async def test_a_preempted_call_is_answered(desk: Desk) -> None:
 
 async def test_a_call_whose_time_is_over_ends_its_motion(desk: Desk) -> None:
     await desk.ask(0.01, named="ready")
-    async with asyncio.timeout(10.0):
-        while desk.queue.busy:
-            await asyncio.sleep(0.005)
+    await until(lambda: not desk.queue.busy)
     (response,) = desk.responses
     assert not response.ok
     assert "did not answer in 0.01 s" in response.values

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import pytest
@@ -24,6 +24,7 @@ from server.moveit.goal_topics import (
     GoalTopics,
 )
 from tests.helpers.clients import values_of
+from tests.helpers.goal_runner import GoalRunner
 from tests.helpers.moveit import translator
 from tests.helpers.robots import so101
 
@@ -31,28 +32,18 @@ REGISTRY = Registry.load()
 CLIENT = Node("client")
 
 
-class Obedient:
+class Obedient(GoalRunner):
     """Reaches every goal at once, unless it is told to wait."""
 
     def __init__(self) -> None:
+        super().__init__("joint")
         self.go_on = asyncio.Event()
         self.go_on.set()
-        self.stopped: list[str] = []
         self.cancelled: list[str] = []
-        self.ran: list[Motion] = []
         self.answer = Answer(MoveItErrorCode.SUCCESS, "there")
 
-    def last_stop(self, _joints: frozenset[str]) -> int:
-        return 0
-
-    def joints_of(self, _request: Motion) -> frozenset[str]:
-        return frozenset(("joint",))
-
-    def runner(self, _joints: frozenset[str]) -> Obedient:
-        return self
-
     async def run(self, request: Motion, report: Callable[[Progress], None], epoch: int) -> Answer:
-        self.ran.append(request)
+        self.asked.append(request)
         report(Progress(GoalState.EXECUTING, "moving", 0.25, 1.5))
         await self.go_on.wait()
         return self.answer
@@ -60,18 +51,6 @@ class Obedient:
     def cancel(self, reason: str) -> None:
         self.cancelled.append(reason)
         self.go_on.set()
-
-    def preempt(self, reason: str) -> None:
-        self.cancel(reason)
-
-    def plan_ahead(self, request: Motion, left_s: float) -> None:
-        pass
-
-    def forget(self, request: Motion) -> None:
-        pass
-
-    def stop(self, reason: str, _joints: Iterable[str] | None = None) -> None:
-        self.stopped.append(reason)
 
 
 class Desk:
@@ -199,7 +178,7 @@ async def test_goals_of_actions_have_a_status_but_no_result_topic(desk: Desk) ->
     desk.queue.submit("/move_action", PlannedMotion((), frozenset()))
     for _ in range(10):
         await asyncio.sleep(0)
-    assert desk.runner.ran
+    assert desk.runner.asked
     assert {status["name"] for status in desk.heard[STATUS_TOPIC]} == {"/move_action"}
     assert desk.heard[RESULT_TOPIC] == []
 
@@ -208,7 +187,7 @@ async def test_goals_of_actions_have_a_status_but_no_result_topic(desk: Desk) ->
 async def test_goals_wait_for_confirmation_while_that_is_wanted(desk: Desk, *, wanted: bool) -> None:
     desk.confirmation.enabled = wanted
     await desk.publish("/moveit_goal_named", {"data": "home"})
-    (ran,) = desk.runner.ran
+    (ran,) = desk.runner.asked
     assert isinstance(ran, PlannedMotion)
     assert ran.confirm is wanted
 
@@ -224,7 +203,7 @@ async def test_a_goal_of_a_client_that_may_not_send_one_is_answered_to_it_alone(
     assert result == {"val": -4, "message": "another drives", "source": "/moveit_goal_named#1"}
     assert (values_of(status)["state"], status["level"], status["hardware_id"]) == ("done", 2, "1")
     assert desk.heard == {RESULT_TOPIC: [], STATUS_TOPIC: []}
-    assert desk.runner.ran == []
+    assert desk.runner.asked == []
     assert not caplog.records
 
 

@@ -159,7 +159,7 @@ async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it(
     await arm.launch()
     gripper = Gripper(arm, [robot.joints["gripper"]], 1.0, 1.0, TimeLimits(), 0.5)
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
-    await asyncio.sleep(0.02)
+    await settle()
     assert not moving.done()
     await arm.start(30.0)
     with pytest.raises(RefusedError, match="/dev/nothing does not exist"):
@@ -207,7 +207,8 @@ def begin(arm: SlowArm) -> asyncio.Task[MotionEnded]:
 
 async def together(arm: SlowArm, seconds: float) -> None:
     """Let the same time pass here and on the arm's clock."""
-    for _ in range(round(seconds / SQUEEZE_PERIOD_S)):
+    until_s = arm.clock_s + seconds
+    while arm.clock_s < until_s:
         await asyncio.sleep(SQUEEZE_PERIOD_S)
         arm.pass_time(SQUEEZE_PERIOD_S)
 

@@ -131,11 +131,6 @@ async def test_an_invalid_state_is_refused(states: Kept, positions_rad: Position
         await states.save("mine", positions_rad)
 
 
-async def test_an_unknown_state_is_refused_with_the_known_ones(states: Kept) -> None:
-    with pytest.raises(ServiceError, match="extended, home, ready, rest"):
-        await states.delete("mine")
-
-
 async def test_the_number_of_saved_states_is_bounded(states: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(named_states, "MAX_STATES", 1)
     await states.save("a", BENT)

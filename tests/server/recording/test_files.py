@@ -22,7 +22,6 @@ from server.recording.files import (
     FileSeries,
     McapFile,
     RecordedMessage,
-    channel_metadata,
     check_path,
     is_latched,
 )
@@ -190,11 +189,6 @@ def test_there_are_only_so_many_numbers(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 # Quality of service.
-
-
-@pytest.mark.parametrize("latched", [True, False])
-def test_the_latching_of_a_topic_is_read_back(latched: bool) -> None:
-    assert is_latched(channel_metadata(latched)) is latched
 
 
 @pytest.mark.parametrize(("number", "latched"), [(1, True), (2, False)])

@@ -17,7 +17,8 @@ from server.recording import recorder as recorder_module
 from server.recording.files import FileSeries, RecordedMessage
 from server.recording.recorder import QueuedMessage, Recorder, WriterThread
 from server.recording.replay import Recording
-from tests.server.recordings import REGISTRY, recorded_messages, wait_until
+from tests.helpers.waiting import wait_until
+from tests.server.recordings import REGISTRY, recorded_messages
 
 TALKER = Node("talker")
 
@@ -189,7 +190,7 @@ def test_a_full_disk_ends_the_recording_with_one_line(tmp_path: Path, caplog: py
     writer.start(FullDisk(tmp_path / "run.mcap", REGISTRY, {}, None, 0))
     for number in range(10):
         writer.put(queued(number))
-    assert wait_until(lambda: writer.ended)
+    wait_until(lambda: writer.ended)
     assert writer.close()
     errors = [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR]
     assert errors == [
@@ -204,7 +205,7 @@ def test_a_recent_message_can_be_read_while_the_recording_goes_on(
     writer = WriterThread(REGISTRY)
     writer.start(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0))
     writer.put(queued())
-    assert wait_until(lambda: len(recorded_messages(tmp_path / "run.mcap")) == 1)
+    wait_until(lambda: len(recorded_messages(tmp_path / "run.mcap")) == 1)
     assert writer.close()
 
 
@@ -216,4 +217,4 @@ def test_a_disk_that_never_answers_holds_nobody_up(tmp_path: Path, monkeypatch: 
     writer.put(queued())
     assert not writer.close()
     files.go_on.set()
-    assert wait_until(lambda: writer.ended)
+    wait_until(lambda: writer.ended)

@@ -21,6 +21,7 @@ from server.recording.files import RecordedMessage
 from server.recording.replay import Player, RecordedTopic, Recording, ReplayOptions, ReplayServer
 from tests.conformance.cases import INTERFACES
 from tests.helpers.clients import frame_client
+from tests.helpers.waiting import until
 from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
 CHUNKS = [[text(0), text(1)], [text(2), text(3)], [text(4)]]
@@ -220,8 +221,9 @@ async def test_a_second_type_on_a_topic_is_left_out(tmp_path: Path, caplog: pyte
 
 
 async def test_playing_can_be_cancelled_at_any_time(tmp_path: Path) -> None:
-    playing = asyncio.create_task(player(tmp_path, Graph(REGISTRY), [text(0), text(1000)], rate=1.0).play())
-    await asyncio.sleep(0.02)
+    graph = Graph(REGISTRY)
+    playing = asyncio.create_task(player(tmp_path, graph, [text(0), text(1000)], rate=1.0).play())
+    await until(lambda: "/t" in graph.topic_types())
     playing.cancel()
     await asyncio.wait([playing], timeout=30.0)
     assert playing.cancelled()
@@ -229,7 +231,7 @@ async def test_playing_can_be_cancelled_at_any_time(tmp_path: Path) -> None:
 
 # The server.
 
-SERVING = re.compile(r"ws://127\.0\.0\.1:(\d+)")
+SERVING = re.compile(r"ws://127\.0\.0\.1:\d+")
 
 
 @pytest.fixture
@@ -240,10 +242,8 @@ def options(tmp_path: Path) -> ReplayOptions:
 
 async def url(caplog: pytest.LogCaptureFixture) -> str:
     """Return the address of the replay, from its log."""
-    async with asyncio.timeout(30.0):
-        while not (found := SERVING.search(caplog.text)):
-            await asyncio.sleep(0.01)
-    return found[0]
+    await until(lambda: SERVING.search(caplog.text))
+    return SERVING.findall(caplog.text)[0]
 
 
 async def test_it_ends_with_the_recording(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
@@ -270,9 +270,7 @@ async def test_a_client_gets_what_was_recorded(
     playing = asyncio.create_task(replay.run())
     async with frame_client(await url(caplog)) as client:
         await client.subscribe("/t", "std_msgs/String")
-        async with asyncio.timeout(30.0):
-            while not replay._graph.subscribers("/t"):
-                await asyncio.sleep(0.005)
+        await until(lambda: replay._graph.subscribers("/t"))
         subscribed.set()
         heard = await client.wait_for("/t", lambda messages: len(messages) >= 3)
     await playing

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from server.teaching.replay import MAX_REPEAT, NAME, Replay, ReplayAction, group
 from server.teaching.taught_motion import TaughtMotion
 from tests.helpers.fake_arm import HOME, JOINTS
 from tests.helpers.moveit import ROBOT, SEVEN, ActionDesk, DirectPool, rejection
+from tests.helpers.waiting import until
 
 POINTS = np.linspace(0.1, 0.5, 11)[:, np.newaxis] * np.ones(len(JOINTS))
 WAVE = TaughtMotion(JOINTS, np.arange(11) * 0.3, POINTS)
@@ -35,11 +34,6 @@ class Desk(ActionDesk):
         super().__init__()
         self.motions = MotionFiles(folder, ROBOT)
         ReplayAction(self.graph, ROBOT, self.motions, self.queue, MoveItParameters()).open()
-
-    async def until(self, condition: Callable[[], bool]) -> None:
-        async with asyncio.timeout(20.0):
-            while not condition():
-                await asyncio.sleep(0.01)
 
 
 @pytest.fixture
@@ -105,7 +99,7 @@ async def test_a_field_out_of_its_range_is_refused_with_the_limit(
     desk: Desk, field: str, value: float, says: str
 ) -> None:
     await desk.send(NAME, name="wave", **{field: value})
-    await desk.until(lambda: bool(desk.results))
+    await until(lambda: desk.results)
     assert desk.results[0].status == GoalStatus.ABORTED
     assert says in desk.results[0].values["message"]
     assert desk.asked == []
@@ -113,20 +107,20 @@ async def test_a_field_out_of_its_range_is_refused_with_the_limit(
 
 async def test_an_unknown_motion_is_refused_with_the_known_ones(desk: Desk) -> None:
     await desk.send(NAME, name="dance")
-    await desk.until(lambda: bool(desk.results))
+    await until(lambda: desk.results)
     assert "saved are: wave" in desk.results[0].values["message"]
 
 
 async def test_a_replay_is_a_goal_with_feedback_and_a_result(desk: Desk) -> None:
     await desk.send(NAME, name="wave", speed=0.0)
-    await desk.until(lambda: bool(desk.asked))
+    await until(lambda: desk.asked)
     (motion,) = desk.asked
     assert isinstance(motion, PlannedMotion)
     assert problems(motion)[-1].speed == 1.0
     desk.report(Progress(GoalState.EXECUTING, "moving", 0.25, 3.0))
     assert desk.feedback[-1] == {"state": "executing", "fraction": 0.25, "remaining_s": 3.0}
     desk.finish()
-    await desk.until(lambda: bool(desk.results))
+    await until(lambda: desk.results)
     assert desk.results[0].status == GoalStatus.SUCCEEDED
     assert desk.results[0].values["error_code"]["val"] == 1
 
@@ -134,9 +128,9 @@ async def test_a_replay_is_a_goal_with_feedback_and_a_result(desk: Desk) -> None
 async def test_a_replay_that_is_cancelled_ends(desk: Desk) -> None:
     goal = await desk.send(NAME, name="wave")
     assert goal is not None
-    await desk.until(lambda: bool(desk.asked))
+    await until(lambda: desk.asked)
     goal.cancel()
-    await desk.until(lambda: bool(desk.results))
+    await until(lambda: desk.results)
     assert desk.results[0].status == GoalStatus.CANCELED
 
 

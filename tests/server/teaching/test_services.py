@@ -19,6 +19,7 @@ from server.teaching.services import Teaching
 from server.teaching.taught_motion import MAX_DURATION_S
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import BENT, ROBOT, ServiceRig, box, diff, pose
+from tests.helpers.waiting import until
 
 START = np.array(list(BENT.values()))
 RELAXED = ArmState(1.0, Mode.RELAXED, JOINTS, position_rad=START)
@@ -148,17 +149,11 @@ async def test_a_recording_without_a_motion_is_not_saved(lesson: Lesson) -> None
     assert (await lesson.call("/teach/list")) == {"names": []}
 
 
-async def until_told(lesson: Lesson, words: str) -> None:
-    async with asyncio.timeout(20.0):
-        while words not in lesson.states[-1]["message"]:
-            await asyncio.sleep(0.01)
-
-
 async def test_a_lost_arm_ends_the_recording_which_is_kept_and_the_state_says_so(lesson: Lesson) -> None:
     assert (await lesson.call("/teach/begin", name="wave"))["success"]
     lesson.hand(shoulder_pan=0.7)
     lesson.teaching.take_state(replace(lesson.state, mode=Mode.DISCONNECTED, reason="unplugged"))
-    await until_told(lesson, "unplugged; the motion 'wave' is saved")
+    await until(lambda: "unplugged; the motion 'wave' is saved" in lesson.states[-1]["message"])
     assert (await lesson.call("/teach/list")) == {"names": ["wave"]}
 
 
@@ -167,7 +162,7 @@ async def test_a_recording_ends_at_its_limit(lesson: Lesson) -> None:
     lesson.hand(shoulder_pan=0.7)
     late = replace(lesson.state, clock_s=lesson.state.clock_s + MAX_DURATION_S)
     lesson.teaching.take_state(late)
-    await until_told(lesson, "600 s at most; the motion 'wave' is saved")
+    await until(lambda: "600 s at most; the motion 'wave' is saved" in lesson.states[-1]["message"])
 
 
 async def test_a_server_that_ends_saves_what_is_being_recorded(lesson: Lesson) -> None:

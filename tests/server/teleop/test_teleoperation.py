@@ -13,6 +13,7 @@ from server.graph.node import Node
 from server.interfaces import load_registry
 from server.teleop.following import STALE_S
 from server.teleop.teleoperation import MAX_JOINTS, Leader, read_sample
+from tests.helpers.clock import FakeClock
 
 REGISTRY = load_registry(())
 
@@ -27,15 +28,6 @@ def message(stamp_s: float, **positions_rad: float) -> dict[str, Any]:
         "velocity": [],
         "effort": [],
     }
-
-
-class Clock:
-    """Time that passes when it is told to [s]."""
-
-    now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 def send(leader: Leader, publisher: Node, msg: dict[str, Any], now_s: float) -> None:
@@ -68,21 +60,21 @@ def test_a_message_that_cannot_be_followed_is_refused_with_its_field(change: dic
 
 
 def test_a_message_that_cannot_be_followed_leaves_the_samples_as_they_are() -> None:
-    clock, one = Clock(), Node("one")
+    clock, one = FakeClock(), Node("one")
     leader = Leader("/glove", {}, clock)
     send(leader, one, message(1.0, elbow=0.5) | {"position": [math.inf]}, clock.now_s)
     assert leader.joint_names == ()
 
 
 def test_while_one_client_leads_another_is_not_followed_and_takes_over_after_a_silence() -> None:
-    clock, one, other = Clock(), Node("one"), Node("other")
+    clock, one, other = FakeClock(), Node("one"), Node("other")
     leader = Leader("/glove", {}, clock)
     send(leader, one, message(50.0, elbow=0.1), clock.now_s)
     send(leader, other, message(60.0, elbow=0.9), clock.now_s)
     pose = leader.samples.pose(clock.now_s)
     assert pose is not None
     assert pose.positions_rad == {"elbow": 0.1}
-    clock.now_s += STALE_S + 0.01
+    clock.advance(STALE_S + 0.01)
     # Its clock is far behind that of the first.
     send(leader, other, message(10.0, elbow=0.9), clock.now_s)
     pose = leader.samples.pose(clock.now_s)

@@ -6,9 +6,9 @@ import pytest
 
 from robot.emulator.dynamixel.servo import ACCESS_ERROR, DATA_LIMIT_ERROR, REBOOT_S
 from robot.emulator.dynamixel.servo_bus import status_packet
-from robot.errors import NoReply, PortLost, StartupError
+from robot.errors import NoReply, StartupError
 from robot.hardware.dynamixel.bus import STEP_ATTEMPTS, Bus, Identity, ping, read, write_verified
-from robot.hardware.dynamixel.registers import MOTION_ADDRESS, MOTION_BYTES, Register, encode
+from robot.hardware.dynamixel.registers import Register, encode
 from robot.hardware.interface import run_to_end
 from tests.helpers.dynamixel import SteppedDynamixels
 from tests.helpers.emulator import SteppedClock
@@ -31,11 +31,6 @@ def test_a_ping_tells_model_and_firmware(bus: Bus) -> None:
     assert bus.ping(6).model_number == 1200
 
 
-def test_registers_are_read_and_written(bus: Bus) -> None:
-    assert bus.write(3, Register.GOAL_POSITION, -700) == 0
-    assert bus.read(3, Register.GOAL_POSITION) == -700
-
-
 def test_the_number_of_a_servos_error_is_told(bus: Bus) -> None:
     assert bus.write(3, Register.GOAL_PWM, 886) == DATA_LIMIT_ERROR
     bus.write(3, Register.TORQUE_ENABLE, 1)
@@ -45,41 +40,6 @@ def test_the_number_of_a_servos_error_is_told(bus: Bus) -> None:
 def test_a_hardware_error_is_no_error_of_the_instruction(bus: Bus, servos: SteppedDynamixels) -> None:
     servos.servo(3).fail(0x01)
     assert bus.write(3, Register.LED, 1) == 0
-
-
-def test_a_silent_servo_gives_no_reply(bus: Bus, servos: SteppedDynamixels) -> None:
-    servos.servo_bus.faults.offline = {4}
-    with pytest.raises(NoReply) as silent:
-        bus.read(4, Register.TORQUE_ENABLE)
-    assert silent.value.servo_id == 4
-    assert bus.counters.timeouts == 1
-
-
-def test_a_block_of_all_servos_is_one_transaction(bus: Bus, servos: SteppedDynamixels) -> None:
-    frames = bus.sync_read(IDS, MOTION_ADDRESS, MOTION_BYTES)
-    assert list(frames) == list(IDS)
-    assert bus.counters.sent == 1
-    assert bus.counters.replies == 6
-    present = int.from_bytes(frames[3].data[8:], "little", signed=True)
-    assert present == servos.servo(3).present_ticks
-
-
-def test_the_servos_that_answer_are_read_without_those_that_do_not(bus: Bus, servos: SteppedDynamixels) -> None:
-    servos.servo_bus.faults.offline = {2}
-    assert set(bus.sync_read(IDS, MOTION_ADDRESS, MOTION_BYTES)) == {1, 3, 4, 5, 6}
-
-
-def test_a_block_is_written_to_several_servos_at_once(bus: Bus, servos: SteppedDynamixels) -> None:
-    bus.sync_write(Register.GOAL_POSITION, {servo: encode(Register.GOAL_POSITION, 100 * servo) for servo in IDS})
-    assert servos.registers(Register.GOAL_POSITION) == [100, 200, 300, 400, 500, 600]
-    assert bus.counters.sent == 1
-
-
-def test_one_broadcast_switches_all_torque_off(bus: Bus, servos: SteppedDynamixels) -> None:
-    for servo in IDS:
-        bus.write(servo, Register.TORQUE_ENABLE, 1)
-    bus.broadcast_torque_off()
-    assert servos.registers(Register.TORQUE_ENABLE) == [0] * 6
 
 
 def test_a_rebooted_servo_is_silent_for_a_while_and_forgets(bus: Bus, servos: SteppedDynamixels) -> None:
@@ -148,12 +108,6 @@ def test_a_stuffed_byte_is_no_noise(bus: Bus, servos: SteppedDynamixels) -> None
     servos.servo(3).write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, -131073))
     assert bus.read(3, Register.GOAL_POSITION) == -131073
     assert bus.counters.discarded_bytes == 0
-
-
-def test_a_lost_port_is_told(bus: Bus, servos: SteppedDynamixels) -> None:
-    servos.port.unplug()
-    with pytest.raises(PortLost):
-        bus.read(3, Register.TORQUE_ENABLE)
 
 
 def test_a_sequence_asks_again_when_a_reply_is_lost(bus: Bus, servos: SteppedDynamixels) -> None:

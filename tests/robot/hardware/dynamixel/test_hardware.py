@@ -11,15 +11,12 @@ from robot.emulator.process import PseudoTerminal
 from robot.errors import PortNotFound, StartupError
 from robot.faults import FaultCode
 from robot.hardware.dynamixel.hardware import CLIMATE_EVERY, DynamixelHardware, SerialDynamixels
-from robot.hardware.dynamixel.readings import MISSES_UNTIL_SILENT
 from robot.hardware.dynamixel.registers import Register, encode
 from robot.hardware.dynamixel.survey import CYCLES_BETWEEN
 from robot.hardware.interface import StatusFlag, run_to_end
 from robot.messages import GuardLimits, Mode, Order, Outcome
 from tests.helpers.dynamixel import BOUNDS, CALIBRATION, METAL, NAMES, DynamixelRig, DynamixelsInUse, SteppedDynamixels
 from tests.helpers.motions import smooth_move
-
-FULL = np.array([0.8] * 5 + [0.5])
 
 
 @pytest.fixture
@@ -37,13 +34,6 @@ def rig(dynamixels: SteppedDynamixels) -> DynamixelRig:
     made = DynamixelRig(dynamixels, start_enabled=False)
     made.until_mode(Mode.RELAXED)
     return made
-
-
-def test_a_relaxed_arm_is_read_and_nothing_is_written(rig: DynamixelRig, dynamixels: SteppedDynamixels) -> None:
-    before = rig.state.stamp_s
-    rig.run(0.5)
-    assert rig.state.stamp_s > before
-    assert dynamixels.writes() == 0
 
 
 def test_a_cycle_is_one_block_read_and_one_goal_write(rig: DynamixelRig) -> None:
@@ -86,19 +76,6 @@ def test_a_gripper_that_closes_on_something_has_gripped_it() -> None:
     assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == round(0.25 * 1470)
 
 
-def test_relaxed_servos_have_no_goals(servos: DynamixelsInUse) -> None:
-    assert not servos.found.driven.any()
-    assert np.isnan(servos.found.goal_rad).all()
-    assert servos.found.max_voltage_v == pytest.approx([14.0] * 2 + [7.0] * 4)
-
-
-def test_servos_that_hold_are_found_with_their_goals(servos: DynamixelsInUse) -> None:
-    goal_rad = servos.enable()
-    found = DynamixelsInUse(servos.emulator).found
-    assert found.driven.all()
-    assert found.goal_rad == pytest.approx(goal_rad)
-
-
 def test_the_soft_limits_end_before_the_turns_become_ambiguous(dynamixels: SteppedDynamixels) -> None:
     wide = replace(BOUNDS, lower_rad=np.full(6, -7.0), upper_rad=np.full(6, 7.0))
     hardware = DynamixelHardware(dynamixels.open_bus(), METAL, wide, GuardLimits(), dynamixels.clock)
@@ -107,37 +84,12 @@ def test_the_soft_limits_end_before_the_turns_become_ambiguous(dynamixels: Stepp
     assert min(bounds.lower_rad[:5]) > -math.pi + 0.3
 
 
-def test_goals_are_written_in_radians(servos: DynamixelsInUse) -> None:
-    servos.enable()
-    servos.hardware.write_goals(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    assert servos.read(0.4).position_rad[0] == pytest.approx(0.1, abs=0.01)
-
-
 def test_goals_of_a_servo_that_counts_turns_are_in_its_turns(dynamixels: SteppedDynamixels) -> None:
     dynamixels.servo(3)._turns_ticks += 4096
     servos = DynamixelsInUse(dynamixels)
     servos.enable()
     servos.hardware.write_goals(np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0]))
     assert servos.read(0.4).position_rad[2] == pytest.approx(0.2, abs=0.01)
-
-
-def test_a_goal_that_a_servo_has_lost_is_written_again(servos: DynamixelsInUse) -> None:
-    servos.enable()
-    goal_rad = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
-    servos.hardware.write_goals(goal_rad)
-    written = servos.emulator.registers(Register.GOAL_POSITION)
-    servos.emulator.servo(1).write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, 2000))
-    servos.hardware.write_goals(goal_rad)
-    assert servos.emulator.registers(Register.GOAL_POSITION) == written
-
-
-def test_an_unchanged_torque_limit_is_written_once(servos: DynamixelsInUse) -> None:
-    servos.enable()
-    sent = servos.hardware.bus.counters.sent
-    for _ in range(3):
-        servos.hardware.write_torque_shares(FULL * [1, 1, 1, 1, 1, 0.5])
-    assert servos.hardware.bus.counters.sent - sent == 1
-    assert servos.emulator.servo(6).value(Register.GOAL_CURRENT) == round(0.25 * 1470)
 
 
 def test_supply_and_temperature_are_read_less_often(servos: DynamixelsInUse) -> None:
@@ -176,42 +128,10 @@ def test_an_uncalibrated_arm_that_is_found_holding_goes_on_holding(dynamixels: S
     assert rig.state.position_rad == pytest.approx(np.zeros(6), abs=0.01)
 
 
-def test_relaxing_begins_with_the_torque_that_is_used(servos: DynamixelsInUse) -> None:
-    servos.enable()
-    steps = servos.hardware.relax(FULL * 0.5)
-    next(steps)
-    next(steps)
-    assert max(servos.emulator.registers(Register.GOAL_PWM)[:5]) <= 0.4 * 885
-    assert run_to_end(steps, servos.emulator.run) == []
-    assert servos.emulator.registers(Register.TORQUE_ENABLE) == [0] * 6
-
-
-def test_single_joints_are_switched_off(servos: DynamixelsInUse) -> None:
-    servos.enable()
-    assert run_to_end(servos.hardware.switch_off([1, 5])) == []
-    assert run_to_end(servos.hardware.driven()).tolist() == [True, False, True, True, True, False]
-
-
-def test_a_servo_that_does_not_confirm_that_torque_is_off_is_named(servos: DynamixelsInUse) -> None:
-    servos.enable()
-    servos.emulator.servo_bus.faults.offline = {2}
-    assert run_to_end(servos.hardware.cut_torque(), servos.emulator.run) == ["shoulder_lift (id 2)"]
-
-
 def test_a_hardware_error_is_read_where_a_servo_reports_one(servos: DynamixelsInUse) -> None:
     servos.emulator.servo(3).fail(0x24)
     measured = servos.read()
     assert measured.status.tolist() == [0, 0, int(StatusFlag.TEMPERATURE | StatusFlag.OVERLOAD), 0, 0, 0]
-
-
-def test_an_overload_is_cleared_where_the_joint_is_and_it_holds_on(servos: DynamixelsInUse) -> None:
-    goal_rad = servos.enable()
-    servos.emulator.servo(4).fail(0x20)
-    assert servos.read().status[3] == StatusFlag.OVERLOAD
-    held_rad = run_to_end(servos.hardware.clear_overloads([3], hold=True), servos.emulator.run)
-    assert held_rad == pytest.approx(goal_rad, abs=0.03)
-    assert servos.read().status[3] == 0
-    assert servos.emulator.registers(Register.TORQUE_ENABLE) == [1] * 6
 
 
 @pytest.mark.parametrize(("bits", "code"), [(0x20, FaultCode.OVERLOAD), (0x04, FaultCode.OVERHEATED)])
@@ -304,44 +224,6 @@ def test_closing_a_lost_port_is_no_error(servos: DynamixelsInUse) -> None:
     servos.enable()
     servos.emulator.port.unplug()
     servos.hardware.close()
-
-
-def test_a_silent_servo_is_not_waited_for_by_the_check(servos: DynamixelsInUse) -> None:
-    servos.enable()
-    servos.emulator.servo_bus.faults.offline = {1, 2, 3, 4, 5, 6}
-    for _ in range(6 * MISSES_UNTIL_SILENT):
-        servos.hardware.read()
-    sent = servos.hardware.bus.counters.sent
-    assert [servos.hardware.check(0.0) for _ in range(2 * CYCLES_BETWEEN)] == [None] * 2 * CYCLES_BETWEEN
-    assert servos.hardware.bus.counters.sent == sent
-
-
-def test_before_every_servo_was_heard_there_is_no_reading(dynamixels: SteppedDynamixels) -> None:
-    dynamixels.servo_bus.faults.offline = {3}
-    hardware = DynamixelHardware(dynamixels.open_bus(), METAL, BOUNDS, GuardLimits(), dynamixels.clock)
-    assert hardware.read() is None
-    assert hardware.condition(0).age_s < 1.0
-    assert math.isinf(hardware.condition(2).age_s)
-
-
-def test_the_condition_has_torque_silence_and_the_surveys_warnings(dynamixels: SteppedDynamixels) -> None:
-    dynamixels.servo(2).write(Register.MIN_POSITION_LIMIT, encode(Register.MIN_POSITION_LIMIT, 1000))
-    servos = DynamixelsInUse(dynamixels)
-    assert servos.hardware.condition(1).torque_enabled is None
-    servos.enable()
-    for _ in range(12 * CYCLES_BETWEEN):
-        servos.hardware.check(0.0)
-    dynamixels.servo_bus.faults.offline = {2}
-    servos.read()
-    condition = servos.hardware.condition(1)
-    assert (condition.hardware_id, condition.torque_enabled, condition.silent_cycles) == ("servo 2", True, 1)
-    assert condition.age_s > 0.0
-    (warning,) = condition.warnings
-    assert "1000" in warning
-
-
-def test_a_joint_is_labelled_with_its_servo(servos: DynamixelsInUse) -> None:
-    assert servos.hardware.label(2) == "elbow_flex (id 3)"
 
 
 def test_a_port_is_opened_with_the_baud_rate_of_its_configuration() -> None:

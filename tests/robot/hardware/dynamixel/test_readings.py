@@ -5,19 +5,15 @@ import struct
 import numpy as np
 import pytest
 
-from robot.calibration import RAD_PER_TICK
 from robot.hardware.dynamixel.packets import ALERT, StatusFrame
 from robot.hardware.dynamixel.readings import (
-    ASK_ALL_EVERY,
     ASK_SILENT_EVERY,
-    EMPTY_READS_PER_SERVO,
     MISSES_UNTIL_LAST,
-    MISSES_UNTIL_SILENT,
     ServoWatch,
 )
 from robot.hardware.dynamixel.registers import MOTION_BYTES
 from robot.hardware.dynamixel.servo_map import ServoMap
-from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, StatusFlag
+from robot.hardware.interface import StatusFlag
 from tests.helpers.dynamixel import BOUNDS, CALIBRATION
 
 SERVOS = ServoMap(CALIBRATION, BOUNDS)
@@ -47,13 +43,6 @@ def answered(watch: ServoWatch, *silent: int, now_s: float = 0.0, blinded: bool 
 @pytest.fixture
 def watch() -> ServoWatch:
     return ServoWatch(SERVOS)
-
-
-def test_readings_are_complete_once_every_servo_has_answered(watch: ServoWatch) -> None:
-    answered(watch, 3)
-    assert not watch.complete
-    answered(watch)
-    assert watch.complete
 
 
 def test_readings_are_incomplete_without_supply_and_temperature(watch: ServoWatch) -> None:
@@ -91,13 +80,6 @@ def test_the_turns_that_a_servo_has_counted_do_not_show(watch: ServoWatch) -> No
     assert (watch.turns_ticks(3), watch.turns_ticks(4)) == (4096, 0)
 
 
-def test_a_missed_reading_keeps_the_last_one_and_its_age(watch: ServoWatch) -> None:
-    answered(watch, now_s=1.0)
-    answered(watch, 3, now_s=1.01)
-    assert watch.measured(1.01, 0.0).age_s == pytest.approx([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
-    assert watch.silent_cycles[3] == 1
-
-
 @pytest.mark.parametrize("blinded", [False, True])
 def test_a_silent_servo_silences_the_others_for_a_few_cycles_at_most(watch: ServoWatch, blinded: bool) -> None:
     answered(watch)
@@ -116,68 +98,6 @@ def test_a_servo_that_misses_its_turn_is_asked_behind_the_others(watch: ServoWat
     assert answered(watch, 2) == [1, 3, 4, 5, 6, 2]
     answered(watch)
     assert answered(watch) == [1, 2, 3, 4, 5, 6]
-
-
-def test_a_servo_that_stays_silent_is_asked_only_now_and_then(watch: ServoWatch) -> None:
-    answered(watch)
-    for _ in range(MISSES_UNTIL_SILENT):
-        assert 3 in answered(watch, 3)
-    rounds = [answered(watch, 3) for _ in range(10 * ASK_SILENT_EVERY)]
-    with_it = [asked for asked in rounds if 3 in asked]
-    assert len(with_it) == 10
-    assert all(asked[-1] == 3 for asked in with_it)
-    assert watch.silent_cycles[3] == MISSES_UNTIL_SILENT + len(rounds)
-
-
-def test_where_none_speaks_all_are_asked_at_once_and_sequences_have_room_in_between(watch: ServoWatch) -> None:
-    for _ in range(EMPTY_READS_PER_SERVO * len(SERVOS.ids)):
-        assert len(answered(watch, *SERVOS.ids)) == len(SERVOS.ids)
-    asked = [len(answered(watch, *SERVOS.ids)) for _ in range(10 * ASK_ALL_EVERY)]
-    assert sorted(asked) == [0] * 10 * (ASK_ALL_EVERY - 1) + [len(SERVOS.ids)] * 10
-
-
-def test_a_servo_that_answers_again_is_asked_every_time(watch: ServoWatch) -> None:
-    for _ in range(2 * ASK_SILENT_EVERY):
-        answered(watch, 3)
-    for _ in range(ASK_SILENT_EVERY):
-        answered(watch)
-    assert all(3 in answered(watch) for _ in range(ASK_SILENT_EVERY))
-
-
-FAR_TICKS = round(JUMP_RAD / RAD_PER_TICK) + 200
-
-
-def kept(watch: ServoWatch, servo: int, ticks: int, now_s: float) -> int:
-    """One cycle in which one servo tells a position; returns the one that is kept [ticks]."""
-    watch.take(SERVOS.ids, {each: frame(each, ticks if each == servo else 2048) for each in SERVOS.ids}, now_s)
-    joint = SERVOS.ids.index(servo)
-    return CALIBRATION.joints[joint].ticks_from_rad(float(watch.measured(now_s, 0.0).position_rad[joint]))
-
-
-def test_a_jump_that_no_joint_can_make_is_not_believed_once(watch: ServoWatch) -> None:
-    assert kept(watch, 5, 2048, 0.0) == 2048
-    assert kept(watch, 5, 2048 + FAR_TICKS, 0.01) == 2048
-    assert watch.age_s(5, 0.01) == pytest.approx(0.01)
-    assert kept(watch, 5, 2050, 0.02) == 2050
-
-
-def test_a_jump_in_two_readings_in_a_row_is_believed(watch: ServoWatch) -> None:
-    kept(watch, 5, 2048, 0.0)
-    kept(watch, 5, 2048 + FAR_TICKS, 0.01)
-    assert kept(watch, 5, 2048 + FAR_TICKS, 0.02) == 2048 + FAR_TICKS
-
-
-def test_a_joint_that_was_not_heard_for_long_may_have_turned_far(watch: ServoWatch) -> None:
-    kept(watch, 5, 1000, 0.0)
-    turned = round(FREE_SPEED_RAD_S * 0.5 / RAD_PER_TICK)
-    assert kept(watch, 5, 1000 + turned, 0.5) == 1000 + turned
-
-
-def test_the_same_replies_again_are_readings_as_fresh_as_others(watch: ServoWatch) -> None:
-    replies = {servo: frame(servo) for servo in SERVOS.ids}
-    for now_s in (1.0, 2.0):
-        watch.take(SERVOS.ids, replies, now_s)
-    assert watch.measured(2.01, 7.0).age_s == pytest.approx(np.full(6, 0.01))
 
 
 def test_an_alert_is_asked_about_until_it_is_known_and_again_later(watch: ServoWatch) -> None:
@@ -199,7 +119,3 @@ def test_a_hardware_error_is_over_when_the_servo_reports_none(watch: ServoWatch)
     watch.take_hardware_error(3, 0x20)
     answered(watch, now_s=0.01)
     assert not watch.measured(0.01, 0.0).status.any()
-
-
-def test_a_servo_that_was_never_heard_has_an_infinite_age(watch: ServoWatch) -> None:
-    assert watch.age_s(3, 1.0) == float("inf")

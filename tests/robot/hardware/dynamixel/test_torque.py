@@ -237,12 +237,6 @@ def test_a_relaxed_arm_has_its_full_torque_limits_again(torque: ServoTorque, dyn
     assert dynamixels.registers(Register.GOAL_PWM) == [round(0.8 * FULL_PWM)] * 5 + [FULL_PWM]
 
 
-def test_an_emergency_stop_takes_effect_with_its_first_step(torque: ServoTorque, dynamixels: SteppedDynamixels) -> None:
-    enable(torque, dynamixels)
-    next(torque.emergency_stop())
-    assert dynamixels.registers(Register.TORQUE_ENABLE) == [0] * 6
-
-
 def test_an_emergency_stop_that_no_servo_heard_at_first_is_repeated(
     torque: ServoTorque, dynamixels: SteppedDynamixels
 ) -> None:
@@ -253,15 +247,6 @@ def test_an_emergency_stop_that_no_servo_heard_at_first_is_repeated(
     dynamixels.servo_bus.faults.lose_instruction = 0.0
     next(steps)
     assert dynamixels.registers(Register.TORQUE_ENABLE) == [0] * 6
-
-
-def test_servos_that_do_not_confirm_that_torque_is_off_are_told(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
-    enable(torque, dynamixels)
-    dynamixels.servo_bus.faults.offline = {2}
-    assert run_to_end(torque.switch_off(IDS), dynamixels.run) == [2]
-    assert dynamixels.registers(Register.TORQUE_ENABLE) == [0, 1, 0, 0, 0, 0]
 
 
 def test_no_step_of_enabling_takes_more_than_one_transaction(dynamixels: SteppedDynamixels) -> None:
@@ -289,15 +274,6 @@ def test_an_overload_is_cleared_by_a_reboot_and_the_servo_holds_again(
     assert servo.value(Register.BUS_WATCHDOG) == WATCHDOG
     assert servo.value(Register.GOAL_PWM) == round(0.8 * FULL_PWM)
     assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
-
-
-def test_an_overload_of_a_relaxed_servo_is_cleared_and_it_stays_relaxed(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
-    dynamixels.servo(3).fail(0x20)
-    run_to_end(torque.clear_errors(3, hold=False), dynamixels.run)
-    assert dynamixels.servo(3).value(Register.HARDWARE_ERROR_STATUS) == 0
-    assert dynamixels.registers(Register.TORQUE_ENABLE) == [0] * 6
 
 
 def test_a_servo_that_does_not_come_back_from_its_reboot_is_told(

@@ -38,14 +38,6 @@ def test_velocity_caps_leave_room_above_the_limit_but_not_beyond_what_is_safe() 
         assert cap > joint.ticks_s_from_rad_s(float(speed)) or cap == FASTEST_TICKS_S
 
 
-def test_ranges_of_ticks_run_upwards() -> None:
-    assert all(low < high for low, high in SERVOS.ticks_range(BOUNDS).values())
-
-
-def test_a_servo_is_named_by_joint_and_id() -> None:
-    assert SERVOS.label(3) == "elbow_flex (id 3)"
-
-
 def test_velocities_have_the_scale_of_positions() -> None:
     faster = np.subtract(SERVOS.positions_rad([2100] * 6), SERVOS.positions_rad([2000] * 6))
     assert SERVOS.velocities_rad_s([100] * 6) == pytest.approx(faster)

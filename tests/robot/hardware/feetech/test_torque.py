@@ -92,11 +92,6 @@ def test_no_servo_is_given_more_than_its_limit_on_the_way(
     assert max(data["6"][0] | data["6"][1] << 8 for data in written if "6" in data) == 200
 
 
-def test_torque_is_raised_to_its_full_value_and_less_for_the_gripper(bus: Bus) -> None:
-    switch_on(bus)
-    assert registers(bus, Register.TORQUE_LIMIT) == [800] * 5 + [500]
-
-
 def test_an_arm_that_holds_is_adopted_and_not_one_register_is_written(
     logged_bus: contextlib.AbstractContextManager[Bus], log: Path
 ) -> None:
@@ -114,11 +109,6 @@ def test_a_half_switched_arm_is_completed(bus: Bus) -> None:
     bus.write(3, Register.TORQUE_ENABLE, 0)
     switch_on(bus)
     assert registers(bus, Register.TORQUE_ENABLE) == [1] * 6
-
-
-def test_servos_that_are_not_named_stay_relaxed(bus: Bus) -> None:
-    run(enable(bus, SERVOS, LIMITS, [1, 2]))
-    assert registers(bus, Register.TORQUE_ENABLE) == [1, 1, 0, 0, 0, 0]
 
 
 def test_the_goal_of_a_servo_that_holds_is_not_touched_however_far_it_is(bus: Bus) -> None:
@@ -188,12 +178,6 @@ def test_an_emergency_stop_is_broadcast_three_times_and_verified(
         assert run(emergency_stop(bus, SERVOS)) == []
         assert registers(bus, Register.TORQUE_ENABLE) == [0] * 6
     assert len(read_write_log(log)) - before == BROADCASTS
-
-
-def test_an_emergency_stop_needs_no_second_step_to_reach_the_servos(bus: Bus) -> None:
-    switch_on(bus)
-    next(emergency_stop(bus, SERVOS))
-    assert registers(bus, Register.TORQUE_ENABLE) == [0] * 6
 
 
 def test_servos_whose_torque_cannot_be_verified_are_named(emulator: SteppedEmulator, bus: Bus) -> None:

@@ -99,13 +99,6 @@ async def test_a_refused_goal_is_answered_with_code_and_sentence(desk: Desk) -> 
     assert desk.asked == []
 
 
-async def test_a_new_goal_preempts_the_old_one(desk: Desk) -> None:
-    await desk.send(ACTION, trajectory=TRAJECTORY)
-    await desk.send(INDUSTRIAL_ACTION, trajectory=TRAJECTORY)
-    assert desk.codes == [(GoalStatus.CANCELED, FollowCode.INVALID_GOAL)]
-    assert "preempted by goal 2" in desk.results[0].values["error_string"]
-
-
 TOO_LONG = {**TRAJECTORY, "points": [{"positions": [0.3], "time_from_start": {"sec": 601}}]}
 TOO_LONG_WORDS = "trajectory.points[0].time_from_start is 601 s, longer than goals.max_trajectory_duration_s = 600"
 
@@ -118,22 +111,6 @@ async def test_a_trajectory_that_takes_too_long_is_refused_and_the_motion_contin
     assert desk.results[0].values["error_string"] == TOO_LONG_WORDS
     assert desk.refused == [TOO_LONG_WORDS] * 2
     assert len(desk.asked) == 1
-
-
-async def test_a_goal_that_is_over_takes_its_motion_along(desk: Desk) -> None:
-    goal = await desk.send(ACTION, trajectory=TRAJECTORY)
-    assert goal is not None
-    goal.fail("took more than 3600 s")
-    await settle()
-    assert desk.queue.running is None
-
-
-async def test_a_cancel_ends_the_goal(desk: Desk) -> None:
-    goal = await desk.send(ACTION, trajectory=TRAJECTORY)
-    assert goal is not None
-    goal.cancel()
-    await settle()
-    assert desk.codes == [(GoalStatus.CANCELED, FollowCode.INVALID_GOAL)]
 
 
 async def test_leaving_the_path_tolerance_ends_the_goal(desk: Desk) -> None:
@@ -214,15 +191,6 @@ def test_a_joint_that_leaves_the_path_tolerance_ends_the_motion_once() -> None:
 def test_a_goal_within_its_tolerance_succeeds_at_once() -> None:
     followed = Followed(goal_rad=0.02)
     followed.goal.take_answer(REACHED, at(0.49, 0.5))
-    assert followed.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
-
-
-def test_a_joint_may_come_near_enough_within_the_goal_time_tolerance() -> None:
-    followed = Followed(goal_rad=0.02, time_s=1.0)
-    followed.goal.take_answer(REACHED, at(0.45, 0.5, 10.0))
-    followed.state(at(0.45, 0.5, 10.5))
-    assert followed.codes == []
-    followed.state(at(0.49, 0.5, 10.9))
     assert followed.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
 
 
@@ -362,9 +330,10 @@ def test_tolerances_are_read_by_joint() -> None:
     ("fields", "words"),
     [
         ({"goal_tolerance": [{"name": "knee"}]}, "goal_tolerance names the joint 'knee'"),
+        ({"path_tolerance": [{"name": "elbow_flex", "position": math.nan}]}, "path_tolerance"),
         ({"goal_time_tolerance": {"sec": 60}}, "at most 10 s, not 60 s"),
     ],
-    ids=["joint", "time"],
+    ids=["joint", "no number", "time"],
 )
 def test_tolerances_that_cannot_be_kept_are_refused(fields: dict[str, Any], words: str) -> None:
     refused = tolerances(**fields)
@@ -404,14 +373,6 @@ def read(name: str, position_rad: float) -> object:
 @pytest.mark.parametrize(("position_rad", "demanded"), [(0.05, {"elbow_flex": 0.05}), (0.0, {}), (-1.0, {})])
 def test_only_a_positive_tolerance_is_checked(position_rad: float, demanded: dict[str, float]) -> None:
     assert read("elbow_flex", position_rad) == demanded
-
-
-@pytest.mark.parametrize(("name", "position_rad", "word"), [("knee", 0.1, "'knee'"), ("elbow_flex", math.nan, "nan")])
-def test_a_wrong_tolerance_is_refused_with_its_field(name: str, position_rad: float, word: str) -> None:
-    refused = read(name, position_rad)
-    assert isinstance(refused, PlanningFailure)
-    assert refused.message.startswith("path_tolerance")
-    assert word in refused.message
 
 
 def test_a_violation_names_the_joint_with_its_numbers() -> None:

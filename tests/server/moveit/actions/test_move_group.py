@@ -197,12 +197,6 @@ async def test_the_problem_is_made_for_the_start_that_counts_when_the_goals_turn
     assert problem.start_rad == later_rad
 
 
-async def test_a_bad_request_is_rejected_at_once(rig: ServiceRig) -> None:
-    failure = outcome(planned_motion, asked(rig, {**GOAL, "group_name": "leg"}), rig.context)
-    assert isinstance(failure, PlanningFailure)
-    assert failure.code is MoveItErrorCode.INVALID_GROUP_NAME
-
-
 async def test_a_start_state_is_ignored_with_a_warning_if_the_arm_is_to_move(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [1.0]}}
     motion = planned_motion(asked(rig, {**GOAL, "start_state": start}), rig.context)
@@ -315,14 +309,6 @@ async def test_a_trajectory_is_played_and_answered(execution_desk: ActionDesk) -
     execution_desk.finish()
     await settle()
     assert execution_desk.results[0].values["error_code"]["val"] == 1
-
-
-async def test_a_cancel_ends_it(execution_desk: ActionDesk) -> None:
-    goal = await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
-    assert goal is not None
-    goal.cancel()
-    await settle()
-    assert execution_desk.results[0].values["error_code"]["val"] == -7
 
 
 async def test_a_trajectory_without_points_is_done_at_once(execution_desk: ActionDesk) -> None:

@@ -434,10 +434,6 @@ def test_a_senseless_region_is_refused_by_field_and_value(bad, words) -> None:
     assert_refused(region_refusal(bad), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "here.", *words)
 
 
-def test_an_unknown_link_is_named() -> None:
-    assert_refused(region_refusal(ball(0.3, 0.0, 0.2, link_name="hand")), MoveItErrorCode.INVALID_LINK_NAME, "'hand'")
-
-
 def test_an_unknown_frame_is_named() -> None:
     failure = region_refusal(ball(0.3, 0.0, 0.2, header={"frame_id": "moon"}))
     assert_refused(failure, MoveItErrorCode.FRAME_TRANSFORM_FAILURE, "'moon'")

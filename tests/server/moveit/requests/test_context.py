@@ -8,17 +8,12 @@ from planners.problem import MoveItErrorCode
 from robot.description.forward_kinematics import ForwardPlacements
 from server.errors import RefusedError
 from server.moveit.poses import pose_of
-from server.moveit.requests.context import planning_group
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import ROBOT, SEVEN, TIP, assert_refused, context, message, near, point
+from tests.helpers.moveit import ROBOT, TIP, assert_refused, context, message, near, point
 
 
 def pose(x, y, z):
     return message("geometry_msgs/Pose", **point(x, y, z))
-
-
-def test_an_empty_link_is_the_tip() -> None:
-    assert context().link("") == TIP
 
 
 def test_an_empty_link_is_the_configured_one_of_the_configured_group_only() -> None:
@@ -32,33 +27,7 @@ def test_an_unknown_link_is_named_with_those_that_exist() -> None:
     assert_refused(raised.value.failure, MoveItErrorCode.INVALID_LINK_NAME, "'elbow'", TIP)
 
 
-@pytest.mark.parametrize("frame", ["", "base_link", "/base_link", "world"])
-def test_a_pose_without_a_frame_is_in_the_root_link(frame: str) -> None:
-    assert near(context().placed(frame, pose(0.1, 0.2, 0.3), "pose"), (0.1, 0.2, 0.3))
-
-
 def test_a_pose_in_a_link_is_placed_by_where_the_link_is_at_the_start() -> None:
     start_rad = HOME | {"shoulder_pan": 0.5 * math.pi}
     expected = pose_of(ForwardPlacements(ROBOT).transforms(start_rad)[TIP])
     assert near(context(start_rad=start_rad).placed(TIP, pose(0.0, 0.0, 0.0), "pose"), expected.position_m)
-
-
-def test_an_unknown_frame_is_named() -> None:
-    with pytest.raises(RefusedError) as raised:
-        context().placed("moon", pose(0.0, 0.0, 0.0), "pose")
-    assert_refused(raised.value.failure, MoveItErrorCode.FRAME_TRANSFORM_FAILURE, "'moon'")
-
-
-def test_five_joints_cannot_choose_an_orientation_and_seven_can() -> None:
-    assert not context().chooses_orientation
-    assert context(SEVEN).chooses_orientation
-
-
-def test_an_empty_group_is_the_configured_one() -> None:
-    assert planning_group(ROBOT, "", context().parameters).name == "arm"
-
-
-def test_an_unknown_group_is_named_with_those_that_exist() -> None:
-    with pytest.raises(RefusedError) as raised:
-        planning_group(ROBOT, "manipulator", context().parameters)
-    assert_refused(raised.value.failure, MoveItErrorCode.INVALID_GROUP_NAME, "'manipulator'", "arm", "gripper")

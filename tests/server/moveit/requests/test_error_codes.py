@@ -11,16 +11,15 @@ from server.moveit.requests.error_codes import (
     error_code,
     failure_code,
     invalid,
-    refused,
     required,
     success,
 )
 
 
-@pytest.mark.parametrize("code", list(MoveItErrorCode))
-def test_a_failure_keeps_its_code_and_its_sentence(code: MoveItErrorCode) -> None:
-    told = failure_code(PlanningFailure(code, "so it is"))
-    assert told == {"val": int(code), "message": "so it is", "source": "armbridge"}
+def test_a_failure_keeps_its_code_and_its_sentence() -> None:
+    for code in MoveItErrorCode:
+        told = failure_code(PlanningFailure(code, "so it is"))
+        assert told == {"val": int(code), "message": "so it is", "source": "armbridge"}
 
 
 def test_a_success_has_its_notes_as_message() -> None:
@@ -43,16 +42,8 @@ def test_a_refusal_has_code_sentence_and_details() -> None:
     )
 
 
-def test_a_value_that_is_required_is_returned_unchanged() -> None:
-    assert required(4) == 4
-
-
 def test_a_failure_that_is_required_not_to_be_one_is_raised() -> None:
     failure = PlanningFailure(MoveItErrorCode.INVALID_LINK_NAME, "no such link")
     with pytest.raises(RefusedError) as raised:
         required(failure)
     assert raised.value.failure is failure
-
-
-def test_a_refusal_reads_as_its_sentence() -> None:
-    assert str(refused(MoveItErrorCode.FAILURE, "not so")) == "not so"

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.problem import CartesianProblem, MoveItErrorCode, PlanningProblem
+from planners.problem import MoveItErrorCode, PlanningProblem
 from server.errors import RefusedError
 from server.graph.node import Node
 from server.moveit.requests.planning_context import (
@@ -18,7 +18,6 @@ from server.moveit.requests.planning_context import (
     start_positions,
     state_positions,
 )
-from server.moveit.requests.planning_problems import PILZ
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, joint, message, outcome
 
@@ -172,12 +171,6 @@ def test_a_whole_start_state_detaches_unlisted_objects(rig: ServiceRig) -> None:
     assert not rig.context.start(state(HOME, is_diff=False), rig.client).scene.attached
 
 
-def test_an_unknown_group_is_refused(rig: ServiceRig) -> None:
-    with pytest.raises(RefusedError) as raised:
-        rig.context.problems.group("manipulator")
-    assert_refused(raised.value.failure, MoveItErrorCode.INVALID_GROUP_NAME, "'manipulator'")
-
-
 def request(**fields):
     goal = {"joint_constraints": [joint("elbow_flex", 0.5)]}
     return message("MotionPlanRequest", **{"goal_constraints": [goal], **fields})
@@ -189,10 +182,6 @@ def test_a_step_makes_its_problem_for_any_start(rig: ServiceRig) -> None:
         problem = step(start_rad)
         assert isinstance(problem, PlanningProblem)
         assert problem.start_rad == start_rad
-
-
-def test_a_step_may_be_a_path_of_the_tip(rig: ServiceRig) -> None:
-    assert isinstance(rig.context.problems.step(request(pipeline_id=PILZ, planner_id="LIN"))(HOME), CartesianProblem)
 
 
 def test_a_step_that_cannot_be_is_refused_when_its_turn_comes(rig: ServiceRig) -> None:

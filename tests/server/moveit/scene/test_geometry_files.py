@@ -53,20 +53,19 @@ async def test_objects_that_the_file_does_not_name_stay(tmp_path):
     assert await files.call(SAVE, "two.scene")
     other = Files(tmp_path)
     other.empty()
-    assert (
-        other.state.apply_diff(message("PlanningScene", is_diff=True, world={"collision_objects": [box("new")]}), BENT)
-        is None
-    )
+    other.state.apply_diff(diff(world={"collision_objects": [box("new")]}), BENT)
     assert await other.call(LOAD, "two.scene")
     assert list(other.state.contents.objects) == ["new", "cup", "pen"]
 
 
-@pytest.mark.parametrize("name", ["../x", "/etc/passwd", "a/../../x", "", ".", "\0", "x" * 5000])
 @pytest.mark.parametrize("service", [SAVE, LOAD])
-async def test_no_file_outside_the_folder_is_touched(tmp_path, service, name, caplog):
-    with caplog.at_level(logging.WARNING, "armbridge"):
-        assert not await Files(tmp_path).call(service, name)
-    assert service in caplog.text
+async def test_no_file_outside_the_folder_is_touched(tmp_path, service, caplog):
+    files = Files(tmp_path)
+    for name in ("../x", "/etc/passwd", "a/../../x", "", ".", "\0", "x" * 5000):
+        with caplog.at_level(logging.WARNING, "armbridge"):
+            assert not await files.call(service, name), name
+        assert service in caplog.text
+        caplog.clear()
     assert list(tmp_path.iterdir()) == []
 
 

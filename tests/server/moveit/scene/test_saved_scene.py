@@ -19,6 +19,7 @@ from server.moveit.scene.saved_scene import DELAY_S, WRITING_SHARE, SavedScene, 
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.clock import FakeClock
 from tests.helpers.moveit import BENT, REGISTRY, ROBOT, box, diff, held, message, pose
+from tests.helpers.waiting import until
 
 CORNERS = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.1, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.1, "z": 0.0}]
 MESH = {"triangles": [{"vertex_indices": [0, 1, 2]}], "vertices": CORNERS}
@@ -245,12 +246,15 @@ async def test_a_disk_that_was_full_is_written_to_at_the_next_change(
         assert run.written() == ["a", "b"]
 
 
-async def test_a_server_that_is_just_ending_is_waited_for(path: Path) -> None:
+async def test_a_server_that_is_just_ending_is_waited_for(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refused: list[int] = []
+    locked = files._locked
+    monkeypatch.setattr(files, "_locked", lambda descriptor: locked(descriptor) or refused.append(descriptor))
     first = Run(path)
     await first.saved.start()
     first.add("wall")
     second = asyncio.create_task(Run(path).__aenter__())
-    await asyncio.sleep(0.05)
+    await until(lambda: refused)
     await first.saved.close()
     run = await second
     assert list(run.state.contents.objects) == ["wall"]
@@ -273,9 +277,11 @@ async def test_a_second_server_keeps_its_hands_off_the_first_ones_scene(
         assert list(third.state.contents.objects) == ["wall"]
 
 
+TEXTS = st.text('a"\\\n\u2028\U0001f916', max_size=5)
 json_values: st.SearchStrategy[Any] = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
-    lambda inner: st.lists(inner) | st.dictionaries(st.text() | st.just("vertices"), st.lists(inner)),
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | TEXTS,
+    lambda inner: st.lists(inner) | st.dictionaries(TEXTS | st.just("vertices"), st.lists(inner)),
+    max_leaves=20,
 )
 
 

@@ -1,0 +1,36 @@
+"""Hardware on emulated servos of Feetech, in the test's own process and time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot.hardware.feetech.hardware import FeetechHardware
+from robot.hardware.interface import Measured, run_to_end
+from robot.messages import GuardLimits
+from tests.helpers.arm_rig import BOUNDS, CALIBRATION
+from tests.helpers.emulator import SteppedEmulator
+
+
+class FeetechsInUse:
+    """Hardware on emulated servos of Feetech, found and read once."""
+
+    def __init__(self, emulator: SteppedEmulator | None = None) -> None:
+        self.emulator = emulator or SteppedEmulator()
+        self.hardware = unread_hardware(self.emulator)
+        self.found = run_to_end(self.hardware.survey())
+        self.read()
+
+    def read(self, after_s: float = 0.01) -> Measured:
+        self.emulator.run(after_s)
+        measured = self.hardware.read()
+        assert measured is not None
+        return measured
+
+    def enable(self) -> np.ndarray:
+        """Bring all joints to hold; returns their goals."""
+        return run_to_end(self.hardware.enable(range(6)), self.emulator.run)
+
+
+def unread_hardware(emulator: SteppedEmulator) -> FeetechHardware:
+    """Hardware that was neither found nor read."""
+    return FeetechHardware(emulator.open_bus(), CALIBRATION, BOUNDS, GuardLimits(), emulator.clock)

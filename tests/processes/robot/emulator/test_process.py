@@ -1,0 +1,159 @@
+"""Emulated servos as a process of their own, on a pseudo terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from robot.emulator.control import MAX_COMMAND_BYTES
+from robot.emulator.process import LINGER_S
+from robot.errors import NoReply, PortError, PortLost
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+
+IDS = (1, 2, 3, 4, 5, 6)
+
+
+@pytest.fixture
+def line(terminal):
+    with contextlib.closing(Bus.open(terminal.port)) as bus:
+        yield bus
+
+
+def test_live_commands_are_answered_while_the_bus_runs(terminal, line):
+    assert terminal.command(drop=1.0) == {"ok": True}
+    assert line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
+    assert "unknown command" in str(terminal.command(nonsense=1)["error"])
+    assert terminal.command(drop=0.0) == {"ok": True}
+    assert len(line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
+
+
+def test_an_emulator_let_go_serves_on_until_the_bus_is_silent(terminal, line):
+    terminal.let_go()
+    let_go_s = time.monotonic()
+    while time.monotonic() < let_go_s + 1.2 * LINGER_S:
+        assert line.ping(1) == 777
+    silent_from_s = time.monotonic()
+    assert terminal.process.wait(30.0) == 0
+    assert time.monotonic() - silent_from_s > 0.9 * LINGER_S
+
+
+def test_a_controlled_emulator_leaves_ctrl_c_to_its_controller(terminal, line):
+    terminal.process.send_signal(signal.SIGINT)
+    assert line.ping(1) == 777
+    terminal.process.terminate()
+    assert terminal.process.wait(30.0) == 0
+
+
+def test_a_controller_that_sends_no_line_end_is_let_go(terminal):
+    with contextlib.suppress(OSError):
+        terminal._socket.sendall(b"x" * (MAX_COMMAND_BYTES + 4096))
+    assert terminal.process.wait(30.0) == 0
+
+
+def test_an_adapter_is_pulled_under_the_client_and_comes_back_by_its_link(start_terminal, tmp_path):
+    link = tmp_path / "arm"
+    terminal = start_terminal("--link", str(link))
+    with contextlib.closing(Bus.open(str(link))) as bus:
+        bus.write(1, Register.TORQUE_LIMIT, 321)
+        terminal.command(plugged=False)
+        with pytest.raises(PortLost):
+            bus.ping(1)
+    with pytest.raises(PortError):
+        Bus.open(str(link))
+    assert terminal.command(plugged="renamed")["port"] != terminal.port
+    with contextlib.closing(Bus.open(str(link))) as bus:
+        assert bus.read(1, Register.TORQUE_LIMIT) == 321
+
+
+def test_replies_come_with_the_usb_frames_that_are_asked_for(start_terminal):
+    with contextlib.closing(Bus.open(start_terminal("--usb-frame-ms", "10").port)) as bus:
+        start_s = time.monotonic()
+        for _ in range(3):
+            bus.ping(1)
+        # Two questions each, every one of them answered at the end of another frame.
+        assert time.monotonic() - start_s >= 0.05
+
+
+def test_no_servo_answers_at_a_wrong_baud_rate(terminal):
+    with contextlib.closing(Bus.open(terminal.port, 500_000)) as bus, pytest.raises(NoReply):
+        bus.ping(1)
+
+
+@contextlib.contextmanager
+def standalone(*options):
+    """The emulator as a person starts it, killed at the end if it still runs."""
+    command = [sys.executable, "-P", "-m", "robot.emulator", *options]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def test_without_a_controller_live_commands_come_on_standard_input():
+    with standalone() as process:
+        port = process.stdout.readline().strip()
+        process.stdin.write('{"offline": [6]}\n\n{"explode": 1}\n')
+        process.stdin.flush()
+        assert process.stdout.readline() == '{"ok": true}\n'
+        assert "explode" in process.stdout.readline()
+        process.stdin.close()
+        with contextlib.closing(Bus.open(port)) as bus:
+            assert bus.ping(5) == 777
+            with pytest.raises(NoReply):
+                bus.ping(6)
+        process.terminate()
+        assert process.wait(30.0) == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_without_a_controller_it_prints_the_port_and_runs_until_a_signal(tmp_path, number):
+    link = tmp_path / "arm"
+    with standalone("--link", str(link)) as process:
+        port = process.stdout.readline().strip()
+        with contextlib.closing(Bus.open(str(link))) as bus:
+            assert bus.read(6, Register.ID) == 6
+        assert str(link.readlink()) == port
+        process.send_signal(number)
+        assert process.wait(30.0) == 0
+    assert not link.is_symlink()
+
+
+def test_a_wrong_script_leaves_the_port_of_another_emulator_alone(tmp_path: Path) -> None:
+    script, link = tmp_path / "script.jsonl", tmp_path / "arm"
+    script.write_text('{"at_s": 0, "hand": {"3": 5000}}\n')
+    link.symlink_to("/dev/pts/of_another")
+    command = [sys.executable, "-P", "-m", "robot.emulator", "--script", str(script), "--link", str(link)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"{script}, line 1: hand is a number from 0 to 4095, not 5000" in done.stderr
+    assert str(link.readlink()) == "/dev/pts/of_another"
+
+
+def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_shows_it(tmp_path: Path) -> None:
+    script = tmp_path / "script.jsonl"
+    script.write_text('{"at_s": 2.0, "offline": [6]}\n')
+    command = [sys.executable, "-P", "-m", "robot.emulator", "--script", str(script)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            port = process.stdout.readline().strip()
+            # Longer than the script waits, which begins with the first byte.
+            time.sleep(2.1)
+            with contextlib.closing(Bus.open(port)) as bus:
+                # The emulator may be without a core for a while.
+                assert bus.ping(6, attempts=50) == 777
+                time.sleep(2.1)
+                with pytest.raises(NoReply):
+                    bus.ping(6)
+            process.terminate()
+            _, shown = process.communicate(timeout=30.0)
+            assert shown == '2.0 s: {"offline": [6]} {"ok": true}\n'
+        finally:
+            process.kill()

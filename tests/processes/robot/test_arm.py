@@ -1,0 +1,403 @@
+"""The server's handle on an arm process that is killed, hangs, starves, is started again or ends."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import itertools
+import os
+import signal
+import time
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from robot.arm import RESTART_LINES, Arm, start_arm_process
+from robot.control.supervisor import SIMULATED_WATCHDOG_S
+from robot.hardware.config import FeetechConfig
+from robot.messages import ArmState, ChangePace, EndState, Mode, Order, Outcome, Pace
+from robot.processes import RestartDelay, StartedChild
+from robot.stop_epochs import STOP_EPOCHS
+from tests.helpers.arm_on_servos import CALIBRATION, CONFIG, SOON_S, ArmOnServos, to
+from tests.helpers.resources import no_descriptors_left
+from tests.helpers.server import read_write_log
+from tests.helpers.waiting import until
+
+
+@pytest.fixture
+async def rig(tmp_path: Path) -> AsyncIterator[ArmOnServos]:
+    made = ArmOnServos(tmp_path)
+    await made.start()
+    yield made
+    await made.arm.close()
+
+
+async def until_replaced(rig: ArmOnServos) -> None:
+    """Wait until another process has taken the place of the one that was killed."""
+    await until(lambda: rig.arm.state.mode is Mode.DISCONNECTED)
+    await until(lambda: rig.arm.state.mode is Mode.HOLDING)
+
+
+async def test_a_process_in_place_of_another_knows_the_last_stop(rig: ArmOnServos) -> None:
+    before = STOP_EPOCHS.present
+    rig.arm.stop()
+    rig.kill()
+    await until_replaced(rig)
+    # Past the check of the handle itself.
+    rig.arm.last_stop = 0
+    assert (await asyncio.wait_for(rig.arm.execute(to(0.3), epoch=before), SOON_S)).outcome is Outcome.STOPPED
+
+
+async def test_an_order_is_answered_when_the_process_dies(rig: ArmOnServos) -> None:
+    rig.kill(signal.SIGSTOP)
+    answer = rig.arm.order(Order.RELAX)
+    rig.kill()
+    assert "ended before it had answered" in (await asyncio.wait_for(answer, SOON_S)).message
+
+
+async def test_an_order_to_a_process_that_hangs_is_answered_in_time(
+    rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robot.arm.ORDER_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("robot.arm.SILENT_S", 0.3)
+    rig.kill(signal.SIGSTOP)
+    answer = await asyncio.wait_for(rig.arm.order(Order.RELAX), SOON_S)
+    rig.kill(signal.SIGCONT)
+    assert answer.message == "the arm process did not answer in 0.1 s"
+
+
+async def test_a_server_that_hangs_is_noticed_and_the_arm_stopped(rig: ArmOnServos) -> None:
+    motion = rig.arm.execute(to(1.5, duration_s=20.0))
+    await until(lambda: rig.arm.state.mode is Mode.MOVING)
+    # The hang itself: nothing of the server runs, so no heartbeat leaves. The arm's clock decides how long it
+    # lasts, for on a busy machine it is behind the test's.
+    until_s = rig.arm_clock_s() + SIMULATED_WATCHDOG_S + 0.6
+    while rig.arm_clock_s() < until_s:
+        time.sleep(0.1)  # noqa: ASYNC251 - it is to block the event loop
+    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.STOPPED
+    await until(lambda: rig.arm.state.mode is Mode.HOLDING)
+
+
+async def test_an_arm_whose_process_is_starved_goes_on_from_where_it_was(rig: ArmOnServos) -> None:
+    motion = rig.arm.execute(to(0.6, duration_s=1.0))
+    await until(lambda: rig.pan_rad > 0.1)
+    assert rig.arm.pid is not None
+    for _ in range(3):
+        rig.kill(signal.SIGSTOP)
+        await asyncio.sleep(0.4)
+        rig.kill(signal.SIGCONT)
+        await asyncio.sleep(0.05)
+    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.REACHED
+    assert all(state.fault is None for state in rig.states)
+    goals = [data["1"][1] | data["1"][2] << 8 for data in rig.goal_writes() if "1" in data]
+    # In 0.02 s, the longest that a tick may be, the trajectory covers 15 ticks of the servo at its fastest.
+    assert max(abs(after - before) for before, after in itertools.pairwise(goals)) <= 16
+
+
+async def test_limits_of_time_are_counted_on_the_clock_of_a_starved_arm(
+    rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robot.arm.ORDER_TIMEOUT_S", 2.5)
+    assert rig.arm.pid is not None
+    relaxing = rig.arm.order(Order.RELAX)
+    # Relaxing takes 1.5 s of the arm's time, which stands still while its process does.
+    rig.kill(signal.SIGSTOP)
+    await asyncio.sleep(3.0)
+    rig.kill(signal.SIGCONT)
+    assert (await asyncio.wait_for(relaxing, SOON_S)).done
+
+
+async def test_an_arm_process_that_dies_is_replaced_and_adopts_the_holding_arm(rig: ArmOnServos) -> None:
+    motion = rig.arm.execute(to(1.0, duration_s=2.0))
+    await until(lambda: rig.pan_rad > 0.2)
+    rig.kill()
+    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.PROCESS_LOST
+    before = len(rig.goal_writes())
+    await until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    held_rad = rig.pan_rad
+    assert (await rig.arm.execute(to(held_rad + 0.3, start_rad=held_rad))).outcome is Outcome.REACHED
+    first = rig.goal_writes()[before]["1"]
+    joint = CALIBRATION.joints[0]
+    assert joint.rad_from_ticks(first[1] | first[2] << 8) == pytest.approx(held_rad, abs=0.1)
+
+
+async def test_an_arm_process_that_hangs_is_replaced(rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
+    hanging = rig.arm.pid
+    assert hanging is not None
+    motion = rig.arm.execute(to(1.0, duration_s=2.0))
+    await until(lambda: rig.pan_rad > 0.1)
+    os.kill(hanging, signal.SIGSTOP)
+    # Only for the hanging one: on a starved machine a sound process is silent for as long.
+    with monkeypatch.context() as impatient:
+        impatient.setattr("robot.arm.SILENT_HEARTBEATS", 4)
+        assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.PROCESS_LOST
+    await until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert rig.arm.pid != hanging
+
+
+class FailingStarts:
+    """Starts of arm processes, of which the first ones fail."""
+
+    def __init__(self, *errors: Exception) -> None:
+        self._errors = list(errors)
+        self.failed = 0
+
+    def __call__(self, name: str) -> StartedChild:
+        if self.failed < len(self._errors):
+            self.failed += 1
+            raise self._errors[self.failed - 1]
+        return start_arm_process(name)
+
+
+async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
+    await rig.arm.start(SOON_S)
+    starts = FailingStarts(
+        OSError(errno.EMFILE, "Too many open files"),
+        OSError(errno.EAGAIN, "Resource temporarily unavailable"),
+        MemoryError(),
+        RuntimeError("can't start new thread"),
+    )
+    monkeypatch.setattr("robot.arm.start_arm_process", starts)
+    rig.kill()
+    await until_replaced(rig)
+    assert starts.failed == 4
+    for reason in ("Too many open files", "temporarily unavailable", "MemoryError", "can't start new thread"):
+        assert any("cannot be started" in state.reason and reason in state.reason for state in rig.states)
+        assert reason in caplog.text
+    await rig.arm.close()
+
+
+class NotedDelay(RestartDelay):
+    """Keeps for how long the processes ran."""
+
+    def __init__(self) -> None:
+        super().__init__(0.0, 0.0)
+        self.ran_s: list[float] = []
+
+    def after(self, ran_s: float) -> float:
+        self.ran_s.append(ran_s)
+        return super().after(ran_s)
+
+
+async def test_the_run_of_an_arm_process_begins_with_its_first_state(tmp_path: Path) -> None:
+    delay = NotedDelay()
+    rig = ArmOnServos(tmp_path, delay)
+    await rig.arm.launch()
+    for number in (1, 2):
+        assert rig.arm.pid is not None
+        rig.kill()
+        await until(lambda number=number: len(delay.ran_s) == number)
+        if number == 1:
+            await rig.arm.start(SOON_S)
+            await until(lambda: rig.arm.state.position_rad is not None)
+    assert delay.ran_s[0] == 0.0
+    assert delay.ran_s[1] > 0.0
+    await rig.arm.close()
+
+
+async def test_starts_that_fail_without_end_do_not_fill_the_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = ArmOnServos(tmp_path, RestartDelay(0.0, 0.0))
+    await rig.arm.start(SOON_S)
+    starts = FailingStarts(*[OSError(errno.EMFILE, "Too many open files")] * (10 * RESTART_LINES))
+    monkeypatch.setattr("robot.arm.start_arm_process", starts)
+    rig.kill()
+    await until(lambda: starts.failed == 10 * RESTART_LINES)
+    await until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert caplog.text.count("cannot be started") == RESTART_LINES
+    await rig.arm.close()
+
+
+async def test_an_error_in_taking_a_state_does_not_end_the_restarts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
+    await rig.arm.start(SOON_S)
+    first = rig.arm.pid
+    assert first is not None
+
+    def fail(state: ArmState) -> None:
+        if state.mode is Mode.DISCONNECTED:
+            raise ValueError("a bug")
+        rig.states.append(state)
+
+    monkeypatch.setattr(rig.arm, "_on_state", fail)
+    monkeypatch.setattr("robot.arm.start_arm_process", FailingStarts(OSError(errno.EMFILE, "Too many open files")))
+    os.kill(first, signal.SIGKILL)
+    await until(lambda: rig.arm.pid != first and rig.states[-1].mode is Mode.HOLDING)
+    await rig.arm.close()
+
+
+async def test_an_arm_process_comes_back_where_clients_have_used_up_all_descriptors(tmp_path: Path) -> None:
+    rig = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
+    await rig.arm.start(SOON_S)
+    with no_descriptors_left():
+        for _ in range(3):
+            killed = rig.arm.pid
+            assert killed is not None
+            os.kill(killed, signal.SIGKILL)
+            await until(lambda killed=killed: rig.arm.pid != killed and rig.arm.state.mode is Mode.HOLDING)
+    await rig.arm.close()
+
+
+async def test_a_control_socket_that_cannot_be_made_leaves_the_arm_disconnected_with_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "control").write_text("mine")
+    rig = ArmOnServos(tmp_path)
+    await rig.arm.start(SOON_S)
+    first = rig.arm.pid
+    assert rig.arm.state.mode is Mode.DISCONNECTED
+    assert "the emulated servos cannot be made: [Errno 98] Address already in use" in rig.arm.state.reason
+    (tmp_path / "control").unlink()
+    await until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    assert rig.arm.pid == first
+    await rig.arm.close()
+
+
+async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew(rig: ArmOnServos) -> None:
+    rig.arm.change_pace(ChangePace(speed_factor=0.5))
+    rig.kill()
+    await until_replaced(rig)
+    assert rig.arm.state.pace == Pace()
+    await rig.arm.execute(to(rig.pan_rad + 0.05, duration_s=0.2, start_rad=rig.pan_rad))
+    assert rig.arm.state.pace == Pace(0.5)
+
+
+async def test_ticks_that_were_missed_are_not_made_up_for(rig: ArmOnServos) -> None:
+    rig.kill(signal.SIGSTOP)
+    await asyncio.sleep(0.5)
+    before = len(rig.goal_writes())
+    rig.kill(signal.SIGCONT)
+
+    def times_s() -> list[float]:
+        return [entry["machine_t"] for entry in read_write_log(rig.log) if entry["address"] == 41][before:]
+
+    await until(lambda: (seen := times_s()) and seen[-1] - seen[0] >= 0.1)
+    first_s, *_ = seen_s = times_s()
+    # 50 ticks were missed; in the first tenth of a second there is room for ten.
+    assert sum(time_s - first_s < 0.1 for time_s in seen_s) <= 15
+
+
+async def test_closing_brakes_the_arm_and_leaves_it_holding(rig: ArmOnServos) -> None:
+    motion = rig.arm.execute(to(1.5, duration_s=2.0))
+    await until(lambda: rig.pan_rad > 0.3)
+    await rig.arm.close()
+    assert (await motion).outcome is Outcome.STOPPED
+    last = read_write_log(rig.log)[-1]
+    assert set(last["torque"].values()) == {1}
+
+
+async def test_a_server_that_dies_leaves_an_arm_at_rest(rig: ArmOnServos) -> None:
+    rig.arm.execute(to(1.5, duration_s=2.0))
+    await until(lambda: rig.pan_rad > 0.3)
+    assert rig.arm.pid is not None
+    # The end of the channel is all that the arm process sees of its server's death.
+    rig.arm._closing = True
+    child = rig.arm._process._child
+    assert child is not None
+    assert child._link is not None
+    child._link._unlink()
+    await until(lambda: not child.running)
+    pans = [data["1"][1] | data["1"][2] << 8 for data in rig.goal_writes()[-4:]]
+    assert max(pans) - min(pans) <= 2
+
+
+async def test_who_asks_while_the_arm_is_being_started_waits_for_it(tmp_path: Path) -> None:
+    made = ArmOnServos(tmp_path)
+    await asyncio.wait_for(made.arm.until_started(100.0 * SOON_S), SOON_S)
+    await made.arm.launch()
+    waiting = asyncio.create_task(made.arm.until_started(SOON_S))
+    await asyncio.sleep(0)
+    assert not waiting.done()
+    await made.arm.start(SOON_S)
+    await asyncio.wait_for(waiting, SOON_S)
+    assert made.arm.state.mode is Mode.HOLDING
+    await made.arm.close()
+
+
+async def test_the_wait_for_an_arm_that_does_not_start_ends_at_its_timeout() -> None:
+    arm = Arm(CONFIG, lambda _state: None)
+    await arm.launch()
+    await asyncio.wait_for(arm.until_started(0.02), 1.0)
+    await arm.close()
+
+
+async def test_a_number_that_cannot_be_does_not_end_the_arm_process() -> None:
+    arm = Arm(
+        replace(CONFIG, hardware=FeetechConfig(CALIBRATION, "/dev/nothing"), state_rate_hz=0.0), lambda _state: None
+    )
+    await arm.start(SOON_S)
+    assert "/dev/nothing does not exist" in arm.state.reason
+    await arm.close()
+
+
+async def test_a_port_that_does_not_exist_is_reported_and_tried_again() -> None:
+    states: list[ArmState] = []
+    arm = Arm(replace(CONFIG, hardware=FeetechConfig(CALIBRATION, "/dev/does-not-exist")), states.append)
+    await arm.start(SOON_S)
+    assert arm.state.mode is Mode.DISCONNECTED
+    assert "/dev/does-not-exist does not exist" in arm.state.reason
+    refused = await asyncio.wait_for(arm.execute(to(0.5)), SOON_S)
+    assert refused.outcome is Outcome.BUS_LOST
+    await until(lambda: len(states) >= 3)
+    await arm.close()
+
+
+async def relaxing_arm(folder: Path) -> ArmOnServos:
+    made = ArmOnServos(folder, on_exit=EndState.RELAX)
+    await made.start()
+    return made
+
+
+def is_relaxed(made: ArmOnServos) -> bool:
+    return set(read_write_log(made.log)[-1]["torque"].values()) == {0}
+
+
+def process_runs(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+async def test_an_arm_process_that_gets_no_time_is_waited_for_by_its_own_clock(tmp_path: Path) -> None:
+    made = await relaxing_arm(tmp_path)
+    closing = asyncio.create_task(made.arm.close())
+    assert made.arm.pid is not None
+    # Six seconds without a core, more than relaxing takes; it is never silent for as long as one that hangs.
+    for _ in range(3):
+        os.kill(made.arm.pid, signal.SIGSTOP)
+        await asyncio.sleep(2.0)
+        os.kill(made.arm.pid, signal.SIGCONT)
+        await asyncio.sleep(0.1)
+    await asyncio.wait_for(closing, SOON_S)
+    assert is_relaxed(made)
+
+
+async def test_an_arm_process_that_hangs_at_its_end_is_told_of_and_killed(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    made = await relaxing_arm(tmp_path)
+    assert made.arm.pid is not None
+    os.kill(made.arm.pid, signal.SIGSTOP)
+    await asyncio.wait_for(made.arm.close(), SOON_S)
+    assert not process_runs(made.arm.pid)
+    assert "the arm process has said nothing" in caplog.text or "does not end and is killed" in caplog.text
+
+
+async def test_an_arm_process_that_is_not_waited_for_ends_by_itself_in_its_end_state(tmp_path: Path) -> None:
+    made = await relaxing_arm(tmp_path)
+    assert made.arm.pid is not None
+    closing = asyncio.create_task(made.arm.close())
+    await asyncio.sleep(0.1)
+    closing.cancel()
+    await asyncio.wait([closing])
+    assert process_runs(made.arm.pid)
+    await until(lambda: not process_runs(made.arm.pid or 0))
+    assert is_relaxed(made)
+    await made.arm.close()

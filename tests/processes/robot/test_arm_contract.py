@@ -1,0 +1,40 @@
+"""The contract of an arm on every kind of arm, and that its process may be killed or closed."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import AsyncIterator
+
+import pytest
+import pytest_asyncio
+
+from robot.messages import Mode
+from tests.helpers.arm_contract import IN_PROCESS, ON_LINES, STILL_RAD, ArmContract, Place, place_of
+
+
+@pytest_asyncio.fixture(loop_scope="module", scope="module", params=(*IN_PROCESS, *ON_LINES))
+async def place(request: pytest.FixtureRequest) -> AsyncIterator[Place]:
+    async with place_of(request.param, request.config.getoption("--arm")) as made:
+        yield made
+
+
+@pytest.mark.asyncio(loop_scope="module")
+class TestArmContract(ArmContract):
+    """Contract of every arm; each test leaves it holding where it was, or near."""
+
+    async def test_a_killed_arm_process_is_replaced_and_adopts_the_arm(self, place: Place) -> None:
+        held = place.held()
+        assert place.arm.pid is not None
+        os.kill(place.arm.pid, signal.SIGKILL)
+        await place.until(lambda: place.arm.state.mode is Mode.DISCONNECTED)
+        await place.until(lambda: place.arm.state.mode is Mode.HOLDING)
+        assert abs(place.held() - held) < STILL_RAD
+
+    async def test_an_arm_that_was_closed_holds_until_the_next_process_finds_it(self, place: Place) -> None:
+        if place.config.hardware.simulated:
+            pytest.skip("a simulated arm ends with its process")
+        held = place.held()
+        await place.arm.close()
+        await place.start()
+        assert abs(place.held() - held) < STILL_RAD

@@ -23,11 +23,6 @@ settings.register_profile("ci", settings.get_profile("ci"), max_examples=EXAMPLE
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default"))
 
 
-# Fixtures with a browser, or a servo bus on a pseudo terminal, which keep real time, and those that burn a core.
-# Servers on the simulated arm do not: a busy machine only slows it down.
-REAL_TIME_FIXTURES = {"browser", "busy_core", "busy_process", "scripted_peer", "start_terminal"}
-
-
 # What servers in the tests' own processes keep, and those that a test starts by itself, goes nowhere near the user's.
 _DATA = tempfile.TemporaryDirectory(prefix="armbridge")
 
@@ -40,14 +35,6 @@ def pytest_configure() -> None:
 def pytest_unconfigure() -> None:
     """Remove what was kept."""
     _DATA.cleanup()
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of such fixtures, before marks decide what is run."""
-    for item in items:
-        if isinstance(item, pytest.Function) and REAL_TIME_FIXTURES.intersection(item.fixturenames):
-            item.add_marker("real_time")
 
 
 def pytest_collection_finish() -> None:

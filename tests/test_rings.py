@@ -1,0 +1,73 @@
+"""What a test of the first ring may depend on: no fixed time, no duration, one server a module (docs/testing.md)."""
+
+from __future__ import annotations
+
+import ast
+import functools
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parent
+OTHER_RINGS = ("processes", "page", "clients", "examples", "fuzz", "helpers", "docker")
+CLOCKS = {"time.monotonic", "time.perf_counter", "time.time", "time.process_time", "time.monotonic_ns"}
+SERVERS = {"RunningServer", "server_on_bus"}
+
+
+@functools.cache
+def modules() -> list[tuple[str, ast.Module]]:
+    """The modules of the first ring."""
+    names = (path.relative_to(ROOT) for path in sorted(ROOT.rglob("*.py")))
+    return [(str(name), ast.parse((ROOT / name).read_text())) for name in names if name.parts[0] not in OTHER_RINGS]
+
+
+def calls(tree: ast.AST) -> Iterator[tuple[str, ast.Call, list[ast.AST]]]:
+    """Every call by the name that it is called by, with what stands around it, innermost last."""
+
+    def visit(node: ast.AST, around: list[ast.AST]) -> Iterator[tuple[str, ast.Call, list[ast.AST]]]:
+        if isinstance(node, ast.Call):
+            yield ast.unparse(node.func), node, around
+        for child in ast.iter_child_nodes(node):
+            yield from visit(child, [*around, node])
+
+    return visit(tree, [])
+
+
+def stepped(tree: ast.Module, around: list[ast.AST]) -> bool:
+    """Tell whether the mark ``stepped_time`` is on the module, or on a test around a place."""
+    marked = [
+        node for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "pytestmark"
+    ]
+    functions = [each for node in around if isinstance(node, ast.AsyncFunctionDef) for each in node.decorator_list]
+    return any("stepped_time" in ast.unparse(each) for each in (*marked, *functions))
+
+
+def test_nobody_sleeps_for_a_fixed_time() -> None:
+    """A sleep is one step of a loop that waits for something, or takes none of the machine's time."""
+    found = []
+    for name, tree in modules():
+        for called, call, around in calls(tree):
+            if called not in ("asyncio.sleep", "time.sleep", "sleep") or ast.unparse(call.args[0]) in ("0", "0.0"):
+                continue
+            if not stepped(tree, around) and not any(isinstance(node, ast.While) for node in around):
+                found.append(f"{name}:{call.lineno}")
+    assert found == []
+
+
+def test_nobody_measures_how_long_something_takes() -> None:
+    """A clock may be read to be passed on, but no time is taken from it but a fixed one."""
+    found = []
+    for name, tree in modules():
+        for node in ast.walk(tree):
+            if (
+                isinstance(node, ast.BinOp)
+                and isinstance(node.op, ast.Sub)
+                and not isinstance(node.right, ast.Constant)
+            ):
+                called = {ast.unparse(each.func) for each in ast.walk(node) if isinstance(each, ast.Call)}
+                found += [f"{name}:{node.lineno}"] if called & CLOCKS else []
+    assert found == []
+
+
+def test_a_module_starts_one_server_at_most() -> None:
+    found = {name: sum(called in SERVERS for called, _, _ in calls(tree)) for name, tree in modules()}
+    assert {name: count for name, count in found.items() if count > 1} == {}

@@ -69,15 +69,7 @@ async def test_the_services_know_the_marks_of_clients(caplog: pytest.LogCaptureF
     assert "must be 'start', 'start TASK', 'stop' or 'discard', not 'go'" in caplog.text
 
 
-async def test_the_answer_says_that_nothing_is_recorded() -> None:
-    marked = Marked()
-    marked.recording = False
-    done, sentence = await marked.call(START_SERVICE, task="")
-    assert done
-    assert sentence == "episode 1 has begun, but this server records nothing (armbridge serve --record FILE.mcap)"
-
-
-async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorded() -> None:
+async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorded_and_else_the_answer_says_so() -> None:
     marked, arm = Marked(), Node("arm")
     commanded = "/arm_controller/controller_state"
     marked.graph.advertise(arm, "/joint_states", "sensor_msgs/JointState")
@@ -93,5 +85,7 @@ async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorde
     await marked.call(STOP_SERVICE)
     assert subscribed() == []
     marked.recording = False
-    await marked.call(START_SERVICE, task="")
+    done, sentence = await marked.call(START_SERVICE, task="")
+    assert done
+    assert sentence == "episode 2 has begun, but this server records nothing (armbridge serve --record FILE.mcap)"
     assert subscribed() == []

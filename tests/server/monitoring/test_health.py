@@ -10,13 +10,18 @@ import pytest
 from robot.faults import FaultCode
 from robot.messages import Mode
 from server.monitoring.health import ARM_SILENT_S, ARM_STALE_S, Sources, check_health
-from tests.server.monitoring.watched_parts import WatchedArm, WatchedPlanners, WatchedRecorder, arm_state
+from tests.server.monitoring.watched_parts import (
+    WatchedArm,
+    WatchedPlanners,
+    WatchedRecorder,
+    arm_state,
+    watched_sources,
+)
 
 
 @pytest.fixture
 def sources() -> Sources:
-    """A server at work."""
-    return Sources(arm=WatchedArm(arm_state()), planners=WatchedPlanners(), recorder=WatchedRecorder(), started=True)
+    return watched_sources()
 
 
 def test_a_server_at_work_is_live_and_ready_and_has_nothing_to_say(sources: Sources) -> None:

@@ -61,6 +61,7 @@ from tests.server.monitoring.watched_parts import (
     WatchedRecorder,
     arm_health,
     arm_state,
+    watched_sources,
 )
 
 HISTOGRAMS = ("event_loop_lag", "goal_planning", "goal_motion")
@@ -84,16 +85,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
 @pytest.fixture
 def sources(clock: SimpleNamespace) -> Sources:
-    return Sources(
-        traffic=Traffic(),
-        goal_counters=GoalCounters(),
-        queue=WatchedQueue(),
-        arm=WatchedArm(arm_state()),
-        arm_health=arm_health(),
-        planners=WatchedPlanners(),
-        recorder=WatchedRecorder(),
-        started=True,
-    )
+    return watched_sources()
 
 
 def exposed(sources: Sources) -> Mapping[str, float]:

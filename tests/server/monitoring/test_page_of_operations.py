@@ -10,19 +10,9 @@ import pytest
 
 from robot.faults import FaultCode
 from server.commands.config import unit
-from server.gateway.connection import Traffic
-from server.monitoring.goal_counters import GoalCounters
-from server.monitoring.health import Sources
 from server.monitoring.monitor import Metrics
 from tests.helpers.server import ROOT
-from tests.server.monitoring.watched_parts import (
-    WatchedArm,
-    WatchedPlanners,
-    WatchedQueue,
-    WatchedRecorder,
-    arm_health,
-    arm_state,
-)
+from tests.server.monitoring.watched_parts import arm_health, watched_sources
 from tests.test_readme import blocks
 
 PAGE = ROOT / "docs" / "operations.md"
@@ -38,29 +28,15 @@ def rows() -> list[list[str]]:
     return [re.split(r" *\| *", line)[1:-1] for line in lines]
 
 
-def everything() -> Sources:
-    return Sources(
-        Traffic(),
-        lambda: {"limit": 0},
-        GoalCounters(),
-        WatchedQueue(),
-        WatchedArm(arm_state()),
-        # Of no age, whatever the time is.
-        replace(arm_health(), monotonic_s=math.inf),
-        WatchedPlanners(),
-        WatchedRecorder(),
-        WatchedRecorder(),
-        started=True,
-    )
-
-
 def test_every_metric_is_on_the_page_with_its_kind_and_labels() -> None:
     told = {}
     for cells in rows():
         for name in re.findall(r"`(armbridge_\w+)`", cells[0]):
             told[name] = (cells[1], set(filter(None, re.split(r",? +", cells[2].strip()))))
     found = {}
-    for family in Metrics(everything()).registry.collect():
+    # Of no age, whatever the time is.
+    condition = replace(arm_health(), monotonic_s=math.inf)
+    for family in Metrics(replace(watched_sources(), arm_health=condition)).registry.collect():
         labels = {label for each in family.samples for label in each.labels} - {"le"}
         # Nobody has sent a goal.
         labels |= {"source", "result"} if family.name == "armbridge_goals" else set()

@@ -9,6 +9,9 @@ from typing import Any
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import BusCounters
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
+from server.gateway.connection import Traffic
+from server.monitoring.goal_counters import GoalCounters
+from server.monitoring.health import Sources
 
 JOINTS = ("shoulder_pan", "gripper")
 
@@ -83,4 +86,20 @@ def arm_health() -> ArmHealth:
         (0.0001, 0.001, 0.002),
         (0.003, 0.004, 0.005),
         True,
+    )
+
+
+def watched_sources() -> Sources:
+    """Every part of a server at work."""
+    return Sources(
+        Traffic(),
+        lambda: {"limit": 0},
+        GoalCounters(),
+        WatchedQueue(),
+        WatchedArm(arm_state()),
+        arm_health(),
+        WatchedPlanners(),
+        WatchedRecorder(),
+        WatchedRecorder(),
+        started=True,
     )

@@ -114,21 +114,20 @@ async def test_a_service_that_moves_the_arm_needs_control_of_it() -> None:
 
 async def test_of_too_many_calls_at_a_time_those_beyond_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(services, "MAX_INCOMING_CALLS", 2)
-    port, go_on = free_port(), asyncio.Event()
+    go_on = asyncio.Event()
 
     async def answer(_request: dict[str, Any]) -> dict[str, Any]:
         await go_on.wait()
         return {"success": True, "message": "done"}
 
-    async with Site(port, offer=("/arm/*",)) as site:
+    async with networked(offer=("/arm/*",)) as (site, machine):
         site.graph.services.offer(site.part, "/arm/stop", TRIGGER, answer)
-        with RosMachine(port) as machine:
-            first = [asyncio.create_task(replies(machine)) for _ in range(2)]
-            await until(lambda: len(site.calls_of("/arm/stop")) == 2)
-            (refused,) = await replies(machine)
-            go_on.set()
-            answered = [(await call)[0] for call in first]
-            (later,) = await replies(machine)
+        first = [asyncio.create_task(replies(machine)) for _ in range(2)]
+        await until(lambda: len(site.calls_of("/arm/stop")) == 2)
+        (refused,) = await replies(machine)
+        go_on.set()
+        answered = [(await call)[0] for call in first]
+        (later,) = await replies(machine)
     assert failure(refused) == "Service /arm/stop: 2 calls are on their way already"
     assert all(reply.ok is not None for reply in (*answered, later))
 
@@ -220,18 +219,15 @@ async def test_a_bad_response_fails_the_call(response: bytes, sentence: str) -> 
 
 
 async def test_a_name_that_is_taken_here_keeps_its_service(caplog: pytest.LogCaptureFixture) -> None:
-    port = free_port()
-
     def answer(_request: dict[str, Any]) -> dict[str, Any]:
         return {"success": True, "message": "here"}
 
-    async with Site(port, call=("/lamp/*",)) as site:
+    async with networked(call=("/lamp/*",)) as (site, machine):
         site.graph.services.offer(site.client, "/lamp/switch", "std_srvs/Trigger", answer)
-        with RosMachine(port) as machine:
-            Offering(machine)
-            Offering(machine, "/lamp/other")
-            await found_by(site, "/lamp/other")
-            response = await site.called("/lamp/switch")
+        Offering(machine)
+        Offering(machine, "/lamp/other")
+        await found_by(site, "/lamp/other")
+        response = await site.called("/lamp/switch")
     assert response.values["message"] == "here"
     assert "/lamp/switch of another machine cannot be called" in caplog.text
 

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from robot.control.motion import BRAKING_SHARE, SETTLED_TICKS, Motion, Playback
@@ -40,6 +40,12 @@ def distance_from_line(goals: np.ndarray) -> np.ndarray:
     return np.linalg.norm(offset - np.outer(offset @ direction, direction), axis=1)
 
 
+def allowed_rad_s2(duration_s: float) -> np.ndarray:
+    """The acceleration limits, and what three goals do not show: the path's jerk, 60 way / time^3, for two ticks."""
+    way_rad = np.abs([end - start for start, end in MOVES.values()])
+    return MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 60.0 * way_rad / duration_s**3 * 2.0 * PERIOD_S
+
+
 def test_played_to_the_end_it_arrives_at_the_end() -> None:
     playback, goals = play(stop_after_s=99.0)
     assert playback.completed
@@ -53,8 +59,7 @@ def test_a_stop_stays_on_the_path_and_within_the_acceleration_limits(stop_after_
     playback, goals = play(stop_after_s, duration_s)
     assert distance_from_line(goals) == pytest.approx(np.zeros(len(goals)), abs=1e-9)
     accelerations = np.abs(np.diff(goals, n=2, axis=0)) / PERIOD_S**2
-    # One tick of discretisation.
-    assert (accelerations <= MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 0.1).all()
+    assert (accelerations <= allowed_rad_s2(duration_s)).all()
     assert playback.remaining_s >= 0.0
 
 
@@ -81,6 +86,7 @@ def test_time_that_does_not_pass_changes_nothing() -> None:
 
 
 @settings(max_examples=50)
+@example([(0.75, 15), (-1.0, 4), (1.0, 3)], 1.5)
 @given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.integers(1, 80)), min_size=1, max_size=8), st.floats(1.3, 4.0))
 def test_at_any_pace_the_arm_stays_on_the_path_and_within_the_acceleration_limits(
     paces: list[tuple[float, int]], duration_s: float
@@ -93,7 +99,7 @@ def test_at_any_pace_the_arm_stays_on_the_path_and_within_the_acceleration_limit
     points = np.array(goals)
     assert distance_from_line(points) == pytest.approx(np.zeros(len(points)), abs=1e-9)
     accelerations = np.abs(np.diff(points, n=2, axis=0)) / PERIOD_S**2
-    assert (accelerations <= MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 0.1).all()
+    assert (accelerations <= allowed_rad_s2(duration_s)).all()
 
 
 def test_at_pace_0_the_arm_waits_on_its_path_and_goes_on_from_there() -> None:

@@ -48,6 +48,12 @@ def test_questions_are_asked_of_the_arm_after_a_yes_each(armbridge):
     assert answer.stderr.count("[y/N]") == len(EXPERIMENTS)
 
 
+def test_an_arm_of_which_nothing_is_asked_has_no_problem(armbridge):
+    answer = armbridge("doctor", "--json", *QUICK, answers="no\n" * len(EXPERIMENTS))
+    assert {findings(answer.stdout)[experiment.name]["says"] for experiment in EXPERIMENTS} == {"not asked"}
+    assert answer.returncode == ExitCode.DONE
+
+
 def test_questions_that_nobody_answers_end_the_command(armbridge):
     answer = armbridge("doctor", *QUICK)
     assert answer.returncode == ExitCode.FAILED

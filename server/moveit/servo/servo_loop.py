@@ -246,8 +246,8 @@ class ServoSession:
 
     @property
     def latency_s(self) -> float:
-        """Longest time that the planners have taken for one of the last answers [s]."""
-        return max(self._latencies_s, default=0.0)
+        """Longest that one of the last answers took, up to the time after which answers are not carried out [s]."""
+        return min(max(self._latencies_s, default=0.0), MAX_PERIOD_S)
 
     def positions_rad(self) -> dict[str, float]:
         """Return the position of every movable joint [rad]: where it is commanded to be when the next answer comes."""
@@ -353,13 +353,12 @@ class ServoSession:
         self, positions_rad: Positions, velocity: Mapping[str, float], command: ServoCommand, anchor: Anchor | None
     ) -> ServoAnswer:
         """Ask the planners; where they fail, or are so late that the arm is elsewhere by now, velocities are 0."""
-        period_s = min(max(self._setup.period_s, self.latency_s), MAX_PERIOD_S)
         question = ServoQuestion(
             self._setup.group,
             self._setup.link,
             positions_rad,
             velocity,
-            period_s,
+            max(self._setup.period_s, self.latency_s),
             command,
             anchor,
             self._setup.limits,

@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.pipeline import Planner
 from planners.servo.question import Anchor, ServoAnswer, ServoCommand, ServoLimits, ServoQuestion
+from planners.servo.velocity_limits import WATCHED_M
 from robot.control.streaming import VelocityTracking
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
@@ -88,3 +90,13 @@ class SteeredArm:
                 self.tips_m.append(self.tip_m)
                 self.joints_rad.append(self.tracking.position_rad)
         return self.answers[-1]
+
+
+def least_distance_m(arm: SteeredArm, collision: CollisionModel) -> float:
+    """The least distance of the arm from what is around it, on the way of its goals [m]."""
+    least_m = WATCHED_M
+    for joints_rad in arm.joints_rad:
+        positions = arm.positions_rad | dict(zip(arm._names, joints_rad.tolist(), strict=True))
+        near = collision.near_pairs(np.array([positions[name] for name in collision.joint_names]), WATCHED_M)
+        least_m = min([least_m, *(pair.distance_m for pair in near if pair.by_object)])
+    return least_m

@@ -9,10 +9,9 @@ from planners.geometry.collision import CollisionModel
 from planners.pipeline import Planner
 from planners.scene import Box
 from planners.servo.question import ServoLimits, TipTwist
-from planners.servo.velocity_limits import WATCHED_M
 from tests.helpers.resources import in_proportion
 from tests.planners.scenes import thing
-from tests.planners.servo.steering import SteeredArm
+from tests.planners.servo.steering import SteeredArm, least_distance_m
 
 LIMITS = ServoLimits()
 HOLD_S, TRIAL_S = 0.4, 3.2
@@ -24,16 +23,6 @@ def table(planner: Planner, robot, put) -> CollisionModel:
     for model in (planner, collision):
         put(model, thing(Box((1.0, 1.0, 0.04)), 0.3, 0.0, -0.03))
     return collision
-
-
-def least_distance_m(arm: SteeredArm, collision: CollisionModel) -> float:
-    """The least distance of the arm from the table on the way of its goals [m]."""
-    least_m = WATCHED_M
-    for joints_rad in arm.joints_rad:
-        positions = arm.positions_rad | dict(zip(arm._names, joints_rad.tolist(), strict=True))
-        near = collision.near_pairs(np.array([positions[name] for name in collision.joint_names]), WATCHED_M)
-        least_m = min([least_m, *(pair.distance_m for pair in near if pair.by_object)])
-    return least_m
 
 
 def stick(turns: list[tuple[float, float, float]], downwards: list[tuple[float, float, float]]):

@@ -12,8 +12,7 @@ from planners.scene import Box
 from planners.servo.question import JointVelocities, ServoLimits
 from robot.description.model import RobotModel
 from tests.planners.scenes import scene, thing
-from tests.planners.servo.steering import SteeredArm
-from tests.planners.servo.test_sticks import least_distance_m
+from tests.planners.servo.steering import SteeredArm, least_distance_m
 
 BESIDE = scene(thing(Box((1.0, 0.02, 1.0)), 0.0, 0.26, 0.3))
 START = {"shoulder_pan": 1.5, "shoulder_lift": 0.6, "elbow_flex": -0.6}

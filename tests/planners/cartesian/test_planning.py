@@ -8,7 +8,7 @@ import pytest
 import toppra
 import toppra.algorithm
 import toppra.constraint
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
@@ -248,6 +248,8 @@ def test_a_curve_of_many_points_takes_as_long_as_one_of_few():
 
 
 START = np.array([0.0, -0.5, 0.7, 0.4, 0.0])
+# Shares of the joints' ranges where links overlap by nearly as much as a start may.
+TOUCHING_ITSELF_BY_4_9_MM = np.array((0.0, 0.0, 0.69, 0.69, 0.0))
 FOLDED_INTO_ITSELF = np.array([0.0, -1.74, 1.69, 1.2, 0.0])
 
 # Between the points that are measured the tip may be off by a little more than at them.
@@ -271,6 +273,7 @@ def distance_to_line_m(places_m, start_m, end_m):
 
 
 @given(share=shares, near=shares)
+@example(share=TOUCHING_ITSELF_BY_4_9_MM, near=np.array((0.0, 0.0, 0.0, 0.0, 1.0)))
 @examples(25)
 def test_on_any_line_the_tip_is_on_it_and_the_motion_keeps_every_limit(follower, rate_limits, share, near):
     start = follower.point(share)

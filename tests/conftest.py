@@ -14,13 +14,14 @@ from hypothesis import settings
 # Imported before any test imports websockets: sets what that package reads when it is imported.
 import server  # noqa: F401
 from tests.helpers.clock import SteppedLoop
-from tests.helpers.resources import EXAMPLES_IN_CI
+from tests.helpers.resources import EXAMPLES_OF_EXPLORING
 from tests.helpers.server import FAST, RunningServer
 
 # No deadline: how long an example takes depends on the machine and on what else it does; no test is about that.
-settings.register_profile("default", settings.get_profile("default"), max_examples=25, deadline=None)
-settings.register_profile("ci", settings.get_profile("ci"), max_examples=EXAMPLES_IN_CI, deadline=None)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default"))
+# The same examples each time, so that a change fails for what it changed; `explore` draws others, and more.
+settings.register_profile("same", max_examples=25, deadline=None, derandomize=True)
+settings.register_profile("explore", max_examples=EXAMPLES_OF_EXPLORING, deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or "same")
 
 
 # What servers in the tests' own processes keep, and those that a test starts by itself, goes nowhere near the user's.

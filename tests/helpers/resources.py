@@ -66,23 +66,23 @@ def openssl(*arguments: str) -> None:
     subprocess.run(["openssl", *arguments], check=True, capture_output=True, timeout=30)
 
 
-# The profile `ci` draws this many examples of a test that names no number.
-EXAMPLES_IN_CI = 100
+# The profile `explore` draws this many examples of a test that names no number.
+EXAMPLES_OF_EXPLORING = 100
 
 
 def examples(count: int) -> settings:
-    """Settings of a test that draws ``count`` examples in CI, and in proportion with another profile."""
+    """Settings of a test that draws ``count`` examples in the profile ``explore``, and its share in another."""
     from hypothesis import settings
 
     return settings(max_examples=in_proportion(count))
 
 
 def in_proportion(count: int) -> int:
-    """Return ``count`` in CI, and its share with another profile, for tests that draw at random by themselves."""
+    """Return ``count`` in the profile ``explore``, and its share in another, for tests that draw by themselves."""
     from hypothesis import settings
 
     assert settings.default is not None
-    return math.ceil(count * settings.default.max_examples / EXAMPLES_IN_CI)
+    return math.ceil(count * settings.default.max_examples / EXAMPLES_OF_EXPLORING)
 
 
 # Beside those that are open; so few that to use them up takes no time.

@@ -65,9 +65,9 @@ test-pythons:
 		$(MAKE) test VENV=build/python$$version PYTHON=$$python || exit; \
 	done
 
-# A module's server is started once.
+# A module's server is started once. Most of these tests wait: more workers than cores wait side by side.
 test-processes: install-dev
-	$(PYTEST) tests/processes -n 2 --dist loadfile $(ARGS)
+	$(PYTEST) tests/processes -n 4 --dist loadfile $(ARGS)
 
 # The page from its lock: types and build, then its logic, then in the browser.
 test-page: install-dev page

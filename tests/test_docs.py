@@ -13,6 +13,7 @@ import pytest
 
 from server import cli
 from server.config_loader import load
+from tests.helpers.page import page_digest
 from tests.helpers.server import ROOT
 from tests.helpers.source import ROOMS, paths, sentences
 from tests.test_readme import blocks
@@ -39,7 +40,10 @@ def commands(page: str) -> list[str]:
     text = (ROOT / page).read_text()
     lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.splitlines()]
     lines += re.findall(r"`((?:armbridge|make) [^`]+)`", text)
-    stripped = (re.split(r"\s+#|\s+>", line)[0].strip() for line in lines)
+    # Without comments, files of output, and variables that are set for the command alone.
+    stripped = (
+        re.sub(r"^[A-Z_]+=\S+ (?=make |armbridge )", "", re.split(r"\s+#|\s+>", line)[0]).strip() for line in lines
+    )
     return [line for line in stripped if line]
 
 
@@ -126,6 +130,11 @@ def test_every_heading_that_is_linked_exists() -> None:
             if anchor not in anchors(linked):
                 missing.append(f"{page.name} links to {target}#{anchor}")
     assert missing == []
+
+
+def test_the_pictures_show_the_page_as_it_is() -> None:
+    pictured = (ROOT / "docs" / "pictures" / "page.sha256").read_text().strip()
+    assert pictured == page_digest(), "the page has changed since docs/pictures was made: run `make pictures`"
 
 
 def test_every_test_that_the_table_of_attacks_names_exists() -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import shlex
 import subprocess
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -257,3 +259,33 @@ def test_no_page_says_that_an_arm_has_moved_on_metal() -> None:
     )
     assert {name for name, _ in rows} == set(built_in_names())
     assert {tried for _, tried in rows} == {"emulated bus", "-"}
+
+
+def defaults_of(name: str) -> list[set[float]]:
+    """The numbers that a name in a table may stand for: each setting, constant or environment variable of that name."""
+    found: list[set[float]] = [{float(os.environ[name])}] if name in os.environ else []
+    settings = load(None, {}).model_dump()
+    for path in (name, f"server.{name}", f"server.limits.{name}"):
+        value: Any = settings
+        for key in path.split("."):
+            value = value.get(key) if isinstance(value, dict) else None
+        found += [{float(value)}] if isinstance(value, int | float) else []
+    for text in re.findall(rf"^(?:[A-Z_]+, )*{name}\b(?:, [A-Z_]+)* = (.+)$", SOURCES, re.MULTILINE):
+        found.append({float(eval(number)) for number in re.findall(r"\d[\d_.]*(?: (?:\*\*?|<<) \d[\d_]*)*", text)})
+    return found
+
+
+SOURCES = "\n".join(path.read_text() for room in ROOMS for path in paths(room))
+
+
+@pytest.mark.parametrize("page", ["protocol.md", "security.md"])
+def test_the_limits_in_tables_are_those_of_the_settings_and_constants_that_stand_beside_them(page: str) -> None:
+    rows = re.findall(r"^\| (.+) \|$", (ROOT / "docs" / page).read_text(), re.MULTILINE)
+    checked = 0
+    for _, shown, *_, last in (cells for row in rows if len(cells := row.split(" | ")) > 2):
+        numbers = {float(number.replace(" ", "")) for number in re.findall(r"(?<![\d.])\d[\d ]*(?:\.\d+)?(?![\d.])", shown)}
+        for name in re.findall(r"`((?:[a-z]+\.)?[a-z_]+|[A-Z_]+)`", last) if numbers else ():
+            if defaults := defaults_of(name):
+                checked += 1
+                assert any(each <= numbers for each in defaults), f"{page}: {name} is {defaults}, not {shown}"
+    assert checked > 4

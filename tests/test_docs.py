@@ -283,7 +283,8 @@ def test_the_limits_in_tables_are_those_of_the_settings_and_constants_that_stand
     rows = re.findall(r"^\| (.+) \|$", (ROOT / "docs" / page).read_text(), re.MULTILINE)
     checked = 0
     for _, shown, *_, last in (cells for row in rows if len(cells := row.split(" | ")) > 2):
-        numbers = {float(number.replace(" ", "")) for number in re.findall(r"(?<![\d.])\d[\d ]*(?:\.\d+)?(?![\d.])", shown)}
+        found = re.findall(r"(?<![\d.])\d[\d ]*(?:\.\d+)?(?![\d.])", shown)
+        numbers = {float(number.replace(" ", "")) for number in found}
         for name in re.findall(r"`((?:[a-z]+\.)?[a-z_]+|[A-Z_]+)`", last) if numbers else ():
             if defaults := defaults_of(name):
                 checked += 1

@@ -74,10 +74,10 @@ test-page: install-dev page
 	cd $(PAGE) && npm test
 	$(PYTEST) tests/page $(ARGS)
 
-# The pictures of docs/page.md.
+# The pictures of README.md and docs/page.md, and the digest of the page that they show.
 pictures: install-dev page
 	$(BIN)/python -m pytest tests/page/test_pictures.py -n 0
-	mkdir -p docs/pictures && cp build/page/pictures/*.png docs/pictures/
+	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
 # The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
 test-clients: install-dev build/compas_fab/.installed build/ros_mcp/.installed

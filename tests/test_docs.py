@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import json
+import math
+import os
 import re
 import shlex
 import subprocess
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from protocol.registry import Registry
+from robot.description.limits import END_STOP_MARGIN_RAD
+from robot.description.robot_folder import built_in_names
+from robot.faults import REMEDIES, FaultCode
 from server import cli
 from server.config_loader import load
+from tests.helpers.page import page_digest
 from tests.helpers.server import ROOT
 from tests.helpers.source import ROOMS, paths, sentences
 from tests.test_readme import blocks
@@ -39,7 +48,10 @@ def commands(page: str) -> list[str]:
     text = (ROOT / page).read_text()
     lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.splitlines()]
     lines += re.findall(r"`((?:armbridge|make) [^`]+)`", text)
-    stripped = (re.split(r"\s+#|\s+>", line)[0].strip() for line in lines)
+    # Without comments, files of output, and variables that are set for the command alone.
+    stripped = (
+        re.sub(r"^[A-Z_]+=\S+ (?=make |armbridge )", "", re.split(r"\s+#|\s+>", line)[0]).strip() for line in lines
+    )
     return [line for line in stripped if line]
 
 
@@ -128,6 +140,11 @@ def test_every_heading_that_is_linked_exists() -> None:
     assert missing == []
 
 
+def test_the_pictures_show_the_page_as_it_is() -> None:
+    pictured = (ROOT / "docs" / "pictures" / "page.sha256").read_text().strip()
+    assert pictured == page_digest(), "the page has changed since docs/pictures was made: run `make pictures`"
+
+
 def test_every_test_that_the_table_of_attacks_names_exists() -> None:
     named = re.findall(r"`([\w/.]+\.py)::(\w+)`", (ROOT / "tests" / "ATTACKS.md").read_text())
     assert len(named) > 10
@@ -168,3 +185,108 @@ def test_the_numbers_of_coordinates_agree_with_the_mirrored_axes(page: str, engi
         position, quaternion, ros_position, ros_quaternion = ([float(n) for n in cell.split(",")] for cell in row)
         assert axes @ position * unit_m == pytest.approx(ros_position)
         assert axes @ rotation(quaternion) @ axes.T == pytest.approx(rotation(ros_quaternion), abs=1e-3)
+
+
+def test_no_command_opens_a_server_to_the_network_that_would_refuse_to_start() -> None:
+    opened = [line for line in COMMANDS if line.startswith("armbridge serve ") and "--host 0.0.0.0" in line]
+    assert opened
+    assert [line for line in opened if "--insecure" not in line and "--config" not in line] == [], (
+        "without a token the server does not start: add --config armbridge.toml"
+    )
+
+
+@pytest.mark.parametrize("page", ["unreal.md", "unity.md"])
+def test_the_rate_of_joint_angles_is_that_of_the_throttle(page: str) -> None:
+    """Of messages at a fixed rate, a throttle lets every second, third, ... one through."""
+    text = (ROOT / "docs" / page).read_text()
+    throttles_ms = set(
+        re.findall(r"/joint_states\"+,\"+type\"+:\"+sensor_msgs/JointState\"+,\"+throttle_rate\"+:(\d+)", text)
+    )
+    assert len(throttles_ms) == 1
+    rate_hz = load(None, {}).arm.joint_state_rate_hz
+    each = math.ceil(float(throttles_ms.pop()) * rate_hz / 1000.0)
+    assert re.findall(r"[Mm]easured .* (\d+) times a second", text) == [f"{rate_hz / each:g}"]
+
+
+def test_no_page_takes_the_default_speed_for_a_limit() -> None:
+    """A goal may name a higher speed than moveit.max_velocity_scaling, never one above arm.speed_limit."""
+    lowered = [
+        page.name
+        for page in PAGES
+        for block in (*blocks(page, "toml"), *blocks(page, "sh"))
+        if "max_velocity_scaling" in block and "speed_limit" not in block
+    ]
+    assert lowered == [], "set arm.speed_limit beside it"
+
+
+def test_the_number_and_the_packages_of_message_types_are_those_of_the_registry() -> None:
+    names = list(Registry.load().type_names())
+    counts = [
+        re.findall(r"knows (\d+) types of ROS 2", (ROOT / "docs" / page).read_text())
+        for page in ("protocol.md", "types.md")
+    ]
+    assert counts == 2 * [[str(len(names))]]
+    _, packages = (ROOT / "docs" / "types.md").read_text().split("## Packages that need no adding")
+    tables = (ROOT / "protocol" / "interfaces").glob("ros*.json")
+    known = {name.split("/")[0] for table in tables for name in json.loads(table.read_text()) if "/" in name}
+    assert set(re.findall(r"`([a-z0-9_]+)`", packages.split("\n\n")[1])) == known
+
+
+def test_the_speed_and_the_remedies_of_the_readme_and_the_pages_are_those_of_the_code() -> None:
+    readme = (ROOT / "README.md").read_text()
+    assert f"{load(None, {}).moveit.max_velocity_scaling:.0%}".replace("%", " %") in readme
+    assert load(None, {}).arm.speed_limit == 1.0, "README: without arm.speed_limit, a client may use full speed"
+    arm = (ROOT / "docs" / "arm.md").read_text()
+    assert f"less {END_STOP_MARGIN_RAD} rad at each end" in arm
+    # What the supply must give: the pages, the advice of a fault, and that of the doctor.
+    for text in (
+        (ROOT / "docs" / "hardware.md").read_text(),
+        (ROOT / "docs" / "troubleshooting.md").read_text(),
+        REMEDIES[FaultCode.VOLTAGE_LOW],
+        (ROOT / "robot" / "commissioning" / "doctor.py").read_text(),
+    ):
+        assert "4 A or more" in text
+
+
+def test_no_page_says_that_an_arm_has_moved_on_metal() -> None:
+    """Until one has: then change the README, docs/hardware.md and docs/robots.md together."""
+    assert "No real arm has moved with armbridge yet" in (ROOT / "README.md").read_text()
+    assert "Nobody has run armbridge on a real arm yet" in (ROOT / "docs" / "hardware.md").read_text()
+    robots = (ROOT / "docs" / "robots.md").read_text()
+    assert "None of them has been driven on metal" in robots
+    rows = re.findall(
+        r"^\| `(\w+)` \|.*\| ([^|]+) \|$", robots.split("## Built-in arms")[1].split("##")[0], re.MULTILINE
+    )
+    assert {name for name, _ in rows} == set(built_in_names())
+    assert {tried for _, tried in rows} == {"emulated bus", "-"}
+
+
+def defaults_of(name: str) -> list[set[float]]:
+    """The numbers that a name in a table may stand for: each setting, constant or environment variable of that name."""
+    found: list[set[float]] = [{float(os.environ[name])}] if name in os.environ else []
+    settings = load(None, {}).model_dump()
+    for path in (name, f"server.{name}", f"server.limits.{name}"):
+        value: Any = settings
+        for key in path.split("."):
+            value = value.get(key) if isinstance(value, dict) else None
+        found += [{float(value)}] if isinstance(value, int | float) else []
+    for text in re.findall(rf"^(?:[A-Z_]+, )*{name}\b(?:, [A-Z_]+)* = (.+)$", SOURCES, re.MULTILINE):
+        found.append({float(eval(number)) for number in re.findall(r"\d[\d_.]*(?: (?:\*\*?|<<) \d[\d_]*)*", text)})
+    return found
+
+
+SOURCES = "\n".join(path.read_text() for room in ROOMS for path in paths(room))
+
+
+@pytest.mark.parametrize("page", ["protocol.md", "security.md"])
+def test_the_limits_in_tables_are_those_of_the_settings_and_constants_that_stand_beside_them(page: str) -> None:
+    rows = re.findall(r"^\| (.+) \|$", (ROOT / "docs" / page).read_text(), re.MULTILINE)
+    checked = 0
+    for _, shown, *_, last in (cells for row in rows if len(cells := row.split(" | ")) > 2):
+        found = re.findall(r"(?<![\d.])\d[\d ]*(?:\.\d+)?(?![\d.])", shown)
+        numbers = {float(number.replace(" ", "")) for number in found}
+        for name in re.findall(r"`((?:[a-z]+\.)?[a-z_]+|[A-Z_]+)`", last) if numbers else ():
+            if defaults := defaults_of(name):
+                checked += 1
+                assert any(each <= numbers for each in defaults), f"{page}: {name} is {defaults}, not {shown}"
+    assert checked > 4

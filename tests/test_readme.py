@@ -1,4 +1,4 @@
-"""The first example is run as it stands."""
+"""README: its program is run as it stands, and its length and links are bounded; settings on their page."""
 
 from __future__ import annotations
 
@@ -37,6 +37,20 @@ def test_the_python_client_of_the_readme_moves_the_arm(simulated_server: Running
         check=False,
     )
     assert done.stdout == "1 the arm is there\n", done.stderr
+
+
+def test_the_readme_fits_on_a_screen_and_a_half() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 90
+    assert len(text.split()) < 700
+    # A sentence on Windows stands on the first screen.
+    assert "WSL 2" in "".join(text.splitlines(keepends=True)[:25])
+
+
+def test_every_page_is_linked_in_the_list_of_all_pages() -> None:
+    linked = set(re.findall(r"\]\(([\w-]+\.md)", (ROOT / "docs" / "index.md").read_text()))
+    pages = {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    assert pages - linked == set(), "link them in docs/index.md"
 
 
 def test_the_configuration_page_shows_every_setting_with_its_default(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def add_leader_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--connect", type=websocket_url, default=DEFAULT_URL, metavar="URL", help=f"of the server ({DEFAULT_URL})"
     )
-    parser.add_argument("--serial", metavar="PORT", help=SERIAL_HELP)
+    parser.add_argument("--serial", metavar="PORT", help=f"{SERIAL_HELP} (an emulated arm)")
     add_robot(parser, None)
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
     parser.add_argument("--topic", default=DEFAULT_TOPIC, help=f"of the joints ({DEFAULT_TOPIC})")

@@ -26,14 +26,14 @@ Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  #
 
 SERIAL_HELP = (
     "the servos' port: a path such as /dev/serial/by-id/..., a USB id such as 1a86:55d3, a URL such as "
-    "socket://host:port, or auto for the one adapter plugged in (auto)"
+    "socket://host:port, or auto for the one adapter plugged in"
 )
 CALIBRATION_HELP = "the arm's calibration: a file, or the arm's id in lerobot's calibration directory"
 
 
 def add_serial(parser: argparse.ArgumentParser) -> None:
     """Describe ``--serial``."""
-    parser.add_argument("--serial", metavar="PORT", default=AUTO, help=SERIAL_HELP)
+    parser.add_argument("--serial", metavar="PORT", default=AUTO, help=f"{SERIAL_HELP} ({AUTO})")
 
 
 def add_calibration(parser: argparse.ArgumentParser) -> None:

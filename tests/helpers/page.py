@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
@@ -65,6 +66,15 @@ FIND_VIOLATIONS = """async rules => {
         return `${id}: ${target.join(" ")}: ${failureSummary.replace(/\\s+/g, " ")}`;
     }));
 }"""
+
+
+def page_digest() -> str:
+    """Digest of the sources that decide how the page looks and what it does, without their tests."""
+    sources = [ROOT / "server" / "page" / "index.html", *(ROOT / "server" / "page" / "src").rglob("*")]
+    digest = hashlib.sha256()
+    for path in sorted(path for path in sources if path.is_file() and not path.name.endswith(".test.ts")):
+        digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
 
 
 def browser_is_missing() -> str:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +16,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
+from tests.helpers.server import ROOT
 
 SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE), Identity("ada", Role.ADMIN)
 
@@ -553,3 +555,29 @@ class TestSeveralArms:
     def test_every_name_of_each_arm_has_a_rule_of_its_own(self) -> None:
         known = {*authorization.SERVICES, *authorization.TOPICS, *authorization.ACTIONS}
         assert known >= authorization.OF_EACH_ARM
+
+
+# Names of services, topics and actions with the rules of the server.
+RULES = {**authorization.SERVICES, **authorization.TOPICS, **authorization.ACTIONS}
+SECURITY = (ROOT / "docs" / "security.md").read_text()
+
+
+def named_in(pattern: str) -> set[str]:
+    """The names that a part of docs/security.md gives; the part is a group of the pattern."""
+    found = re.search(pattern, SECURITY, re.DOTALL)
+    assert found is not None, pattern
+    return set(re.findall(r"`(/[\w/]+\w)`", found[1]))
+
+
+def test_the_page_of_security_names_what_viewers_may_stop_and_what_needs_an_administrator() -> None:
+    # The suffix stands for the cancels of all actions.
+    stops = named_in(r"\n(\| \*view\* .*?)\n") - {authorization.CANCEL_SERVICE}
+    assert stops == {name for name, rule in RULES.items() if rule.stops}
+    configuring = named_in(r"\n(\| \*admin\* .*?)\n")
+    assert configuring == {name for name, rule in RULES.items() if rule.role is Role.ADMIN}
+
+
+def test_the_page_of_security_names_what_needs_the_control_lease_besides_goals_and_steering() -> None:
+    leased = named_in(r"refuses these requests of other clients: (.*?)\. The sentence")
+    driving = {name for name, rule in RULES.items() if rule.drives and not rule.goal}
+    assert leased == {name for name in driving if not name.startswith("/servo_node/")}

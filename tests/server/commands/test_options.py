@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import argparse
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -132,3 +134,39 @@ REFUSED = {
 def test_a_wrong_assignment_is_refused(arguments, words):
     with pytest.raises(ConfigurationError, match=words):
         overrides(options(*arguments))
+
+
+def options_of(parser: argparse.ArgumentParser, command: str = "armbridge") -> Iterator[tuple[str, argparse.Action]]:
+    """Every option of a command and of the commands in it."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, inner in action.choices.items():
+                yield from options_of(inner, f"{command} {name}")
+        else:
+            yield command, action
+
+
+def test_the_default_at_the_end_of_an_option_s_help_is_its_default():
+    wrong = []
+    checked = 0
+    for command, action in options_of(cli._parser()):
+        shown = re.search(r"\((?:default )?([^() ]+)\)$", action.help or "")
+        # Other defaults are those of settings, or words; a choice may be described at the end.
+        if shown is None or action.choices or action.default in (None, []):
+            continue
+        checked += 1
+        kind = float if isinstance(action.default, (int, float)) else str
+        if kind(shown[1]) != kind(action.default):
+            wrong.append(f"{command} {action.option_strings}: {action.help!r}, but {action.default!r}")
+    assert checked > 20
+    assert wrong == []
+
+
+def test_a_leader_without_a_port_is_said_to_be_emulated():
+    (serial,) = [
+        action
+        for command, action in options_of(cli._parser())
+        if command == "armbridge leader" and action.dest == "serial"
+    ]
+    assert serial.default is None
+    assert str(serial.help).endswith("(an emulated arm)")

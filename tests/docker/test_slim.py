@@ -34,7 +34,6 @@ GOES = [
     "scipy/linalg/tests/test_basic.py",
     "uvloop/loop.pyx",
     "zstandard/_cffi.cpython-313-x86_64-linux-gnu.so",
-    "fontTools/ttLib/__init__.py",
 ]
 
 STAYS = [
@@ -43,9 +42,6 @@ STAYS = [
     "cmeel.prefix/share/doc/coal/LICENSE",
     "numpy/testing/__init__.py",
     "zstandard/backend_c.cpython-313-x86_64-linux-gnu.so",
-    "fontTools/agl.py",
-    "fontTools/misc/loggingTools.py",
-    "fontTools/__pycache__/agl.cpython-313.pyc",
 ]
 
 

@@ -26,7 +26,7 @@ def missing(root: Path) -> list[str]:
 class PartsHook(BuildHookInterface[Any]):
     """Refuses to build an incomplete wheel."""
 
-    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:  # noqa: ARG002
         """Check the parts; an editable install takes them from the checkout, whenever they are made."""
         if version != "editable" and (lacking := missing(Path(self.root))):
             raise FileNotFoundError(f"the wheel would lack {', '.join(lacking)}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import functools
-from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parent
@@ -20,16 +19,27 @@ def modules() -> list[tuple[str, ast.Module]]:
     return [(str(name), ast.parse((ROOT / name).read_text())) for name in names if name.parts[0] not in OTHER_RINGS]
 
 
-def calls(tree: ast.AST) -> Iterator[tuple[str, ast.Call, list[ast.AST]]]:
+def name_of(called: ast.expr) -> str:
+    """Return ``a.b.c`` as it is written; empty for what has no name. A tenth of the time of ``ast.unparse``."""
+    if isinstance(called, ast.Attribute):
+        return f"{name_of(called.value)}.{called.attr}"
+    return called.id if isinstance(called, ast.Name) else ""
+
+
+@functools.cache
+def calls(module: ast.Module) -> list[tuple[str, ast.Call, list[ast.AST]]]:
     """Every call by the name that it is called by, with what stands around it, innermost last."""
+    found = []
 
-    def visit(node: ast.AST, around: list[ast.AST]) -> Iterator[tuple[str, ast.Call, list[ast.AST]]]:
+    def visit(node: ast.AST, around: list[ast.AST]) -> None:
         if isinstance(node, ast.Call):
-            yield ast.unparse(node.func), node, around
+            found.append((name_of(node.func), node, around))
+        inside = [*around, node]
         for child in ast.iter_child_nodes(node):
-            yield from visit(child, [*around, node])
+            visit(child, inside)
 
-    return visit(tree, [])
+    visit(module, [])
+    return found
 
 
 def stepped(tree: ast.Module, around: list[ast.AST]) -> bool:
@@ -63,7 +73,7 @@ def test_nobody_measures_how_long_something_takes() -> None:
                 and isinstance(node.op, ast.Sub)
                 and not isinstance(node.right, ast.Constant)
             ):
-                called = {ast.unparse(each.func) for each in ast.walk(node) if isinstance(each, ast.Call)}
+                called = {name_of(each.func) for each in ast.walk(node) if isinstance(each, ast.Call)}
                 found += [f"{name}:{node.lineno}"] if called & CLOCKS else []
     assert found == []
 

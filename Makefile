@@ -10,17 +10,21 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients fuzz lint check bench bench-planning campaign campaign-planners lock clean
+.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients fuzz lint check bench bench-planning campaign campaign-planners lock release clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
 
-$(BIN)/python:
+# The pip is what comes last: an environment without one is half made, and is made again. Debian has what makes it in
+# a package of its own.
+$(BIN)/pip:
 	$(PYTHON) -c 'import sys; sys.exit(None if (3, 11) <= sys.version_info < (3, 14) else "armbridge needs Python 3.11, 3.12 or 3.13; name one with make PYTHON=python3.12")'
-	$(PYTHON) -m venv $(VENV)
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { echo "$(PYTHON) cannot make an environment: install its venv (Debian, Ubuntu: apt-get install python3-venv), then call make again" >&2; exit 1; }
+	$(PYTHON) -m venv --clear $(VENV) || { rm -rf $(VENV); exit 1; }
 
-$(VENV)/.installed: requirements.lock pyproject.toml | $(BIN)/python
-	$(PIP) install --quiet --require-hashes -r requirements.lock
+# The lock has all that is needed to run, and less than the packages ask for (requirements-unneeded.txt): --no-deps.
+$(VENV)/.installed: requirements.lock pyproject.toml | $(BIN)/pip
+	$(PIP) install --quiet --no-deps --require-hashes -r requirements.lock
 	$(PIP) install --quiet --no-deps --editable .
 	touch $@
 
@@ -34,8 +38,10 @@ run: install page-if-npm
 # A wheel made after this has the page in it.
 page: $(PAGE)/dist/index.html
 
-$(PAGE)/dist/index.html: $(PAGE)/node_modules/.package-lock.json \
-		$(wildcard $(PAGE)/*.json $(PAGE)/*.ts) $(PAGE)/index.html $(shell find $(PAGE)/src $(PAGE)/public -type f)
+PAGE_SOURCES := $(wildcard $(PAGE)/*.json $(PAGE)/*.ts) $(PAGE)/index.html \
+	$(shell find $(PAGE)/src $(PAGE)/public -type f) pyproject.toml
+
+$(PAGE)/dist/index.html: $(PAGE)/node_modules/.package-lock.json $(PAGE_SOURCES)
 	cd $(PAGE) && npm run build
 
 $(PAGE)/node_modules/.package-lock.json: $(PAGE)/package-lock.json
@@ -44,7 +50,12 @@ $(PAGE)/node_modules/.package-lock.json: $(PAGE)/package-lock.json
 
 # A page that cannot be built does not keep the arm from its server, which then says how to get it.
 page-if-npm:
-	@! command -v npm >/dev/null || $(MAKE) -s page || echo "the page could not be built; the server starts without" >&2
+	@! command -v npm >/dev/null || ! node $(PAGE)/node_version.mjs || $(MAKE) -s build/page.tried
+
+# What failed once would fail again until something changes.
+build/page.tried: $(PAGE_SOURCES)
+	@mkdir -p build && touch $@
+	@$(MAKE) -s page || echo "the page could not be built; the server starts without it. make page tries again" >&2
 
 # Three rings, by what a test may depend on (docs/testing.md): logic, protocol and planning; several processes and real
 # time; the page in a browser, and the clients of others. Each prints its ten slowest tests.
@@ -80,7 +91,7 @@ pictures: install-dev page
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
 # The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
-test-clients: install-dev build/compas_fab/.installed build/ros_mcp/.installed
+test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed
 	$(PYTEST) tests/clients tests/examples $(ARGS)
 
 build/compas_fab/.installed:
@@ -120,8 +131,12 @@ campaign: install-dev
 
 # The locks name no index: whoever installs them uses the index configured on the machine.
 lock: install-dev
-	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header --output-file requirements.lock pyproject.toml
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header --output-file requirements.lock --excludes requirements-unneeded.txt pyproject.toml
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header --output-file requirements-dev.lock --constraints requirements.lock --group dev
 
+# Wheel, sdist and image, tried out, in build/release; nothing is published.
+release: install-dev page
+	docker/release.sh
+
 clean:
-	rm -rf $(VENV) $(PAGE)/dist $(PAGE)/node_modules .mypy_cache .ruff_cache .pytest_cache
+	rm -rf build/page.tried $(VENV) $(PAGE)/dist $(PAGE)/node_modules .mypy_cache .ruff_cache .pytest_cache

@@ -20,8 +20,8 @@ TESTS = ("**/tests", "**/test")
 SOURCES = ("**/*.c", "**/*.cpp", "**/*.h", "**/*.hpp", "**/*.pxd", "**/*.pxi", "**/*.pyi", "**/*.pyx")
 # What Python's own implementation never takes: it has backend_c.
 OTHER_BACKENDS = ("zstandard/_cffi*.so",)
-# matplotlib wants a list of glyphs from fontTools, and formats of fonts only where it writes PDF or PostScript.
-FONT_FORMATS = ("fontTools/[!_m]*/", "fontTools/misc/*.so")
+# Of scipy, the planners import spatial and sparse, which import linalg, special and constants.
+SCIPY = ("cluster", "fft", "integrate", "interpolate", "io", "ndimage", "optimize", "signal", "stats")
 
 
 def main(arguments: list[str]) -> int:
@@ -34,7 +34,7 @@ def main(arguments: list[str]) -> int:
     _tell("tests of packages", remove(_found(packages, TESTS)))
     _tell("sources and stubs of compiled modules", remove(_found(packages, SOURCES)))
     _tell("backends for other Pythons", remove(_found(packages, OTHER_BACKENDS)))
-    _tell("formats of fonts", remove(_found(packages, FONT_FORMATS)))
+    _tell("modules of scipy", remove(_found(packages, [f"scipy/{name}" for name in SCIPY])))
     _tell("in all", before_bytes - size_bytes(packages))
     return 0
 

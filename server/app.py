@@ -38,9 +38,10 @@ from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.execution.parking import LastClient, Parking
 from server.execution.queue import RunningGoal
-from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, HttpHandler, Route, page_is_built
+from server.gateway.http import HOW_TO_BUILD_PAGE, HttpHandler, Route, page_is_built
 from server.gateway.listener import Listener
 from server.graph.topics import Graph
+from server.installation import PAGE_DIRECTORY
 from server.interfaces import load_registry
 from server.lifecycle import BackgroundTask, Part, first_of, start_in_order, stop_in_reverse, stop_signals, unless_ended
 from server.monitoring.fault_files import FaultFiles

@@ -9,7 +9,6 @@ import re
 import sys
 import threading
 from collections.abc import Sequence
-from importlib import metadata
 from typing import NoReturn
 
 from server.commands.arm import add_doctor_parser, add_relax_parser, add_scan_parser
@@ -28,6 +27,7 @@ from server.commands.setup import add_setup_parser
 from server.commands.terminal import EXIT_CODES
 from server.commands.verify import add_verify_parser
 from server.config_keys import unknown
+from server.installation import version_line
 
 # In the order in which someone with a new arm needs them.
 COMMANDS = (
@@ -89,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
         "calibrate, doctor, then serve.",
         epilog=f"{EXIT_CODES} armbridge COMMAND --help explains a command.",
     )
-    parser.add_argument("--version", action="version", version=f"armbridge {metadata.version('armbridge')}")
+    parser.add_argument("--version", action="version", version=version_line())
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for add_command in COMMANDS:
         add_command(commands)

@@ -30,8 +30,11 @@ PAGES = sorted((ROOT / "docs").glob("*.md"))
 
 # Beginnings of commands of other programs, which are not run.
 FOREIGN = (
-    "python3 -m venv ",
+    "pipx install ",
     "python3 -m http.server ",
+    "python3 -m venv ",
+    "source .venv/bin/activate",
+    "uvx ",
     "/tmp/lab/bin/pip install ",
     ".venv/bin/pip install --editable '.[",
     "dask ",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
@@ -43,8 +44,10 @@ def _without(names: tuple[str, ...]) -> Iterator[None]:
             del sys.modules[name]
 
 
-with _without(_UNUSED):
-    importlib.import_module("toppra")
+# Python 3.12 and later warn of the LaTeX in its docstrings wherever they compile it.
+with _without(_UNUSED), warnings.catch_warnings(action="ignore"):
+    for module in ("toppra", "toppra.algorithm", "toppra.constraint"):
+        importlib.import_module(module)
 
 from toppra.algorithm import TOPPRA  # noqa: E402
 from toppra.constraint import (  # noqa: E402

@@ -24,11 +24,11 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-import server
 from protocol.errors import one_line, shorten
 from robot.description.model import RobotModel
 from robot.logs import LogLimiter
 from server.errors import FileTooLargeError, ServiceError
+from server.installation import PAGE_DIRECTORY
 from server.moveit.description import RobotFiles, package_name, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")
@@ -78,9 +78,6 @@ _HEADERS_OF_ALL = {
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
 }
-
-# Built by `make page` from the sources beside it; in a wheel it is there without them.
-PAGE_DIRECTORY = Path(server.__file__).parent / "page" / "dist"
 
 INDEX = "index.html"
 

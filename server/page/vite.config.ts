@@ -9,6 +9,11 @@ export default defineConfig({
   base: "./",
   // Version of armbridge that the page is built with; the server tells its own.
   define: { __VERSION__: JSON.stringify(version) },
+  // For `armbridge --version`, which reads no JavaScript.
+  plugins: [{
+    name: "version",
+    transformIndexHtml: () => [{ tag: "meta", attrs: { name: "version", content: version }, injectTo: "head" }],
+  }],
   build: {
     outDir: "dist",
     target: "es2022",

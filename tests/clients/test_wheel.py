@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -13,6 +16,9 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 PARTS = (
+    "armbridge.py",
+    "docs",
+    "hatch_build.py",
     "server",
     "protocol",
     "robot",
@@ -38,7 +44,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
             shutil.copy(ROOT / part, made / part)
     # Where git's folder is, hatch looks for what git ignores.
     (made / ".git").mkdir()
-    for name in ("dist/index.html", "dist/assets/vendor.js", "node_modules/three/three.js"):
+    for name in ("dist/index.html", "dist/licenses.md", "dist/assets/vendor.js", "node_modules/three/three.js"):
         file = made / "server" / "page" / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("built")
@@ -48,17 +54,88 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("wheel")
-    uv = Path(sys.executable).with_name("uv")
     # By way of the sdist, which therefore has all that is needed.
-    subprocess.run([uv, "build", "--quiet", "--out-dir", out, checkout], check=True, timeout=120)
+    build(checkout, out).check_returncode()
     (made,) = out.glob("*.whl")
     return made
 
 
-def test_of_the_page_it_has_what_was_built_and_nothing_else(wheel: Path) -> None:
+def build(checkout: Path, out: Path) -> subprocess.CompletedProcess[str]:
+    uv = Path(sys.executable).with_name("uv")
+    command = [uv, "build", "--out-dir", out, checkout]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def names_in(wheel: Path) -> set[str]:
     with zipfile.ZipFile(wheel) as archive:
-        names = {name for name in archive.namelist() if name.startswith("server/page/")}
-    assert names == {"server/page/dist/index.html", "server/page/dist/assets/vendor.js"}
+        return set(archive.namelist())
+
+
+def test_of_the_page_it_has_what_was_built_and_nothing_else(wheel: Path) -> None:
+    names = {name for name in names_in(wheel) if name.startswith("server/page/")}
+    assert names == {f"server/page/dist/{name}" for name in ("index.html", "licenses.md", "assets/vendor.js")}
+
+
+def test_it_has_the_types_the_arms_the_docs_and_the_licences(wheel: Path) -> None:
+    names = names_in(wheel)
+    data = next(name for name in names if ".data/" in name).split("/")[0]
+    info = data.replace(".data", ".dist-info")
+    for folder in ("server", "protocol", "robot", "planners"):
+        assert f"{folder}/py.typed" in names
+    for folder in ("protocol/interfaces", *(f"robot/arms/{arm.name}" for arm in (ROOT / "robot/arms").glob("[!_]*/"))):
+        files = {f"{folder}/{file.name}" for file in (ROOT / folder).iterdir() if file.is_file()}
+        assert files <= names
+    pages = {f"{data}/data/share/doc/armbridge/docs/{page.name}" for page in (ROOT / "docs").glob("*.md")}
+    assert pages <= names
+    assert {f"{info}/licenses/LICENSE", f"{info}/licenses/robot/arms/so101/NOTICE", "armbridge.py"} <= names
+
+
+def test_it_has_no_tests_and_nothing_else_at_the_top_level(wheel: Path) -> None:
+    tops = {name.split("/")[0] for name in names_in(wheel)}
+    ours = {"armbridge.py", "server", "protocol", "robot", "planners"}
+    assert {name for name in tops if not name.endswith((".dist-info", ".data"))} == ours
+
+
+def test_the_sdist_has_no_tests(wheel: Path) -> None:
+    (sdist,) = wheel.parent.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        names = archive.getnames()
+    assert [name for name in names if name.split("/")[1:2] == ["tests"]] == []
+
+
+def test_its_description_links_to_no_file_that_an_index_does_not_have(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = [name for name in archive.namelist() if name.endswith(".dist-info/METADATA")]
+        metadata = archive.read(name).decode()
+    targets = re.findall(r"\]\(([^)]+)\)", metadata)
+    assert targets
+    assert [target for target in targets if not target.startswith(("http:", "https:", "#"))] == []
+
+
+def test_its_licence_names_those_of_the_libraries_in_the_page() -> None:
+    lock = json.loads((ROOT / "server/page/package-lock.json").read_text())
+    bundled = {each["license"] for name, each in lock["packages"].items() if name and not each.get("dev")}
+    (named,) = re.findall(r'^license = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    assert bundled <= set(named.split(" AND "))
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        "server/page/dist/index.html",
+        "docs/configuration.md",
+        "protocol/interfaces/ros2.json",
+        "robot/arms/so101/NOTICE",
+    ],
+)
+def test_without_one_of_its_parts_it_is_not_built(checkout: Path, tmp_path: Path, part: str) -> None:
+    away = (checkout / part).rename(tmp_path / "away")
+    try:
+        done = build(checkout, tmp_path / "out")
+    finally:
+        away.rename(checkout / part)
+    assert done.returncode != 0
+    assert f"{part} (" in done.stderr or "NOTICE" in done.stderr
 
 
 def test_once_installed_the_server_finds_its_page(wheel: Path, tmp_path: Path) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from docker import slim
+from tests.helpers.source import ROOMS, imports, paths
 
 
 def fill(path: Path, content: str = "x") -> Path:
@@ -33,8 +36,8 @@ GOES = [
     "cmeel.prefix/bin/pinocchio_bench",
     "scipy/linalg/tests/test_basic.py",
     "uvloop/loop.pyx",
+    "scipy/optimize/__init__.py",
     "zstandard/_cffi.cpython-313-x86_64-linux-gnu.so",
-    "fontTools/ttLib/__init__.py",
 ]
 
 STAYS = [
@@ -42,10 +45,8 @@ STAYS = [
     "cmeel.prefix/lib/python3.13/site-packages/coal/__init__.py",
     "cmeel.prefix/share/doc/coal/LICENSE",
     "numpy/testing/__init__.py",
+    "scipy/spatial/__init__.py",
     "zstandard/backend_c.cpython-313-x86_64-linux-gnu.so",
-    "fontTools/agl.py",
-    "fontTools/misc/loggingTools.py",
-    "fontTools/__pycache__/agl.cpython-313.pyc",
 ]
 
 
@@ -79,3 +80,22 @@ def test_it_tells_how_much_each_step_has_saved(packages: Path, capsys: pytest.Ca
     lines = capsys.readouterr().out.splitlines()
     assert "    2.0 MB  tests of packages" in lines
     assert lines[-1] == "    2.0 MB  in all"
+
+
+def test_of_scipy_nothing_goes_that_the_planners_load() -> None:
+    program = "import sys, scipy.spatial, scipy.sparse.csgraph; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    loaded = {name.split(".")[1] for name in done.stdout.split() if name.startswith("scipy.")}
+    assert {"spatial", "sparse"} <= loaded
+    assert loaded & set(slim.SCIPY) == set()
+
+
+def test_of_scipy_nothing_goes_that_ours_import() -> None:
+    names = {
+        name
+        for room in ROOMS
+        for path in paths(room)
+        for name in imports(path).names | imports(path).sources
+        if name.startswith("scipy.")
+    }
+    assert {name.split(".")[1] for name in names} == {"spatial", "sparse"}

@@ -47,12 +47,18 @@ def run_command(arguments: str) -> list[str]:
 
 @dataclass
 class RunningServer:
-    """One server process, run by the command ``prefix`` if there is one; everything it logs is kept in ``lines``."""
+    """One server process; everything it logs is kept in ``lines``.
+
+    Attributes:
+        prefix: command that runs the server's.
+        program: an installed ``armbridge``, run in a folder without sources; None for that of the checkout.
+    """
 
     arguments: str = "--port 0"
     settings: dict[str, str] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
     prefix: tuple[str, ...] = ()
+    program: Path | None = None
 
     def __enter__(self) -> RunningServer:
         self._ready = threading.Event()
@@ -60,8 +66,8 @@ class RunningServer:
         # What a server keeps for its next start is no other server's, and not the user's.
         self._data = tempfile.TemporaryDirectory(prefix="armbridge")
         self.process = subprocess.Popen(
-            [*self.prefix, *run_command(self.arguments)],
-            cwd=ROOT,
+            [*self.prefix, *self._command()],
+            cwd=ROOT if self.program is None else self._data.name,
             env={**os.environ, "XDG_DATA_HOME": self._data.name, **self.settings},
             stderr=subprocess.PIPE,
             text=True,
@@ -78,6 +84,11 @@ class RunningServer:
         assert self.process.stderr is not None
         self.process.stderr.close()
         self._data.cleanup()
+
+    def _command(self) -> list[str]:
+        if self.program is None:
+            return run_command(self.arguments)
+        return [str(self.program), "serve", *shlex.split(self.arguments)]
 
     @property
     def url(self) -> str:

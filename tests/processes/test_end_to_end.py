@@ -22,7 +22,8 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosedError
 
 from server.errors import RecordingError
-from server.gateway.http import HOW_TO_BUILD_PAGE, PAGE_DIRECTORY, page_is_built
+from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
+from server.installation import PAGE_DIRECTORY
 from server.recording.replay import Recording
 from tests.helpers.clients import FrameClient, frame_client, goal_is, status_state
 from tests.helpers.robots import nominal_calibration, so101

@@ -1,0 +1,58 @@
+"""Files of the data directory that older and newer versions have written."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from server.graph.message_types import MessageTypes
+from server.moveit.named_states import NamedStatesFile
+from server.moveit.scene.saved_scene import SceneFile, complete_scene
+from server.teaching.motion_files import MotionFiles
+from tests.helpers.clock import FakeClock
+from tests.helpers.moveit import REGISTRY, ROBOT
+
+# Written by version 0.1.0: never change them; add a folder for a version whose formats differ.
+WRITTEN = Path(__file__).parent / "data_of_0_1_0"
+
+# What a newer version may have added.
+NEWER = {"written_by": "9.9.9"}
+
+
+@pytest.fixture(params=[{}, NEWER], ids=["of 0.1.0", "of a newer version"])
+def directory(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A data directory with the states and the motion of a version."""
+    for name in ("named_states_so101.json", "wave.json"):
+        content = json.loads((WRITTEN / name).read_text())
+        (tmp_path / name).write_text(json.dumps({**content, **request.param}))
+    return tmp_path
+
+
+def test_saved_states_open(directory: Path) -> None:
+    states = NamedStatesFile(directory / "named_states_so101.json").load()
+    assert states == {"tray": {"shoulder_pan": 0.25, "elbow_flex": -0.5}}
+
+
+async def test_taught_motions_open(directory: Path) -> None:
+    motion = await MotionFiles(directory, ROBOT).load("wave")
+    assert motion.joint_names == ("shoulder_pan",)
+    assert motion.positions_rad.tolist() == [[0.0], [0.1], [0.2]]
+
+
+def test_the_planning_scene_of_an_older_version_opens(tmp_path: Path) -> None:
+    path = tmp_path / "planning_scene_so101.json"
+    shutil.copy(WRITTEN / path.name, path)
+    content: Any = SceneFile(path).read()
+    scene = complete_scene(MessageTypes(REGISTRY, FakeClock()), content)
+    assert [each["id"] for each in scene["world"]["collision_objects"]] == ["box"]
+
+
+def test_states_of_an_unknown_kind_are_set_aside_and_kept(tmp_path: Path) -> None:
+    states = tmp_path / "named_states.json"
+    states.write_text('{"states": [{"name": "tray"}]}')
+    assert NamedStatesFile(states).load() == {}
+    assert (tmp_path / "named_states.json.broken").read_text() == '{"states": [{"name": "tray"}]}'

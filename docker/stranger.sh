@@ -26,7 +26,14 @@ stranger() {
     # shellcheck disable=SC2016  # the inner shell expands them
     unshare --mount --pid --fork --kill-child bash -c \
         'mount -t proc proc "$0/proc" && mount --rbind /dev "$0/dev" &&
-         exec chroot "$0" /bin/bash -c "cd /root/armbridge && $1"' "$ROOT" "$1" >"$WORK/last.log" 2>&1
+         for path in $2; do mount --rbind "$path" "$0/$path" || exit; done &&
+         exec chroot "$0" /bin/bash -c "cd /root/armbridge && $1"' "$ROOT" "$1" "$(local_indexes)" >"$WORK/last.log" 2>&1
+}
+
+# Directories that pip's configuration names, with the files beside an index.
+local_indexes() {
+    python3 -m pip config list | grep -E 'index-url|find-links' | grep -oE "/[^/ '\"][^ '\"]*" | sed 's#/simple/*$##' |
+        sort -u | while read -r path; do [ ! -d "$path" ] || echo "$path"; done
 }
 
 is_said() { grep -q -- "$1" "$WORK/last.log" || fail "nothing says: $1"; }
@@ -38,11 +45,12 @@ make_root() {
     mmdebstrap --quiet --variant=minbase --include=python3,make,git,ca-certificates "$SUITE" "$ROOT" "$MIRROR"
     local path
     for path in /etc/resolv.conf /etc/ssl/certs/ca-certificates.crt /etc/pip.conf /etc/xdg/pip "$HOME/.config/pip" \
-        "$HOME/.npmrc" /usr/local/etc/npmrc $(python3 -m pip config list | grep -oE "/[^/ '\"][^ '\"]*" | sort -u); do
-        [ -e "$path" ] && [ ! -d "$ROOT/$path" ] || continue
+        "$HOME/.npmrc"; do
+        [ -e "$path" ] || continue
         mkdir -p "$ROOT/$(dirname "$path")"
-        cp -aL "$path" "$ROOT/$path"
+        cp -aLT "$path" "$ROOT/$path"
     done
+    for path in $(local_indexes); do mkdir -p "$ROOT/$path"; done
     git clone --quiet --no-hardlinks . "$ROOT/root/armbridge"
 }
 
@@ -58,10 +66,10 @@ without_venv() {
 moves() {
     cp "$WORK/readme.py" "$ROOT/root/readme.py"
     stranger "make run >/root/server.log 2>&1 & server=\$!
-        for _ in \$(seq $START_S); do grep -q 'ws://127.0.0.1:9090' /root/server.log && break; sleep 1; done
+        for _ in \$(seq $START_S); do grep -q 'ws://127.0.0.1:9090' /root/server.log && break; kill -0 \$server || break; sleep 1; done
         .venv/bin/pip install -q roslibpy && timeout 60 .venv/bin/python /root/readme.py; code=\$?
         .venv/bin/python -c 'import urllib.request as r; print(\"page:\", b\"<canvas\" in r.urlopen(\"http://127.0.0.1:9090/\").read())'
-        pkill -INT armbridge || kill \$server; cat /root/server.log; exit \$code" || fail "the arm was not moved"
+        kill -INT \$(cat /proc/[0-9]*/stat | sed -n 's/^\([0-9]*\) (armbridge).*/\1/p' | head -1) \$server; cat /root/server.log; exit \$code" || fail "the arm was not moved"
 }
 
 make_root

@@ -41,6 +41,7 @@ FOREIGN = (
     "export RMW_IMPLEMENTATION=",
     "ros2 ",
     "docker ",
+    "docker/",
     "socat ",
     "lerobot-calibrate ",
 )

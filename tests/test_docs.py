@@ -118,6 +118,19 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "examples" / "browser_page.html"], ids=lambda page: page.name)
+def test_raw_examples_that_register_topics_ask_for_refusals_first(page: Path) -> None:
+    """Without set_level, the server is silent about all that a reader changes wrongly in them."""
+    text = page.read_text()
+    examples = [text] if page.suffix == ".html" else blocks(page, "json")
+    # Pages explain single operations, and what a library sends, in shorter blocks.
+    for example in examples:
+        if len(re.findall(r'"?op"?: ?"(?:advertise|subscribe)"', example)) > 1:
+            assert re.search(r'"?op"?: ?"set_level".*?"advertise"', example, re.DOTALL), (
+                f"{page.name}: put " + '{"op":"set_level","level":"error"}' + f" before the first advertise\n{example}"
+            )
+
+
 def test_every_heading_that_is_linked_exists() -> None:
     missing = []
     for page in (ROOT / "README.md", ROOT / "tests" / "ATTACKS.md", *PAGES):

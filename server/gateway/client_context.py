@@ -190,7 +190,7 @@ class ClientStatus:
         self._wake()
 
     def _log(self, level: int, line: str) -> None:
-        self._log_limiter.write(log, level, line, "client", self._clock())
+        self._log_limiter.write(log, level, line, "client", self._clock(), extra={"client": str(self._node)})
 
 
 def _do_nothing() -> None:

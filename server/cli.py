@@ -25,7 +25,7 @@ from server.commands.report import add_report_parser
 from server.commands.robot import add_robot_parser
 from server.commands.serve import add_emulate_parser, add_replay_parser, add_serve_parser
 from server.commands.setup import add_setup_parser
-from server.commands.terminal import EXIT_CODES
+from server.commands.terminal import EXIT_CODES, ExitCode
 from server.commands.verify import add_verify_parser
 from server.config_keys import unknown
 
@@ -73,7 +73,16 @@ def run_process() -> NoReturn:
     reads nothing. When such a thread comes back to an interpreter that is being finalized, Python ends it, for which a
     library in Rust aborts the process (exit code 134). So the interpreter is not finalized then.
     """
-    code = main()
+    try:
+        try:
+            code = main()
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader has read enough, as `head` does. Python flushes at its end, where it could only complain:
+        # https://docs.python.org/3/library/signal.html#note-on-sigpipe
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = ExitCode.FAILED
     if any(thread.daemon for thread in threading.enumerate()):
         logging.shutdown()
         sys.stdout.flush()

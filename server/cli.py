@@ -6,6 +6,7 @@ import argparse
 import logging
 import os
 import re
+import select
 import sys
 import threading
 from collections.abc import Sequence
@@ -79,7 +80,9 @@ def run_process() -> NoReturn:
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        # The reader has read enough, as `head` does. Python flushes at its end, where it could only complain:
+        if not _reader_has_left():
+            raise
+        # It has read enough, as `head` does. Python flushes at its end, where it could only complain:
         # https://docs.python.org/3/library/signal.html#note-on-sigpipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = ExitCode.FAILED
@@ -89,6 +92,14 @@ def run_process() -> NoReturn:
         sys.stderr.flush()
         os._exit(code)
     sys.exit(code)
+
+
+def _reader_has_left() -> bool:
+    """Return True when standard output is a pipe whose reading end is closed."""
+    poll = select.poll()
+    # An error is reported without being asked for.
+    poll.register(sys.stdout.fileno(), 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def _parser() -> argparse.ArgumentParser:

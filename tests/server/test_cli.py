@@ -32,6 +32,15 @@ def test_a_reader_that_has_read_enough_gets_no_traceback(arguments: list[str]) -
     assert done.stderr == ""
 
 
+def test_a_pipe_that_breaks_elsewhere_is_an_error_like_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> int:
+        raise BrokenPipeError("a socket")
+
+    monkeypatch.setattr(cli, "main", broken)
+    with pytest.raises(BrokenPipeError, match="a socket"):
+        cli.run_process()
+
+
 def exit_code_of(*arguments: str) -> object:
     """The exit code of a command that the parser ends."""
     with pytest.raises(SystemExit) as ended:

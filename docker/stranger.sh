@@ -27,7 +27,7 @@ stranger() {
     unshare --mount --pid --fork --kill-child bash -c \
         'mount -t proc proc "$0/proc" && mount --rbind /dev "$0/dev" &&
          for path in $2; do mount --rbind "$path" "$0/$path" || exit; done &&
-         exec chroot "$0" /bin/bash -c "cd /root/armbridge && $1"' "$ROOT" "$1" "$(local_indexes)" >"$WORK/last.log" 2>&1
+         exec chroot "$0" /bin/bash -c "cd /root/armbridge || exit; $1"' "$ROOT" "$1" "$(local_indexes)" >"$WORK/last.log" 2>&1
 }
 
 # Directories that pip's configuration names, with the files beside an index.

@@ -1,4 +1,4 @@
-"""Wave between two points until Ctrl-C, then stop the arm."""
+"""Wave between two points until Ctrl-C, then stop the arm; the server: ``armbridge serve``."""
 
 import argparse
 import queue

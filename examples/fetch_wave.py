@@ -1,4 +1,4 @@
-"""Wave with a Fetch's hand until Ctrl-C, by ROS 1's actionlib; the server's token, if any, is in ARM_TOKEN."""
+"""Wave with a Fetch's hand until Ctrl-C, token in ARM_TOKEN; the server: ``armbridge serve --robot fetch``."""
 
 import argparse
 import itertools
@@ -16,11 +16,9 @@ CONNECT_TIMEOUT_S = 4
 MOTION_TIMEOUT_S = 30
 RETRY_PAUSE_S = 1
 TOLERANCE = 0.01  # [m], and [rad] about each axis
-
 # Result codes are those of moveit_msgs/MoveItErrorCodes.
 NAMES = {1: "SUCCESS", -1: "PLANNING_FAILED", -4: "CONTROL_FAILED", -7: "PREEMPTED"}
 NAMES |= {-12: "GOAL_IN_COLLISION", -16: "INVALID_GOAL_CONSTRAINTS", -31: "NO_IK_SOLUTION", 99999: "FAILURE"}
-
 # Positions in base_link [m], and the hand's orientation at both: fingers forward and up.
 POSITIONS = ((0.55, 0.3, 1.15), (0.55, -0.3, 1.15))
 ORIENTATION = (0.0, -0.3827, 0.0, 0.9239)
@@ -64,8 +62,7 @@ def constraints(position: tuple[float, ...], orientation: tuple[float, ...]) -> 
     """Return the moveit_msgs/Constraints of a pose of the hand."""
     hand = {"header": {"frame_id": "base_link"}, "link_name": "gripper_link", "weight": 1.0}
     pose = {"position": dict(zip("xyz", position, strict=True)), "orientation": {"w": 1.0}}
-    # Type 2 is a sphere.
-    region = {"primitives": [{"type": 2, "dimensions": [TOLERANCE]}], "primitive_poses": [pose]}
+    region = {"primitives": [{"type": 2, "dimensions": [TOLERANCE]}], "primitive_poses": [pose]}  # 2 is a sphere
     turn = {f"absolute_{axis}_axis_tolerance": TOLERANCE for axis in "xyz"}
     turn["orientation"] = dict(zip("xyzw", orientation, strict=True))
     return {"position_constraints": [hand | {"constraint_region": region}], "orientation_constraints": [hand | turn]}
@@ -89,6 +86,8 @@ def main() -> None:
     try:
         for position in itertools.takewhile(lambda _: not arm.ending.is_set(), itertools.cycle(POSITIONS)):
             print(name := arm.move(position, ORIENTATION), flush=True)
+            if name in ("NO_IK_SOLUTION", "error -15", "error -18"):  # no such pose, group or link
+                sys.exit("this arm is no Fetch: start one with armbridge serve --robot fetch")
             if name != "SUCCESS":
                 arm.ending.wait(RETRY_PAUSE_S)
     finally:

@@ -1,4 +1,4 @@
-"""Turn joints to angles in degrees and print the progress."""
+"""Turn joints to angles in degrees and print the progress; the server: ``armbridge serve``."""
 
 import argparse
 import math

@@ -1,6 +1,7 @@
 """Let an arm follow its leader until Ctrl+C, and print what it does.
 
 The leader is an arm of the server with the role "leader", or a topic of joint states, as of ``armbridge leader``.
+The server: ``armbridge serve --config examples/leader_follower.toml``.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Move the arm to a named target and wait until it is there."""
+"""Move the arm to a named target and wait until it is there; the server: ``armbridge serve``."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""Pick up a small box and put it down elsewhere."""
+"""Pick up a small box and put it down elsewhere; the server: ``armbridge serve``."""
 
 import argparse
 import queue

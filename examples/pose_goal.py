@@ -1,4 +1,4 @@
-"""Bring the tip to a point, or to the nearest reachable one."""
+"""Bring the tip to a point, or to the nearest reachable one; the server: ``armbridge serve``."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""Draw a square in the air with the tip, along straight lines."""
+"""Draw a square in the air with the tip, along straight lines; the server: ``armbridge serve``."""
 
 import argparse
 import copy

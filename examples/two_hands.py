@@ -1,6 +1,6 @@
 """Move two arms at the same time, each by its name, then both together as one group.
 
-Start the server with ``armbridge serve --config examples/two_arms.toml``.
+The server: ``armbridge serve --config examples/two_arms.toml``.
 """
 
 import argparse

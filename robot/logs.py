@@ -14,7 +14,7 @@ import re
 import sys
 import time
 import weakref
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from types import TracebackType
@@ -23,6 +23,9 @@ from typing import Literal, Protocol, TypeAlias
 LogFormat: TypeAlias = Literal["plain", "json"]
 
 PLAIN = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
+
+# Subjects of a line that are fields of their own in JSON, where the line names them (``extra`` of the logging module).
+SUBJECTS = ("client", "goal", "code")
 
 # Parent of all loggers of this program; libraries have theirs beside it.
 OUR_LOGGER = "armbridge"
@@ -115,6 +118,7 @@ class JsonFormatter(logging.Formatter):
             "process": self._process,
             "pid": record.process,
         }
+        fields |= {name: value for name in SUBJECTS if (value := getattr(record, name, ""))}
         if record.exc_info:
             fields["exception"] = without_secrets(self.formatException(record.exc_info))
         return json.dumps(fields, default=str)
@@ -152,7 +156,15 @@ class LogLimiter:
         # By the hash of the key, which may be as long as a message of a client.
         self._buckets: dict[int, _Bucket] = {}
 
-    def write(self, logger: logging.Logger, level: int, line: str, key: Hashable, now_s: float = 0.0) -> None:
+    def write(
+        self,
+        logger: logging.Logger,
+        level: int,
+        line: str,
+        key: Hashable,
+        now_s: float = 0.0,
+        extra: Mapping[str, str] | None = None,
+    ) -> None:
         """Write a line if it is due, and how many like it were not; write once that there are too many keys.
 
         Args:
@@ -161,9 +173,10 @@ class LogLimiter:
             line: text; formatters escape what a client has put into it.
             key: subject of the line.
             now_s: monotonic time [s]; without effect where there are no lines in the long run.
+            extra: the line's :data:`SUBJECTS`; None for none.
         """
         if self.due(key, now_s):
-            logger.log(level, "%s%s", line, suppressed_note(self.suppressed(key)), stacklevel=2)
+            logger.log(level, "%s%s", line, suppressed_note(self.suppressed(key)), stacklevel=2, extra=extra)
         elif hash(key) not in self._buckets and not self._end_is_written:
             self._end_is_written = True
             logger.log(level, "%d lines of this kind were written; further ones are not", len(self._buckets))

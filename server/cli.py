@@ -6,6 +6,7 @@ import argparse
 import logging
 import os
 import re
+import select
 import sys
 import threading
 from collections.abc import Sequence
@@ -24,7 +25,7 @@ from server.commands.report import add_report_parser
 from server.commands.robot import add_robot_parser
 from server.commands.serve import add_emulate_parser, add_replay_parser, add_serve_parser
 from server.commands.setup import add_setup_parser
-from server.commands.terminal import EXIT_CODES
+from server.commands.terminal import EXIT_CODES, ExitCode
 from server.commands.verify import add_verify_parser
 from server.config_keys import unknown
 from server.installation import version_line
@@ -73,13 +74,32 @@ def run_process() -> NoReturn:
     reads nothing. When such a thread comes back to an interpreter that is being finalized, Python ends it, for which a
     library in Rust aborts the process (exit code 134). So the interpreter is not finalized then.
     """
-    code = main()
+    try:
+        try:
+            code = main()
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        if not _reader_has_left():
+            raise
+        # It has read enough, as `head` does. Python flushes at its end, where it could only complain:
+        # https://docs.python.org/3/library/signal.html#note-on-sigpipe
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = ExitCode.FAILED
     if any(thread.daemon for thread in threading.enumerate()):
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
     sys.exit(code)
+
+
+def _reader_has_left() -> bool:
+    """Return True when standard output is a pipe whose reading end is closed."""
+    poll = select.poll()
+    # An error is reported without being asked for.
+    poll.register(sys.stdout.fileno(), 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -52,10 +52,8 @@ def commands(page: str) -> list[str]:
     text = (ROOT / page).read_text()
     lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.splitlines()]
     lines += re.findall(r"`((?:armbridge|make) [^`]+)`", text)
-    # Without comments, files of output, and variables that are set for the command alone.
-    stripped = (
-        re.sub(r"^[A-Z_]+=\S+ (?=make |armbridge )", "", re.split(r"\s+#|\s+>", line)[0]).strip() for line in lines
-    )
+    # Without comment, redirection and the variables set for the command.
+    stripped = (re.sub(r"^([A-Z_]+=\S* )+", "", re.split(r"\s+#|\s+>", line)[0].strip()) for line in lines)
     return [line for line in stripped if line]
 
 
@@ -76,7 +74,7 @@ def test_the_modules_that_pages_name_exist() -> None:
     for page in (ROOT / "README.md", ROOT / "tests" / "ATTACKS.md", *PAGES):
         named = set(re.findall(r"`([\w/.-]+\.py)`", page.read_text()))
         missing = [name for name in sorted(named) if not any((folder / name).exists() for folder in folders)]
-        assert missing == [], page.name
+        assert missing == [], f"{page.relative_to(ROOT)} names modules that do not exist; correct their names there"
 
 
 def test_the_commands_of_armbridge_and_their_options_exist(capsys: pytest.CaptureFixture[str]) -> None:
@@ -88,12 +86,14 @@ def test_the_commands_of_armbridge_and_their_options_exist(capsys: pytest.Captur
                 cli.main([name, "--help"])
             assert ended.value.code == 0, command
             known[name] = re.findall(r"--[\w-]+", capsys.readouterr().out)
-        assert [word for word in rest if word.startswith("--") and word not in known[name]] == [], command
+        assert [word for word in rest if word.startswith("--") and word not in known[name]] == [], (
+            f"`{command}` names options that do not exist: correct it in README.md or docs/"
+        )
 
 
 def test_commands_about_the_configuration_succeed() -> None:
     for command in (line for line in COMMANDS if line.startswith("armbridge config")):
-        assert cli.main(shlex.split(command)[1:]) == 0, command
+        assert cli.main(shlex.split(command)[1:]) == 0, f"`{command}` fails: correct it in README.md or docs/"
 
 
 def test_the_targets_of_make_exist() -> None:
@@ -101,12 +101,13 @@ def test_the_targets_of_make_exist() -> None:
     done = subprocess.run(
         ["make", "-n", *sorted(words)], cwd=ROOT, capture_output=True, text=True, timeout=30, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, f"a `make ...` of README.md or docs/ is no target of the Makefile: {done.stderr}"
 
 
 def test_every_other_command_is_known_to_be_of_others() -> None:
     ours = ("armbridge ", "make ")
-    assert [line for line in COMMANDS if not line.startswith((*ours, *FOREIGN)) and line not in OF_EXAMPLES] == []
+    unknown = [line for line in COMMANDS if not line.startswith((*ours, *FOREIGN)) and line not in OF_EXAMPLES]
+    assert unknown == [], "correct them in README.md or docs/, or add their beginning to FOREIGN in tests/test_docs.py"
 
 
 @pytest.mark.parametrize("command", ["scheduler", "worker"])
@@ -134,6 +135,19 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "examples" / "browser_page.html"], ids=lambda page: page.name)
+def test_raw_examples_that_register_topics_ask_for_refusals_first(page: Path) -> None:
+    """Without set_level, the server is silent about all that a reader changes wrongly in them."""
+    text = page.read_text()
+    examples = [text] if page.suffix == ".html" else blocks(page, "json")
+    # Pages explain single operations, and what a library sends, in shorter blocks.
+    for example in examples:
+        if len(re.findall(r'"?op"?: ?"(?:advertise|subscribe)"', example)) > 1:
+            assert re.search(r'"?op"?: ?"set_level".*?"advertise"', example, re.DOTALL), (
+                f"{page.name}: put " + '{"op":"set_level","level":"error"}' + f" before the first advertise\n{example}"
+            )
+
+
 def test_every_heading_that_is_linked_exists() -> None:
     missing = []
     for page in (ROOT / "README.md", ROOT / "tests" / "ATTACKS.md", *PAGES):
@@ -141,7 +155,7 @@ def test_every_heading_that_is_linked_exists() -> None:
             linked = page.parent / target if target else page
             if anchor not in anchors(linked):
                 missing.append(f"{page.name} links to {target}#{anchor}")
-    assert missing == []
+    assert missing == [], "correct the links in the first named page, or the headings in the second"
 
 
 def test_the_pictures_show_the_page_as_it_is() -> None:
@@ -152,7 +166,8 @@ def test_the_pictures_show_the_page_as_it_is() -> None:
 def test_every_test_that_the_table_of_attacks_names_exists() -> None:
     named = re.findall(r"`([\w/.]+\.py)::(\w+)`", (ROOT / "tests" / "ATTACKS.md").read_text())
     assert len(named) > 10
-    assert [name for file, name in named if f"def {name}(" not in (ROOT / "tests" / file).read_text()] == []
+    missing = [name for file, name in named if f"def {name}(" not in (ROOT / "tests" / file).read_text()]
+    assert missing == [], "tests/ATTACKS.md names tests that do not exist; correct the table"
 
 
 def test_the_sentences_of_the_pages_about_troubles_are_printed_by_the_code() -> None:
@@ -164,7 +179,8 @@ def test_the_sentences_of_the_pages_about_troubles_are_printed_by_the_code() -> 
     assert len(quoted) > 100
     # Some sentences are joined from two strings at a colon.
     parts = [part for text in quoted for part in re.split(r"…|: ", text)]
-    assert [part for part in parts if len(part) > 4 and part.strip(" ();,") not in printed] == []
+    missing = [part for part in parts if len(part) > 4 and part.strip(" ();,") not in printed]
+    assert missing == [], "the code prints no such sentence: correct it in docs/troubleshooting.md or docs/hardware.md"
 
 
 # From the engine's axes to ROS's, and metres to the engine's unit.

@@ -28,7 +28,7 @@ def sections(settings: dict[str, Any], above: str = "") -> Iterator[tuple[str, l
 
 def test_the_python_client_of_the_readme_moves_the_arm(simulated_server: RunningServer) -> None:
     program = blocks(ROOT / "README.md", "python")[0]
-    assert "port=9090" in program
+    assert "port=9090" in program, "the program in README.md must connect to port=9090"
     done = subprocess.run(
         [sys.executable, "-c", program.replace("port=9090", f"port={simulated_server.port}")],
         capture_output=True,
@@ -36,7 +36,7 @@ def test_the_python_client_of_the_readme_moves_the_arm(simulated_server: Running
         timeout=60,
         check=False,
     )
-    assert done.stdout == "1 the arm is there\n", done.stderr
+    assert done.stdout == "1 the arm is there\n", f"correct the program in README.md: {done.stderr}"
 
 
 def test_the_readme_fits_on_a_screen_and_a_half() -> None:
@@ -56,15 +56,18 @@ def test_every_page_is_linked_in_the_list_of_all_pages() -> None:
 def test_the_configuration_page_shows_every_setting_with_its_default(tmp_path: Path) -> None:
     page = tmp_path / "page.toml"
     page.write_text(blocks(ROOT / "docs" / "configuration.md", "toml")[0])
-    assert load(page, {}).model_dump() == load(None, {}).model_dump()
+    different = "the first toml block of docs/configuration.md must show the defaults of the settings"
+    assert load(page, {}).model_dump() == load(None, {}).model_dump(), different
     text = page.read_text()
     for section, settings in sections(load(None, {}).model_dump()):
-        assert f"[{section}]" in text
+        assert f"[{section}]" in text, f"add [{section}] to the first toml block of docs/configuration.md"
         for key in settings:
-            assert re.search(rf"^(# )?{key} = ", text, re.MULTILINE), f"{section}.{key} is not on the page"
+            assert re.search(rf"^(# )?{key} = ", text, re.MULTILINE), (
+                f"add {section}.{key} to the first toml block of docs/configuration.md"
+            )
 
 
 def test_every_page_that_is_linked_exists() -> None:
     for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
         for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text()):
-            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+            assert (page.parent / target).exists(), f"correct the link to {target} in {page.relative_to(ROOT)}"

@@ -9,6 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent
 OTHER_RINGS = ("processes", "page", "clients", "examples", "fuzz", "helpers", "docker")
 CLOCKS = {"time.monotonic", "time.perf_counter", "time.time", "time.process_time", "time.monotonic_ns"}
+ELSEWHERE = "move the test to the same folder of tests/processes/ (docs/testing.md)"
 SERVERS = {"RunningServer", "server_on_bus"}
 
 
@@ -60,7 +61,7 @@ def test_nobody_sleeps_for_a_fixed_time() -> None:
                 continue
             if not stepped(tree, around) and not any(isinstance(node, ast.While) for node in around):
                 found.append(f"{name}:{call.lineno}")
-    assert found == []
+    assert found == [], f"in tests/: wait for an event (tests/helpers/waiting.py), or {ELSEWHERE}"
 
 
 def test_nobody_measures_how_long_something_takes() -> None:
@@ -75,9 +76,10 @@ def test_nobody_measures_how_long_something_takes() -> None:
             ):
                 called = {name_of(each.func) for each in ast.walk(node) if isinstance(each, ast.Call)}
                 found += [f"{name}:{node.lineno}"] if called & CLOCKS else []
-    assert found == []
+    assert found == [], f"in tests/: step the clock (tests/helpers/clock.py), or {ELSEWHERE}"
 
 
 def test_a_module_starts_one_server_at_most() -> None:
     found = {name: sum(called in SERVERS for called, _, _ in calls(tree)) for name, tree in modules()}
-    assert {name: count for name, count in found.items() if count > 1} == {}
+    several = {name: count for name, count in found.items() if count > 1}
+    assert several == {}, f"in tests/: share one server by a fixture of the module, or {ELSEWHERE}"

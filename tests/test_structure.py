@@ -36,7 +36,12 @@ def test_every_module_is_reached_by_the_tests_of_its_folder() -> None:
             reached |= found
             found = set[str]().union(*(imported[name] for name in found)) & imported.keys() - reached
         missed |= {name_of(path) for path in (ROOT / folder).glob("[!_]*.py")} - reached
-    assert missed - WITHOUT_TEST == set()
+    untested = sorted(missed - WITHOUT_TEST)
+    assert untested == [], (
+        "import each of these modules in a test of its own folder, as tests/robot/control/test_motion.py does for "
+        "robot/control/motion.py (or tests/processes/robot/control/); a module of data only goes into WITHOUT_TEST of "
+        "tests/test_structure.py"
+    )
 
 
 def test_every_motion_that_the_server_sends_to_an_arm_names_the_stop_epoch_of_its_request() -> None:
@@ -50,5 +55,5 @@ def test_every_motion_that_the_server_sends_to_an_arm_names_the_stop_epoch_of_it
                 count += 1
                 if "epoch" not in {each.arg for each in node.keywords}:
                     nameless.append(f"{path.relative_to(ROOT)}:{node.lineno}")
-    assert nameless == []
+    assert nameless == [], "pass epoch=..., the stop epoch of the request, in each of these calls"
     assert count > 0

@@ -217,7 +217,7 @@ def _tolerance_flaws(what: str, value: float, unit: str, least: float | None = N
 def _beyond_limits(what: str, robot: RobotModel, name: str, value: float) -> PlanningFailure:
     joint = robot.joints[name]
     return invalid_goal(
-        f"{what} beyond its limits {joint.lower:.4g} to {joint.upper:.4g} {joint.unit}",
+        f"{what} beyond its limits {joint.lower:.4g} to {joint.upper:.4g} {joint.unit}{joint.degrees_hint(value)}",
         joint=name,
         position_rad=value,
         lower_rad=joint.lower,

@@ -535,7 +535,10 @@ class Supervisor:
     def _finish(self, task: _Task, sentence: str, now_s: float, *, done: bool) -> None:
         self._task = None
         self._answer(task.number, sentence, done=done)
-        log.log(logging.INFO if done else logging.WARNING, "%s: %s", task.name, sentence)
+        if done and task.name == CONNECTING and self._config.hardware.simulated:
+            log.info("the simulated arm is ready")
+        else:
+            log.log(logging.INFO if done else logging.WARNING, "%s: %s", task.name, sentence)
         if task.name not in (CONNECTING, CHECKING_AGAIN):
             return
         if task.name == CONNECTING and self.arm is not None and self.arm.controller is not None:

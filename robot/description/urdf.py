@@ -62,6 +62,13 @@ class Joint:
         """Unit of its positions."""
         return "m" if self.type == "prismatic" else "rad"
 
+    def degrees_hint(self, position: float) -> str:
+        """Return the end of the sentence about a position beyond the limits; empty unless it may be in degrees."""
+        meant_rad = math.radians(position)
+        if self.unit != "rad" or abs(position) <= math.tau or not self.lower <= meant_rad <= self.upper:
+            return ""
+        return f"; positions are in radians: {position:.4g} degrees are {meant_rad:.4g} rad"
+
 
 @dataclass(frozen=True)
 class JointLimits:

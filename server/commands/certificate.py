@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
+import secrets
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,13 +33,20 @@ Keep {authority_key} to yourself: whoever has it can
 pretend to be any website to these phones. Remove the authority from a phone that is no longer used."""
 
 
+# The file of the setting access.token_file, and the name of the one whose token is made.
+TOKEN_FILE, OWNER = "tokens.toml", "owner"
+FILE_HEADER = "Tokens of clients, by name: [admin_tokens], [operate_tokens], [view_tokens]; see docs/security.md."
+TOKEN_BYTES = 16
+
+
 def add_certificate_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
     parser = subparsers.add_parser(
         "certificate",
         help="make a certificate for this machine that phones and browsers accept (https)",
         description="Make a local certificate authority, once, and a certificate of it for the names and addresses of "
-        "this machine, and say how the server and a phone take them. Called again it renews the certificate when it "
+        "this machine, and say how the server and a phone take them. The first time, make a token as well. "
+        "Called again it renews the certificate when it "
         "is about to end or when names or addresses are missing. Nothing is sent anywhere.",
         epilog=EXIT_CODES,
     )
@@ -69,15 +78,46 @@ def run_certificate(options: argparse.Namespace) -> int:
     own = ("localhost", *reversed(own_names()), *host_addresses(), "127.0.0.1", "::1")
     try:
         outcome = ensure_certificate(files, (*options.names, *own))
+        tokens, token = ensure_token(files.directory)
     except ConfigurationError as error:
         terminal.say(f"armbridge: {error}")
         return ExitCode.FAILED
-    terminal.tell(description_of(files, outcome))
+    terminal.tell(description_of(files, outcome, tokens, token))
     return ExitCode.DONE
 
 
-def description_of(files: CertificateFiles, outcome: Outcome) -> str:
-    """Return what was made, and what to do with it."""
+def ensure_token(directory: Path) -> tuple[Path, str]:
+    """Make a file of tokens with one in it, if there is none.
+
+    Args:
+        directory: the folder of the file; it exists.
+
+    Returns:
+        The file, and the token that was made; empty where there was a file.
+
+    Raises:
+        ConfigurationError: the file cannot be written.
+    """
+    file, token = directory / TOKEN_FILE, secrets.token_hex(TOKEN_BYTES)
+    try:
+        with contextlib.suppress(FileExistsError):
+            with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as written:
+                written.write(f'# {FILE_HEADER}\n[admin_tokens]\n{OWNER} = "{token}"\n')
+            return file, token
+    except OSError as error:
+        raise ConfigurationError(f"{file}: the token cannot be kept there: {error}") from error
+    return file, ""
+
+
+def description_of(files: CertificateFiles, outcome: Outcome, tokens: Path, token: str) -> str:
+    """Return what was made, and what to do with it.
+
+    Args:
+        files: the certificate and its authority.
+        outcome: what was made of them.
+        tokens: the file of tokens.
+        token: the token that was made; empty for none.
+    """
     certificate = f"The certificate is valid until {outcome.ends:%Y-%m-%d}"
     made = f"{certificate}; it was made because {outcome.reason}." if outcome.reason else f"{certificate}; it stays."
     known = "" if outcome.made_authority else " Phones that trust it already need nothing."
@@ -89,8 +129,11 @@ def description_of(files: CertificateFiles, outcome: Outcome) -> str:
             f"  authority    {files.authority} ({'new' if outcome.made_authority else 'as before'}).{known}",
             f"  names        {', '.join(outcome.names)}",
             "",
-            "Start the server with it, with a token, and for other machines:",
-            "  ARMBRIDGE_ACCESS__TOKEN=$(openssl rand -hex 16) armbridge serve --host 0.0.0.0 \\",
+            *_about_token(tokens, token),
+            "",
+            "Start the server with both, for other machines:",
+            "  armbridge serve --host 0.0.0.0 \\",
+            f"    --set access.token_file={tokens} \\",
             f"    --set server.tls_certificate={files.certificate} \\",
             f"    --set server.tls_key={files.key}",
             "A server that runs with it takes a renewed one on SIGHUP (systemctl reload armbridge).",
@@ -102,4 +145,14 @@ def description_of(files: CertificateFiles, outcome: Outcome) -> str:
                 fingerprint=outcome.fingerprint,
             ),
         )
+    )
+
+
+def _about_token(file: Path, token: str) -> tuple[str, ...]:
+    if not token:
+        return (f"The tokens are in {file}, as before.",)
+    return (
+        "The token that pages and programs ask for, with all rights (shown only now):",
+        f"  {token}",
+        f"It is kept in {file}, which only you can read. Add tokens with fewer rights there.",
     )

@@ -19,6 +19,7 @@ from protocol.operations import (
     Advertise,
     AdvertiseAction,
     AdvertiseService,
+    Auth,
     Operation,
     SetLevel,
     Status,
@@ -30,7 +31,7 @@ from protocol.operations import (
 )
 from protocol.publication import LARGE_BYTES
 from protocol.registry import Kind, Registry
-from protocol.session import LaterFields, Refusal, SendAtOnce, Session, never_at_once
+from protocol.session import LaterFields, Refusal, SendAtOnce, Session, never_at_once, with_id
 from robot.logs import LogLimiter
 from server.errors import GraphError
 from server.graph.message_types import ReceivedMessage
@@ -47,6 +48,10 @@ VALUES_LIMIT = f"the limit is {MAX_VALUES_IN_FLIGHT}"
 # Log lines about one client: at once, and in the long run [1/s].
 LOG_BURST = 50
 LOG_LINES_PER_S = 1.0
+
+# Errors that a client gets without having asked for them, until one of its operations is carried out: some clients log
+# a traceback for every status message.
+MAX_UNASKED_ERRORS = 10
 
 _LOG_LEVELS = {"none": logging.DEBUG, "error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO}
 
@@ -77,6 +82,9 @@ _DONE: Mapping[type[Operation], _Done] = {
 class ClientStatus:
     """Status messages of one client, as it wants them by ``set_level``, and log lines about it.
 
+    Until its first operation is carried out, a client is told unasked of a frame that is no operation and of a topic
+    that does not exist: someone who types JSON by hand would wait for an answer in vain.
+
     Args:
         node: the client.
         session: its session.
@@ -94,6 +102,7 @@ class ClientStatus:
         self._clock = clock
         self._wake = wake
         self._last_rejection = ""
+        self._unasked_errors_left = MAX_UNASKED_ERRORS
         self._log_limiter = LogLimiter(LOG_BURST, LOG_LINES_PER_S)
 
     def release(self) -> None:
@@ -102,11 +111,18 @@ class ClientStatus:
 
     def refuse(self, refusal: Refusal) -> None:
         """Tell of an operation that is not carried out."""
+        self._refuse(refusal, unasked=refusal.op is None)
+
+    def _refuse(self, refusal: Refusal, *, unasked: bool) -> None:
         self.refused += 1
         text = one_line(refusal.text)
         self._log(logging.WARNING, f"{self._node}: refused: {text}")
-        self._session.status("error", text, refusal.id)
-        self._wake()
+        if unasked and self._unasked_errors_left:
+            self._unasked_errors_left -= 1
+            self._send("error", text, refusal.id)
+        else:
+            self._session.status("error", text, refusal.id)
+            self._wake()
 
     def reject(self, operation: Operation, reason: str) -> None:
         """Tell of an operation that the client may not do; repeated ones are logged once, for they may come fast."""
@@ -126,7 +142,7 @@ class ClientStatus:
             self._session.status("warning", text, id_)
             self._wake()
         else:
-            self.refuse(Refusal(op, id_, text))
+            self._refuse(Refusal(op, id_, text), unasked=isinstance(error, GraphError))
 
     def tell(self, level: Literal["error", "warning", "info"], operation: Operation, text: str) -> None:
         """Tell of an operation that is carried out; of an error that is logged elsewhere."""
@@ -135,8 +151,18 @@ class ClientStatus:
         self._session.status(level, f"{operation.op}: {text}", operation.id)
         self._wake()
 
+    def doubt(self, operation: Operation, text: str) -> None:
+        """Warn of an operation that is carried out but was most likely not meant so."""
+        if self._unasked_errors_left:
+            self._send("warning", f"{operation.op}: {text}", operation.id)
+        else:
+            self.tell("warning", operation, text)
+
     def acknowledge(self, operation: Operation) -> None:
         """Confirm an operation that has no answer of its own."""
+        # Who has only shown a token has not shown yet that its other operations are right.
+        if self._unasked_errors_left and not isinstance(operation, Auth):
+            self._unasked_errors_left = 0
         if self._session.status_level == "none":
             return
         done = _DONE.get(type(operation))
@@ -151,14 +177,20 @@ class ClientStatus:
 
     def set_level(self, operation: SetLevel) -> None:
         """Set the least level of the status messages."""
+        self._unasked_errors_left = 0
         self._session.status_level = operation.level
 
     def log_status(self, operation: Status) -> None:
         """Log a status message of the client."""
         self._log(_LOG_LEVELS[operation.level], f"{self._node} says: {one_line(shorten(operation.msg))}")
 
+    def _send(self, level: Literal["error", "warning"], text: str, mark: str | int | None) -> None:
+        """Send a status message that the client has not asked for."""
+        self._session.reply(with_id({"op": "status", "level": level, "msg": text}, mark))
+        self._wake()
+
     def _log(self, level: int, line: str) -> None:
-        self._log_limiter.write(log, level, line, "client", self._clock())
+        self._log_limiter.write(log, level, line, "client", self._clock(), extra={"client": str(self._node)})
 
 
 def _do_nothing() -> None:

@@ -95,6 +95,14 @@ class ClientTopics:
             raise
         if operation.latch and not self._latches(operation):
             self._client.status.tell("warning", operation, NO_LATCH)
+        self._doubt_misspelt(operation, topic)
+
+    def _doubt_misspelt(self, operation: Advertise | Subscribe, topic: str) -> None:
+        """Warn of a topic that this client alone uses, and whose name is nearly that of one of the server's."""
+        if {*self._graph.publishers(topic), *self._graph.subscribers(topic)} == {self._node}:
+            meant = self._graph.nearest_topic(topic)
+            if meant is not None:
+                self._client.status.doubt(operation, f"topic {topic}: nobody else uses it; did you mean {meant}?")
 
     def unadvertise(self, operation: Unadvertise) -> None:
         """Withdraw an advertisement."""
@@ -177,6 +185,7 @@ class ClientTopics:
             raise
         if first:
             self._deliver_earlier(topic, earlier)
+            self._doubt_misspelt(operation, topic)
 
     def unsubscribe(self, operation: Unsubscribe) -> None:
         """End a subscription."""

@@ -173,7 +173,7 @@ class Connection:
 
     async def run(self) -> None:
         """Serve the client until it leaves."""
-        log.info("%s connected", self._client.node)
+        log.info("%s connected", self._client.node, extra=self._fields)
         waiting = None
         if self._client.node.identity is None:
             waiting = asyncio.get_running_loop().call_later(AUTH_TIMEOUT_S, self._check_authenticated)
@@ -211,9 +211,19 @@ class Connection:
             async for frame in self._transport:
                 self._client.receive_frame(frame)
         except (ConnectionClosed, ConnectionError) as closed:
-            log.warning("%s: connection closed: %s", self._client.node, closed)
+            # A program that ends often leaves without a close frame (RFC 6455, 7.1.5: code 1006).
+            breaks_off = isinstance(closed, ConnectionClosed) and closed.rcvd is None and closed.sent is None
+            if breaks_off or isinstance(closed, ConnectionResetError):
+                log.info("%s left without a word", self._client.node, extra=self._fields)
+            else:
+                log.warning("%s: connection closed: %s", self._client.node, closed, extra=self._fields)
         else:
-            log.info("%s left", self._client.node)
+            log.info("%s left", self._client.node, extra=self._fields)
+
+    @property
+    def _fields(self) -> dict[str, str]:
+        """Fields of log lines in JSON."""
+        return {"client": str(self._client.node)}
 
     async def _write(self, wake: asyncio.Event) -> None:
         """Send the messages that the socket did not take at once, as it takes them and as they become due."""

@@ -87,6 +87,7 @@ class TcpStream(asyncio.Protocol):
         self._read_all = asyncio.Event()
         self._ending = False
         self._failure: str | None = None
+        self._broken_off = False
         self._end_timer: asyncio.TimerHandle | None = None
         self._lost = asyncio.Event()
         self._writable = asyncio.Event()
@@ -117,7 +118,7 @@ class TcpStream(asyncio.Protocol):
         if self._end_timer is not None:
             self._end_timer.cancel()
         if exc is not None and self._failure is None:
-            self._failure = str(exc)
+            self._failure, self._broken_off = str(exc), True
         self._ending = True
         self._splitter.clear()
         for event in (self._read_all, self._writable, self._lost):
@@ -242,11 +243,12 @@ class TcpStream(asyncio.Protocol):
         """Wait for the end: every frame is handed over by the callback.
 
         Raises:
-            ConnectionAbortedError: the connection has been ended, or was broken off.
+            ConnectionAbortedError: the connection has been ended.
+            ConnectionResetError: the client has broken it off.
         """
         await self._read_all.wait()
         if self._failure is not None:
-            raise ConnectionAbortedError(self._failure)
+            raise (ConnectionResetError if self._broken_off else ConnectionAbortedError)(self._failure)
         raise StopAsyncIteration
 
     # What goes to the client.

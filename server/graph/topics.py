@@ -9,6 +9,7 @@ publisher lives, without it every message for a second (rosbridge_library, inter
 
 from __future__ import annotations
 
+import difflib
 import logging
 import time
 from collections import OrderedDict
@@ -44,6 +45,11 @@ MAX_TOPICS_FOR_VIEWERS = MAX_TOPICS // 2
 # Topics that a client publishes on, also without having advertised them: the default limit of advertised ones, and as
 # many again. It must not take long to forget a client that has left.
 MAX_TOPICS_OF_PUBLISHER = 2_000
+
+# Likeness of a misspelt topic to the server's own, by difflib's measure: two letters of ten. Longer names are not
+# compared, for the time grows with the square of the length.
+LIKENESS = 0.8
+MAX_COMPARED_CHARACTERS = 100
 
 # Some clients open a new socket between advertise and publish.
 UNREGISTER_TIMEOUT_S = 10.0
@@ -163,6 +169,20 @@ class Graph:
         """Return the canonical type of a topic, given by its fully qualified name; None when it is not known."""
         topic = self._topics.get(name)
         return None if topic is None or self._outlived(topic) else topic.type_name
+
+    def nearest_topic(self, name: str) -> str | None:
+        """Return the topic of the server's own with nearly the given name; None where there is none."""
+        if len(name) > MAX_COMPARED_CHARACTERS:
+            return None
+        own = [
+            topic
+            for index in (self._publications, self._subscriptions)
+            for node in index
+            if not node.remote
+            for topic in index.of(node)
+        ]
+        found = difflib.get_close_matches(name, own, n=1, cutoff=LIKENESS)
+        return found[0] if found else None
 
     def publishers(self, name: str) -> list[Node]:
         """Return the publishers of a topic, given by its fully qualified name."""
@@ -446,7 +466,9 @@ class Graph:
         topic = self._topics.get(name)
         if topic is None or self._outlived(topic):
             if type_name is None:
-                raise GraphError("topic", name, "has no type yet: advertise it first, or name the type")
+                problem = "has no type yet: advertise it first, or name the type"
+                meant = self.nearest_topic(name)
+                raise GraphError("topic", name, f"{problem}; did you mean {meant}?" if meant else problem)
             canonical = self._canonical(name, type_name)
             if topic is not None:
                 self._forget(topic)

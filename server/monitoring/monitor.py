@@ -56,8 +56,9 @@ LOOP_LAG_BUCKETS_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1
 # A report comes once a second of the arm's time; an older one says nothing about its servos now.
 ARM_HEALTH_STALE_S = 5.0
 
-# Label values of a loop's and a bus's times: the quantiles that the arm reports.
-QUANTILES = ("0.5", "0.99", "1")
+# Label values of a loop's and a bus's times, as the arm reports them. Prometheus keeps the label ``quantile`` for
+# summaries, which count since the start.
+STATISTICS = ("median", "p99", "max")
 
 # Metrics of ProcessCollector that are exposed: those that docs/operations.md documents.
 PROCESS_METRICS = (
@@ -252,8 +253,8 @@ def arm_health_metrics(health: ArmHealth) -> Iterator[Metric]:
     """Yield the metrics of the arm's loop, its bus and its servos."""
     if health.bus is not None:
         yield from _bus_metrics(health.bus)
-        yield _quantiles("armbridge_bus_round_trip_seconds", "Time that reading all servos took.", health.round_trip_s)
-    yield _quantiles(
+        yield _statistics("armbridge_bus_round_trip_seconds", "Time that reading all servos took.", health.round_trip_s)
+    yield _statistics(
         "armbridge_arm_loop_lateness_seconds", "Start of the loop's ticks after their deadlines.", health.lateness_s
     )
     yield GaugeMetricFamily("armbridge_arm_real_time", "Whether the loop has real-time priority.", health.real_time)
@@ -287,10 +288,10 @@ def _bus_metrics(bus: BusCounters) -> Iterator[Metric]:
         yield CounterMetricFamily(f"armbridge_bus_{name}", f"{meaning} Since the bus was opened.", value)
 
 
-def _quantiles(name: str, meaning: str, values_s: tuple[float, float, float]) -> Metric:
-    family = GaugeMetricFamily(name, f"{meaning} Over the last second.", labels=("quantile",))
-    for quantile, value_s in zip(QUANTILES, values_s, strict=True):
-        family.add_metric((quantile,), value_s)
+def _statistics(name: str, meaning: str, values_s: tuple[float, float, float]) -> Metric:
+    family = GaugeMetricFamily(name, f"{meaning} Over the last second.", labels=("statistic",))
+    for statistic, value_s in zip(STATISTICS, values_s, strict=True):
+        family.add_metric((statistic,), value_s)
     return family
 
 

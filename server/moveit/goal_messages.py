@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
@@ -31,6 +31,9 @@ TARGET_FIELDS = {NAMED_TOPIC: "named", JOINTS_TOPIC: "joints", POSE_TOPIC: "pose
 
 # A quaternion's length may differ from 1 by the rounding of clients that write a few digits.
 UNIT_TOLERANCE = 0.01
+
+# Points closer than this are the same in a sentence [m].
+SAME_POINT_M = 1e-3
 
 
 @dataclass(frozen=True)
@@ -353,7 +356,12 @@ def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) 
         return _joints(details["free_rad"], robot, "the nearest configuration that was found")
     # The end of a part of a path is no goal to be published: the path is to be followed up to there.
     if "free_m" in details and "free_fraction" not in details:
-        return _point(details["free_m"], message, robot.root_link, "the nearest point that was found")
+        found = _point(details["free_m"], message, robot.root_link, "the nearest point that was found")
+        # The sentence of a point out of reach ends with the nearest point that can be reached.
+        known_m = details.get("nearest_m") if details.get("distance_m", 0.0) > SAME_POINT_M else None
+        if found is not None and known_m is not None and math.dist(details["free_m"], known_m) < SAME_POINT_M:
+            return replace(found, words="that point")
+        return found
     if "nearest_m" in details:
         return _point(details["nearest_m"], message, robot.root_link, "the nearest point")
     if {"joint", "lower_rad", "upper_rad"} <= details.keys() and details["joint"] in message.get("name", ()):

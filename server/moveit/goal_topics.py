@@ -188,7 +188,9 @@ class GoalStatusTopics:
         level = logging.INFO if succeeded else logging.WARNING
         # A goal without permission is logged where the permission is checked.
         if goal.only_for is None and not logged:
-            log.log(level, "goal %s from %s: %s: %s", goal.goal_id, goal.source, answer.code.name, message)
+            fields = {"goal": goal.goal_id, "client": goal.client, "code": answer.code.name}
+            sentence = "goal %s from %s: %s: %s"
+            log.log(level, sentence, goal.goal_id, goal.source, answer.code.name, message, extra=fields)
         details = {"code": str(int(answer.code)), **details_as_json(answer)}
         if instead is not None:
             details["suggested_goal"] = json.dumps(instead.as_data())

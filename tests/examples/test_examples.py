@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import itertools
+import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -13,6 +16,7 @@ from collections.abc import Iterator
 import pytest
 from websockets.sync.client import connect
 
+from server import cli
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
 from tests.helpers.clients import call_on
 from tests.helpers.server import FAST, RunningServer, free_port
@@ -195,6 +199,24 @@ def test_the_wave_tells_why_it_may_not_move_the_arm(server: RunningServer) -> No
         wave.communicate(timeout=20)
     assert "has controlled the arm since" in sentence
     assert name == "FAILURE\n"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_header_of_an_example_names_the_command_of_its_server(name: str) -> None:
+    header = ast.get_docstring(ast.parse((EXAMPLES / name).read_text())) or ""
+    command = re.search(r"``armbridge (serve[^`]*)``", header)
+    assert command, f'examples/{name}: end its docstring with "The server: ``armbridge serve ...``."'
+    with pytest.raises(SystemExit) as ended:
+        cli.main([*shlex.split(command[1]), "--help"])
+    assert ended.value.code == 0
+
+
+def test_the_wave_of_a_fetch_ends_with_a_sentence_on_another_arm(
+    run_example: RunExample, server: RunningServer
+) -> None:
+    done = run_example("fetch_wave.py", "--port", str(server.port))
+    assert done.returncode == 1
+    assert done.stderr == "this arm is no Fetch: start one with armbridge serve --robot fetch\n"
 
 
 def test_every_example_fits_on_a_screen() -> None:

@@ -197,7 +197,7 @@ async def test_an_emergency_stop_means_all_arms(client: ArmClient) -> None:
 
 def test_the_lines_of_an_arm_process_name_its_arm(server: RunningServer) -> None:
     for name in ("left", "right"):
-        assert any(f" armbridge.arm: {name}: checking the servos" in line for line in server.lines), server.lines
+        assert any(f" armbridge.arm: {name}: the simulated arm is ready" in line for line in server.lines), server.lines
 
 
 async def test_two_clients_control_an_arm_each(server: RunningServer) -> None:

@@ -44,6 +44,14 @@ def test_a_json_line_has_time_process_and_message() -> None:
     }
 
 
+def test_a_json_line_has_the_subjects_of_its_message() -> None:
+    made = record("goal %s", "7")
+    vars(made).update(goal="7", client="", code="SUCCESS", other="x")
+    fields = as_json(made)
+    assert (fields["goal"], fields["code"]) == ("7", "SUCCESS")
+    assert not {"client", "other"} & fields.keys()
+
+
 def test_a_traceback_stays_within_its_json_line() -> None:
     fields = as_json(record("failed", error=ValueError("two\nlines")))
     assert fields["exception"].startswith("ValueError: two\nlines")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,27 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a server start no process, and leave the logging as it is."""
     monkeypatch.setattr(arm, "start_arm_process", lambda: SimpleNamespace(close=lambda: None))
     monkeypatch.setattr(logs, "configure", lambda *_arguments: None)
+
+
+@pytest.mark.parametrize("arguments", [["config"], ["--help"], ["systemd-unit"]])
+def test_a_reader_that_has_read_enough_gets_no_traceback(arguments: list[str]) -> None:
+    command = [sys.executable, "-m", "server.cli", *arguments]
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, timeout=60)
+    finally:
+        os.close(writing)
+    assert done.stderr == ""
+
+
+def test_a_pipe_that_breaks_elsewhere_is_an_error_like_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> int:
+        raise BrokenPipeError("a socket")
+
+    monkeypatch.setattr(cli, "main", broken)
+    with pytest.raises(BrokenPipeError, match="a socket"):
+        cli.run_process()
 
 
 def exit_code_of(*arguments: str) -> object:

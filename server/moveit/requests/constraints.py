@@ -109,7 +109,7 @@ def _within_limits(joint: Joint, message: Message, context: RequestContext, wher
     if abs(requested - inside) > max(context.parameters.joint_tolerance, own):
         raise invalid(
             f"{where}: the position of joint {joint.name!r}, {requested:.4g} {joint.unit}, is beyond its limits"
-            f" {joint.lower:.4g} to {joint.upper:.4g} {joint.unit}",
+            f" {joint.lower:.4g} to {joint.upper:.4g} {joint.unit}{joint.degrees_hint(requested)}",
             joint=joint.name,
             position_rad=requested,
             lower_rad=joint.lower,

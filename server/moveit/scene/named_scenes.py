@@ -48,6 +48,11 @@ _Work: TypeAlias = Callable[[str], Awaitable[str]]
 Result = TypeVar("Result")
 
 
+def objects_in_words(count: int) -> str:
+    """Return a number of objects in words: "1 object", "2 objects"."""
+    return f"{count} object{'' if count == 1 else 's'}"
+
+
 class NamedScenes:
     """Store of scenes by name. Several servers may share its folder.
 
@@ -84,7 +89,7 @@ class NamedScenes:
         failure = f"the scene {name!r} cannot be saved"
         await self._in_thread(failure, lambda: self._write(path, kept_message(contents, self._robot)))
         count = len(contents.objects) + len(contents.attached)
-        return f"the scene {name!r} is saved, with {count} objects"
+        return f"the scene {name!r} is saved, with {objects_in_words(count)}"
 
     async def load(self, name: str, positions_rad: Positions | None) -> str:
         """Replace the present scene by a saved one; return a sentence about it.
@@ -105,7 +110,7 @@ class NamedScenes:
         except (MessageError, RefusedError) as error:
             raise ServiceError(f"{failure}: {error}") from error
         count = len(self._state.contents.objects) + len(self._state.contents.attached)
-        return f"the scene {name!r} is loaded, with {count} objects"
+        return f"the scene {name!r} is loaded, with {objects_in_words(count)}"
 
     async def delete(self, name: str) -> str:
         """Delete a saved scene; return a sentence about it.

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from robot.description.urdf import JointLimits, Mimic, read_urdf
+from robot.description.urdf import Joint, JointLimits, Mimic, read_urdf
 from robot.errors import DescriptionError
 
 PALM = '<robot name="hand"><link name="palm"/><link name="left"/><link name="right"/><link name="tip"/>'
@@ -93,3 +93,19 @@ BROKEN = {
 @pytest.mark.parametrize(("text", "words"), BROKEN.values(), ids=BROKEN)
 def test_a_broken_urdf_is_refused_with_its_element(text: str, words: str) -> None:
     assert words in refusal(text)
+
+
+@pytest.mark.parametrize(
+    ("type_", "position", "hinted"),
+    [
+        ("revolute", 20.0, True),
+        ("revolute", -45.0, True),
+        ("revolute", 3.0, False),
+        ("revolute", 400.0, False),
+        ("prismatic", 20.0, False),
+    ],
+)
+def test_a_position_that_may_be_in_degrees_gets_a_hint(type_: str, position: float, hinted: bool) -> None:
+    joint = Joint("elbow", type_, "a", "b", -1.0, 1.0, 1.0, 1.0)
+    assert bool(joint.degrees_hint(position)) is hinted
+    assert joint.degrees_hint(20.0) in ("", "; positions are in radians: 20 degrees are 0.3491 rad")

@@ -1,10 +1,18 @@
 from __future__ import annotations
 
+import re
+import stat
+
 import pytest
 
 from server import cli
-from server.commands.certificate import add_certificate_parser
+from server.access.authentication import Tokens
+from server.access.permissions import Role
+from server.access.settings import AccessSettings
+from server.commands.certificate import add_certificate_parser, ensure_token
 from server.commands.terminal import ExitCode
+from server.errors import ConfigurationError
+from tests.helpers.server import ROOT
 
 
 @pytest.fixture
@@ -39,3 +47,34 @@ def test_a_wrong_name_is_one_sentence(folder, capsys):
     assert cli.main(["certificate", "--name", "a b"]) == ExitCode.FAILED
     assert capsys.readouterr().err == "armbridge: --name: 'a b' is neither a host name nor an IP address\n"
     assert not folder.exists()
+
+
+def test_a_token_is_made_once_shown_once_and_kept_for_its_owner_alone(folder, capsys):
+    cli.main(["certificate"])
+    told = capsys.readouterr().out
+    file = folder / "tokens.toml"
+    (token,) = re.findall(r"^  ([0-9a-f]{32})$", told, re.MULTILINE)
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert f"--set access.token_file={file}" in told
+    identity = Tokens.from_settings(AccessSettings(token_file=file)).identify(token)
+    assert identity is not None
+    assert (identity.name, identity.role) == ("owner", Role.ADMIN)
+    kept = file.read_bytes()
+    cli.main(["certificate"])
+    again = capsys.readouterr().out
+    assert token not in again
+    assert f"The tokens are in {file}, as before." in again
+    assert file.read_bytes() == kept
+
+
+def test_a_token_that_cannot_be_kept_is_one_sentence(folder):
+    with pytest.raises(ConfigurationError, match=r"tokens\.toml: the token cannot be kept there"):
+        ensure_token(folder / "none")
+
+
+def test_the_page_about_phones_shows_the_command_that_is_printed(folder, capsys):
+    cli.main(["certificate"])
+    told = capsys.readouterr().out
+    shown = (ROOT / "docs" / "phone.md").read_text().replace("/home/me/.local/share/armbridge/tls", str(folder))
+    command = told[told.index("  armbridge serve") :].split("\nA server")[0]
+    assert "\n".join(line[2:] for line in command.splitlines()) in shown.replace("\n    --", "\n  --")

@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 
 from protocol.errors import MessageError, NothingToDoError, OperationError
-from protocol.operations import Advertise, Operation, Publish, SetLevel, Status, Subscribe, Unsubscribe
+from protocol.operations import Advertise, Auth, Operation, Publish, SetLevel, Status, Subscribe, Unsubscribe
 from protocol.session import Refusal, Session
-from server.gateway.client_context import ClientStatus
+from server.errors import GraphError
+from server.gateway.client_context import MAX_UNASKED_ERRORS, ClientStatus
 from server.graph.node import Node
 
 
@@ -100,3 +101,55 @@ def test_no_client_writes_lines_of_its_own_into_the_log(caplog: pytest.LogCaptur
     told.carry_out(Status(level="error", msg="a\r\nb"))
     assert [len(record.getMessage().splitlines()) for record in caplog.records] == [1, 1]
     assert told.messages()[0]["msg"] == r"publish: topic /a\nERROR all is lost\x1b[2J: no"
+
+
+def raw_client() -> Told:
+    """Return a client that has asked for no status messages."""
+    told = Told()
+    told.session = Session()
+    told.status = ClientStatus(Node("x", remote=True), told.session, lambda: 0.0, lambda: None)
+    return told
+
+
+def test_a_client_that_has_sent_nothing_valid_gets_errors_unasked() -> None:
+    told = raw_client()
+    told.status.refuse(Refusal(None, None, "no JSON"))
+    told.status.refuse_error("publish", GraphError("topic", "/a", "has no type yet"), 1)
+    assert [message["msg"] for message in told.messages()] == ["no JSON", "publish: topic /a: has no type yet"]
+
+
+def test_errors_in_an_operation_that_the_client_knows_are_not_told_unasked() -> None:
+    told = raw_client()
+    told.status.refuse(Refusal("publish", None, "publish: field msg: no"))
+    told.status.reject(Publish(topic="/a", id=1), "it needs the role operate")
+    assert told.messages() == []
+
+
+@pytest.mark.parametrize("operation", [Publish(topic="/a"), SetLevel(level="none")])
+def test_after_its_first_valid_operation_it_gets_what_it_asks_for(operation: Operation) -> None:
+    told = raw_client()
+    told.carry_out(operation)
+    told.status.acknowledge(operation)
+    told.status.refuse(Refusal(None, None, "no JSON"))
+    told.status.doubt(Subscribe(topic="/a"), "nobody else uses it")
+    assert told.messages() == []
+
+
+def test_a_token_is_not_yet_a_valid_operation() -> None:
+    told = raw_client()
+    told.status.acknowledge(Auth(token="t" * 16))
+    told.status.refuse(Refusal(None, None, "no JSON"))
+    assert len(told.messages()) == 1
+
+
+def test_a_client_that_never_sends_anything_valid_gets_some_errors_only() -> None:
+    told = raw_client()
+    for _ in range(2 * MAX_UNASKED_ERRORS):
+        told.status.refuse(Refusal(None, None, "no JSON"))
+    assert len(told.messages()) == MAX_UNASKED_ERRORS
+
+
+def test_what_fails_behind_a_valid_operation_is_not_told_unasked() -> None:
+    told = raw_client()
+    told.status.tell("error", Publish(topic="/a"), "in collision")
+    assert told.messages() == []

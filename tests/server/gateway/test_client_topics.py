@@ -70,6 +70,33 @@ def test_a_message_that_cannot_be_encoded_for_one_reaches_the_others(
     assert "broken: refused: subscribe: cannot be encoded" in caplog.text
 
 
+class TestMisspeltTopics:
+    """What a client is told of a topic whose name is nearly that of one of the server's."""
+
+    @pytest.fixture(autouse=True)
+    def _server(self, world: InProcess) -> None:
+        world.graph.subscribe(Node("server"), "/moveit_goal_named", "std_msgs/String", Subscriber(lambda _: None))
+        world.say("other", op="advertise", topic="/moveit_goal_nome", type="std_msgs/String")
+
+    def test_a_message_is_refused_with_the_topic_that_was_meant(self, world: InProcess) -> None:
+        world.say("x", op="publish", topic="/moveit_goal_nmaed", msg={"data": "ready"})
+        (told,) = world.heard("x")
+        assert (told["op"], told["level"]) == ("status", "error")
+        assert told["msg"].endswith("; did you mean /moveit_goal_named?")
+
+    @pytest.mark.parametrize("op", ["advertise", "subscribe"])
+    def test_a_registration_is_carried_out_with_a_warning(self, world: InProcess, op: str) -> None:
+        world.say("x", op=op, topic="/moveit_goal_name", type="std_msgs/String")
+        (told,) = world.heard("x")
+        assert (told["op"], told["level"]) == ("status", "warning")
+        assert told["msg"] == (f"{op}: topic /moveit_goal_name: nobody else uses it; did you mean /moveit_goal_named?")
+
+    @pytest.mark.parametrize("topic", ["/moveit_goal_named", "/chat", "/moveit_goal_nome", f"/{'x' * 200}"])
+    def test_other_topics_pass_without_a_word(self, world: InProcess, topic: str) -> None:
+        world.say("x", op="subscribe", topic=topic, type="std_msgs/String")
+        assert world.heard("x") == []
+
+
 class TestLatching:
     """What is told to clients of messages that are not latched."""
 

@@ -20,7 +20,7 @@ from server.gateway.connection import Traffic, TrafficCounts
 from server.gateway.listener import Listener
 from server.graph.node import Node
 from server.graph.topics import Graph
-from tests.helpers.gateway import TIMEOUT_S, listening
+from tests.helpers.gateway import TIMEOUT_S, listening, warnings_of
 from tests.helpers.waiting import until
 
 TALKER = Node("talker")
@@ -80,12 +80,18 @@ async def test_a_throttled_message_leaves_when_it_is_due(graph: Graph, url: str)
     assert got == ["first", "last"]
 
 
-async def test_a_client_that_breaks_off_is_taken_out_of_the_graph(graph: Graph, url: str) -> None:
+async def test_a_client_that_breaks_off_is_taken_out_of_the_graph_without_a_warning(
+    graph: Graph, url: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
     client = await connect(url)
     await client.send(SUBSCRIBE)
     await until_subscribed(graph, 1)
     client.transport.abort()
     await until(lambda: not graph._topics["/t"].subscribers)
+    await until(lambda: " left" in caplog.text)
+    assert warnings_of(caplog) == []
+    assert all(vars(line)["client"] for line in caplog.records if line.name == "armbridge.gateway")
 
 
 async def test_a_client_that_does_not_read_its_replies_is_closed_with_a_code_and_a_log_line(

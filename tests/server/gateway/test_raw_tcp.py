@@ -129,8 +129,8 @@ async def test_a_flood_is_carried_out_in_order_however_long_a_turn_is(
             "another port|port of their own",
         ),
         ((2**26).to_bytes(4, "little"), "a BSON document of 67108864 bytes, the limits are 5 and 10000000"),
-        (bson.encode({"op": "x"}) + b"\xff\xff\xff\xff", "a BSON document of -1 bytes"),
-        (b'{"op":"x"} }', "wanted the next one"),
+        (bson.encode({"op": "unsubscribe", "topic": "/t"}) + b"\xff\xff\xff\xff", "a BSON document of -1 bytes"),
+        (b'{"op":"unsubscribe","topic":"/t"} }', "wanted the next one"),
     ],
     ids=["http", "long", "negative", "brace"],
 )

@@ -269,12 +269,18 @@ def test_the_arms_mode_and_fault_are_ones_among_zeros() -> None:
     assert {value for (name, *_), value in sound.items() if name == "armbridge_arm_fault"} == {0}
 
 
+def test_only_summaries_have_quantiles() -> None:
+    """As promtool checks: the label is Prometheus' own."""
+    labels = {name for metric in arm_health_metrics(arm_health()) for each in metric.samples for name in each.labels}
+    assert labels == {"statistic", "joint"}
+
+
 def test_the_condition_is_told_in_base_units_by_joint() -> None:
     found = samples(arm_health_metrics(arm_health()))
     assert found["armbridge_bus_timeouts_total",] == 10
     assert found["armbridge_bus_retries_total",] == 12
-    assert found["armbridge_arm_loop_lateness_seconds", "0.99"] == 0.001
-    assert found["armbridge_bus_round_trip_seconds", "1"] == 0.005
+    assert found["armbridge_arm_loop_lateness_seconds", "p99"] == 0.001
+    assert found["armbridge_bus_round_trip_seconds", "max"] == 0.005
     assert found["armbridge_servo_temperature_celsius", "shoulder_pan"] == 31
     assert found["armbridge_servo_voltage_volts", "gripper"] == 5.0
     assert found["armbridge_servo_silent_cycles_total", "gripper"] == 4

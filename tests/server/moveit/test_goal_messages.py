@@ -263,3 +263,11 @@ def test_a_suggested_point_keeps_the_orientation_of_the_goal() -> None:
     assert told is not None
     assert told.msg["pose"]["orientation"] == TURNED
     assert suggestion(whole_pose(TURNED, "tool", x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED) is None
+
+
+@pytest.mark.parametrize(("free_m", "repeated"), [([0.1002, 0.2, 0.3], False), ([0.1, 0.2, 0.25], True)])
+def test_a_point_that_the_sentence_names_already_is_not_repeated(free_m: list[float], repeated: bool) -> None:
+    told = suggestion({}, {"free_m": free_m, "nearest_m": [0.1, 0.2, 0.3], "distance_m": 0.5}, ROBOT)
+    assert told is not None
+    assert told.msg["pose"]["position"]["z"] == free_m[2]
+    assert (told.words != "that point") is repeated

@@ -245,7 +245,7 @@ async def test_a_plan_alone_that_fails_says_what_would_work(rig: ServiceRig) -> 
     far = {"position_constraints": [ball(0.8, 0.0, 0.2)]}
     free = await plan_only(asked(rig, {"goal_constraints": [far]}), rig.client, rig.context)
     assert free.code is MoveItErrorCode.NO_IK_SOLUTION
-    assert "what would work: the nearest point" in move_group_result(free, ROBOT)["error_code"]["message"]
+    assert "what would work: that point" in move_group_result(free, ROBOT)["error_code"]["message"]
     line = {"goal_constraints": [far], "pipeline_id": PILZ, "planner_id": "LIN"}
     straight = await plan_only(asked(rig, line), rig.client, rig.context)
     for result in (move_group_result(straight, ROBOT), sequence_result(straight, ROBOT)["response"]):

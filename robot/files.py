@@ -97,12 +97,13 @@ def locked(path: Path) -> Iterator[None]:
         lock.release()
 
 
-def replace(path: Path, content: bytes) -> None:
+def replace(path: Path, content: bytes, mode: int | None = None) -> None:
     """Write a file whose lock is held; a crash leaves the old content or the new one.
 
     Args:
         path: the file; of a symbolic link, the file that it leads to.
         content: all of it.
+        mode: its permissions, which it has before it has any content; None for the process's default.
 
     Raises:
         OSError: it cannot be written; the old content stays.
@@ -110,7 +111,10 @@ def replace(path: Path, content: bytes) -> None:
     path = path.resolve()
     unfinished = path.with_name(f".{path.name}.new")
     try:
-        with unfinished.open("wb") as file:
+        unfinished.unlink(missing_ok=True)
+        with unfinished.open("xb") as file:
+            if mode is not None:
+                os.fchmod(file.fileno(), mode)
             file.write(content)
             file.flush()
             os.fsync(file.fileno())

@@ -28,7 +28,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from robot.files import locked
+from robot.files import locked, replace
 from server.errors import ConfigurationError
 
 # A day less than what phones take, which count the first second as well.
@@ -135,14 +135,14 @@ def _ensure(files: CertificateFiles, wanted: Sequence[str], now: datetime) -> Ou
     made_authority = authority is None or _ends(authority.certificate) < now + timedelta(days=VALID_DAYS)
     if authority is None or made_authority:
         authority = _make_authority(now)
-        _write(files.authority_key, _key_pem(authority.key), 0o600)
-        _write(files.authority, _pem(authority.certificate), 0o644)
+        replace(files.authority_key, _key_pem(authority.key), 0o600)
+        replace(files.authority, _pem(authority.certificate), 0o644)
     present = _load(files.certificate, files.key)
     reason = _reason_to_renew(present, authority, wanted, now)
     if present is None or reason:
         present = _make_certificate(authority, wanted, now)
-        _write(files.key, _key_pem(present.key), 0o600)
-        _write(files.certificate, _pem(present.certificate) + _pem(authority.certificate), 0o644)
+        replace(files.key, _key_pem(present.key), 0o600)
+        replace(files.certificate, _pem(present.certificate) + _pem(authority.certificate), 0o644)
     fingerprint = authority.certificate.fingerprint(SHA256()).hex(" ").upper()
     name = authority.certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value
     return Outcome(
@@ -286,15 +286,3 @@ def _pem(certificate: x509.Certificate) -> bytes:
 
 def _key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-
-
-def _write(path: Path, content: bytes, mode: int) -> None:
-    """Replace a file; it has its mode before it has any content."""
-    unfinished = path.with_name(f".{path.name}.new")
-    unfinished.unlink(missing_ok=True)
-    with os.fdopen(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-        os.fchmod(file.fileno(), mode)
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import secrets
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from robot.files import replace
 from server.commands.options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.errors import ConfigurationError
@@ -99,14 +99,13 @@ def ensure_token(directory: Path) -> tuple[Path, str]:
         ConfigurationError: the file cannot be written.
     """
     file, token = directory / TOKEN_FILE, secrets.token_hex(TOKEN_BYTES)
+    if file.exists():
+        return file, ""
     try:
-        with contextlib.suppress(FileExistsError):
-            with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as written:
-                written.write(f'# {FILE_HEADER}\n[admin_tokens]\n{OWNER} = "{token}"\n')
-            return file, token
+        replace(file, f'# {FILE_HEADER}\n[admin_tokens]\n{OWNER} = "{token}"\n'.encode(), 0o600)
     except OSError as error:
         raise ConfigurationError(f"{file}: the token cannot be kept there: {error}") from error
-    return file, ""
+    return file, token
 
 
 def description_of(files: CertificateFiles, outcome: Outcome, tokens: Path, token: str) -> str:

@@ -22,6 +22,7 @@ from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from protocol.strict_messages import PublicationReader
+from robot.logs import LogLimiter
 from server.errors import GraphError
 from server.graph.action_topics import ActionTopics
 from server.graph.actions import Actions
@@ -50,6 +51,11 @@ MAX_TOPICS_OF_PUBLISHER = 2_000
 # compared, for the time grows with the square of the length.
 LIKENESS = 0.8
 MAX_COMPARED_CHARACTERS = 100
+
+# A comparison takes up to a millisecond, twenty times as long as to refuse an operation: so many at once, and so many
+# in a second in the long run, for all clients together.
+COMPARISONS_AT_ONCE = 20
+COMPARISONS_PER_S = 2.0
 
 # Some clients open a new socket between advertise and publish.
 UNREGISTER_TIMEOUT_S = 10.0
@@ -135,6 +141,7 @@ class Graph:
         self.actions = Actions(self.message_types, self.services, call_later)
         self.actions.tell(ActionTopics(self, clock))
         self._clock = clock
+        self._comparisons = LogLimiter(COMPARISONS_AT_ONCE, COMPARISONS_PER_S)
         self._unregister_timeout_s = unregister_timeout_s
         self.topic_names = TypedNames()
         self._topics: dict[str, Topic] = {}
@@ -171,8 +178,8 @@ class Graph:
         return None if topic is None or self._outlived(topic) else topic.type_name
 
     def nearest_topic(self, name: str) -> str | None:
-        """Return the topic of the server's own with nearly the given name; None where there is none."""
-        if len(name) > MAX_COMPARED_CHARACTERS:
+        """Return the topic of the server's own with nearly the given name; None where there is none, or no time."""
+        if len(name) > MAX_COMPARED_CHARACTERS or not self._comparisons.due("comparison", self._clock()):
             return None
         own = [
             topic

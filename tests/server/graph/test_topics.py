@@ -441,3 +441,12 @@ def test_every_change_of_who_uses_a_topic_counts_and_a_message_does_not() -> Non
     before = graph.revision
     graph.publish(first, "/a", {"data": "x"})
     assert graph.revision == before
+
+
+def test_names_are_compared_a_few_times_a_second_however_many_are_wrong(clock: FakeClock) -> None:
+    graph = Graph(REGISTRY, clock)
+    graph.subscribe(Node("server"), "/moveit_goal_named", "std_msgs/String", Subscriber(lambda _: None))
+    found = [graph.nearest_topic("/moveit_goal_nmaed") for _ in range(topics.COMPARISONS_AT_ONCE + 1)]
+    assert found == ["/moveit_goal_named"] * topics.COMPARISONS_AT_ONCE + [None]
+    clock.now_s += 1.0
+    assert graph.nearest_topic("/moveit_goal_nmaed") == "/moveit_goal_named"

@@ -5,12 +5,13 @@ BIN := $(VENV)/bin
 PAGE := server/page
 COMPAS_FAB := compas_fab==2.0.1
 ROS_MCP := ros-mcp==3.1.2
+COSMIC_RAY := cosmic-ray==8.7.0
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients fuzz lint check bench bench-planning campaign campaign-planners lock release clean
+.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients fuzz mutation lint check bench bench-planning campaign campaign-planners lock release clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -102,6 +103,15 @@ build/compas_fab/.installed:
 build/ros_mcp/.installed:
 	$(PYTHON) -m venv build/ros_mcp
 	build/ros_mcp/bin/python -m pip --disable-pip-version-check install --quiet $(ROS_MCP)
+	touch $@
+
+# How many changes of the source no test notices; ten minutes a room.
+mutation: install-dev build/cosmic_ray/.installed
+	build/cosmic_ray/bin/python -m tests.mutation $(ARGS)
+
+build/cosmic_ray/.installed:
+	$(PYTHON) -m venv build/cosmic_ray
+	build/cosmic_ray/bin/python -m pip --disable-pip-version-check install --quiet $(COSMIC_RAY)
 	touch $@
 
 lint: install-dev

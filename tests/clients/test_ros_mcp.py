@@ -103,8 +103,8 @@ def test_a_topic_is_subscribed_once_and_for_a_while(answers: dict[str, Any]) -> 
     assert [state["name"] for state in states] == [JOINTS] * 5
 
 
-def test_a_topic_of_another_type_tells_nothing(answers: dict[str, Any]) -> None:
-    assert "Timeout" in answers["wrong type"]["error"]
+def test_a_topic_of_another_type_is_refused_with_its_type(answers: dict[str, Any]) -> None:
+    assert "is already established with type sensor_msgs/msg/JointState" in answers["wrong type"]["error"]
 
 
 @pytest.mark.parametrize("name", ["compressed", "image"])

@@ -287,6 +287,19 @@ def test_the_data_fetched_at_a_time_is_bounded():
     assert session.next_due(1.0) == 1.0
 
 
+@pytest.mark.parametrize(("wanted", "told"), [("none", 0), ("error", 1), ("warning", 2), ("info", 3)])
+def test_a_client_is_told_of_its_level_and_of_what_is_worse(wanted, told):
+    session = Session()
+    session.status_level = wanted
+    for level in ("error", "warning", "info"):
+        session.status(level, "as it is", 7)
+    assert session.waiting == (told > 0)
+    statuses = [json.loads(frame) for frame in sent(session)]
+    expected = [{"op": "status", "level": level, "msg": "as it is", "id": 7} for level in ("error", "warning", "info")]
+    assert statuses == expected[:told]
+    assert not session.waiting
+
+
 def test_a_client_that_lags_is_warned_once_it_reads_and_not_too_often():
     session = subscribed(limits=Limits(max_queued_bytes=2000))
     session.status_level = "warning"

@@ -5,13 +5,13 @@
 #   docker/verify.sh           builds, tries, and leaves nothing behind
 #   docker/verify.sh --keep    keeps base and layers in build/docker, so that the next run takes 40 s
 #
-# Environment: PYTHON, one that has websockets and mcap (.venv/bin/python); DEBIAN_MIRROR; MAX_IMAGE_MB (600).
+# Environment: PYTHON, one that has websockets and mcap (.venv/bin/python); DEBIAN_MIRROR; MAX_IMAGE_MB (540).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 readonly BASE=docker.io/library/debian:trixie-slim IMAGE=localhost/armbridge:verify NAME="armbridge-verify-$$"
 readonly WORK="$PWD/build/docker" PYTHON="${PYTHON:-.venv/bin/python}"
-readonly MAX_MB="${MAX_IMAGE_MB:-600}" START_S=30 STOP_S=3
+readonly MAX_MB="${MAX_IMAGE_MB:-540}" START_S=30 STOP_S=3
 readonly KEEP="${1:-}"
 
 say() { printf '== %s\n' "$*"; }

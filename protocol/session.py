@@ -282,15 +282,18 @@ class Session:
         """Take the queued messages that are still to be encoded, by a thread; each is returned once."""
         return self._send_queue.take_unready()
 
-    def status(self, level: Literal["error", "warning", "info"], text: str, mark: str | int | None) -> None:
+    def status(
+        self, level: Literal["error", "warning", "info"], text: str, mark: str | int | None, *, unasked: bool = False
+    ) -> None:
         """Queue a status message, if the client has asked for this level.
 
         Args:
             level: how grave it is.
             text: one line.
             mark: id of the operation it is about, None where it has none.
+            unasked: True to queue it whatever the client has asked for.
         """
-        if LEVELS.index(level) <= LEVELS.index(self.status_level):
+        if unasked or LEVELS.index(level) <= LEVELS.index(self.status_level):
             self.reply(with_id({"op": "status", "level": level, "msg": text}, mark))
 
     def data_to_send(self, now: float) -> list[EncodedMessage]:

@@ -8,7 +8,7 @@ import secrets
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot.files import replace
+from robot.files import locked, replace
 from server.commands.options import Subparsers
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.errors import ConfigurationError
@@ -99,10 +99,11 @@ def ensure_token(directory: Path) -> tuple[Path, str]:
         ConfigurationError: the file cannot be written.
     """
     file, token = directory / TOKEN_FILE, secrets.token_hex(TOKEN_BYTES)
-    if file.exists():
-        return file, ""
     try:
-        replace(file, f'# {FILE_HEADER}\n[admin_tokens]\n{OWNER} = "{token}"\n'.encode(), 0o600)
+        with locked(file):
+            if file.exists():
+                return file, ""
+            replace(file, f'# {FILE_HEADER}\n[admin_tokens]\n{OWNER} = "{token}"\n'.encode(), 0o600)
     except OSError as error:
         raise ConfigurationError(f"{file}: the token cannot be kept there: {error}") from error
     return file, token

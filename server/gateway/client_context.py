@@ -31,7 +31,7 @@ from protocol.operations import (
 )
 from protocol.publication import LARGE_BYTES
 from protocol.registry import Kind, Registry
-from protocol.session import LaterFields, Refusal, SendAtOnce, Session, never_at_once, with_id
+from protocol.session import LaterFields, Refusal, SendAtOnce, Session, never_at_once
 from robot.logs import LogLimiter
 from server.errors import GraphError
 from server.graph.message_types import ReceivedMessage
@@ -117,12 +117,10 @@ class ClientStatus:
         self.refused += 1
         text = one_line(refusal.text)
         self._log(logging.WARNING, f"{self._node}: refused: {text}")
-        if unasked and self._unasked_errors_left:
-            self._unasked_errors_left -= 1
-            self._send("error", text, refusal.id)
-        else:
-            self._session.status("error", text, refusal.id)
-            self._wake()
+        unasked = unasked and self._unasked_errors_left > 0
+        self._unasked_errors_left -= unasked
+        self._session.status("error", text, refusal.id, unasked=unasked)
+        self._wake()
 
     def reject(self, operation: Operation, reason: str) -> None:
         """Tell of an operation that the client may not do; repeated ones are logged once, for they may come fast."""
@@ -151,12 +149,15 @@ class ClientStatus:
         self._session.status(level, f"{operation.op}: {text}", operation.id)
         self._wake()
 
+    @property
+    def hears_doubts(self) -> bool:
+        """True when the client has asked for status messages, or has had nothing carried out yet."""
+        return self._unasked_errors_left > 0 or self._session.status_level != "none"
+
     def doubt(self, operation: Operation, text: str) -> None:
         """Warn of an operation that is carried out but was most likely not meant so."""
-        if self._unasked_errors_left:
-            self._send("warning", f"{operation.op}: {text}", operation.id)
-        else:
-            self.tell("warning", operation, text)
+        self._session.status("warning", f"{operation.op}: {text}", operation.id, unasked=self._unasked_errors_left > 0)
+        self._wake()
 
     def acknowledge(self, operation: Operation) -> None:
         """Confirm an operation that has no answer of its own."""
@@ -183,11 +184,6 @@ class ClientStatus:
     def log_status(self, operation: Status) -> None:
         """Log a status message of the client."""
         self._log(_LOG_LEVELS[operation.level], f"{self._node} says: {one_line(shorten(operation.msg))}")
-
-    def _send(self, level: Literal["error", "warning"], text: str, mark: str | int | None) -> None:
-        """Send a status message that the client has not asked for."""
-        self._session.reply(with_id({"op": "status", "level": level, "msg": text}, mark))
-        self._wake()
 
     def _log(self, level: int, line: str) -> None:
         self._log_limiter.write(log, level, line, "client", self._clock(), extra={"client": str(self._node)})

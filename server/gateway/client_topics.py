@@ -99,6 +99,8 @@ class ClientTopics:
 
     def _doubt_misspelt(self, operation: Advertise | Subscribe, topic: str) -> None:
         """Warn of a topic that this client alone uses, and whose name is nearly that of one of the server's."""
+        if not self._client.status.hears_doubts:
+            return
         if {*self._graph.publishers(topic), *self._graph.subscribers(topic)} == {self._node}:
             meant = self._graph.nearest_topic(topic)
             if meant is not None:

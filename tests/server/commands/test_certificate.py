@@ -5,10 +5,12 @@ import stat
 
 import pytest
 
+from robot.files import FileLock, FileLockedError, replace
 from server import cli
 from server.access.authentication import Tokens
 from server.access.permissions import Role
 from server.access.settings import AccessSettings
+from server.commands import certificate
 from server.commands.certificate import add_certificate_parser, ensure_token
 from server.commands.terminal import ExitCode
 from server.errors import ConfigurationError
@@ -67,7 +69,20 @@ def test_a_token_is_made_once_shown_once_and_kept_for_its_owner_alone(folder, ca
     assert file.read_bytes() == kept
 
 
+def test_of_two_commands_at_a_time_one_makes_the_token(folder, monkeypatch):
+    def replace_locked(path, content, mode):
+        with pytest.raises(FileLockedError):
+            FileLock(path).acquire(0.0)
+        replace(path, content, mode)
+
+    folder.mkdir(parents=True)
+    monkeypatch.setattr(certificate, "replace", replace_locked)
+    assert [bool(ensure_token(folder)[1]) for _ in range(2)] == [True, False]
+
+
 def test_a_token_that_cannot_be_kept_is_one_sentence(folder):
+    folder.mkdir(parents=True)
+    (folder / "none").touch()
     with pytest.raises(ConfigurationError, match=r"tokens\.toml: the token cannot be kept there"):
         ensure_token(folder / "none")
 

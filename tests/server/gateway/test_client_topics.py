@@ -91,6 +91,15 @@ class TestMisspeltTopics:
         assert (told["op"], told["level"]) == ("status", "warning")
         assert told["msg"] == (f"{op}: topic /moveit_goal_name: nobody else uses it; did you mean /moveit_goal_named?")
 
+    def test_a_client_that_hears_no_warning_costs_no_comparison(
+        self, world: InProcess, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        world.say("x", op="advertise", topic="/chat", type="std_msgs/String")
+        compared: list[str] = []
+        monkeypatch.setattr(world.graph, "nearest_topic", compared.append)
+        world.say("x", op="subscribe", topic="/moveit_goal_name", type="std_msgs/String")
+        assert compared == []
+
     @pytest.mark.parametrize("topic", ["/moveit_goal_named", "/chat", "/moveit_goal_nome", f"/{'x' * 200}"])
     def test_other_topics_pass_without_a_word(self, world: InProcess, topic: str) -> None:
         world.say("x", op="subscribe", topic=topic, type="std_msgs/String")

@@ -27,7 +27,8 @@ from planners.problem import (
     PlanningProblem,
     Request,
 )
-from planners.scene import EMPTY_SCENE, Scene, SceneObject
+from planners.scene import EMPTY_SCENE, Scene
+from planners.scene_transfer import SceneReceiver
 from robot.channel import Decoder, encode
 from robot.description.model import RobotModel
 
@@ -120,21 +121,19 @@ class _Connection:
         self._pool = pool
         self._writer = writer
         self._versions = versions
-        self._scene = EMPTY_SCENE
-        self._objects: list[SceneObject] | None = None
+        self._scene = SceneReceiver()
         self._tasks: dict[int, asyncio.Task[None]] = {}
 
     def take(self, message: Any) -> None:
         """Take a message of the server."""
         match message:
             case NewScene(scene):
-                self._scene, self._objects = scene, []
-            case MoreObjects(objects) if self._objects is not None:
-                self._objects += objects
+                self._scene.take(NewScene(dataclasses.replace(scene, version=next(self._versions))))
+            case MoreObjects():
+                self._scene.take(message)
             case Ask(number, request):
-                scene = self._whole_scene()
-                task = asyncio.create_task(self._answer(number, bounded(request), scene), name="planners' request")
-                self._tasks[number] = task
+                answering = self._answer(number, bounded(request), self._scene.scene())
+                self._tasks[number] = task = asyncio.create_task(answering, name="planners' request")
                 task.add_done_callback(lambda _: self._tasks.pop(number, None))
             case Cancel(number) if number in self._tasks:
                 self._tasks[number].cancel()
@@ -143,14 +142,6 @@ class _Connection:
         """Cancel what is under way."""
         for task in self._tasks.values():
             task.cancel()
-
-    def _whole_scene(self) -> Scene:
-        """Return the scene of the next request, once it has come whole."""
-        if self._objects is not None:
-            version = next(self._versions)
-            self._scene = dataclasses.replace(self._scene, objects=tuple(self._objects), version=version)
-            self._objects = None
-        return self._scene
 
     async def _answer(self, number: int, request: Request, scene: Scene) -> None:
         try:

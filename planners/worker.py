@@ -6,7 +6,6 @@ Started by :mod:`planners.pool`, with which it exchanges the messages of :mod:`p
 from __future__ import annotations
 
 import ctypes
-import dataclasses
 import faulthandler
 import logging
 import os
@@ -33,7 +32,7 @@ from planners.messages import (
 )
 from planners.pipeline import Planner
 from planners.problem import Answer, MoveItErrorCode, PlanningFailure, PlanningProblem, Request
-from planners.scene import EMPTY_SCENE, Scene, SceneObject
+from planners.scene_transfer import SceneReceiver
 from planners.warm_up import warm_up
 from robot.channel import Channel, channel_of_child
 from robot.description.model import RobotModel
@@ -98,33 +97,6 @@ class Hardness:
             self._report(spent_s)
 
 
-class WorkerScene:
-    """Scene as it arrives in parts, and the planner's refusal of it, which answers every request."""
-
-    def __init__(self) -> None:
-        self._scene = EMPTY_SCENE
-        self._objects: list[SceneObject] = []
-        self._changed = False
-        self._refusal: PlanningFailure | None = None
-
-    def begin(self, scene: Scene) -> None:
-        """Start a scene; the parts of another are dropped."""
-        self._scene, self._objects, self._changed = scene, list(scene.objects), True
-
-    def extend(self, objects: tuple[SceneObject, ...]) -> None:
-        """Take further objects of it."""
-        self._objects += objects
-
-    def set_up(self, planner: Planner) -> PlanningFailure | None:
-        """Give the planner the scene unless it has it; return its refusal of the scene, None if there is none."""
-        if self._changed:
-            scene = dataclasses.replace(self._scene, objects=tuple(self._objects))
-            self._refusal = planner.set_scene(scene)
-            # Only now: a scene that raised must raise again, not count as set.
-            self._changed = False
-        return self._refusal
-
-
 class Worker:
     """Serves one server.
 
@@ -138,7 +110,7 @@ class Worker:
         self._mailbox = Mailbox(channel)
         self._make_planner = make_planner
         self._clock = allowed_time_clock()
-        self._scene = WorkerScene()
+        self._scene = SceneReceiver()
         self._planner: Planner | None = None
         self._memory_limit_bytes = 0
         self._ending = False
@@ -152,10 +124,8 @@ class Worker:
         match message:
             case LoadRobot():
                 self._load(message)
-            case NewScene(scene):
-                self._scene.begin(scene)
-            case MoreObjects(objects):
-                self._scene.extend(objects)
+            case NewScene() | MoreObjects():
+                self._scene.take(message)
             case Ask(number, request) if self._planner is not None:
                 answer = self._answer(self._planner, number, request)
                 self._channel.send(Answered(number, answer, self._ending))
@@ -173,7 +143,7 @@ class Worker:
 
     def _answer(self, planner: Planner, number: int, request: Request) -> Answer:
         try:
-            return self._scene.set_up(planner) or planner.answer(request, self._poll(number, request))
+            return planner.set_scene(self._scene.scene()) or planner.answer(request, self._poll(number, request))
         except MemoryError:
             # The state of the native libraries is not known after that.
             self._ending = True

@@ -392,6 +392,8 @@ class CollisionModel:
         return positions
 
     def _build(self, scene: Scene) -> None:
+        # Known once all is built: a scene that raises halfway counts as none, and is built again by the next request.
+        self._version: int | None = None
         movers = link_bodies(self._model, self._shapes, scene)
         for attached in scene.attached:
             movers += attached_bodies(self._model, attached, self._farthest_m)
@@ -400,7 +402,7 @@ class CollisionModel:
         around = list(object_bodies(scene, farthest_m))
         resting = np.zeros((len(around), self._model.nv))
         reach_m = np.vstack((self._links_reach_m, self._reach.of_shapes(added), resting))
-        self._version, self._scaled, self._bodies = scene.version, frozenset(scene.link_scale), [*movers, *around]
+        self._scaled, self._bodies = frozenset(scene.link_scale), [*movers, *around]
         self._known_parts: dict[int, Parts] = {}
         self._pairs = PairFilter(self._robot, scene.allowed).pairs(movers, around)
         self._names = [frozenset(self._bodies[i].name for i in pair) for pair in self._pairs.tolist()]
@@ -409,6 +411,7 @@ class CollisionModel:
         self.travel_m_per_rad = self._joints.travel_by_joint(np.vstack((reach_m, self._frames_reach_m))).max(axis=0)
         shapes = [body.shape for body in self._bodies]
         self._broadphase = Broadphase(self._model, shapes, self._pairs, self._apart_m, self._joints)
+        self._version = scene.version
 
     def _any_touches(self, pairs: Sequence[int], allowed: Mapping[frozenset[str], float], closer: Closer) -> bool:
         """Tell whether any of the pairs whose hulls touch is not excused."""

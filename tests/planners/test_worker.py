@@ -120,7 +120,9 @@ class Planning:
         self.refusal: PlanningFailure | None = None
 
     def set_scene(self, scene: Scene) -> PlanningFailure | None:
-        self.scenes.append(scene)
+        # As the planner does: a version that is there is not set up again.
+        if scene.version not in (0, *(known.version for known in self.scenes[-1:])):
+            self.scenes.append(scene)
         return self.refusal
 
     def answer(self, request: Request, should_stop: Callable[[], bool] = never) -> Answer:

@@ -383,8 +383,8 @@ def _sparse_contact(space: JointSpace, motion: Trajectory) -> Contact | None:
 
 
 def _free(space: JointSpace, point: Vector) -> bool:
-    """Tell whether nothing touches at a point, by the full meshes where only hulls do."""
-    return space.free(point) or (space.look_closer_at(point) and space.free(point))
+    """Return true if nothing touches at a point, by the parts where only hulls do."""
+    return space.free(point) or (space.refine_at(point) and space.free(point))
 
 
 def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFailure | None:

@@ -1,9 +1,10 @@
 """Planner processes of one server: some at work, one a warm spare, each replaced when it ends.
 
 The server awaits :meth:`PlannerPool.ask`. Cancelling that await stops the worker, by a message first and by force when
-it does not listen; the spare is free meanwhile. A problem that proves hard is searched by idle workers as well, until a
-request needs them (:mod:`planners.race`). Every request gets exactly one answer, at the latest a grace period after its
-allowed time. What a worker waits for a core comes on top, within bounds: a busy machine must not cost a warm worker.
+it does not listen; the spare is free meanwhile. A problem that takes longer than most is searched by idle workers too,
+until a request needs them (:mod:`planners.race`). Every request gets exactly one answer, at the latest a grace period
+after its allowed time. A worker's waits for a core come on top, within bounds: a busy machine must not cost a warm
+worker.
 """
 
 from __future__ import annotations
@@ -44,17 +45,17 @@ CHECK_TIME_S = 1.0
 # No request holds a worker for longer, whatever it allows itself.
 MAX_ALLOWED_TIME_S = 3600.0
 
-# A worker sets up 100 boxes of a scene in 9 ms, a mesh of 10 000 triangles in 20 ms, so much in 0.1 s at most. Of the
-# largest scenes that takes 0.2 s, nearly as long as a cancel may take.
+# Size of a scene that a worker sets up in 0.1 s at most: 100 boxes take 9 ms, a mesh of 10 000 triangles 20 ms. The
+# largest scenes take 0.2 s, nearly as long as a cancel may take.
 BRIEF_SCENE_BYTES = PART_BYTES
 
-# What a worker may take beyond the allowed time, to set up a large scene or finish its checks, before it is ended.
+# Time beyond the allowed time after which a worker is ended: it may set up a large scene or finish its checks.
 OVERTIME_S = 1.0
 
 # A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
 MEMORY_LIMIT_BYTES = 1_024_000_000
 
-# After so many failed starts in a row there is a pause before each further one.
+# Failed starts in a row after which there is a pause before each further one.
 MAX_FAILED_STARTS = 3
 RESTART_PAUSE_S = 5.0
 
@@ -63,13 +64,13 @@ CLOSE_TIMEOUT_S = 2.0
 
 
 def brief(scene: Scene) -> bool:
-    """Tell whether a worker sets up a scene soon enough to do so for a race; it does not listen meanwhile."""
+    """Return true if a worker sets up a scene soon enough for a race; it does not listen meanwhile."""
     objects = (*scene.objects, *(each.object for each in scene.attached))
     return sum(map(packed_bytes, objects)) <= BRIEF_SCENE_BYTES
 
 
 def allowed_time_s(request: Request) -> float:
-    """Return the time that a request allows its planner, bounded [s]; the planner itself refuses what is no time."""
+    """Return the time that a request allows its planner, bounded [s]; the planner itself refuses an invalid time."""
     match request:
         case StateQuestion() | RecheckQuestion() | ConcurrencyQuestion() | ServoQuestion():
             return CHECK_TIME_S
@@ -89,7 +90,7 @@ class PlannerPool(Planners):
         memory_limit_bytes: limit of each process's data [bytes].
         questions: number of questions that may be answered at the same time, and of the spares.
         max_waiting: number of requests that may wait for their turn.
-        racing: whether idle workers search for problems that prove hard as well, as many as there are cores for.
+        racing: whether idle workers join long searches, as many as there are cores for.
     """
 
     def __init__(

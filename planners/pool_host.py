@@ -109,13 +109,7 @@ class PlannerHost:
 
 
 class _Connection:
-    """Requests of one server, and its scene.
-
-    Args:
-        pool: answers them.
-        writer: takes the answers.
-        versions: numbers of scenes, which no two servers' scenes have in common.
-    """
+    """Requests of one server, and its scene, whose version no other server's scene has."""
 
     def __init__(self, pool: PlannerPool, writer: asyncio.StreamWriter, versions: itertools.count[int]) -> None:
         self._pool = pool
@@ -157,7 +151,7 @@ class _Connection:
 
 
 def bounded(request: Request) -> Request:
-    """Return the request with no more planning time than others can wait for."""
+    """Return the request with no more planning time than :data:`LONGEST_PLANNING_S`."""
     if isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | IkQuestion | NearestGoalQuestion):
         return dataclasses.replace(request, allowed_time_s=min(request.allowed_time_s, LONGEST_PLANNING_S))
     return request

@@ -68,19 +68,17 @@ class Mailbox:
         return self._messages.popleft() if self._messages else None
 
     def withdrawn(self, number: int) -> bool:
-        """Tell whether a request is cancelled, or the server gone; called thousands of times a second."""
+        """Return true if a request is cancelled, or the server gone; called thousands of times a second."""
         if self._readable.poll(0):
             self._messages += self._channel.receive(timeout_s=0.0)
         return self._channel.closed or Cancel(number) in self._messages
 
 
 class Hardness:
-    """Hardness of a problem: it is hard once it has taken longer than most, and reported each time that this doubles.
+    """Reports of a problem that takes longer than most, again each time that its time has doubled.
 
-    Args:
-        clock: of allowed times; read on construction and at each check.
-        problem: the problem; the time that it asks to be shortened for makes none hard.
-        report: called with the time that is spent on it [s].
+    The time that the problem asks to be shortened for does not count. The clock is read on construction and at each
+    check, and ``report`` is called with the time that is spent on the problem [s].
     """
 
     def __init__(self, clock: Callable[[], float], problem: PlanningProblem, report: Callable[[float], None]) -> None:
@@ -98,12 +96,7 @@ class Hardness:
 
 
 class Worker:
-    """Serves one server.
-
-    Args:
-        channel: to the server.
-        make_planner: loads a robot; gets the clock of allowed times as well.
-    """
+    """Serves one server; ``make_planner`` loads a robot and gets the clock of allowed times."""
 
     def __init__(self, channel: Channel, make_planner: MakePlanner) -> None:
         self._channel = channel
@@ -153,7 +146,7 @@ class Worker:
             return PlanningFailure(MoveItErrorCode.CRASH, f"the planner failed: {type(error).__name__}: {error}")
 
     def _poll(self, number: int, request: Request) -> Callable[[], bool]:
-        """Return the function that a planner calls all the time, to know if its request is cancelled."""
+        """Return the function by which a planner checks all the time if its request is cancelled."""
         if not isinstance(request, PlanningProblem):
             return lambda: self._mailbox.withdrawn(number)
         send = self._channel.send

@@ -17,6 +17,7 @@ from planners.assistant.surface import ConvexPart, Deviation, Surface, merged
 from planners.geometry.contacts import Parts, parts_of
 from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import convex, corners, link_name, urdf_shapes
+from planners.geometry.surfaces import joined
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
@@ -124,8 +125,7 @@ def surface_of(link: str, mesh: coal.BVHModelBase) -> Surface:
             f"a mesh of the link {link!r} has {mesh.num_tris} triangles, from 1 to {MAX_TRIANGLES} are allowed:"
             " simplify it, in Blender by the modifier Decimate"
         )
-    triangles = np.array([tuple(mesh.tri_indices(i)[k] for k in range(3)) for i in range(mesh.num_tris)])
-    return merged(np.asarray(mesh.vertices(), dtype=np.float64), triangles.astype(np.int64))
+    return merged(*joined([(mesh, pin.SE3.Identity())]))
 
 
 def primitive_points(shape: coal.CollisionGeometry) -> Vector:

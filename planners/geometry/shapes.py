@@ -21,7 +21,7 @@ from robot.description.model import RobotModel
 from robot.errors import DescriptionError
 from robot.trajectory import Vector
 
-# A check's time grows with the corners: hulls of the SO-101's meshes have thousands and take five times as long.
+# A check's time grows with the corners: hulls of the SO-101's meshes have thousands, which take five times as long.
 MAX_CORNERS = 250
 
 # A hull around faces in 126 directions has at most 248 corners and is 1 to 2 mm wider than links of 10 cm.
@@ -102,20 +102,20 @@ def _directions(count: int) -> Vector:
 
 
 def robot_shapes(
-    robot: RobotModel, model: pin.Model, exact: Sequence[pin.GeometryObject] | None = None
+    robot: RobotModel, model: pin.Model, urdf: Sequence[pin.GeometryObject] | None = None
 ) -> list[pin.GeometryObject]:
-    """The shapes that are checked: solid and quick to check.
+    """Return the solid shapes that are checked: the robot's hulls, or else its URDF's shapes, with hulls for meshes.
 
     Args:
-        robot: its hulls, or else its URDF's shapes, meshes in hulls.
+        robot: the arm.
         model: its joints.
-        exact: shapes of the URDF where these are loaded already.
+        urdf: shapes of the URDF where these are loaded already.
 
     Raises:
         ShapeError: a shape of the URDF cannot be loaded, or there is none.
     """
     shapes = [on_link(model, link, convex(hull.vertices)) for link, hull in robot.hulls.items()]
-    shapes = shapes or [_solid(shape) for shape in (urdf_shapes(robot, model) if exact is None else exact)]
+    shapes = shapes or [_solid(shape) for shape in (urdf_shapes(robot, model) if urdf is None else urdf)]
     if not shapes:
         raise ShapeError(robot.name, "no link has a collision shape")
     return shapes
@@ -224,12 +224,7 @@ def _slab(plane: Plane, reach_m: float) -> tuple[coal.CollisionGeometry, pin.SE3
 
 
 def triangle_tree(vertices_m: Vector, triangles: NDArray[np.integer[Any]]) -> coal.BVHModelOBBRSS:
-    """A surface of triangles.
-
-    Args:
-        vertices_m: shape (n, 3) [m].
-        triangles: shape (m, 3), indices into ``vertices_m``.
-    """
+    """Return a search tree over triangles, shape (m, 3), indices into vertices, shape (n, 3) [m]."""
     surface = coal.BVHModelOBBRSS()
     surface.beginModel(len(triangles), len(vertices_m))
     surface.addVertices(np.asarray(vertices_m, dtype=np.float64))

@@ -68,13 +68,9 @@ class CollisionChecker(Protocol):
 
 
 def line_is_free(checker: CollisionChecker, start: Vector, end: Vector, step_m: float) -> bool:
-    """Tell whether nothing touches on a straight line.
+    """Return true if nothing touches on a straight line, whose first point is taken to be free.
 
-    Args:
-        checker: checks points.
-        start: first point, taken to be free.
-        end: last point, checked as well.
-        step_m: on pieces along which nothing moves more than this only the ends are checked [m].
+    On pieces along which nothing moves more than ``step_m`` only the ends are checked [m].
     """
     if not checker.free(end):
         return False
@@ -198,16 +194,9 @@ class _Parts:
 
 
 def first_contact(checker: CollisionChecker, curve: Cubics, step_m: float, *, earliest: bool) -> float | None:
-    """Find a contact on a curve, coarse to fine; the ends are taken to be free.
+    """Find a contact on a curve, coarse to fine, in pieces from the start; the ends are taken to be free.
 
-    Args:
-        checker: checks points.
-        curve: the curve.
-        step_m: on pieces along which nothing moves more than this only the ends are checked [m].
-        earliest: true for the first contact on the way, false for any.
-
-    Returns:
-        In pieces from the start, or None.
+    The contact is the first on the way if ``earliest``, else any. ``step_m`` as for :func:`line_is_free`.
     """
     found: float | None = None
     spans = curve.spans()

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count, product
+from itertools import count
 
 import numpy as np
 
 from planners.budget import Budget
 from planners.geometry.certificate import certify
-from planners.geometry.collision import Closeness
 from planners.geometry.joint_space import JointSpace
 from planners.motions.curve import (
     Curve,
@@ -195,12 +194,12 @@ def _standing(task: MotionTask) -> Trajectory:
     return Trajectory(task.joint_names, np.zeros(1), task.start[np.newaxis], rest, rest)
 
 
-def _certified(task: MotionTask, curve: Curve, window: int, closest: Closeness = Closeness.PARTS) -> Trajectory | None:
-    """The curve's samples, their jerk limited, if nothing touches on them by shapes as close as is said."""
+def _certified(task: MotionTask, curve: Curve, window: int) -> Trajectory | None:
+    """Return the curve's samples, their jerk limited, if nothing touches on them."""
     if not curve.stays_within(task.space.lower_rad, task.space.upper_rad):
         return None
     trajectory = averaged(curve, window, task.joint_names) if window else curve.sampled(task.joint_names)
-    return None if certify(task.space, trajectory, closest) else trajectory
+    return None if certify(task.space, trajectory) else trajectory
 
 
 def _braking(task: MotionTask) -> Curve:
@@ -247,10 +246,9 @@ class _Searching:
         """The shortest in time of the motions found while there is work to be done."""
         while not self._budget.used_up():
             found = sorted(self._found(), key=_duration)
-            # Surfaces take a hundred times as long: only where nothing else is left they decide.
-            for closest, (method, curve) in product(Closeness, found):
+            for method, curve in found:
                 # The best motion is still of use after the deadline, but not once the request is cancelled.
-                trajectory = None if self._budget.stopped else _certified(self._task, curve, self._window, closest)
+                trajectory = None if self._budget.stopped else _certified(self._task, curve, self._window)
                 if trajectory is not None:
                     return Motion(trajectory, method, self._goal_at_end_of(curve))
             if found:

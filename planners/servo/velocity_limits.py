@@ -130,7 +130,7 @@ def velocity_bounds(
     kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
     watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
     left_m = np.array([pair.distance_m - kept_m - CURVATURE_M for pair, kept_m in watched])
-    slopes = np.array([pair.slope_m_per_rad[columns] for pair, _ in watched]).reshape(-1, len(q))
+    slopes = np.array([pair.distance_gradient[columns] for pair, _ in watched]).reshape(-1, len(q))
     room = np.maximum(np.concatenate((upper - q, q - lower, left_m)), 0.0)
     rows = np.vstack((np.eye(len(q)), -np.eye(len(q)), -slopes))
     # With v' = v - change the way to rest is v * period + v^2 / (2 a): solved for v.

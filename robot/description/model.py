@@ -92,7 +92,7 @@ class RobotModel:
         hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
         parts: link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in
             the link's frame; for the cases in which a hull is too wide.
-        surfaces: link name -> its surface; for the cases in which its parts are too wide.
+        surfaces: link name -> its surface, which tells what is inside the link.
         planning_frame: name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
         gripper: the gripper; None for an arm without one.
         default_group: group of goals that name none.

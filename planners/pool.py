@@ -65,8 +65,7 @@ CLOSE_TIMEOUT_S = 2.0
 
 def brief(scene: Scene) -> bool:
     """Return true if a worker sets up a scene soon enough for a race; it does not listen meanwhile."""
-    objects = (*scene.objects, *(each.object for each in scene.attached))
-    return sum(map(packed_bytes, objects)) <= BRIEF_SCENE_BYTES
+    return sum(map(packed_bytes, scene.all_objects())) <= BRIEF_SCENE_BYTES
 
 
 def allowed_time_s(request: Request) -> float:

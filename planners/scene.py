@@ -128,5 +128,9 @@ class Scene:
     link_padding_m: Mapping[str, float] = field(default_factory=dict)
     link_scale: Mapping[str, float] = field(default_factory=dict)
 
+    def all_objects(self) -> tuple[SceneObject, ...]:
+        """Return the objects around the robot and those attached to it."""
+        return (*self.objects, *(each.object for each in self.attached))
+
 
 EMPTY_SCENE = Scene()

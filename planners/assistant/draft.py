@@ -73,8 +73,7 @@ def srdf(draft: Draft) -> str:
 
 
 def _state(name: str, group: str, positions: Mapping[str, float]) -> list[str]:
-    joints = [f"    <joint name={quoteattr(joint)} value={_number(value)!r}/>" for joint, value in positions.items()]
-    joints = [line.replace("value=", 'value="').replace("/>", '"/>') for line in joints]
+    joints = [f'    <joint name={quoteattr(joint)} value="{_number(value)!r}"/>' for joint, value in positions.items()]
     return [f"  <group_state name={quoteattr(name)} group={quoteattr(group)}>", *joints, "  </group_state>"]
 
 

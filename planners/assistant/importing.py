@@ -95,12 +95,7 @@ def default_folder(urdf: Path) -> Path:
 def import_robot(options: ImportOptions, say: Callable[[str], None]) -> list[str]:
     """Make a robot folder of a URDF; nothing is left of an import that fails or is interrupted.
 
-    Args:
-        options: options.
-        say: takes a line of progress.
-
-    Returns:
-        Lines about the folder: files and all that should be looked at.
+    Returns lines about the folder: its files, and all that should be checked. ``say`` takes a line of progress.
 
     Raises:
         AssistantError: the import cannot be done.
@@ -136,13 +131,7 @@ def _check_target(out: Path, overwrite: bool) -> None:
 
 
 class _Import:
-    """One import, step by step.
-
-    Args:
-        options: options.
-        folder: empty folder that gets the files.
-        say: takes a line of progress.
-    """
+    """One import into an empty folder, step by step; ``say`` takes a line of progress."""
 
     def __init__(self, options: ImportOptions, folder: Path, say: Callable[[str], None]) -> None:
         self._options, self._folder, self._say = options, folder, say

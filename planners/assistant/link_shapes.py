@@ -11,12 +11,12 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from planners.assistant.decomposition import MAX_TRIANGLES, Limits, decompose, evenly_spread
+from planners.assistant.decomposition import MAX_TRIANGLES, Limits, decompose
 from planners.assistant.errors import AssistantError
 from planners.assistant.surface import ConvexPart, Deviation, Surface, merged
 from planners.geometry.contacts import Parts, parts_of
 from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import convex, corners, link_name, urdf_shapes
+from planners.geometry.shapes import convex, corners, evenly_spread, link_name, urdf_shapes
 from planners.geometry.surfaces import joined
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
@@ -80,12 +80,7 @@ def link_shapes(robot: RobotModel) -> dict[str, list[LinkShape]]:
 def convex_links(
     shapes: Mapping[str, list[LinkShape]], limits: Limits, progress: Callable[[str, LinkParts], None]
 ) -> dict[str, LinkParts]:
-    """Return the convex parts of each link.
-
-    Args:
-        shapes: of each link.
-        limits: bounds of each mesh's decomposition.
-        progress: called with each link that is done.
+    """Return the convex parts of each link; ``progress`` is called with each link that is done.
 
     Raises:
         AssistantError: a mesh has no triangles, or too many.

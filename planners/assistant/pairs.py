@@ -100,11 +100,7 @@ def unchecked_pairs(
 ) -> list[UncheckedPair]:
     """Return the pairs that are adjacent, that touch in every drawn state and that touch in none.
 
-    Args:
-        contacts: the robot's links.
-        samples: states to draw.
-        seed: of the draws; same seed, same pairs.
-        progress: called with the number of states that are done.
+    Same seed, same pairs; ``progress`` is called with the number of states that are done.
     """
     random = np.random.default_rng(seed)
     seen: dict[Pair, set[bool]] = {pair: set() for pair in contacts.pairs}
@@ -130,15 +126,8 @@ def free_state(
 ) -> tuple[Vector, bool]:
     """Return the first of some states in which nothing touches, else the drawn one that is nearest to the first.
 
-    Args:
-        contacts: the robot's links.
-        unchecked: pairs that may touch.
-        states: states to try first, shape (n,) each; without any the first free one that is drawn is taken.
-        tries: states to draw.
-        seed: of the draws.
-
-    Returns:
-        The state; false where no state is free, with the first of all.
+    Without states the first free one of ``tries`` drawn states is returned. Where no state is free, the first of all is
+    returned with false.
     """
     excused = {frozenset((pair.first, pair.second)) for pair in unchecked}
     checked = [pair for pair in contacts.pairs if frozenset(pair) not in excused]

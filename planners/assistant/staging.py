@@ -34,16 +34,7 @@ def parse_urdf(urdf_path: Path) -> ET.Element:
 
 
 def copy_meshes(root: ET.Element, urdf_path: Path, packages: Sequence[Path], folder: Path) -> int:
-    """Copy the meshes of a URDF into a folder, and name the copies in the URDF.
-
-    Args:
-        root: the URDF, whose mesh names are changed.
-        urdf_path: its file.
-        packages: folders for ``package://``.
-        folder: folder that gets the folder of meshes.
-
-    Returns:
-        The number of meshes.
+    """Copy the meshes of a URDF into a folder, name the copies in ``root``, and return the number of meshes.
 
     Raises:
         DescriptionError: a mesh of a <collision> is not there; the text has the paths that were tried.

@@ -26,7 +26,7 @@ MIN_ARM_JOINTS = 2
 
 @dataclass(frozen=True)
 class Structure:
-    """Groups that an arm's SRDF will have.
+    """Planning groups for an arm's SRDF.
 
     Attributes:
         base_link: first link of the arm.
@@ -46,12 +46,7 @@ class Structure:
 
 
 class Tree:
-    """Links and joints of a robot as a tree.
-
-    Args:
-        links: link names, root first.
-        joints: every joint by name.
-    """
+    """Links, root first, and joints of a robot as a tree."""
 
     def __init__(self, links: Sequence[str], joints: Mapping[str, Joint]) -> None:
         self.root = links[0]

@@ -131,11 +131,7 @@ class SceneFields(BaseModel):
     link_scale: dict[str, float] = {}
 
     def scene(self, version: int) -> scene.Scene:
-        """Return the scene.
-
-        Args:
-            version: a number that no other scene has.
-        """
+        """Return the scene; no other scene has its version."""
         return scene.Scene(
             version,
             tuple(fields.object() for fields in self.objects),
@@ -276,11 +272,7 @@ class _File(SceneFields):
 
 
 def read(path: Path, robot: RobotModel) -> ProblemFile:
-    """Read a file.
-
-    Args:
-        path: the file.
-        robot: the robot that it is about.
+    """Read a file of problems for a robot.
 
     Raises:
         ProblemFileError: it cannot be read, is not of the format, or is about another robot.
@@ -424,12 +416,7 @@ class _Reader:
 def text(name: str, problem: PlanningProblem, scene: Scene, robot: RobotModel, answer: PlanningFailure) -> str:
     """Return the text of a file with one problem that failed, so that it can be planned again.
 
-    Args:
-        name: of the file, without its suffix.
-        problem: the problem.
-        scene: its scene.
-        robot: the robot, with the limits that were kept.
-        answer: its answer, noted beside the problem.
+    ``name`` is the file's without its suffix; ``robot`` has the limits that were kept.
     """
     group = robot.groups.get(problem.group)
     names = group.joints if group is not None else tuple(joint.name for joint in robot.movable_joints)

@@ -69,7 +69,7 @@ def enclosing(points: Vector) -> coal.Convex:
     # Evenly spread directions suit a body as long as it is wide, so it is seen in its own proportions. Corners of the
     # solid {x : d . x <= h} are, from a point in it, the faces of the hull of d / h.
     middle, size = corners.mean(axis=0), np.ptp(corners, axis=0)
-    directions = _directions(DIRECTIONS)
+    directions = evenly_spread(DIRECTIONS)
     heights = ((corners - middle) / size @ directions.T).max(axis=0)
     dual = convex(directions / heights[:, np.newaxis])
     triangles = np.asarray(dual.points())[_triangles(dual)]
@@ -91,8 +91,8 @@ def _triangles(hull: coal.Convex) -> NDArray[np.int64]:
     return np.array([(polygon[0], polygon[1], polygon[2]) for polygon in polygons])
 
 
-def _directions(count: int) -> Vector:
-    """Unit vectors spread evenly, the six along the axes first; those of a Fibonacci lattice otherwise."""
+def evenly_spread(count: int) -> Vector:
+    """Return unit vectors, shape (count, 3): the six along the axes, then those of a Fibonacci lattice."""
     i = np.arange(count - 6) + 0.5
     z = 1.0 - 2.0 * i / (count - 6)
     angle = np.pi * (1.0 + np.sqrt(5.0)) * i

@@ -130,8 +130,13 @@ def of_meshes(meshes: Sequence[PlacedMesh]) -> TriangleSurface:
     vertices_m, triangles = joined(meshes)
     # STL files repeat a vertex for each triangle, which would make each a body.
     once_m, same = np.unique(vertices_m, axis=0, return_inverse=True)
-    found = same.ravel()[triangles].astype(np.int32)
-    return TriangleSurface(once_m, found[np.argsort(_along_a_curve(once_m[found].mean(axis=1)), kind="stable")])
+    return of_triangles(once_m, same.ravel()[triangles])
+
+
+def of_triangles(vertices_m: Vector, triangles: NDArray[np.int64]) -> TriangleSurface:
+    """Return the surface of triangles in any order."""
+    order = np.argsort(_along_a_curve(vertices_m[triangles].mean(axis=1)), kind="stable")
+    return TriangleSurface(vertices_m, triangles[order].astype(np.int32))
 
 
 def joined(meshes: Sequence[PlacedMesh]) -> tuple[Vector, NDArray[np.int64]]:

@@ -24,14 +24,9 @@ class LoadRobot:
 
 @dataclass(frozen=True)
 class Loaded:
-    """The worker is ready for requests."""
+    """A worker, or a host of planners that has workers of these process ids, is ready for requests."""
 
-
-@dataclass(frozen=True)
-class Hosted:
-    """The processes behind a host of planners, which several servers share, are ready for requests."""
-
-    pids: tuple[int, ...]
+    pids: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

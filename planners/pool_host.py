@@ -1,7 +1,7 @@
 """Host of planners that several servers share: one pool, reached over a Unix socket.
 
 A server's connection (:mod:`planners.shared_pool`) carries the messages of :mod:`planners.messages`: scenes in parts,
-and requests, of which several may be on their way. The pool gives turns in the order in which requests come. A server
+and requests, several at a time. The pool gives turns in the order in which requests come. A server
 asks for one motion and one question at a time, so however many goals one has, it takes one turn of each round.
 """
 
@@ -15,7 +15,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from planners.messages import Answered, Ask, Cancel, Hosted, LoadFailed, MoreObjects, NewScene
+from planners.messages import Answered, Ask, Cancel, Loaded, LoadFailed, MoreObjects, NewScene
 from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
 from planners.problem import (
     CartesianProblem,
@@ -48,7 +48,7 @@ class PlannerHost:
 
     Args:
         robot: the arm to plan for.
-        address: path of the Unix socket; whoever may open it is trusted, so its folder is the user's alone.
+        address: path of the Unix socket; every user who can open it is trusted, so its folder is the user's alone.
         servers: number of servers that share the planners.
         active: number of motions that may be planned at the same time.
         questions: number of questions that may be answered at the same time.
@@ -65,7 +65,7 @@ class PlannerHost:
         memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
     ) -> None:
         self._address = address
-        # A worker that races would be one that another server's goal waits for.
+        # No races: another server's goal may need the worker.
         self._pool = PlannerPool(
             robot, active, memory_limit_bytes, questions, max_waiting=REQUESTS_OF_SERVER * servers, racing=False
         )
@@ -90,12 +90,12 @@ class PlannerHost:
             await self._pool.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve one server until it closes its connection; what it has asked for is cancelled then."""
+        """Serve one server until it closes its connection, which cancels its requests."""
         connection = _Connection(self._pool, writer, self._versions)
         self._writers.add(writer)
         try:
             refusal = await self._pool.wait_until_loaded()
-            writer.write(encode(Hosted(self._pool.pids) if refusal is None else LoadFailed(refusal)))
+            writer.write(encode(Loaded(self._pool.pids) if refusal is None else LoadFailed(refusal)))
             decoder = Decoder()
             while data := await reader.read(READ_BYTES):
                 for message in decoder.feed(data):
@@ -133,7 +133,7 @@ class _Connection:
                 self._tasks[number].cancel()
 
     def close(self) -> None:
-        """Cancel what is under way."""
+        """Cancel open requests."""
         for task in self._tasks.values():
             task.cancel()
 

@@ -138,10 +138,10 @@ def _object_refusals(scene_object: SceneObject) -> Iterator[PlanningFailure]:
     subject = f"the object {scene_object.name!r}"
     if not scene_object.shapes:
         yield _refusal(f"{subject} has no shape", object=scene_object.name)
-    said = [pose_fault(scene_object.pose)]
+    faults = [pose_fault(scene_object.pose)]
     for shape, pose in scene_object.shapes:
-        said += [shape_fault(shape), pose_fault(pose)]
-    for fault in said:
+        faults += [shape_fault(shape), pose_fault(pose)]
+    for fault in faults:
         if fault is not None:
             yield _refusal(f"{subject} {fault}", object=scene_object.name)
 

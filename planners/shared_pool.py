@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from planners.interface import LOAD_TIMEOUT_S, Planners
-from planners.messages import Answered, Ask, Cancel, Hosted, LoadFailed
+from planners.messages import Answered, Ask, Cancel, Loaded, LoadFailed
 from planners.pool_host import LONGEST_PLANNING_S, READ_BYTES
 from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request
 from planners.scene import Scene
@@ -132,7 +132,7 @@ class SharedPlanners(Planners):
         while data := await reader.read(READ_BYTES):
             for message in decoder.feed(data):
                 match message:
-                    case Hosted(pids):
+                    case Loaded(pids):
                         self._pids, self.load_failure = pids, None
                         self._hosted.set()
                         self._hosted_or_refused.set()
@@ -143,7 +143,7 @@ class SharedPlanners(Planners):
                         waiting.set_result(answer)
 
     def _disconnect(self) -> None:
-        """Answer what is under way: the host has ended, or this server does."""
+        """Answer open requests: the host has ended, or this server does."""
         if self._writer is not None:
             self._writer.close()
         self._writer, self._pids = None, ()

@@ -74,7 +74,7 @@ class Mailbox:
         return self._channel.closed or Cancel(number) in self._messages
 
 
-class Hardness:
+class LongSearch:
     """Reports of a problem that takes longer than most, again each time that its time has doubled.
 
     The time that the problem asks to be shortened for does not count. The clock is read on construction and at each
@@ -150,10 +150,10 @@ class Worker:
         if not isinstance(request, PlanningProblem):
             return lambda: self._mailbox.withdrawn(number)
         send = self._channel.send
-        hardness = Hardness(self._clock, request, lambda spent_s: send(StillSearching(number, spent_s)))
+        search = LongSearch(self._clock, request, lambda spent_s: send(StillSearching(number, spent_s)))
 
         def poll() -> bool:
-            hardness.check()
+            search.check()
             return self._mailbox.withdrawn(number)
 
         return poll
@@ -203,7 +203,7 @@ def _go_first_when_memory_is_short() -> None:
 
 def main(make_planner: MakePlanner) -> None:
     """Be a planner process until the server ends it."""
-    # The server says which signal ended a worker; where in it is only known here.
+    # The server logs which signal ended a worker; the place in the code is known only here.
     faulthandler.enable()
     _end_with_the_server()
     _go_first_when_memory_is_short()
@@ -218,7 +218,7 @@ def main(make_planner: MakePlanner) -> None:
 
 
 def warm_planner(robot: RobotModel, clock: Callable[[], float]) -> Planner:
-    """Load a robot and make its first plans; arguments and errors are those of :class:`planners.pipeline.Planner`."""
+    """Load a robot as :class:`planners.pipeline.Planner` does, and make its first plans."""
     planner = Planner(robot, clock)
     warm_up(planner, robot)
     return planner

@@ -20,7 +20,7 @@ PLACEHOLDER_RAD_S = 20.0
 
 @dataclass(frozen=True)
 class Draft:
-    """All that a robot folder says of an arm.
+    """Description of an arm for a robot folder.
 
     Attributes:
         robot: the robot with joints and links; its SRDF does not count.
@@ -168,7 +168,7 @@ def _hardware_lines(joints: Sequence[str]) -> list[str]:
 
 
 def _text(value: str) -> str:
-    # JSON's strings are TOML's basic strings, but for characters beyond the basic plane in pairs.
+    # JSON's strings are TOML's basic strings, except surrogate pairs.
     return json.dumps(value, ensure_ascii=False)
 
 

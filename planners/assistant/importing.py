@@ -15,7 +15,6 @@ import numpy as np
 from planners.assistant import picture
 from planners.assistant.decomposition import MAX_PARTS, MAX_TIME_S, TOLERANCE_M, Limits
 from planners.assistant.draft import ARM, Draft, robot_toml, srdf
-from planners.assistant.errors import AssistantError
 from planners.assistant.gripper import GripperDraft, draft_gripper
 from planners.assistant.link_shapes import (
     LinkParts,
@@ -31,6 +30,7 @@ from planners.assistant.pairs import NEVER, SelfContacts, free_state, unchecked_
 from planners.assistant.staging import copy_meshes, parse_urdf
 from planners.assistant.structure import Structure, Tree, find_structure
 from planners.assistant.surface import ConvexPart, Surface, sample
+from planners.errors import AssistantError
 from planners.geometry.shapes import enclosing
 from planners.goals import JointGoal
 from planners.pipeline import Planner
@@ -220,12 +220,12 @@ class _Import:
     ) -> Draft:
         options = self._options
         self._say(f"drawing {options.samples} states for the pairs of links")
-        told = 0
+        reported = 0
 
         def tell(done: int) -> None:
-            nonlocal told
-            if done == options.samples or done - told >= options.samples // 5:
-                told = done
+            nonlocal reported
+            if done == options.samples or done - reported >= options.samples // 5:
+                reported = done
                 self._say(f"  {done} of {options.samples} states")
 
         unchecked = unchecked_pairs(contacts, options.samples, options.seed, tell)

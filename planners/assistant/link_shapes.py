@@ -12,8 +12,8 @@ import numpy as np
 import pinocchio as pin
 
 from planners.assistant.decomposition import MAX_TRIANGLES, Limits, decompose
-from planners.assistant.errors import AssistantError
 from planners.assistant.surface import ConvexPart, Deviation, Surface, merged
+from planners.errors import AssistantError
 from planners.geometry.contacts import Parts, parts_of
 from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import convex, corners, evenly_spread, link_name, urdf_shapes

@@ -70,7 +70,7 @@ class SelfContacts:
         return state
 
     def touching(self, state: Vector, pairs: Collection[Pair]) -> list[Pair]:
-        """Return those of some pairs that touch in a state."""
+        """Return the pairs among some that touch in a state."""
         self._forward.place(state)
         links = {link for pair in pairs for link in pair}
         at = {link: self._forward.placement(link) for link in links}
@@ -106,7 +106,7 @@ def unchecked_pairs(
     seen: dict[Pair, set[bool]] = {pair: set() for pair in contacts.pairs}
     done = 0
     while done < samples:
-        # A pair that was seen both ways is to be checked, whatever the other states say.
+        # A pair that was seen both ways must be checked, whatever happens in other states.
         undecided = [pair for pair, found in seen.items() if len(found) < 2]
         for _ in range(min(BATCH, samples - done)):
             touching = set(contacts.touching(contacts.draw(random), undecided))

@@ -7,12 +7,12 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
 
-from planners.assistant.errors import AssistantError
+from planners.errors import AssistantError
 from robot.description.mesh_files import find_mesh
 
 MESHES = "meshes"
 
-# Meshes of one robot together: twenty times those of the SO-101.
+# Size of the meshes of one robot: twenty times the SO-101's.
 MAX_MESH_BYTES = 500 << 20
 
 
@@ -67,7 +67,7 @@ def copy_meshes(root: ET.Element, urdf_path: Path, packages: Sequence[Path], fol
 
 
 def _source(mesh: ET.Element, shape: ET.Element, urdf_path: Path, packages: Sequence[Path]) -> Path | None:
-    """Return the file of a mesh; None for one that is only seen and is not there."""
+    """Return the file of a mesh; None for a visual mesh that does not exist."""
     try:
         return find_mesh(mesh.get("filename", ""), urdf_path.resolve().parent, packages)
     except Exception:

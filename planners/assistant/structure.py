@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from planners.assistant.errors import AssistantError
+from planners.errors import AssistantError
 from robot.description.model import Joint
 
 # A joint of the wrist may carry a link called gripper_link: the hand, no finger.

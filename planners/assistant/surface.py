@@ -163,7 +163,7 @@ def sample_with_normals(surface: Surface, count: int, random: np.random.Generato
 def measure(surface: Surface, parts: Sequence[ConvexPart], random: np.random.Generator) -> Deviation:
     """Measure how far parts are from a surface, by :data:`TEST_POINTS` samples each way.
 
-    Distances are to samples of the surface, so those of parts are too long rather than too short.
+    Distances are to samples of the surface, so distances of parts are too long rather than too short.
     """
     on_surface = sample(surface, TEST_POINTS, random)
     uncovered_m = np.min([part.depth_m(on_surface) for part in parts], axis=0).max()

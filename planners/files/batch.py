@@ -70,7 +70,7 @@ def plan_on(
         from distributed import CancelledError, as_completed
 
         _check_workers(client, address)
-        # As tasks, and not scattered: a setup that is lost with a worker is made anew on another one.
+        # As tasks, and not scattered: a setup that is lost with a worker is made again on another one.
         setups = {id(file): client.submit(pickle.loads, _packed_setup(file), pure=False) for file, _ in problems}
         futures = client.map(
             answer,
@@ -115,7 +115,7 @@ def version() -> str:
 
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Client]:
-    """Connect to a scheduler; leaving it cancels what is not done."""
+    """Connect to a scheduler; leaving the context cancels open problems."""
     if find_spec("distributed") is None:
         raise BatchError("--scheduler needs the package distributed: pip install 'armbridge[dask]'")
     if not re.fullmatch(r"(tcp|tls)://[^/@\s]+:\d+", address):
@@ -127,7 +127,7 @@ def _connected(address: str) -> Iterator[Client]:
     for name in ("distributed", "distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        # Certificates of tls:// are those of Dask's own configuration.
+        # Dask's own configuration names the certificates of tls://.
         client = Client(address, timeout=CONNECT_TIMEOUT_S)
     except (OSError, TypeError, ValueError) as error:
         raise BatchError(f"the Dask scheduler {address} cannot be reached: {error}") from error

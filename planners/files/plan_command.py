@@ -32,7 +32,7 @@ POINTS = 400
 # Inches of a row, wide and high.
 ROW_SIZE_IN = (12.0, 2.6)
 
-# Exit codes: every answer is one that its file takes as right; some are not; nothing was planned.
+# Exit codes: every answer is accepted by its file; some are not; nothing was planned.
 EXIT_EXPECTED = 0
 EXIT_UNEXPECTED = 3
 EXIT_USAGE = 2

@@ -211,7 +211,7 @@ class FileProblem:
 
     @property
     def feasible(self) -> bool:
-        """True when the file says that there is a motion."""
+        """True when the file expects a motion."""
         return MoveItErrorCode.SUCCESS in self.accept_codes
 
 
@@ -379,17 +379,19 @@ class _Reader:
             )
         return tip
 
-    def _goal_of_kind(self, where: str, said: Mapping[str, Any]) -> Goal:
-        if list(said) == [_ANY_OF] and isinstance(said[_ANY_OF], list):
-            each = (self._single_goal(f"{where}.{_ANY_OF}.{i}", one) for i, one in enumerate(said[_ANY_OF]))
+    def _goal_of_kind(self, where: str, given: Mapping[str, Any]) -> Goal:
+        if list(given) == [_ANY_OF] and isinstance(given[_ANY_OF], list):
+            each = (self._single_goal(f"{where}.{_ANY_OF}.{i}", one) for i, one in enumerate(given[_ANY_OF]))
             return AnyOf(tuple(each))
-        goal: Goal = self._single_goal(where, said)
+        goal: Goal = self._single_goal(where, given)
         return goal
 
-    def _single_goal(self, where: str, said: Any) -> Any:
-        if not (isinstance(said, dict) and len(said) == 1 and set(said) <= set(_GOALS)):
-            raise self._wrong(where, f"must be one of {', '.join(_GOALS)} with its fields (or {_ANY_OF}), not {said!r}")
-        ((kind, fields),) = said.items()
+    def _single_goal(self, where: str, given: Any) -> Any:
+        if not (isinstance(given, dict) and len(given) == 1 and set(given) <= set(_GOALS)):
+            raise self._wrong(
+                where, f"must be one of {', '.join(_GOALS)} with its fields (or {_ANY_OF}), not {given!r}"
+            )
+        ((kind, fields),) = given.items()
         return self._validated(f"{where}.{kind}", _GOALS[kind], fields)
 
     def _validated(self, where: str, kind: type[Any], fields: Any) -> Any:

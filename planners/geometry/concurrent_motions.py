@@ -2,7 +2,7 @@
 
 The two are not timed against each other: a motion can be slowed, paused, stopped and sent back at any moment. So every
 position of one is checked with every position of the other: a rectangle of their times, which is divided until no
-shape that one motion carries can come near one that the other carries, within a whole part of it.
+shape carried by one motion can come near a shape carried by the other, within a whole part of it.
 """
 
 from __future__ import annotations

@@ -28,11 +28,11 @@ from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
 # With coal's default of 1e-6 one pair in 80 000 that overlaps, by up to 48 mm, is called free: the search for a common
-# point gives up too early on shapes of a few centimetres. With this none of 1.6 million was, at no cost.
+# point gives up too early on shapes of a few centimetres. With this tolerance it errs on 0 of 1.6 million, at no cost.
 GJK_TOLERANCE = 1e-9
 
 # With a margin of exactly 0 coal calls one in a thousand pairs free that overlap by centimetres and whose faces are
-# parallel, as those of an arm in its zero position and of boxes are; with any other margin none of 27 000.
+# parallel, as those of an arm in its zero position and of boxes are; with any other margin 0 of 27 000.
 CONTACT_M = 1e-6
 
 # Finds the pairs whose boxes overlap. With each box compared to each other a check of 7 to 14 shapes takes 0.45 to 0.5
@@ -125,7 +125,7 @@ class Broadphase:
         return _taken(self._contact_results)
 
     def touching_among(self, pairs: Iterable[int]) -> list[int]:
-        """Return those of some pairs that touch."""
+        """Return the pairs among some that touch."""
         found = [pair for pair in pairs if pin.computeCollision(self._geometry, self._contact, pair)]
         for pair in found:
             self._contact_results[pair].clear()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planners.budget import never
 from planners.errors import StoppedError
 from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingPair, CollisionModel
-from planners.geometry.sweep import ALL_PAIRS, CandidatePairs, Cubics, first_contact, line_is_free
+from planners.geometry.sweep import ALL_PAIRS, CandidatePairs, line_is_free, polyline_is_free
 from robot.description.model import Group
 from robot.trajectory import Vector
 
@@ -127,13 +127,10 @@ class JointSpace:
 
     def curve_free(self, points: Vector, step_m: float = CHECK_STEP_M) -> bool:
         """Return true if the robot touches nothing on a polyline, shape (m, n); its first point is taken to be free."""
-        shares = np.array([0.0, 1.0, 2.0, 3.0])[:, np.newaxis] / 3.0
-        start, end = points[:-1, np.newaxis], points[1:, np.newaxis]
-        lines = Cubics(start + shares * (end - start))
-        return self.free(points[-1]) and first_contact(self, lines, step_m, earliest=False) is None
+        return polyline_is_free(self, points, step_m)
 
     def refine_at(self, point: Vector) -> bool:
-        """From now on check pairs by their parts of which only hulls touch at a point; return true if any is new."""
+        """Refine the pairs of which only hulls touch at a point: parts decide from now on; return true if any is new."""
         self._q[self._columns] = point
         new = self._collision.hull_only_pairs(self._q) - self._refined
         self._refined |= new
@@ -160,7 +157,7 @@ class JointSpace:
         return bool(joint_travel @ self.travel_m_per_rad <= CONDITION_STEP_M) and self._holds(q)
 
     def _allowed_near(self, joint_travel: Vector) -> dict[frozenset[str], float]:
-        """Return the overlaps that are still allowed, with their depths, so far from the start, shape (n,) [rad]."""
+        """Return the overlaps that are still allowed, with depths, at a distance from the start, shape (n,) [rad]."""
         shrunk_m = LEAVING * float(joint_travel @ self.travel_m_per_rad)
         left_m = {names: depth_m - shrunk_m for names, depth_m in self._allowed.items()}
         return {names: depth_m for names, depth_m in left_m.items() if depth_m > -DEPTH_ACCURACY_M}

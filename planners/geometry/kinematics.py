@@ -21,7 +21,7 @@ from robot.trajectory import Vector
 
 
 class JointMap:
-    """Positions of pinocchio's joints, which are those that move, from those of joints with a position of their own.
+    """Map from positions of independent joints to positions of pinocchio's joints, which are all joints that move.
 
     Args:
         robot: the arm.

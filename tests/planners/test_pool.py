@@ -24,7 +24,7 @@ from planners.worker_process import DEADLINE_CHECK_S
 from tests.helpers.fake_workers import CRASHES, DEAF, HARD, IN_VAIN, PLAN, SEARCH_S, SOUND, TIMED_OUT, Farm
 from tests.helpers.motions import EASY, REQUESTS, START, STATE, STILL
 from tests.helpers.robots import so101
-from tests.helpers.waiting import until
+from tests.helpers.waiting import given_up, until
 from tests.planners.scenes import boxes
 
 pytestmark = pytest.mark.stepped_time
@@ -68,13 +68,6 @@ async def pool(loading: PlannerPool) -> PlannerPool:
 async def idle(pool: PlannerPool, count: int) -> None:
     """Wait until that many workers are idle."""
     await until(lambda: pool.idle_count == count)
-
-
-async def given_up(*asking: asyncio.Task[Any]) -> None:
-    for task in asking:
-        assert not task.done()
-        task.cancel()
-    await asyncio.wait(asking)
 
 
 async def under_way(pool: PlannerPool, request: Request, idle_count: int = 1) -> asyncio.Task[Any]:

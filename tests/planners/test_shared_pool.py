@@ -22,7 +22,7 @@ from robot import channel
 from tests.helpers.fake_workers import CRASHES, DEAF, HARD, SOUND, TOUCHING, FakeWorker, Farm
 from tests.helpers.motions import EASY, STATE
 from tests.helpers.robots import so101
-from tests.helpers.waiting import TIMEOUT_S, until
+from tests.helpers.waiting import TIMEOUT_S, given_up, until
 
 Servers = tuple[SharedPlanners, SharedPlanners]
 
@@ -177,9 +177,3 @@ async def under_way(server: SharedPlanners, farm: Farm) -> asyncio.Task[Answer]:
     asking = asyncio.create_task(server.ask(dataclasses.replace(EASY, group=DEAF, allowed_time_s=3600.0)))
     await until(lambda: sum(len(worker.asked) for worker in farm.workers) > before)
     return asking
-
-
-async def given_up(asking: asyncio.Task[Answer]) -> None:
-    assert not asking.done()
-    asking.cancel()
-    await asyncio.wait([asking])

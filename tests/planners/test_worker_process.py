@@ -28,15 +28,10 @@ from planners.worker_process import DEADLINE_CHECK_S, WorkerProcess, timeout_aft
 from tests.helpers.fake_workers import PLAN, SOUND, TIMED_OUT
 from tests.helpers.motions import EASY, STATE
 from tests.helpers.robots import so101
+from tests.helpers.waiting import given_up
 from tests.planners.scenes import boxes
 
 pytestmark = pytest.mark.stepped_time
-
-
-async def given_up(asking: asyncio.Task[Any]) -> None:
-    assert not asking.done()
-    asking.cancel()
-    await asyncio.wait([asking])
 
 
 def waiting_until(until_s: float) -> Callable[[], float]:

@@ -188,7 +188,7 @@ class JointPathProblem:
     """A path of the joints to time and to follow, from its first point to its last; answered by :class:`Plan`.
 
     Attributes:
-        start_rad: position of every movable joint of the robot before; positions of the path's joints do not count [rad].
+        start_rad: position of every movable joint of the robot before; the path's joints do not count [rad].
         joint_names: the joints of the path, which need not be one group.
         time_s: shape (n,), n >= 2, strictly increasing: when the path passes each point at speed 1 [s].
         positions_rad: shape (n, joints), points that a natural cubic spline joins [rad].
@@ -414,7 +414,7 @@ class StateAnswer:
 
 @dataclass(frozen=True)
 class RecheckAnswer:
-    """Answer to a recheck of the rest of a motion: ``contact`` names what it would touch at ``contact_s``, else None."""
+    """Answer to a recheck of the rest of a motion: ``contact`` names the contact at ``contact_s``, else None."""
 
     contact: PlanningFailure | None
     contact_s: float | None = None

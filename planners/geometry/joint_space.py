@@ -130,7 +130,7 @@ class JointSpace:
         return polyline_is_free(self, points, step_m)
 
     def refine_at(self, point: Vector) -> bool:
-        """Refine the pairs of which only hulls touch at a point: parts decide from now on; return true if any is new."""
+        """Let parts decide from now on where only hulls touch at a point; return true if any pair is new."""
         self._q[self._columns] = point
         new = self._collision.hull_only_pairs(self._q) - self._refined
         self._refined |= new

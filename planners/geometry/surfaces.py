@@ -1,4 +1,4 @@
-"""Triangle surfaces of links, which decide what is inside: a body wholly in a link's material may touch none of its parts.
+"""Triangle surfaces of links, which decide what is inside: a body in a link's material may touch none of its parts.
 
 The measure is the winding number: Jacobson, Kavan and Sorkine-Hornung, "Robust inside-outside segmentation using
 generalized winding numbers", 2013. Neighbouring triangles lie in pieces, so that far ones count together.

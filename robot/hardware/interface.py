@@ -35,9 +35,10 @@ Flags: TypeAlias = NDArray[np.bool_]
 # Round trips of the last second at 100 Hz.
 ROUND_TRIPS_KEPT = 100
 
-# No joint turns this far in a cycle (300 ticks of an STS3215, 46 rad/s); longer gaps allow for the free speed of an
-# STS3215 at 7.4 V.
+# No joint turns this far in a cycle (46 rad/s); longer gaps allow for the free speed of the actuators.
 JUMP_RAD = 0.46
+
+# Free speed of small servos (an STS3215 at 7.4 V), for actuators that state none.
 FREE_SPEED_RAD_S = 5.5
 
 
@@ -92,6 +93,8 @@ class Actuation(NamedTuple):
         overload_torque: share of full duty that must not last; infinite without such a protection.
         overload_time_s: time for which it may last [s].
         overload_current_a: current that must not last; infinite without such a protection [A].
+        stall_current_a: current of the stalled motor at full duty [A].
+        free_speed_rad_s: speed without load at full duty [rad/s].
     """
 
     stiffness: Vector
@@ -99,16 +102,14 @@ class Actuation(NamedTuple):
     overload_torque: Vector
     overload_time_s: Vector
     overload_current_a: Vector
+    stall_current_a: Vector
+    free_speed_rad_s: Vector
 
     @classmethod
     def unprotected(cls, joints: int) -> Actuation:
-        """Return that of actuators without settings.
-
-        Args:
-            joints: their number.
-        """
+        """Return the strength of a number of actuators that have no settings."""
         ones, never = np.ones(joints), np.full(joints, np.inf)
-        return cls(ones, ones, never, never, never)
+        return cls(ones, ones, never, never, never, ones, np.full(joints, FREE_SPEED_RAD_S))
 
 
 @dataclass(frozen=True)

@@ -13,19 +13,20 @@ from typing import NamedTuple
 import numpy as np
 
 from robot.calibration import RAD_PER_TICK, Calibration
-from robot.commissioning.calibrate import read_differences, write_to_servos
 from robot.description.limits import JointBounds
 from robot.errors import StartupError
 from robot.faults import Fault
 from robot.hardware.config import FeetechConfig
 from robot.hardware.feetech import torque
 from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.calibration import read_differences, write_to_servos
 from robot.hardware.feetech.packets import StatusFrame
 from robot.hardware.feetech.profiles import FACTORY, ServoProfile
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
     CONTROL_BYTES,
     GOAL_ADDRESS,
+    STALL_CURRENT_A,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
@@ -265,7 +266,7 @@ class FeetechHardware(HardwareInterface):
         return self.servos.rad_from_ticks(goals)
 
     def write_calibration(self, calibration: Calibration) -> Steps[str]:
-        """Write homing offsets and angle limits, where they differ; see :mod:`robot.commissioning.calibrate`."""
+        """Write homing offsets and angle limits, where they differ; see :mod:`robot.hardware.feetech.calibration`."""
         changes = yield from read_differences(self.bus, calibration)
         self.needs_survey = self.needs_survey or bool(changes)
         yield from write_to_servos(self.bus, changes)
@@ -318,6 +319,8 @@ def _actuation(settings: Sequence[ServoSettings]) -> Actuation:
         overload_torque=np.array([each.overload_torque for each in settings]),
         overload_time_s=np.array([each.protection_time_s for each in settings]),
         overload_current_a=np.array([each.protection_current_a for each in settings]),
+        stall_current_a=np.full(len(settings), STALL_CURRENT_A),
+        free_speed_rad_s=np.full(len(settings), FREE_SPEED_RAD_S),
     )
 
 

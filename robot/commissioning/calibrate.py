@@ -10,8 +10,9 @@ from robot.commissioning.scan import ServoReport
 from robot.commissioning.sweep import Sweep, met_both_stops, place, place_free
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError
-from robot.hardware.feetech.calibration import Difference, calibrated_registers
+from robot.hardware.feetech.calibration import calibrated_registers
 from robot.hardware.feetech.registers import Register
+from robot.hardware.servos.family import Difference
 
 
 @dataclass(frozen=True)

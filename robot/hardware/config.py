@@ -93,8 +93,11 @@ class FeetechConfig(_SerialConfig):
     """Feetech servos on a serial port.
 
     Attributes:
+        baud: bits per second.
         profile: settings that they should have; None for those of the known profile that is nearest.
     """
+
+    baud: ClassVar[int] = 1_000_000
 
     profile: ServoProfile | None = None
 

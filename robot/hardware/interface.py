@@ -41,6 +41,8 @@ JUMP_RAD = 0.46
 # Free speed of small servos (an STS3215 at 7.4 V), for actuators that state none.
 FREE_SPEED_RAD_S = 5.5
 
+CALIBRATION_NOT_KEPT = "a calibration is written into Feetech servos only, and this arm has others"
+
 
 class StatusFlag(IntFlag):
     """Error flags of an actuator; the values are the bits of register STATUS of Feetech's STS3215."""
@@ -317,7 +319,7 @@ class HardwareInterface(ABC):
             NoReply: an actuator does not answer.
         """
         yield 0.0
-        raise OrderRefused("a calibration is written into Feetech servos only, and this arm has others")
+        raise OrderRefused(CALIBRATION_NOT_KEPT)
 
     @abstractmethod
     def condition(self, joint: int) -> Condition:

@@ -28,6 +28,9 @@ from robot.hardware.boards import find_board, find_usb_id
 
 AUTO = "auto"
 
+# Start bit, eight data bits and stop bit.
+BITS_PER_BYTE = 10
+
 _USB_ID = re.compile(r"(?:usb:)?([0-9a-f]{4}):([0-9a-f]{4})", re.IGNORECASE)
 
 # A sync write of 56 bytes takes 0.6 ms; an adapter that has not taken it in 100 ms is gone or stuck.
@@ -66,7 +69,7 @@ _BUSY = frozenset({errno.EBUSY, errno.EAGAIN})
 
 
 class BusPort(Protocol):
-    """Port of a servo bus, as :class:`robot.hardware.feetech.bus.Bus` and ``scservo_sdk`` use it.
+    """Port of a servo bus, as :class:`robot.hardware.servos.bus.ServoBus` and ``scservo_sdk`` use it.
 
     Attributes:
         port_name: name in errors.
@@ -103,6 +106,11 @@ class BusPort(Protocol):
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
         """Close the port, even if it is gone."""
+
+
+def wire_time_s(byte_count: int, baudrate: int) -> float:
+    """Compute the time of bytes on the wire [s]."""
+    return byte_count * BITS_PER_BYTE / baudrate
 
 
 def resolve_port(port: str) -> str:

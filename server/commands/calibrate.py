@@ -18,9 +18,10 @@ from robot.description import robot_folder
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError, StartupError
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.calibration import Difference, write_to_servos
+from robot.hardware.feetech.calibration import write_to_servos
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, parse_telemetry
 from robot.hardware.interface import run_to_end
+from robot.hardware.servos.family import Difference
 from server.commands.arm import relax_arm
 from server.commands.options import Subparsers, add_robot, add_serial, guarded, open_bus, read_hardware
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table

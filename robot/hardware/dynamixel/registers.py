@@ -8,21 +8,14 @@ endian, signed ones in two's complement. The EEPROM can be written only while to
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import IntEnum
 from types import MappingProxyType
 
 from robot.hardware.interface import StatusFlag
-
-
-class Area(Enum):
-    """Memory area of a register."""
-
-    READ_ONLY = "read only"
-    EEPROM = "EEPROM"
-    RAM = "RAM"
+from robot.hardware.servos.registers import Area as Area
+from robot.hardware.servos.registers import Layout, RegisterTable
 
 
 class Register(IntEnum):
@@ -63,21 +56,6 @@ class Register(IntEnum):
     PRESENT_POSITION = 132
     PRESENT_INPUT_VOLTAGE = 144
     PRESENT_TEMPERATURE = 146
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Storage of a register.
-
-    Attributes:
-        size: bytes, 1, 2 or 4.
-        area: memory area.
-        signed: True for two's complement.
-    """
-
-    size: int
-    area: Area
-    signed: bool = False
 
 
 LAYOUT: Mapping[Register, Layout] = MappingProxyType(
@@ -207,93 +185,11 @@ def status_of(hardware_error: int) -> StatusFlag:
     return status
 
 
-def value_range(register: Register) -> tuple[int, int]:
-    """Return the lowest and highest value that a register can hold."""
-    layout = LAYOUT[register]
-    bits = 8 * layout.size
-    return (-(1 << bits - 1), (1 << bits - 1) - 1) if layout.signed else (0, (1 << bits) - 1)
-
-
-def encode(register: Register, value: int) -> bytes:
-    """Encode a value as the bytes of its register.
-
-    Raises:
-        ValueError: the register cannot hold the value.
-    """
-    lowest, highest = value_range(register)
-    if not lowest <= value <= highest:
-        raise ValueError(f"{register.name} holds {lowest} to {highest}, not {value}")
-    layout = LAYOUT[register]
-    return value.to_bytes(layout.size, "little", signed=layout.signed)
-
-
-def decode(register: Register, data: bytes) -> int:
-    """Decode the bytes of a register.
-
-    Raises:
-        ValueError: ``data`` is not as long as the register.
-    """
-    layout = LAYOUT[register]
-    if len(data) != layout.size:
-        raise ValueError(f"{register.name} has {layout.size} bytes, not {len(data)}")
-    return int.from_bytes(data, "little", signed=layout.signed)
-
+TABLE = RegisterTable(LAYOUT)
+value_range, encode, decode = TABLE.value_range, TABLE.encode, TABLE.decode
 
 # Blocks of measurements: what changes at every tick, and all up to the temperature. The two trajectory registers in
 # between (136 to 143) are not used.
-MOTION_ADDRESS = Register.PRESENT_PWM
-_MOTION = struct.Struct("<hhii")
-MOTION_BYTES = _MOTION.size
-_CLIMATE = struct.Struct("<HB")
-_CLIMATE_AT = Register.PRESENT_INPUT_VOLTAGE - MOTION_ADDRESS
-TELEMETRY_BYTES = _CLIMATE_AT + _CLIMATE.size
-
-
-# Hundreds are created a second, and a frozen one takes three times as long.
-@dataclass(slots=True)
-class Motion:
-    """Measurements of a servo that change at every tick, registers 124 to 135.
-
-    Attributes:
-        pwm: register PRESENT_PWM.
-        current: register PRESENT_CURRENT of a servo that measures it.
-        velocity: register PRESENT_VELOCITY [0.229 rev/min].
-        position_ticks: register PRESENT_POSITION, 4096 ticks a turn.
-    """
-
-    pwm: int
-    current: int
-    velocity: int
-    position_ticks: int
-
-
-@dataclass(slots=True)
-class Climate:
-    """Measurements of a servo that change slowly.
-
-    Attributes:
-        voltage_v: supply [V].
-        temperature_c: temperature inside [degC].
-    """
-
-    voltage_v: float
-    temperature_c: int
-
-
-def parse_motion(data: bytes) -> Motion:
-    """Parse the beginning of a block of measurements, from ``MOTION_ADDRESS`` on.
-
-    Raises:
-        ValueError: ``data`` has neither length of such a block.
-    """
-    if len(data) not in (MOTION_BYTES, TELEMETRY_BYTES):
-        raise ValueError(f"a block of measurements has {MOTION_BYTES} or {TELEMETRY_BYTES} bytes, not {len(data)}")
-    return Motion(*_MOTION.unpack_from(data))
-
-
-def parse_climate(data: bytes) -> Climate | None:
-    """Parse supply and temperature; None for a block that ends before them."""
-    if len(data) < TELEMETRY_BYTES:
-        return None
-    volts, temperature = _CLIMATE.unpack_from(data, _CLIMATE_AT)
-    return Climate(volts * VOLT_PER_UNIT, temperature)
+MOTION = TABLE.block(Register.PRESENT_PWM, Register.PRESENT_POSITION)
+TELEMETRY = TABLE.block(Register.PRESENT_PWM, Register.PRESENT_TEMPERATURE)
+MOTION_ADDRESS = MOTION.address

@@ -4,24 +4,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from robot.calibration import Calibration, JointCalibration
 from robot.errors import PortError, RobotError
-from robot.hardware.feetech.bus import ATTEMPTS, Bus, read, write_verified
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import Result, Steps, run_to_end
-
-
-@dataclass(frozen=True)
-class Difference:
-    """Register of a servo that differs from the calibration."""
-
-    joint: str
-    servo_id: int
-    register: Register
-    calibrated: int
-    in_servo: int
+from robot.hardware.servos.bus import ATTEMPTS, ServoBus, read, write_verified
+from robot.hardware.servos.family import Difference
 
 
 def calibrated_registers(joint: JointCalibration) -> dict[Register, int]:
@@ -36,13 +25,8 @@ def calibrated_registers(joint: JointCalibration) -> dict[Register, int]:
     }
 
 
-def read_differences(bus: Bus, calibration: Calibration) -> Steps[list[Difference]]:
-    """Compare a calibration with the servos' registers, as a sequence.
-
-    Raises:
-        NoReply: a servo gave no valid reply.
-        PortLost: the port is gone.
-    """
+def read_differences(bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:
+    """Compare a calibration with the servos' registers, as a sequence; raises NoReply."""
     found = []
     for joint in calibration.joints:
         for register, value in calibrated_registers(joint).items():
@@ -52,7 +36,7 @@ def read_differences(bus: Bus, calibration: Calibration) -> Steps[list[Differenc
     return found
 
 
-def write_to_servos(bus: Bus, changes: Sequence[Difference]) -> Steps[None]:
+def write_to_servos(bus: ServoBus, changes: Sequence[Difference]) -> Steps[None]:
     """Write a calibration to the servos, as a sequence; EPROM wears, so only what differs is written.
 
     A servo takes all of its changes or, after an error or when the sequence is given up, none, as far as it answers.
@@ -60,12 +44,11 @@ def write_to_servos(bus: Bus, changes: Sequence[Difference]) -> Steps[None]:
 
     Args:
         bus: an open bus; the servos' torque must be off, since a new homing offset moves their goal.
-        changes: result of :func:`differences`.
+        changes: result of :func:`read_differences`.
 
     Raises:
         StartupError: a servo keeps another value.
         NoReply: a servo gave no valid reply.
-        PortLost: the port is gone.
     """
     for servo_id in dict.fromkeys(change.servo_id for change in changes):
         own = [change for change in changes if change.servo_id == servo_id]
@@ -81,7 +64,7 @@ def write_to_servos(bus: Bus, changes: Sequence[Difference]) -> Steps[None]:
             raise
 
 
-def _undo_and_lock(bus: Bus, servo_id: int, changes: Sequence[Difference]) -> None:
+def _undo_and_lock(bus: ServoBus, servo_id: int, changes: Sequence[Difference]) -> None:
     """Undo the changes of a servo that has not taken them all, and lock its EPROM.
 
     All at once, not in steps: a sequence that is given up has no further steps.
@@ -98,7 +81,7 @@ def _undo_and_lock(bus: Bus, servo_id: int, changes: Sequence[Difference]) -> No
         return
 
 
-def _undo_incomplete(bus: Bus, changes: Sequence[Difference]) -> None:
+def _undo_incomplete(bus: ServoBus, changes: Sequence[Difference]) -> None:
     """Write the former values back, the offset first, unless the last change has been made and so all have."""
     if _at_once(read(bus, changes[-1].servo_id, changes[-1].register)) == changes[-1].calibrated:
         return

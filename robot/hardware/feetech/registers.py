@@ -9,17 +9,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum, IntEnum
-from functools import cache
+from enum import IntEnum
 from types import MappingProxyType
 
-
-class Area(Enum):
-    """Memory area of a register."""
-
-    READ_ONLY = "read only"
-    EPROM = "EPROM"
-    SRAM = "SRAM"
+from robot.hardware.servos.registers import Area as Area
+from robot.hardware.servos.registers import Layout, RegisterTable
 
 
 class Register(IntEnum):
@@ -72,59 +66,44 @@ class Register(IntEnum):
     PRESENT_CURRENT = 69
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Storage of a register.
-
-    Attributes:
-        size: bytes, 1 or 2.
-        area: memory area.
-        sign_bit: bit that marks a negative value; None for an unsigned register.
-    """
-
-    size: int
-    area: Area
-    sign_bit: int | None = None
-
-
 LAYOUT: Mapping[Register, Layout] = MappingProxyType(
     {
         Register.FIRMWARE_MAJOR: Layout(1, Area.READ_ONLY),
         Register.FIRMWARE_MINOR: Layout(1, Area.READ_ONLY),
         Register.MODEL_NUMBER: Layout(2, Area.READ_ONLY),
-        Register.ID: Layout(1, Area.EPROM),
-        Register.BAUD_RATE: Layout(1, Area.EPROM),
-        Register.RETURN_DELAY: Layout(1, Area.EPROM),
-        Register.RESPONSE_LEVEL: Layout(1, Area.EPROM),
-        Register.MIN_ANGLE_LIMIT: Layout(2, Area.EPROM),
-        Register.MAX_ANGLE_LIMIT: Layout(2, Area.EPROM),
-        Register.MAX_TEMPERATURE: Layout(1, Area.EPROM),
-        Register.MAX_VOLTAGE: Layout(1, Area.EPROM),
-        Register.MIN_VOLTAGE: Layout(1, Area.EPROM),
-        Register.MAX_TORQUE: Layout(2, Area.EPROM),
-        Register.PHASE: Layout(1, Area.EPROM),
-        Register.UNLOADING_CONDITION: Layout(1, Area.EPROM),
-        Register.LED_ALARM_CONDITION: Layout(1, Area.EPROM),
-        Register.P_GAIN: Layout(1, Area.EPROM),
-        Register.D_GAIN: Layout(1, Area.EPROM),
-        Register.I_GAIN: Layout(1, Area.EPROM),
-        Register.MIN_STARTUP_FORCE: Layout(2, Area.EPROM),
-        Register.CW_DEAD_ZONE: Layout(1, Area.EPROM),
-        Register.CCW_DEAD_ZONE: Layout(1, Area.EPROM),
-        Register.PROTECTION_CURRENT: Layout(2, Area.EPROM),
-        Register.ANGULAR_RESOLUTION: Layout(1, Area.EPROM),
-        Register.HOMING_OFFSET: Layout(2, Area.EPROM, sign_bit=11),
-        Register.OPERATING_MODE: Layout(1, Area.EPROM),
-        Register.PROTECTIVE_TORQUE: Layout(1, Area.EPROM),
-        Register.PROTECTION_TIME: Layout(1, Area.EPROM),
-        Register.OVERLOAD_TORQUE: Layout(1, Area.EPROM),
-        Register.TORQUE_ENABLE: Layout(1, Area.SRAM),
-        Register.ACCELERATION: Layout(1, Area.SRAM),
-        Register.GOAL_POSITION: Layout(2, Area.SRAM, sign_bit=15),
-        Register.GOAL_TIME: Layout(2, Area.SRAM),
-        Register.GOAL_VELOCITY: Layout(2, Area.SRAM, sign_bit=15),
-        Register.TORQUE_LIMIT: Layout(2, Area.SRAM),
-        Register.LOCK: Layout(1, Area.SRAM),
+        Register.ID: Layout(1, Area.EEPROM),
+        Register.BAUD_RATE: Layout(1, Area.EEPROM),
+        Register.RETURN_DELAY: Layout(1, Area.EEPROM),
+        Register.RESPONSE_LEVEL: Layout(1, Area.EEPROM),
+        Register.MIN_ANGLE_LIMIT: Layout(2, Area.EEPROM),
+        Register.MAX_ANGLE_LIMIT: Layout(2, Area.EEPROM),
+        Register.MAX_TEMPERATURE: Layout(1, Area.EEPROM),
+        Register.MAX_VOLTAGE: Layout(1, Area.EEPROM),
+        Register.MIN_VOLTAGE: Layout(1, Area.EEPROM),
+        Register.MAX_TORQUE: Layout(2, Area.EEPROM),
+        Register.PHASE: Layout(1, Area.EEPROM),
+        Register.UNLOADING_CONDITION: Layout(1, Area.EEPROM),
+        Register.LED_ALARM_CONDITION: Layout(1, Area.EEPROM),
+        Register.P_GAIN: Layout(1, Area.EEPROM),
+        Register.D_GAIN: Layout(1, Area.EEPROM),
+        Register.I_GAIN: Layout(1, Area.EEPROM),
+        Register.MIN_STARTUP_FORCE: Layout(2, Area.EEPROM),
+        Register.CW_DEAD_ZONE: Layout(1, Area.EEPROM),
+        Register.CCW_DEAD_ZONE: Layout(1, Area.EEPROM),
+        Register.PROTECTION_CURRENT: Layout(2, Area.EEPROM),
+        Register.ANGULAR_RESOLUTION: Layout(1, Area.EEPROM),
+        Register.HOMING_OFFSET: Layout(2, Area.EEPROM, sign_bit=11),
+        Register.OPERATING_MODE: Layout(1, Area.EEPROM),
+        Register.PROTECTIVE_TORQUE: Layout(1, Area.EEPROM),
+        Register.PROTECTION_TIME: Layout(1, Area.EEPROM),
+        Register.OVERLOAD_TORQUE: Layout(1, Area.EEPROM),
+        Register.TORQUE_ENABLE: Layout(1, Area.RAM),
+        Register.ACCELERATION: Layout(1, Area.RAM),
+        Register.GOAL_POSITION: Layout(2, Area.RAM, sign_bit=15),
+        Register.GOAL_TIME: Layout(2, Area.RAM),
+        Register.GOAL_VELOCITY: Layout(2, Area.RAM, sign_bit=15),
+        Register.TORQUE_LIMIT: Layout(2, Area.RAM),
+        Register.LOCK: Layout(1, Area.RAM),
         Register.PRESENT_POSITION: Layout(2, Area.READ_ONLY, sign_bit=15),
         Register.PRESENT_VELOCITY: Layout(2, Area.READ_ONLY, sign_bit=15),
         Register.PRESENT_LOAD: Layout(2, Area.READ_ONLY, sign_bit=10),
@@ -145,8 +124,6 @@ TELEMETRY_BYTES = 15
 
 GOAL_ADDRESS = Register.ACCELERATION
 
-CONTROL_ADDRESS = Register.TORQUE_ENABLE
-CONTROL_BYTES = Register.LOCK + 1 - Register.TORQUE_ENABLE
 
 VOLT_PER_UNIT = 0.1
 AMPERE_PER_UNIT = 0.0065
@@ -158,45 +135,12 @@ STALL_CURRENT_A = 2.7
 TICKS_S2_PER_ACCELERATION_UNIT = 100
 
 
-@cache
-def value_range(register: Register) -> tuple[int, int]:
-    """Return the lowest and highest value that a register can hold."""
-    layout = LAYOUT[register]
-    if layout.sign_bit is None:
-        return 0, (1 << 8 * layout.size) - 1
-    highest = (1 << layout.sign_bit) - 1
-    return -highest, highest
+TABLE = RegisterTable(LAYOUT)
+value_range, encode, decode = TABLE.value_range, TABLE.encode, TABLE.decode
 
-
-def encode(register: Register, value: int) -> bytes:
-    """Encode a value as the bytes of its register.
-
-    Raises:
-        ValueError: the register cannot hold the value.
-    """
-    layout = LAYOUT[register]
-    lowest, highest = value_range(register)
-    if not lowest <= value <= highest:
-        raise ValueError(f"{register.name} holds {lowest} to {highest}, not {value}")
-    raw = value if layout.sign_bit is None or value >= 0 else -value | 1 << layout.sign_bit
-    return raw.to_bytes(layout.size, "little")
-
-
-def decode(register: Register, data: bytes) -> int:
-    """Decode the bytes of a register.
-
-    Raises:
-        ValueError: ``data`` is not as long as the register.
-    """
-    layout = LAYOUT[register]
-    if len(data) != layout.size:
-        raise ValueError(f"{register.name} has {layout.size} bytes, not {len(data)}")
-    raw = int.from_bytes(data, "little")
-    if layout.sign_bit is None:
-        return raw
-    magnitude = raw & ((1 << layout.sign_bit) - 1)
-    return -magnitude if raw >> layout.sign_bit & 1 else magnitude
-
+# Commands that a servo holds.
+CONTROL = TABLE.block(Register.TORQUE_ENABLE, Register.LOCK)
+CONTROL_ADDRESS, CONTROL_BYTES = CONTROL.address, CONTROL.length
 
 # The telemetry block as one struct, parsed hundreds of times a second; the byte without a name is the async flag.
 _TELEMETRY = struct.Struct("<HHHBBBBBHH")
@@ -253,48 +197,6 @@ def parse_telemetry(data: bytes) -> Telemetry:
         moving=moving != 0,
         goal_ticks_echo=echo if echo < _SIGN_15 else _SIGN_15 - echo,
         current_a=(current if current < _SIGN_15 else _SIGN_15 - current) * AMPERE_PER_UNIT,
-    )
-
-
-@dataclass(frozen=True)
-class Control:
-    """Commands that a servo holds, registers 40 to 55.
-
-    Attributes:
-        torque_on: True while its motor is driven.
-        acceleration: register ACCELERATION, 0 after power-up.
-        goal_ticks: register GOAL_POSITION.
-        torque_limit_permille: register TORQUE_LIMIT, MAX_TORQUE after power-up.
-        locked: True if changes of the EPROM do not outlive a power cut, as after power-up.
-    """
-
-    torque_on: bool
-    acceleration: int
-    goal_ticks: int
-    torque_limit_permille: int
-    locked: bool = True
-
-
-def parse_control(data: bytes) -> Control:
-    """Parse the control block, ``CONTROL_BYTES`` from ``CONTROL_ADDRESS`` on.
-
-    Raises:
-        ValueError: ``data`` has another length.
-    """
-    if len(data) != CONTROL_BYTES:
-        raise ValueError(f"the control block has {CONTROL_BYTES} bytes, not {len(data)}")
-
-    def value(register: Register) -> int:
-        """Decode a register of the block."""
-        offset = register - CONTROL_ADDRESS
-        return decode(register, data[offset : offset + LAYOUT[register].size])
-
-    return Control(
-        torque_on=value(Register.TORQUE_ENABLE) == 1,
-        acceleration=value(Register.ACCELERATION),
-        goal_ticks=value(Register.GOAL_POSITION),
-        torque_limit_permille=value(Register.TORQUE_LIMIT),
-        locked=value(Register.LOCK) == 1,
     )
 
 

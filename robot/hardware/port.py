@@ -69,23 +69,14 @@ _BUSY = frozenset({errno.EBUSY, errno.EAGAIN})
 
 
 class BusPort(Protocol):
-    """Port of a servo bus, as :class:`robot.hardware.servos.bus.ServoBus` and ``scservo_sdk`` use it.
+    """Port of a servo bus, as :class:`robot.hardware.servos.bus.ServoBus` and ``scservo_sdk`` use it."""
 
-    Attributes:
-        port_name: name in errors.
-        baudrate: bits per second.
-        is_using: the SDK's lock.
-        latency_s: time that a reply may take beyond its wire time [s].
-        quiet_s: pause after which a burst of replies counts as ended [s].
-        discarded_bytes: unexpected input bytes discarded so far.
-    """
-
-    port_name: str
-    baudrate: int
-    is_using: bool
-    latency_s: float
-    quiet_s: float
-    discarded_bytes: int
+    port_name: str  # name in errors
+    baudrate: int  # bits per second
+    is_using: bool  # the SDK's lock
+    latency_s: float  # time that a reply may take beyond its wire time [s]
+    quiet_s: float  # pause after which a burst of replies counts as ended [s]
+    discarded_bytes: int  # unexpected input bytes discarded so far
 
     def clearPort(self) -> None:  # noqa: N802 - the SDK's name
         """Discard the input that has arrived."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import IntEnum
 
 from robot.calibration import JointCalibration
 from robot.errors import StartupError
@@ -11,44 +10,28 @@ from robot.hardware.interface import Steps
 from robot.hardware.port import BusPort
 from robot.hardware.servos.bus import BROADCAST_ID, Sdk, ServoBus, StatusFrame, write_verified
 from robot.hardware.servos.family import Limit, Reading, ServoFamily, ServoFound, Values, label
-from robot.hardware.servos.registers import Area, Block, Layout, RegisterTable
+from robot.hardware.servos.registers import TWOS_COMPLEMENT, Area, Block, RegisterEnum, RegisterTable
 
 
-class Register(IntEnum):
-    """Address of a register's first byte."""
+class Register(RegisterEnum):
+    """Registers: address of the first byte, size in bytes, memory area, and sign."""
 
-    MODEL_NUMBER = 0
-    HOMING_OFFSET = 2
-    LOWEST_POSITION = 4
-    HIGHEST_POSITION = 6
-    TORQUE_ENABLE = 8
-    TORQUE_PERCENT = 9
-    GOAL_POSITION = 10
-    PRESENT_POSITION = 12
-    PRESENT_SPEED = 14
-    PRESENT_DUTY = 16
-    SUPPLY = 17
-    TEMPERATURE = 18
-    ERROR = 19
+    MODEL_NUMBER = 0, 2, Area.READ_ONLY
+    HOMING_OFFSET = 2, 2, Area.EEPROM, TWOS_COMPLEMENT
+    LOWEST_POSITION = 4, 2, Area.EEPROM
+    HIGHEST_POSITION = 6, 2, Area.EEPROM
+    TORQUE_ENABLE = 8, 1, Area.RAM
+    TORQUE_PERCENT = 9, 1, Area.RAM
+    GOAL_POSITION = 10, 2, Area.RAM
+    PRESENT_POSITION = 12, 2, Area.READ_ONLY
+    PRESENT_SPEED = 14, 2, Area.READ_ONLY, 15
+    PRESENT_DUTY = 16, 1, Area.READ_ONLY, TWOS_COMPLEMENT
+    SUPPLY = 17, 1, Area.READ_ONLY
+    TEMPERATURE = 18, 1, Area.READ_ONLY
+    ERROR = 19, 1, Area.RAM
 
 
-TABLE = RegisterTable(
-    {
-        Register.MODEL_NUMBER: Layout(2, Area.READ_ONLY),
-        Register.HOMING_OFFSET: Layout(2, Area.EEPROM, signed=True),
-        Register.LOWEST_POSITION: Layout(2, Area.EEPROM),
-        Register.HIGHEST_POSITION: Layout(2, Area.EEPROM),
-        Register.TORQUE_ENABLE: Layout(1, Area.RAM),
-        Register.TORQUE_PERCENT: Layout(1, Area.RAM),
-        Register.GOAL_POSITION: Layout(2, Area.RAM),
-        Register.PRESENT_POSITION: Layout(2, Area.READ_ONLY),
-        Register.PRESENT_SPEED: Layout(2, Area.READ_ONLY, sign_bit=15),
-        Register.PRESENT_DUTY: Layout(1, Area.READ_ONLY, signed=True),
-        Register.SUPPLY: Layout(1, Area.READ_ONLY),
-        Register.TEMPERATURE: Layout(1, Area.READ_ONLY),
-        Register.ERROR: Layout(1, Area.RAM),
-    }
-)
+TABLE = RegisterTable(Register)
 
 MODEL = 16
 FULL_PERCENT = 100

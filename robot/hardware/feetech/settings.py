@@ -37,13 +37,9 @@ PROTECTION_TIME_UNIT_S = 0.01
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """Settings of one servo.
+    """Settings of one servo."""
 
-    Attributes:
-        values: value of each of :data:`SETTINGS`.
-    """
-
-    values: Mapping[Register, int]
+    values: Mapping[Register, int]  # value of each of :data:`SETTINGS`
 
     def __getitem__(self, register: Register) -> int:
         """Return the value of a register."""

@@ -42,18 +42,13 @@ MAX_BURST_BYTES = 2048
 
 
 class StatusFrame(NamedTuple):
-    """Valid reply of a servo.
+    """Valid reply of a servo."""
 
-    Attributes:
-        servo_id: id of the servo.
-        error: ERR byte; Feetech's bits are :class:`robot.hardware.interface.StatusFlag`, and set ones do not make the
-            data wrong; Dynamixel's bit 7 is a hardware error, the rest the number of an error of the instruction.
-        data: bytes of the registers.
-    """
-
-    servo_id: int
+    servo_id: int  # id of the servo
+    # ERR byte; Feetech's bits are :class:`robot.hardware.interface.StatusFlag`, and set ones do not make the data
+    # wrong; Dynamixel's bit 7 is a hardware error, the rest the number of an error of the instruction.
     error: int
-    data: bytes
+    data: bytes  # bytes of the registers
 
 
 class Sdk(Protocol):

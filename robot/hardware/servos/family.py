@@ -30,66 +30,39 @@ class Limit(NamedTuple):
 
 
 class Watchdog(NamedTuple):
-    """Watchdog with which a servo stops where it is when the bus falls silent.
+    """Watchdog with which a servo stops where it is when the bus falls silent."""
 
-    Attributes:
-        register: its register; 0 disarms it.
-        armed: value that arms it.
-        tripped: value that it has after it has stopped the servo.
-        silence_s: time without an instruction that trips it [s].
-    """
-
-    register: IntEnum
-    armed: int
-    tripped: int
-    silence_s: float
+    register: IntEnum  # its register; 0 disarms it
+    armed: int  # value that arms it
+    tripped: int  # value that it has after it has stopped the servo
+    silence_s: float  # time without an instruction that trips it [s]
 
 
 # Six hundred are created a second, and a frozen one takes three times as long.
 @dataclass(slots=True)
 class Reading:
-    """Measurements of one servo; signs are of the servo's rotation.
+    """Measurements of one servo; signs are of the servo's rotation."""
 
-    Attributes:
-        position_ticks: present position, with the turns that the servo has counted.
-        velocity_ticks_s: present velocity [ticks/s].
-        load: share of full motor duty.
-        current_a: motor current; NaN for a servo that does not measure it [A].
-        voltage_v: supply; None in a reply without it [V].
-        temperature_c: temperature of the motor; None in a reply without it [degC].
-        status: bits of :class:`robot.hardware.interface.StatusFlag`.
-        reports_error: True for a servo whose error register must be read.
-        turns_ticks: whole turns to add to the position for the calibrated one.
-    """
-
-    position_ticks: int
-    velocity_ticks_s: float
-    load: float
-    current_a: float
-    voltage_v: float | None
-    temperature_c: float | None
-    status: int = 0
-    reports_error: bool = False
-    turns_ticks: int = 0
+    position_ticks: int  # present position, with the turns that the servo has counted
+    velocity_ticks_s: float  # present velocity [ticks/s]
+    load: float  # share of full motor duty
+    current_a: float  # motor current; NaN for a servo that does not measure it [A]
+    voltage_v: float | None  # supply; None in a reply without it [V]
+    temperature_c: float | None  # temperature of the motor; None in a reply without it [degC]
+    status: int = 0  # bits of :class:`robot.hardware.interface.StatusFlag`
+    reports_error: bool = False  # True for a servo whose error register must be read
+    turns_ticks: int = 0  # whole turns to add to the position for the calibrated one
 
 
 @dataclass(frozen=True)
 class ServoFound:
-    """Servo as surveyed.
+    """Servo as surveyed."""
 
-    Attributes:
-        model: register MODEL_NUMBER.
-        values: values of the registers that the survey reads.
-        turns_ticks: whole turns to add to its positions for the calibrated ones.
-        warnings: warnings, a sentence each.
-        expected: values that registers should have which have another.
-    """
-
-    model: int
-    values: Values
-    turns_ticks: int = 0
-    warnings: tuple[str, ...] = ()
-    expected: Values = field(default_factory=dict)
+    model: int  # register MODEL_NUMBER
+    values: Values  # values of the registers that the survey reads
+    turns_ticks: int = 0  # whole turns to add to its positions for the calibrated ones
+    warnings: tuple[str, ...] = ()  # warnings, a sentence each
+    expected: Values = field(default_factory=dict)  # values that registers should have which have another
 
 
 @dataclass(frozen=True)
@@ -109,41 +82,23 @@ def label(joint: JointCalibration) -> str:
 
 
 class ServoFamily(ABC):
-    """Family of an arm's servos.
+    """Family of an arm's servos."""
 
-    Attributes:
-        bus: kind of its bus.
-        registers: its registers.
-        motion: block of measurements that is read at every tick.
-        telemetry: block of all measurements, with supply and temperature.
-        read_back: blocks of a driven servo that are compared with what was written, in turn.
-        goal_address: address of the block that ends with the goal's data (:meth:`around_goal`).
-        goal_within_ticks: largest difference between a goal that was written and the one read back.
-        counts_turns: True for servos that count turns, and forget them when they lose their supply.
-        watchdog: watchdog of its servos; None without one.
-        error_register: register with the error that a reply announces; None without one.
-        latched_status: status flags that last until :meth:`clear_error`.
-        torque_on_clears_errors: True for servos that must be driven again to be free of an error.
-        assumes_no_offsets: True if servos whose calibration states no homing offset must have none.
-        none_answers_advice: likely cause when no servo answers.
-        calibrate_advice: instruction for an arm without calibration.
-        recalibrate_advice: instruction for an arm whose servos have another calibration, a sentence.
-    """
-
-    bus: ClassVar[type[ServoBus]]
-    registers: ClassVar[RegisterTable[Any]]
-    motion: ClassVar[Block[Any]]
-    telemetry: ClassVar[Block[Any]]
-    read_back: ClassVar[tuple[Block[Any], ...]]
-    goal_address: ClassVar[int]
-    goal_within_ticks: ClassVar[int] = 0
-    counts_turns: ClassVar[bool] = False
-    watchdog: ClassVar[Watchdog | None] = None
-    error_register: ClassVar[IntEnum | None] = None
-    latched_status: ClassVar[StatusFlag] = StatusFlag.OVERLOAD
-    torque_on_clears_errors: ClassVar[bool] = False
-    assumes_no_offsets: ClassVar[bool] = False
-    none_answers_advice: ClassVar[str] = ": is the arm powered?"
+    bus: ClassVar[type[ServoBus]]  # kind of its bus
+    registers: ClassVar[RegisterTable[Any]]  # its registers
+    motion: ClassVar[Block[Any]]  # block of measurements that is read at every tick
+    telemetry: ClassVar[Block[Any]]  # block of all measurements, with supply and temperature
+    read_back: ClassVar[tuple[Block[Any], ...]]  # blocks that are compared with what was written, in turn
+    goal_address: ClassVar[int]  # address of the block that ends with the goal's data (:meth:`around_goal`)
+    goal_within_ticks: ClassVar[int] = 0  # largest difference between a goal that was written and the one read back
+    counts_turns: ClassVar[bool] = False  # True for servos that count turns until they lose their supply
+    watchdog: ClassVar[Watchdog | None] = None  # watchdog of its servos; None without one
+    error_register: ClassVar[IntEnum | None] = None  # register with the error that a reply announces; None without one
+    latched_status: ClassVar[StatusFlag] = StatusFlag.OVERLOAD  # status flags that last until :meth:`clear_error`
+    torque_on_clears_errors: ClassVar[bool] = False  # True for servos that must be driven again to be free of an error
+    assumes_no_offsets: ClassVar[bool] = False  # True if a calibration without homing offsets means offsets of 0
+    none_answers_advice: ClassVar[str] = ": is the arm powered?"  # likely cause when no servo answers
+    # What to do with an arm without calibration, and with one whose servos have another calibration.
     calibrate_advice: ClassVar[str] = "name a calibration (arm.calibration, --calibration NAME)"
     recalibrate_advice: ClassVar[str] = "Write the calibration to the servos, or calibrate the arm anew"
 

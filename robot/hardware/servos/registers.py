@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import Generic, TypeVar
-
-RegisterT = TypeVar("RegisterT", bound=IntEnum)
+from typing import Generic, Self, TypeVar
 
 
 class Area(Enum):
@@ -18,36 +15,53 @@ class Area(Enum):
     RAM = "RAM"
 
 
+# Sign of a register in two's complement, in place of the bit of sign and magnitude.
+TWOS_COMPLEMENT = -1
+
+
 @dataclass(frozen=True)
 class Layout:
-    """Storage of a register, little endian.
+    """Storage of a register, little endian."""
 
-    Attributes:
-        size: bytes, 1, 2 or 4.
-        area: memory area.
-        sign_bit: bit that marks a negative value of sign and magnitude; None for a register without such a bit.
-        signed: True for two's complement.
-    """
-
-    size: int
+    size: int  # bytes, 1, 2 or 4
     area: Area
-    sign_bit: int | None = None
-    signed: bool = False
+    sign: int | None = None  # bit that marks a negative value, TWOS_COMPLEMENT, or None for an unsigned register
+
+    @property
+    def value_range(self) -> tuple[int, int]:
+        """Lowest and highest value."""
+        bits = 8 * self.size
+        if self.sign == TWOS_COMPLEMENT:
+            return -(1 << bits - 1), (1 << bits - 1) - 1
+        if self.sign is None:
+            return 0, (1 << bits) - 1
+        highest = (1 << self.sign) - 1
+        return -highest, highest
+
+
+class RegisterEnum(IntEnum):
+    """Registers of a family: a member is the address of a register's first byte, and has its layout."""
+
+    layout: Layout
+
+    def __new__(cls, address: int, size: int = 1, area: Area = Area.RAM, sign: int | None = None) -> Self:
+        """Make a member, of address, size, memory area and sign."""
+        register = int.__new__(cls, address)
+        register._value_ = address
+        register.layout = Layout(size, area, sign)
+        return register
+
+
+RegisterT = TypeVar("RegisterT", bound=RegisterEnum)
 
 
 @dataclass(frozen=True)
 class Block(Generic[RegisterT]):
-    """Registers that are read in one transaction.
+    """Registers that are read in one transaction."""
 
-    Attributes:
-        address: of the first byte.
-        length: bytes.
-        registers: registers within, in the order of their addresses.
-    """
-
-    address: int
-    length: int
-    registers: tuple[RegisterT, ...]
+    address: int  # of the first byte
+    length: int  # bytes
+    registers: tuple[RegisterT, ...]  # within, in the order of their addresses
 
 
 class RegisterTable(Generic[RegisterT]):
@@ -57,21 +71,17 @@ class RegisterTable(Generic[RegisterT]):
     PRESENT_POSITION and HOMING_OFFSET.
 
     Args:
-        layout: storage of each register, in the order of the addresses.
-
-    Attributes:
-        layout: as given.
+        registers: the registers, in the order of their addresses.
     """
 
-    def __init__(self, layout: Mapping[RegisterT, Layout]) -> None:
-        self.layout = layout
-        self._ranges = {register: _value_range(each) for register, each in layout.items()}
-        named = {register.name: register for register in layout}
-        self.model_number = named["MODEL_NUMBER"]
-        self.torque_enable = named["TORQUE_ENABLE"]
-        self.goal_position = named["GOAL_POSITION"]
-        self.present_position = named["PRESENT_POSITION"]
-        self.homing_offset = named["HOMING_OFFSET"]
+    def __init__(self, registers: type[RegisterT]) -> None:
+        self.layout = {register: register.layout for register in registers}
+        self._ranges = {register: layout.value_range for register, layout in self.layout.items()}
+        self.model_number = registers["MODEL_NUMBER"]
+        self.torque_enable = registers["TORQUE_ENABLE"]
+        self.goal_position = registers["GOAL_POSITION"]
+        self.present_position = registers["PRESENT_POSITION"]
+        self.homing_offset = registers["HOMING_OFFSET"]
 
     def value_range(self, register: RegisterT) -> tuple[int, int]:
         """Return the lowest and highest value that a register can hold."""
@@ -86,9 +96,10 @@ class RegisterTable(Generic[RegisterT]):
         layout, (lowest, highest) = self.layout[register], self._ranges[register]
         if not lowest <= value <= highest:
             raise ValueError(f"{register.name} holds {lowest} to {highest}, not {value}")
-        if layout.sign_bit is not None and value < 0:
-            value = -value | 1 << layout.sign_bit
-        return value.to_bytes(layout.size, "little", signed=layout.signed)
+        if layout.sign == TWOS_COMPLEMENT:
+            return value.to_bytes(layout.size, "little", signed=True)
+        raw = value if layout.sign is None or value >= 0 else -value | 1 << layout.sign
+        return raw.to_bytes(layout.size, "little")
 
     def decode(self, register: RegisterT, data: bytes) -> int:
         """Decode the bytes of a register.
@@ -99,11 +110,11 @@ class RegisterTable(Generic[RegisterT]):
         layout = self.layout[register]
         if len(data) != layout.size:
             raise ValueError(f"{register.name} has {layout.size} bytes, not {len(data)}")
-        raw = int.from_bytes(data, "little", signed=layout.signed)
-        if layout.sign_bit is None:
+        raw = int.from_bytes(data, "little", signed=layout.sign == TWOS_COMPLEMENT)
+        if layout.sign is None or layout.sign == TWOS_COMPLEMENT:
             return raw
-        magnitude = raw & ((1 << layout.sign_bit) - 1)
-        return -magnitude if raw >> layout.sign_bit & 1 else magnitude
+        magnitude = raw & ((1 << layout.sign) - 1)
+        return -magnitude if raw >> layout.sign & 1 else magnitude
 
     def block(self, first: RegisterT, last: RegisterT | None = None) -> Block[RegisterT]:
         """Return the block of all registers from the first to the last one; of the first alone without a last one."""
@@ -124,13 +135,3 @@ class RegisterTable(Generic[RegisterT]):
             register: self.decode(register, data[start : start + self.layout[register].size])
             for register, start in starts.items()
         }
-
-
-def _value_range(layout: Layout) -> tuple[int, int]:
-    bits = 8 * layout.size
-    if layout.signed:
-        return -(1 << bits - 1), (1 << bits - 1) - 1
-    if layout.sign_bit is None:
-        return 0, (1 << bits) - 1
-    highest = (1 << layout.sign_bit) - 1
-    return -highest, highest

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -43,7 +43,7 @@ LEAST_WEIGHT = 1e-6
 DEFAULT_WEIGHT = 1.0
 
 
-class LinkCondition(ABC):
+class _LinkCondition(ABC):
     """Condition on the pose of a link: a measured error is to be 0, and may be up to a tolerance.
 
     Attributes:
@@ -72,7 +72,7 @@ class LinkCondition(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class PointCondition(LinkCondition):
+class PointCondition(_LinkCondition):
     """A point of a link is in a region.
 
     Attributes:
@@ -106,7 +106,7 @@ class PointCondition(LinkCondition):
 
 
 @dataclass(frozen=True, eq=False)
-class TurnCondition(LinkCondition):
+class TurnCondition(_LinkCondition):
     """A link has an orientation.
 
     Attributes:
@@ -131,7 +131,7 @@ class TurnCondition(LinkCondition):
 
 
 @dataclass(frozen=True, eq=False)
-class AxisCondition(LinkCondition):
+class AxisCondition(_LinkCondition):
     """An axis of a link has a direction, however the link turns about it.
 
     Attributes:
@@ -195,6 +195,7 @@ class JointCondition:
         return min(max(value, lower_rad), upper_rad) - value
 
 
+LinkCondition = PointCondition | TurnCondition | AxisCondition
 Condition = LinkCondition | JointCondition
 
 
@@ -289,25 +290,18 @@ def conditions(constraints: Constraints | None, joints: Joints) -> tuple[Conditi
     return tuple(found)
 
 
-@dataclass(frozen=True)
 class ConditionSet:
     """Conditions that hold together, measured in configurations ``q`` of shape (n,) [rad].
 
-    Attributes:
+    Args:
         forward: places the links.
         conditions: the conditions.
     """
 
-    forward: ForwardKinematics
-    conditions: Sequence[Condition]
-    _of_joints: list[JointCondition] = field(init=False, repr=False)
-    _of_links: list[LinkCondition] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        joints = [condition for condition in self.conditions if isinstance(condition, JointCondition)]
-        links = [condition for condition in self.conditions if not isinstance(condition, JointCondition)]
-        object.__setattr__(self, "_of_joints", joints)
-        object.__setattr__(self, "_of_links", links)
+    def __init__(self, forward: ForwardKinematics, conditions: Sequence[Condition]) -> None:
+        self._forward = forward
+        self._of_joints = [condition for condition in conditions if isinstance(condition, JointCondition)]
+        self._of_links = [condition for condition in conditions if not isinstance(condition, JointCondition)]
 
     def holds(self, q: Vector) -> bool:
         """Tell whether all conditions hold."""
@@ -348,9 +342,9 @@ class ConditionSet:
     def _measured(self, q: Vector) -> Iterator[tuple[LinkCondition, Vector, Vector]]:
         """Measure each condition on a link: its error and its violation."""
         if self._of_links:
-            self.forward.place(q)
+            self._forward.place(q)
         for condition in self._of_links:
-            error = condition.error(self.forward.placement(condition.link))
+            error = condition.error(self._forward.placement(condition.link))
             yield condition, error, condition.violation(error)
 
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 import placo
-from numpy.typing import NDArray
 
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.plain_urdf import kinematic_urdf
@@ -27,11 +26,11 @@ from planners.ik.constraints import (
     JointCondition,
     LinkCondition,
     PointCondition,
+    TurnCondition,
     frame_along,
     norm,
 )
 from robot.description.model import Group, RobotModel
-from robot.description.urdf import Mimic
 from robot.trajectory import Vector
 
 # Further ahead than this the arm is not nearly linear, and a target far outside would throw it into its limits.
@@ -71,25 +70,6 @@ INNER_SHARE = 0.9
 
 
 @dataclass(frozen=True)
-class _PlacoModel:
-    """placo's model of the robot, and the places of a configuration's joints in it."""
-
-    wrapper: placo.RobotWrapper
-    forward: ForwardKinematics
-    joint_names: Sequence[str]
-    columns: NDArray[np.int64]
-    mimics: Sequence[_MimicJoint]
-    lower_rad: Vector
-    upper_rad: Vector
-
-    def set_configuration(self, q: Vector) -> None:
-        """Move the joints, and those that mimic them."""
-        self.wrapper.state.q[self.columns] = q
-        for joint in self.mimics:
-            self.wrapper.state.q[joint.column] = joint.multiplier * q[joint.leader_column]
-
-
-@dataclass(frozen=True)
 class _MimicJoint:
     """Joint that mimics another one, by names and places in placo's model."""
 
@@ -98,6 +78,59 @@ class _MimicJoint:
     multiplier: float
     column: int
     leader_column: int
+
+
+class Kinematics:
+    """placo's model of one robot, and inverse kinematics by it.
+
+    Args:
+        robot: the arm.
+        forward: places its links.
+        joint_names: joints of a configuration ``q``, shape (n,) [rad].
+    """
+
+    def __init__(self, robot: RobotModel, forward: ForwardKinematics, joint_names: Sequence[str]) -> None:
+        # placo leaks some 0.16 MB per wrapper, so there is one for life.
+        self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, with_point_frames(robot))
+        self.forward = forward
+        self.joint_names = joint_names
+        self.mimics = [
+            _MimicJoint(
+                joint_in_placo(name),
+                joint_in_placo(joint.mimic.joint),
+                joint.mimic.multiplier,
+                self.wrapper.get_joint_offset(joint_in_placo(name)),
+                joint_names.index(joint.mimic.joint),
+            )
+            for name, joint in robot.joints.items()
+            if joint.mimic
+        ]
+        self._columns = np.array([self.wrapper.get_joint_offset(joint_in_placo(name)) for name in joint_names])
+        self._lower_rad = np.array([robot.joints[name].lower for name in joint_names])
+        self._upper_rad = np.array([robot.joints[name].upper for name in joint_names])
+
+    def descent(self, group: Group, goal_conditions: GoalConditions) -> Descent:
+        """Return a descent that brings configurations to where conditions hold, or as near as possible.
+
+        Args:
+            group: the joints that may move; the others stay.
+            goal_conditions: conditions, at most :data:`planners.ik.kinematics.MAX_POINTS` conditions on points.
+        """
+        return Descent(self, group, goal_conditions)
+
+    def place(self, q: Vector) -> None:
+        """Move the joints, and those that mimic them."""
+        self.wrapper.state.q[self._columns] = q
+        for joint in self.mimics:
+            self.wrapper.state.q[joint.column] = joint.multiplier * q[joint.leader_column]
+        self.forward.place(q)
+
+    def advance(self, solver: placo.KinematicsSolver) -> Vector:
+        """Take one step of a solver from the present configuration; return the next one."""
+        self.wrapper.update_kinematics()
+        solver.solve(True)
+        # The solver keeps limits to its own accuracy only.
+        return np.asarray(np.minimum(np.maximum(self.wrapper.state.q[self._columns], self._lower_rad), self._upper_rad))
 
 
 class _Task(ABC):
@@ -128,11 +161,9 @@ class _LinkTask(_Task):
     condition: LinkCondition
     max_step = MAX_STEP_RAD
 
-    def __init__(
-        self, forward: ForwardKinematics, condition: LinkCondition, weight: float, task: placo.Task, name: str
-    ) -> None:
+    def __init__(self, solver: _Solver, condition: LinkCondition, weight: float, task: placo.Task, name: str) -> None:
         super().__init__(condition, weight, task, name)
-        self._forward = forward
+        self._forward = solver.kinematics.forward
 
     def aim(self, q: Vector, share: float) -> float:  # noqa: ARG002 - the links have been placed there
         """Aim a step ahead at most."""
@@ -153,13 +184,11 @@ class _PointTask(_LinkTask):
     condition: PointCondition
     max_step = MAX_STEP_M
 
-    def __init__(
-        self, body: _PlacoModel, solver: placo.KinematicsSolver, condition: PointCondition, weight: float, index: int
-    ) -> None:
+    def __init__(self, solver: _Solver, condition: PointCondition, weight: float, index: int) -> None:
         name = _point_frame(index)
-        self._position_task = solver.add_position_task(name, np.zeros(3))
-        super().__init__(body.forward, condition, weight, self._position_task, name)
-        self._model = body.wrapper.model
+        self._position_task = solver.placo.add_position_task(name, np.zeros(3))
+        super().__init__(solver, condition, weight, self._position_task, name)
+        self._model = solver.kinematics.wrapper.model
         self._frame = frame_of_link(self._model, name)
 
     def attach(self) -> None:
@@ -174,33 +203,19 @@ class _PointTask(_LinkTask):
 
 
 class _TurnTask(_LinkTask):
-    """Turns a link."""
+    """Turns a link, or an axis of it and not about that axis: placo's task for axes divides by zero at its goal."""
 
-    def __init__(
-        self, body: _PlacoModel, solver: placo.KinematicsSolver, condition: LinkCondition, weight: float, index: int
-    ) -> None:
-        self._orientation_task = solver.add_orientation_task(condition.link, np.eye(3))
-        super().__init__(body.forward, condition, weight, self._orientation_task, f"turn {index}")
+    def __init__(self, solver: _Solver, condition: TurnCondition | AxisCondition, weight: float, index: int) -> None:
+        self._orientation_task = solver.placo.add_orientation_task(condition.link, np.eye(3))
+        super().__init__(solver, condition, weight, self._orientation_task, f"turn {index}")
+        self._across = frame_along(condition.axis) if isinstance(condition, AxisCondition) else None
+        if self._across is not None:
+            self._orientation_task.mask.set_axises("xy", "custom")
 
     def _set_target(self, placement: pin.SE3, step: Vector) -> None:
         self._orientation_task.R_world_frame = placement.rotation @ pin.exp3(step)
-
-
-class _AxisTask(_TurnTask):
-    """Turns an axis of a link and leaves the turn about it free: placo's own such task divides by zero at its goal."""
-
-    condition: AxisCondition
-
-    def __init__(
-        self, body: _PlacoModel, solver: placo.KinematicsSolver, condition: AxisCondition, weight: float, index: int
-    ) -> None:
-        super().__init__(body, solver, condition, weight, index)
-        self._across = frame_along(condition.axis)
-        self._orientation_task.mask.set_axises("xy", "custom")
-
-    def _set_target(self, placement: pin.SE3, step: Vector) -> None:
-        super()._set_target(placement, step)
-        self._orientation_task.mask.R_custom_world = (placement.rotation @ self._across).T
+        if self._across is not None:
+            self._orientation_task.mask.R_custom_world = (placement.rotation @ self._across).T
 
 
 class _JointTask(_Task):
@@ -208,8 +223,8 @@ class _JointTask(_Task):
 
     condition: JointCondition
 
-    def __init__(self, solver: placo.KinematicsSolver, condition: JointCondition, weight: float, index: int) -> None:
-        self._joints_task = solver.add_joints_task()
+    def __init__(self, solver: _Solver, condition: JointCondition, weight: float, index: int) -> None:
+        self._joints_task = solver.placo.add_joints_task()
         super().__init__(condition, weight, self._joints_task, f"joint {index}")
 
     def aim(self, q: Vector, share: float) -> float:
@@ -220,16 +235,14 @@ class _JointTask(_Task):
         return self._weighted(abs(violation_rad))
 
 
-def _task(body: _PlacoModel, solver: placo.KinematicsSolver, condition: Condition, weight: float, index: int) -> _Task:
+def _task(solver: _Solver, condition: Condition, weight: float, index: int) -> _Task:
     match condition:
         case JointCondition():
             return _JointTask(solver, condition, weight, index)
         case PointCondition():
-            return _PointTask(body, solver, condition, weight, index)
-        case AxisCondition():
-            return _AxisTask(body, solver, condition, weight, index)
-        case _:
-            return _TurnTask(body, solver, condition, weight, index)
+            return _PointTask(solver, condition, weight, index)
+        case TurnCondition() | AxisCondition():
+            return _TurnTask(solver, condition, weight, index)
 
 
 def with_point_frames(robot: RobotModel) -> str:
@@ -254,53 +267,15 @@ def _point_frame(index: int) -> str:
     return f"planning point {index}"
 
 
-class Kinematics:
-    """Inverse kinematics of one robot.
-
-    Args:
-        robot: the arm.
-        forward: places its links.
-        joint_names: joints of a configuration ``q``, shape (n,) [rad].
-    """
-
-    def __init__(self, robot: RobotModel, forward: ForwardKinematics, joint_names: Sequence[str]) -> None:
-        # placo leaks some 0.16 MB per wrapper, so there is one for life.
-        wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, with_point_frames(robot))
-
-        def mimic_joint(name: str, mimic: Mimic) -> _MimicJoint:
-            in_placo, leader = joint_in_placo(name), joint_in_placo(mimic.joint)
-            column, leader_column = wrapper.get_joint_offset(in_placo), joint_names.index(mimic.joint)
-            return _MimicJoint(in_placo, leader, mimic.multiplier, column, leader_column)
-
-        self._body = _PlacoModel(
-            wrapper,
-            forward,
-            joint_names,
-            np.array([wrapper.get_joint_offset(joint_in_placo(name)) for name in joint_names]),
-            [mimic_joint(name, joint.mimic) for name, joint in robot.joints.items() if joint.mimic],
-            np.array([robot.joints[name].lower for name in joint_names]),
-            np.array([robot.joints[name].upper for name in joint_names]),
-        )
-
-    def descent(self, group: Group, goal_conditions: GoalConditions) -> Descent:
-        """Return a descent that brings configurations to where conditions hold, or as near as possible.
-
-        Args:
-            group: the joints that may move; the others stay.
-            goal_conditions: conditions, at most :data:`planners.ik.kinematics.MAX_POINTS` conditions on points.
-        """
-        return Descent(self._body, group, goal_conditions)
-
-
 class Descent:
     """Descent from configurations to ones nearby in which conditions hold, or as nearly as possible; within limits."""
 
-    def __init__(self, body: _PlacoModel, group: Group, goal_conditions: GoalConditions) -> None:
+    def __init__(self, kinematics: Kinematics, group: Group, goal_conditions: GoalConditions) -> None:
         required = [(condition, condition.weight) for condition in goal_conditions.required]
         preferred = [(condition, PREFERENCE * condition.weight) for condition in goal_conditions.preferred]
-        self._required = _Solver(body, group, required)
-        self._both = _Solver(body, group, [*required, *preferred]) if preferred else None
-        self._holds = ConditionSet(body.forward, goal_conditions.required).holds
+        self._required = _Solver(kinematics, group, required)
+        self._both = _Solver(kinematics, group, [*required, *preferred]) if preferred else None
+        self._holds = ConditionSet(kinematics.forward, goal_conditions.required).holds
 
     def __call__(self, q: Vector) -> Vector:
         """Descend from a configuration: to the middle of every tolerance, or else anywhere inside."""
@@ -318,45 +293,41 @@ class Descent:
 class _Solver:
     """Minimizes the violation of conditions, each with its weight."""
 
-    def __init__(self, body: _PlacoModel, group: Group, weighted: Sequence[tuple[Condition, float]]) -> None:
-        self._body = body
-        self._solver = body.wrapper.make_solver()
+    def __init__(self, kinematics: Kinematics, group: Group, weighted: Sequence[tuple[Condition, float]]) -> None:
+        self.kinematics = kinematics
+        self.placo = kinematics.wrapper.make_solver()
         # Otherwise the base flies to the target.
-        self._solver.mask_fbase(True)
-        for name in body.joint_names:
+        self.placo.mask_fbase(True)
+        for name in kinematics.joint_names:
             if name not in group.joints:
-                self._solver.mask_dof(joint_in_placo(name))
+                self.placo.mask_dof(joint_in_placo(name))
         self._couple_mimics([joint_in_placo(name) for name in group.joints])
-        self._solver.enable_joint_limits(True)
-        self._regularization = self._solver.add_regularization_task(MOST_REGULARIZATION)
+        self.placo.enable_joint_limits(True)
+        self._regularization = self.placo.add_regularization_task(MOST_REGULARIZATION)
         # Conditions on points come first: there are frames for the first few tasks only.
         weighted = sorted(weighted, key=lambda pair: not isinstance(pair[0], PointCondition))
-        self._tasks = [
-            _task(body, self._solver, condition, weight, index) for index, (condition, weight) in enumerate(weighted)
-        ]
+        self._tasks = [_task(self, condition, weight, index) for index, (condition, weight) in enumerate(weighted)]
 
     def _couple_mimics(self, moving: Sequence[str]) -> None:
         """Have joints that mimic a moving one follow it, and the others stay."""
-        coupled = [joint for joint in self._body.mimics if joint.leader in moving]
-        for joint in self._body.mimics:
+        coupled = [joint for joint in self.kinematics.mimics if joint.leader in moving]
+        for joint in self.kinematics.mimics:
             if joint not in coupled:
-                self._solver.mask_dof(joint.name)
+                self.placo.mask_dof(joint.name)
         if coupled:
-            gears = self._solver.add_gear_task()
+            gears = self.placo.add_gear_task()
             gears.configure("mimic", "hard")
             for joint in coupled:
                 gears.set_gear(joint.name, joint.leader, joint.multiplier)
 
     def descend(self, q: Vector, share: float) -> Vector:
         """Descend from a configuration towards a share of every tolerance."""
-        body = self._body
         for task in self._tasks:
             if isinstance(task, _PointTask):
                 task.attach()
-        body.set_configuration(q)
         least_m, idle = math.inf, 0
         for _ in range(MAX_STEPS):
-            body.forward.place(q)
+            self.kinematics.place(q)
             distance_m = math.hypot(*(task.aim(q, share) for task in self._tasks))
             idle = idle + 1 if distance_m > (1.0 - LEAST_GAIN) * least_m else 0
             if distance_m < ACCURACY_M or idle > PATIENCE:
@@ -364,9 +335,5 @@ class _Solver:
             least_m = min(least_m, distance_m)
             weight = REGULARIZATION_PER_M2 * distance_m**2
             self._regularization.set_weight(min(MOST_REGULARIZATION, max(LEAST_REGULARIZATION, weight)))
-            body.wrapper.update_kinematics()
-            self._solver.solve(True)
-            # The solver keeps limits to its own accuracy only.
-            q = np.minimum(np.maximum(body.wrapper.state.q[body.columns], body.lower_rad), body.upper_rad)
-            body.set_configuration(q)
+            q = self.kinematics.advance(self.placo)
         return q

@@ -18,11 +18,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.cartesian.spline import NaturalSpline
 from planners.cartesian.tip_path import TipPath, apart_m, apart_rad
 from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import norm
 from planners.ik.differential import Task, free_directions, solve
+from planners.motions.path_timing import SplinePath
 from planners.problem import Deviation
 from robot.trajectory import Vector
 
@@ -310,12 +310,6 @@ def _jump(joint: str, step_rad: float, step_m: float) -> PathEnd:
     )
 
 
-# On a curve of few points the progress still has to rise and fall within this many steps.
-LEAST_GRID_STEPS = 20
-
-# The limits between grid points are kept to a few per mille with this many between two points of the curve.
-GRID_STEPS_PER_SPAN = 2
-
 # The tip is measured at so many places of each span between two points: half-way, where a curve is furthest off.
 MEASURED_PER_SPAN = 2
 
@@ -327,32 +321,6 @@ MEASURED_AROUND = 2
 
 # Each round of new points halves the spans where the curve is off, and what it is off by more than that.
 REFINEMENTS = 5
-
-
-class SplinePath:
-    """The natural cubic spline through points.
-
-    Args:
-        knots: shape (m,), m >= 2, strictly increasing parameters.
-        points: shape (m, n), finite, where the curve is there [rad].
-    """
-
-    def __init__(self, knots: Vector, points: Vector) -> None:
-        self.knots = knots
-        self.points = points
-        self._curve = NaturalSpline(knots, points)
-
-    @property
-    def grid(self) -> Vector:
-        """Parameters for timing: the second derivative is linear between them."""
-        spans = len(self.knots) - 1
-        steps = max(GRID_STEPS_PER_SPAN, -(-LEAST_GRID_STEPS // spans))
-        at = np.arange(spans * steps + 1) / steps
-        return np.interp(at, np.arange(spans + 1), self.knots)
-
-    def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
-        """Position, first or second derivative at parameters, shape (k, n)."""
-        return self._curve(path_positions, order)
 
 
 @dataclass(frozen=True)

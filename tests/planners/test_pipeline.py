@@ -6,8 +6,6 @@ import time
 import numpy as np
 import pytest
 
-from planners.cartesian.following import SplinePath
-from planners.cartesian.planning import time_along
 from planners.checks import START_CONTACT_DEPTH_M
 from planners.geometry.collision import CollisionModel
 from planners.goals import (
@@ -23,6 +21,7 @@ from planners.goals import (
 )
 from planners.ik.goal_states import GoalStates
 from planners.motions.path import PROJECTED_SEARCH
+from planners.motions.path_timing import SplinePath, time_along
 from planners.pipeline import Planner, recheck
 from planners.problem import (
     VIA_POINT,

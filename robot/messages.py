@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from robot.advice import ServoWarning
 from robot.calibration import Calibration
 from robot.description.model import RobotModel
 from robot.faults import Fault
@@ -457,8 +458,8 @@ class JointHealth:
         status: bits of :class:`robot.hardware.interface.StatusFlag`.
         age_s: time since its last good reply [s].
         silent_cycles: cycles in which it did not answer, since the bus was opened.
-        warnings: warnings, a sentence each.
-        errors: other errors since the bus was opened, by kind (:class:`robot.advice.Complaint`).
+        warnings: warnings of the survey and of the moment.
+        errors: other errors since the bus was opened, by kind (:class:`robot.advice.ServoAlert`).
         registers: its settings as surveyed, by the name of the register.
         expected: values that those of them should have which have another, likewise.
     """
@@ -474,7 +475,7 @@ class JointHealth:
     status: int
     age_s: float
     silent_cycles: int
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[ServoWarning, ...] = ()
     errors: Mapping[str, int] = field(default_factory=dict)
     registers: Mapping[str, int] = field(default_factory=dict)
     expected: Mapping[str, int] = field(default_factory=dict)

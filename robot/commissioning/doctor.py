@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from robot.advice import Complaint, advise
+from robot.advice import ServoAlert, advise
 from robot.calibration import Calibration
 from robot.commissioning.calibrate import differences
 from robot.commissioning.scan import ScanResult, ServoReport, explain_missing, read_telemetry
@@ -194,7 +194,7 @@ def _status(servos: Sequence[ServoReport]) -> Finding:
     flags = {servo.servo_id: status_names(servo.telemetry.status) for servo in servos if servo.telemetry.status}
     if flags:
         problems = [f"servo {servo_id}: {', '.join(names)}" for servo_id, names in flags.items()]
-        remedy = " ".join(advise(Complaint(name) for names in flags.values() for name in names))
+        remedy = " ".join(advise(ServoAlert(name) for names in flags.values() for name in names))
         return Finding("error bits", Verdict.PROBLEM, "; ".join(problems), remedy)
     return Finding("error bits", Verdict.GOOD, "no servo complains")
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robot.advice import ServoAlert, ServoWarning
 from robot.control.assumptions import Assumptions
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Actuation, Flags, Measured, StatusFlag, status_names
@@ -170,18 +171,19 @@ class Guards:
                 return self._fault(code, flags, goal_rad, measured)
         return None
 
-    def warnings(self, measured: Measured, joint: int) -> tuple[str, ...]:
-        """Return the warnings about one joint, a sentence each."""
-        said = []
-        if measured.temperature_c[joint] >= self._temperatures.slow_c:
-            said.append(f"motions run at half speed at {measured.temperature_c[joint]:.0f} degC")
-        elif measured.temperature_c[joint] >= self._temperatures.warn_c:
-            said.append(f"warm: {measured.temperature_c[joint]:.0f} degC")
-        if names := status_names(int(measured.status[joint])):
-            said.append(f"the servo complains of {', '.join(names)}")
-        if measured.age_s[joint] > self.limits.silent_after_s:
-            said.append(f"no answer for {measured.age_s[joint]:.1f} s")
-        return tuple(said)
+    def warnings(self, measured: Measured, joint: int) -> tuple[ServoWarning, ...]:
+        """Return the warnings about one joint."""
+        warnings = []
+        temperature_c, age_s = measured.temperature_c[joint], measured.age_s[joint]
+        if temperature_c >= self._temperatures.slow_c:
+            warnings.append(ServoWarning(ServoAlert.SLOWED, f"motions run at half speed at {temperature_c:.0f} degC"))
+        elif temperature_c >= self._temperatures.warn_c:
+            warnings.append(ServoWarning(ServoAlert.WARM, f"warm: {temperature_c:.0f} degC"))
+        flags = status_names(int(measured.status[joint]))
+        warnings += [ServoWarning(ServoAlert(name), f"the servo complains of {name}") for name in flags]
+        if age_s > self.limits.silent_after_s:
+            warnings.append(ServoWarning(ServoAlert.NO_ANSWER, f"no answer for {age_s:.1f} s"))
+        return tuple(warnings)
 
     def _unremarkable(self, goal_rad: Vector, measured: Measured, before: Measured) -> bool:
         """Return True when only silence can be a fault: nothing else is one, or would be one if it lasted.

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robot.advice import ServoAlert, ServoWarning
 from robot.control.controller import RELAXING
 from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
@@ -156,7 +157,7 @@ def _joint_health(arm: ControlCycle, joint: int) -> JointHealth:
             age_s=condition.age_s,
             silent_cycles=condition.silent_cycles,
             errors=arm.errors.of(joint),
-            warnings=("it has not answered yet",) if never_heard else (),
+            warnings=(ServoWarning(ServoAlert.NO_ANSWER, "it has not answered yet"),) if never_heard else (),
             registers=condition.registers,
             expected=condition.expected,
         )

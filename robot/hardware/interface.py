@@ -21,6 +21,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.advice import ServoWarning
 from robot.calibration import Calibration
 from robot.description.limits import JointBounds
 from robot.errors import OrderRefused
@@ -160,7 +161,7 @@ class Condition:
         torque_enabled: True if its torque was on when it was last read back; None before.
         age_s: time since its last good reading, infinite before the first [s].
         silent_cycles: cycles in which it did not answer.
-        warnings: warnings of the survey, a sentence each.
+        warnings: warnings of the survey.
         registers: its settings as surveyed, by the name of the register.
         expected: values that those of them should have which have another, likewise.
     """
@@ -169,7 +170,7 @@ class Condition:
     torque_enabled: bool | None
     age_s: float
     silent_cycles: int
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[ServoWarning, ...] = ()
     registers: Mapping[str, int] = field(default_factory=dict)
     expected: Mapping[str, int] = field(default_factory=dict)
 

@@ -14,6 +14,7 @@ import contextlib
 from dataclasses import dataclass
 from itertools import cycle
 
+from robot.advice import ServoAlert, ServoWarning
 from robot.calibration import TICKS_PER_TURN, JointCalibration
 from robot.errors import NoReply, StartupError
 from robot.faults import Fault, FaultCode
@@ -63,7 +64,7 @@ class ServoFound:
         pwm_limit: register PWM_LIMIT.
         current_limit_ma: register CURRENT_LIMIT; None for a servo without current control [mA].
         has_watchdog: True if its firmware has register BUS_WATCHDOG.
-        warnings: warnings, a sentence each.
+        warnings: warnings about it.
     """
 
     identity: Identity
@@ -76,7 +77,7 @@ class ServoFound:
     pwm_limit: int
     current_limit_ma: int | None
     has_watchdog: bool
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[ServoWarning, ...] = ()
 
 
 def survey(bus: Bus, servos: ServoMap, *, simulated: bool = False) -> Steps[dict[int, ServoFound]]:
@@ -277,14 +278,16 @@ def _check_modes(servos: ServoMap, servo: int, mode: int, drive_mode: int, homin
 
 def _warnings(
     joint: JointCalibration, limits_ticks: tuple[int, int], identity: Identity, *, has_watchdog: bool
-) -> tuple[str, ...]:
-    said = []
+) -> tuple[ServoWarning, ...]:
+    warnings = []
     calibrated = joint.range_min, joint.range_max
     if max(abs(a - b) for a, b in zip(limits_ticks, calibrated, strict=True)) > LIMITS_AGREE_WITHIN_TICKS:
-        said.append(f"the servo's position limits {limits_ticks} differ from the calibrated range {calibrated} ticks")
+        sentence = f"the servo's position limits {limits_ticks} differ from the calibrated range {calibrated} ticks"
+        warnings.append(ServoWarning(ServoAlert.POSITION_LIMITS, sentence))
     if not has_watchdog:
-        said.append(
+        sentence = (
             f"firmware {identity.firmware} has no bus watchdog, so that the servo does not notice when this computer "
             "fails: update it"
         )
-    return tuple(said)
+        warnings.append(ServoWarning(ServoAlert.NO_WATCHDOG, sentence))
+    return tuple(warnings)

@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import cycle
 
+from robot.advice import ServoAlert, ServoWarning
 from robot.calibration import MAX_TICK, JointCalibration
 from robot.errors import NoReply, StartupError
 from robot.faults import Fault, FaultCode
@@ -62,14 +63,14 @@ class ServoFound:
         model: register MODEL_NUMBER.
         control: commands that it holds.
         settings: its settings.
-        warnings: warnings, a sentence each.
+        warnings: warnings about it.
         expected: values of the settings that differ from the profile.
     """
 
     model: int
     control: Control
     settings: ServoSettings
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[ServoWarning, ...] = ()
     expected: Mapping[Register, int] = field(default_factory=dict)
 
 
@@ -325,29 +326,36 @@ def _check_mode(joint: JointCalibration, settings: ServoSettings) -> None:
 
 def _warnings(
     joint: JointCalibration, found: ServoFound, profile: str, usual_firmware: tuple[int, int]
-) -> Iterator[str]:
+) -> Iterator[ServoWarning]:
     settings = found.settings
     if found.model != _named_model(joint):
-        yield f"the servo is model {found.model}, not {_named_model(joint)}: its speed and torque may be others"
+        sentence = f"the servo is model {found.model}, not {_named_model(joint)}: its speed and torque may be others"
+        yield ServoWarning(ServoAlert.MODEL, sentence)
     calibrated = joint.range_min, joint.range_max
     limits = settings.angle_limits_ticks
     if max(abs(a - b) for a, b in zip(limits, calibrated, strict=True)) > LIMITS_AGREE_WITHIN_TICKS:
-        yield f"the servo's angle limits {limits} differ from the calibrated range {calibrated} ticks"
+        sentence = f"the servo's angle limits {limits} differ from the calibrated range {calibrated} ticks"
+        yield ServoWarning(ServoAlert.ANGLE_LIMITS, sentence)
     if settings[Register.PHASE] & PHASE_MULTI_TURN:
-        yield "the servo counts several turns (register PHASE, bit 4), so that its position may overflow"
-    if settings[Register.RETURN_DELAY]:
-        yield f"{meaning(Register.RETURN_DELAY, settings[Register.RETURN_DELAY])}: set register RETURN_DELAY to 0"
+        sentence = "the servo counts several turns (register PHASE, bit 4), so that its position may overflow"
+        yield ServoWarning(ServoAlert.SEVERAL_TURNS, sentence)
+    if delay := settings[Register.RETURN_DELAY]:
+        sentence = f"{meaning(Register.RETURN_DELAY, delay)}: set register RETURN_DELAY to 0"
+        yield ServoWarning(ServoAlert.RETURN_DELAY, sentence)
     if not found.control.locked:
-        yield (
+        sentence = (
             "the servo's EPROM is unlocked (register LOCK), as lerobot leaves it, so that what is written by mistake "
             "stays: armbridge setup --registers locks it"
         )
+        yield ServoWarning(ServoAlert.EPROM_UNLOCKED, sentence)
     if settings.firmware != usual_firmware:
-        yield "the servo has firmware {}.{}, most others {}.{}".format(*settings.firmware, *usual_firmware)
+        sentence = "the servo has firmware {}.{}, most others {}.{}".format(*settings.firmware, *usual_firmware)
+        yield ServoWarning(ServoAlert.FIRMWARE, sentence)
     for register, value in found.expected.items():
         held = settings[register]
         consequence = meaning(register, held)
-        yield (
+        sentence = (
             f"register {register.name} is {held}, not {value} as in the profile {profile}"
             f"{consequence and f': {consequence}'}"
         )
+        yield ServoWarning(ServoAlert.REGISTER, sentence, register.name)

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from protocol.registry import Registry
+from robot.advice import ServoAlert, ServoWarning
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
 from server.graph.node import Node
@@ -92,7 +93,7 @@ async def test_before_the_first_report_there_is_no_history(world: World) -> None
 
 async def test_a_warning_is_an_event_when_it_comes_and_when_it_goes(world: World) -> None:
     for degrees in (55, 56, 57):
-        world.report(warnings=(f"warm: {degrees} degC",))
+        world.report(warnings=(ServoWarning(ServoAlert.WARM, f"warm: {degrees} degC"),))
     world.report()
     world.now_s += 10.0
     assert world.asked()["events"] == ["13 s ago: warning: warm: 55 degC", "10 s ago: no longer: warm: 57 degC"]
@@ -131,7 +132,7 @@ async def test_a_lost_arm_is_an_event_of_every_joint(world: World) -> None:
 
 async def test_events_without_end_do_not_fill_the_memory(world: World) -> None:
     for number in range(MAX_EVENTS):
-        world.report(after_s=0.1, warnings=(f"warm: {number} degC",))
+        world.report(after_s=0.1, warnings=(ServoWarning(ServoAlert.WARM, f"warm: {number} degC"),))
         world.report(after_s=0.1)
     assert len(world.asked()["events"]) == MAX_EVENTS
 

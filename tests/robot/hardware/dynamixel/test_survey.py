@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+from robot.advice import ServoAlert
 from robot.errors import NoReply, StartupError
 from robot.faults import FaultCode
 from robot.hardware.dynamixel.registers import OperatingMode, Register, encode
@@ -112,8 +113,9 @@ def test_a_servo_that_stops_answering_is_told(dynamixels: SteppedDynamixels) -> 
 def test_limits_of_another_calibration_are_a_warning(dynamixels: SteppedDynamixels) -> None:
     set_register(dynamixels, 2, Register.MIN_POSITION_LIMIT, 1000)
     (warning,) = surveyed(dynamixels)[2].warnings
-    assert "(1000, 2790)" in warning
-    assert "(1300, 2790)" in warning
+    assert warning.alert is ServoAlert.POSITION_LIMITS
+    assert "(1000, 2790)" in warning.sentence
+    assert "(1300, 2790)" in warning.sentence
 
 
 def test_a_firmware_without_watchdog_is_a_warning(dynamixels: SteppedDynamixels) -> None:
@@ -121,7 +123,9 @@ def test_a_firmware_without_watchdog_is_a_warning(dynamixels: SteppedDynamixels)
     found = surveyed(dynamixels)
     assert not found[1].has_watchdog
     assert found[3].has_watchdog
-    assert "37 has no bus watchdog" in found[1].warnings[0]
+    (warning,) = found[1].warnings
+    assert warning.alert is ServoAlert.NO_WATCHDOG
+    assert "37 has no bus watchdog" in warning.sentence
 
 
 def test_a_homing_offset_that_is_not_the_calibrations_is_refused(dynamixels: SteppedDynamixels) -> None:

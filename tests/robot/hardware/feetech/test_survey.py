@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
+from robot.advice import ServoAlert
 from robot.calibration import MAX_TICK
 from robot.errors import StartupError
 from robot.faults import FaultCode
@@ -54,18 +55,6 @@ def test_a_servo_in_another_operating_mode_is_refused(bus: Bus) -> None:
         run(survey(bus, SERVOS))
 
 
-def test_angle_limits_that_differ_from_the_calibration_are_reported(bus: Bus) -> None:
-    bus.write(1, Register.MIN_ANGLE_LIMIT, 1500)
-    (warning,) = run(survey(bus, SERVOS))[1].warnings
-    assert "1500" in warning
-
-
-def test_a_servo_that_counts_several_turns_is_reported(bus: Bus) -> None:
-    bus.write(1, Register.PHASE, 12 | PHASE_MULTI_TURN)
-    (warning,) = run(survey(bus, SERVOS))[1].warnings
-    assert "PHASE" in warning
-
-
 def set_all(bus: Bus, profile: ServoProfile) -> None:
     for joint in CALIBRATION.joints:
         for register, value in profile.expected(gripper=joint.servo.gripper).items():
@@ -83,30 +72,36 @@ def test_a_setting_that_differs_from_its_profile_is_told_with_its_consequence(bu
     found = run(survey(bus, SERVOS))
     assert [servo for servo in SERVOS.ids if found[servo].warnings] == [3]
     (warning,) = found[3].warnings
-    assert (
-        "register PROTECTION_TIME is 20, not 200 as in the profile lerobot: an overload latches after 0.2 s" in warning
+    assert warning.sentence == (
+        "register PROTECTION_TIME is 20, not 200 as in the profile lerobot: an overload latches after 0.2 s"
     )
 
 
 def test_servos_are_compared_with_the_profile_of_the_arm_if_it_has_one(bus: Bus) -> None:
     found = run(survey(bus, SERVOS, LEROBOT))
-    assert all("P_GAIN is 32, not 16" in " ".join(found[servo].warnings) for servo in SERVOS.ids)
+    said = {servo: [warning.sentence for warning in found[servo].warnings] for servo in SERVOS.ids}
+    assert all("P_GAIN is 32, not 16" in " ".join(sentences) for sentences in said.values())
     assert all(found[servo].expected[Register.P_GAIN] == 16 for servo in SERVOS.ids)
 
 
 @pytest.mark.parametrize(
-    ("register", "value", "words"),
+    ("register", "value", "alert", "words"),
     [
-        (Register.RETURN_DELAY, 250, "500 us later"),
-        (Register.LOCK, 0, "EPROM is unlocked"),
-        (Register.P_GAIN, 8, "droops further"),
-        (Register.MAX_TORQUE, 300, "30 % of its torque"),
+        (Register.MIN_ANGLE_LIMIT, 100, ServoAlert.ANGLE_LIMITS, "(100, "),
+        (Register.PHASE, 12 | PHASE_MULTI_TURN, ServoAlert.SEVERAL_TURNS, "its position may overflow"),
+        (Register.RETURN_DELAY, 250, ServoAlert.RETURN_DELAY, "500 us later: set register RETURN_DELAY to 0"),
+        (Register.LOCK, 0, ServoAlert.EPROM_UNLOCKED, "EPROM is unlocked"),
+        (Register.P_GAIN, 8, ServoAlert.REGISTER, "droops further"),
+        (Register.MAX_TORQUE, 300, ServoAlert.REGISTER, "30 % of its torque"),
     ],
 )
-def test_whatever_is_set_otherwise_is_told(bus: Bus, register: Register, value: int, words: str) -> None:
+def test_a_deviating_setting_is_a_warning(
+    bus: Bus, register: Register, value: int, alert: ServoAlert, words: str
+) -> None:
     bus.write(2, register, value)
     (warning,) = run(survey(bus, SERVOS))[2].warnings
-    assert words in warning
+    assert warning.alert is alert
+    assert words in warning.sentence
 
 
 def test_an_arm_is_surveyed_in_few_transactions(bus: Bus) -> None:

@@ -44,7 +44,6 @@ class ServoWarning(NamedTuple):
     """Warning about one servo.
 
     Attributes:
-        alert: kind of warning.
         sentence: one sentence with figures, which change from report to report.
         register: register concerned, where a servo may have several warnings of the kind; else empty.
     """

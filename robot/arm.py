@@ -130,16 +130,12 @@ class Arm:
     """Arm driven by the arm process, which is restarted when it dies; motions and orders in progress then end.
 
     Args:
-        config: hardware, limits and policies of the arm.
         on_state: called in the event loop with every state of the arm.
         on_health: called in the event loop with the arm's condition, once a second.
         started: its process, if it was started ahead.
-        restart_delay: delay before each start of a process in place of one that has ended.
         observed: returns False when nobody sees the arm's states at the moment.
-        name: as for :func:`start_arm_process`.
 
     Attributes:
-        state: latest state.
         state_max_age_s: age above which the latest state counts as stale [s].
         last_stop: stop epoch of the last stop of all motion; requests from earlier epochs move nothing any more.
     """
@@ -187,19 +183,12 @@ class Arm:
         self._last_connected = self.state
 
     async def launch(self) -> None:
-        """Start the process; it opens no hardware before :meth:`start`. Orders sent until then are queued.
-
-        Raises:
-            OSError: the system has no descriptor, process or memory left for it.
-        """
+        """Start the process; it opens no hardware before :meth:`start`. Orders sent until then are queued."""
         self._starting = True
         await self._process.launch()
 
     async def start(self, timeout_s: float) -> None:
         """Configure the process, and wait for the arm's first state, connected or not.
-
-        Args:
-            timeout_s: longest wait [s].
 
         Raises:
             TimeoutError: no state came within ``timeout_s``.
@@ -248,7 +237,6 @@ class Arm:
         """Wait until all of some futures are done.
 
         Args:
-            ends: futures of motions or orders.
             timeout_s: longest wait on the arm's clock [s]; a silent arm is waited for :data:`SILENT_S` at most.
 
         Returns:
@@ -294,7 +282,6 @@ class Arm:
 
         Args:
             joint_names: joints that follow, order of the setpoints.
-            epoch: stop epoch in which the stream was requested; None for now.
         """
         motion_id = next(self._ids)
         ended = self._begin(Stream(motion_id, joint_names, _epoch_of_request(epoch)))
@@ -340,7 +327,6 @@ class Arm:
         """Send an order to the arm before returning.
 
         Args:
-            order: the order.
             calibration: calibration to write, of WRITE_CALIBRATION only.
             epoch: stop epoch in which it was requested; None for now. After a later stop the arm is not enabled.
 
@@ -561,14 +547,9 @@ class ArmStream:
     """Stream of velocity setpoints to some joints.
 
     Args:
-        motion_id: number of the stream.
         joint_names: joints that follow, order of the setpoints.
-        ended: future of the stream's end.
-        send: sends a setpoint to the arm process.
 
     Attributes:
-        joint_names: as given.
-        ended: as given.
         commanded: latest position and velocity goals of the joints; None until the arm has begun.
     """
 
@@ -597,12 +578,6 @@ class ArmStream:
 
 class ArmProcess:
     """Arm process, configured before it takes anything but orders, and launched again after its end.
-
-    Args:
-        on_message: called in the event loop with every message of the process.
-        on_exit: called in the event loop when a process has ended.
-        started: first process, if it was started ahead.
-        name: of the arm, as for :func:`start_arm_process`.
 
     Attributes:
         ended: future of the end of the latest process; None before the first launch.
@@ -640,11 +615,7 @@ class ArmProcess:
         return self._configured and self._runs()
 
     async def launch(self) -> None:
-        """Start a process; it does nothing before :meth:`configure`.
-
-        Raises:
-            OSError: the system has no descriptor, process or memory left for it.
-        """
+        """Start a process; it does nothing before :meth:`configure`."""
         with self._reserve.lent():
             started, self._started = self._started or start_arm_process(self._name), None
             self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
@@ -655,7 +626,6 @@ class ArmProcess:
         """Send the process its configuration, the last stop, then the queued orders; without effect when it has ended.
 
         Args:
-            config: the configuration.
             last_stop: last stop of all motion, of which a new process knows nothing.
         """
         if self._child is None or not self._runs():

@@ -43,9 +43,6 @@ class ArmGroup:
     Args:
         arms: each by its name, with its joints.
         leaders: those that are moved by hand: they are enabled by their own name alone.
-
-    Attributes:
-        state_max_age_s: age above which the latest state of one counts as stale [s].
     """
 
     def __init__(self, arms: Mapping[str, tuple[Arm, tuple[str, ...]]], leaders: Collection[str] = ()) -> None:

@@ -53,8 +53,6 @@ class JointCalibration:
     lerobot ignores ``drive_mode`` of joints in degrees, and so does this class.
 
     Attributes:
-        servo: the joint and its servo, as the robot's folder describes them.
-        servo_id: id on the bus.
         drive_mode: 0, or 1 for a mirrored gripper.
         homing_offset: register HOMING_OFFSET at calibration [ticks]; the servo applies it itself.
         range_min: lowest position reached by hand [ticks].
@@ -90,12 +88,7 @@ class JointCalibration:
         return self._zero_rad + (ticks - self._zero_ticks) * self._rad_per_tick
 
     def ticks_from_rad(self, position_rad: float) -> int:
-        """Convert a joint position [rad] to the nearest tick, inside the range or not.
-
-        Raises:
-            ValueError: the position is not a number.
-            OverflowError: the position is infinite.
-        """
+        """Convert a joint position [rad] to the nearest tick, inside the range or not."""
         return round(self._zero_ticks + (position_rad - self._zero_rad) / self._rad_per_tick)
 
     def rad_s_from_ticks_s(self, velocity_ticks_s: float) -> float:
@@ -153,20 +146,12 @@ class Calibration:
 
     @classmethod
     def nominal(cls, servos: Sequence[ServoSpec]) -> Calibration:
-        """Build the calibration of a flawless arm: every range centred, and a little wider than the URDF's limits.
-
-        Args:
-            servos: the arm's servos.
-        """
+        """Build the calibration of a flawless arm: every range centred, and a little wider than the URDF's limits."""
         return cls(tuple(_nominal(servo) for servo in servos), measured=False, offsets_known=False)
 
     @classmethod
     def load(cls, path: Path, servos: Sequence[ServoSpec]) -> Calibration:
         """Read a calibration file of lerobot (June 2025 or later).
-
-        Args:
-            path: the file.
-            servos: the arm's servos.
 
         Raises:
             CalibrationError: the file cannot be read, has the older schema, or does not describe this arm.
@@ -222,7 +207,6 @@ def find_calibration(name_or_path: str, folders: Sequence[str], environment: Map
     Args:
         name_or_path: path of the file, or the arm's lerobot id.
         folders: lerobot's names of such arms, the newest first.
-        environment: the process's environment variables.
 
     Raises:
         CalibrationError: lerobot has no calibration of that id, or one under each of its names that differ.
@@ -244,11 +228,6 @@ def find_calibration(name_or_path: str, folders: Sequence[str], environment: Map
 def new_calibration_path(name_or_path: str, folders: Sequence[str], environment: Mapping[str, str]) -> Path:
     """Return the file of a new calibration: the path, or the file in which lerobot looks for that id.
 
-    Args:
-        name_or_path: path of the file, or the arm's lerobot id.
-        folders: lerobot's names of such arms, the newest first.
-        environment: the process's environment variables.
-
     Raises:
         CalibrationError: an id of an arm that lerobot does not know.
     """
@@ -260,12 +239,7 @@ def new_calibration_path(name_or_path: str, folders: Sequence[str], environment:
 
 
 def lerobot_directories(folders: Sequence[str], environment: Mapping[str, str]) -> tuple[Path, ...]:
-    """Return the directories in which lerobot keeps calibrations of such arms, the newest first.
-
-    Args:
-        folders: lerobot's names of such arms, the newest first.
-        environment: the process's environment variables.
-    """
+    """Return the directories in which lerobot keeps calibrations of such arms, the newest first."""
     cache = environment.get("XDG_CACHE_HOME") or "~/.cache"
     huggingface = environment.get("HF_HOME") or f"{cache}/huggingface"
     home = environment.get("HF_LEROBOT_HOME") or f"{huggingface}/lerobot"
@@ -276,10 +250,6 @@ def lerobot_directories(folders: Sequence[str], environment: Mapping[str, str]) 
 @contextlib.contextmanager
 def reserved(path: Path, *, overwrite: bool) -> Iterator[None]:
     """Reserve a file for a new calibration, against other processes that would write it meanwhile.
-
-    Args:
-        path: the file.
-        overwrite: True if it may exist.
 
     Raises:
         CalibrationError: it exists, cannot be written, or another process has it.

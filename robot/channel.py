@@ -33,11 +33,7 @@ SIGNALS_OF_SERVER = (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
 
 
 def encode(message: object) -> bytes:
-    """Frame one message for the other end.
-
-    Raises:
-        ValueError: it is larger than :data:`MAX_MESSAGE_BYTES`.
-    """
+    """Frame one message for the other end."""
     payload = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     if len(payload) > MAX_MESSAGE_BYTES:
         raise ValueError(f"a message of {len(payload)} bytes is over the limit of {MAX_MESSAGE_BYTES}")
@@ -137,7 +133,6 @@ class Channel:
         """Send without waiting.
 
         Args:
-            message: dataclass to send.
             droppable: True to drop it while :data:`MAX_PENDING_BYTES` wait for the server to read.
         """
         self._flush()
@@ -163,7 +158,6 @@ def send_log(channel: Channel, process: str) -> LineHandler:
 
     Args:
         channel: channel to the server; lines are dropped while it does not read.
-        process: name of this process.
 
     Returns:
         The handler, which sends until it is closed.
@@ -182,9 +176,6 @@ def channel_of_child(arguments: list[str] | None = None) -> Channel:
     """Open the channel that a child was started with, and log as its server does.
 
     Ctrl-C and the service manager's signals are ignored here: the server handles them.
-
-    Args:
-        arguments: command line; None for that of the process.
     """
     leave_signals_to_server()
     parser = argparse.ArgumentParser()

@@ -83,7 +83,6 @@ class Fault:
     """Fault, latched until it is reset.
 
     Attributes:
-        code: kind of fault.
         message: one sentence with joint and figures.
         joint: joint concerned; empty for the whole arm.
         stamp_s: wall-clock time at which it was detected [s since the epoch].

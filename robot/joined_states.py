@@ -70,11 +70,7 @@ def joined_state(
 
 
 def joined_health(reports: Mapping[str, ArmHealth]) -> ArmHealth:
-    """Return the health of several arms as that of one; figures of loops are those of the worst.
-
-    Args:
-        reports: latest health of each, by the name of the arm.
-    """
+    """Return the health of several arms as that of one; figures of loops are those of the worst."""
     all_of = list(reports.values())
     limits_rad = [each.limits_rad for each in all_of if each.limits_rad is not None]
     buses = [each.bus for each in all_of if each.bus is not None]

@@ -51,9 +51,6 @@ def configure(level: int | str, log_format: LogFormat, process: str = "server", 
     """Log to standard error; to be called once in each process.
 
     Args:
-        level: least level, by number or name.
-        log_format: plain lines or JSON.
-        process: name of the process in JSON lines.
         arm: name of the arm that plain lines begin their messages with; empty for an arm that is alone.
     """
     handler = logging.StreamHandler(sys.stderr)
@@ -76,11 +73,7 @@ def _log_exception(kind: type[BaseException], error: BaseException, traceback: T
 
 
 class PlainFormatter(logging.Formatter):
-    """Formatter of lines for people.
-
-    Args:
-        arm: as for :func:`configure`.
-    """
+    """Formatter of lines for people."""
 
     def __init__(self, arm: str = "") -> None:
         super().__init__(PLAIN)
@@ -98,11 +91,7 @@ class PlainFormatter(logging.Formatter):
 
 
 class JsonFormatter(logging.Formatter):
-    """Formatter of one JSON object a line, for programs that collect logs.
-
-    Args:
-        process: name of the process, as ``server``.
-    """
+    """Formatter of one JSON object a line, for programs that collect logs."""
 
     def __init__(self, process: str) -> None:
         super().__init__()
@@ -168,12 +157,7 @@ class LogLimiter:
         """Write a line if it is due, and how many like it were not; write once that there are too many keys.
 
         Args:
-            logger: logger to write to.
-            level: level of the line.
-            line: text; formatters escape what a client has put into it.
-            key: subject of the line.
             now_s: monotonic time [s]; without effect where there are no lines in the long run.
-            extra: the line's :data:`SUBJECTS`; None for none.
         """
         if self.due(key, now_s):
             logger.log(level, "%s%s", line, suppressed_note(self.suppressed(key)), stacklevel=2, extra=extra)
@@ -182,12 +166,7 @@ class LogLimiter:
             logger.log(level, "%d lines of this kind were written; further ones are not", len(self._buckets))
 
     def due(self, key: Hashable, now_s: float) -> bool:
-        """Count a line, and return True when it is to be written.
-
-        Args:
-            key: subject of the line.
-            now_s: monotonic time [s].
-        """
+        """Count a line, and return True when it is to be written."""
         bucket = self._buckets.get(hash(key))
         if bucket is None:
             if self._max_keys is not None and len(self._buckets) >= self._max_keys:
@@ -224,11 +203,7 @@ def suppressed_note(count: int) -> str:
 
 
 class FloodFilter(logging.Filter):
-    """Filter that limits the lines of each place in the program.
-
-    Args:
-        clock: monotonic time [s].
-    """
+    """Filter that limits the lines of each place in the program."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
@@ -302,8 +277,6 @@ class LogLine:
     Attributes:
         at_s: wall-clock time [s since the epoch].
         level: level, numbered as Python does.
-        logger: name of the logger.
-        process: name of the process.
         text: message without tokens, and the traceback below it; at most :data:`MAX_LINE_CHARACTERS`.
         monotonic_s: monotonic time of the machine, which all of its processes share [s].
     """
@@ -320,7 +293,6 @@ class LineHandler(logging.Handler):
     """Handler that passes each record of our loggers on as a line, from its construction to :meth:`close`.
 
     Args:
-        process: name of this process.
         take: takes each line, in the thread that has logged it.
     """
 

@@ -108,18 +108,10 @@ class ArmConfig:
     """Configuration of the arm process.
 
     Attributes:
-        robot: joints and their soft limits.
-        hardware: actuators of the arm, real or simulated.
-        state_rate_hz: rate of the states [Hz].
         start_enabled: True to enable the arm as soon as it is connected; else it stays relaxed.
         watchdog_s: silence of the server after which the arm is stopped [s]; a simulated arm waits longer.
         on_server_lost: policy for the arm then, and when the server's process is gone.
-        on_exit: policy for the arm when the server shuts down.
-        on_emergency_stop: policy of emergency stops.
-        warn_temperature_c: temperature from which a servo has a warning [degC].
         slow_temperature_c: temperature from which motions slow down [degC].
-        stop_temperature_c: temperature from which a servo is a fault [degC].
-        guard_limits: torque limits, thresholds of the guards, and tolerances of a motion's end.
         speed_limit: share of the joints' velocity limits that no motion exceeds, until it is changed.
         fault: fault latched by an earlier arm process and not yet reset.
     """
@@ -158,7 +150,6 @@ class Execute:
     """Command to play a trajectory; the arm must hold near its first position.
 
     Attributes:
-        motion_id: number of the motion.
         trajectory: trajectory of some joints; the others hold.
         gripping: True if a joint that stalls on the way has gripped something, which ends the motion well; otherwise a
             stall is a fault.
@@ -180,7 +171,6 @@ class ParkingPlan:
     """Trajectory to the rest pose, found free of collisions in the scene of its time.
 
     Attributes:
-        trajectory: trajectory of some joints; the others hold.
         held_rad: goal of every joint of the arm at its start; it is played from there alone [rad].
     """
 
@@ -213,9 +203,7 @@ class Stream:
     """Command to follow the velocities of :class:`Setpoint` messages of the same number; at rest until the first.
 
     Attributes:
-        motion_id: number of the stream.
         joint_names: joints that follow, order of the setpoints.
-        epoch: as of :class:`Execute`.
     """
 
     motion_id: int
@@ -231,7 +219,6 @@ class Setpoint:
     ends. Setpoints for a stream that has ended are ignored.
 
     Attributes:
-        motion_id: number of the stream.
         velocity_rad_s: in the stream's order, shape (joints,) [rad/s].
     """
 
@@ -301,8 +288,6 @@ class Command:
     """Order with a number, which its :class:`CommandDone` repeats.
 
     Attributes:
-        number: unique in the life of the server.
-        order: the order.
         calibration: calibration to write into the servos, of WRITE_CALIBRATION only.
         epoch: stop epoch that an emergency stop begins; of other orders the one in which they were requested.
     """
@@ -372,7 +357,6 @@ class Commanded(Frequent):
     """Goals of a stream's joints, at every tick.
 
     Attributes:
-        motion_id: number of the stream.
         at_s: time since the stream began [s].
         position_rad: in the stream's order, shape (joints,) [rad].
         velocity_rad_s: shape (joints,) [rad/s].
@@ -389,7 +373,6 @@ class MotionProgress:
     """Progress of one motion.
 
     Attributes:
-        motion_id: number of the motion.
         fraction: share that is done, 0..1.
         remaining_s: time left to its end [s].
         rate: share of the planned speed at which it may be played, above 0 while it is not paused, at most 1.
@@ -407,11 +390,9 @@ class ArmState(Frequent):
 
     Attributes:
         stamp_s: wall-clock time of the reading [s since the epoch].
-        mode: state of the state machine.
         reason: cause of being disconnected, or connected but refused by the checks; empty otherwise. A connected arm
             without a reason is still being checked or switched on.
         fault: latched fault, to be reset before the arm moves again.
-        joint_names: order of the arrays.
         position_rad: measured, shape (joints,).
         velocity_rad_s: measured, shape (joints,).
         age_s: time from each joint's reading to ``stamp_s``, shape (joints,) [s].
@@ -421,8 +402,6 @@ class ArmState(Frequent):
         motion_id: motion in progress, of several the one with most joints; None at rest.
         fraction: share of the motion that is done, 0..1.
         remaining_s: time left to the end of the motion [s].
-        motions: every motion in progress.
-        pace: speed and direction of motions.
         lateness_s: start of the latest ticks after their deadlines, one value each [s].
         clock_s: time of the control loop, which on a simulated arm passes no faster than the loop runs [s].
         driven: True while torque is on.
@@ -488,13 +467,10 @@ class ArmHealth:
     Attributes:
         monotonic_s: monotonic time of the machine, which all of its processes share [s].
         port: serial port of the arm; ``simulated`` or ``ideal`` where there is none.
-        joints: one each, in the order of the arm's arrays.
         bus: counters of the bus since it was opened; None for hardware without one.
         lateness_s: start of the ticks after their deadlines in the last second: p50, p99, greatest [s].
         round_trip_s: time that block reads took in the last second: p50, p99, greatest [s].
-        real_time: True if the process has real-time priority.
         real_time_factor: arm's time per machine's time; below 1 a simulated arm is slow because the machine is busy.
-        memory_locked: True if the process's memory cannot be swapped out.
         limits_rad: soft limits in force, shape (joints, 2) [rad]; None before the survey.
     """
 

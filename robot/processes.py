@@ -51,11 +51,7 @@ SHORT_RUN_S = 1.0
 
 
 class DescriptorReserve:
-    """File descriptors kept for the start of a child: clients that use up all others cannot prevent it.
-
-    Args:
-        count: number of descriptors.
-    """
+    """File descriptors kept for the start of a child: clients that use up all others cannot prevent it."""
 
     def __init__(self, count: int = RESERVED_DESCRIPTORS) -> None:
         self._count = count
@@ -92,12 +88,7 @@ class DescriptorReserve:
 
 
 class RestartDelay:
-    """Delay before each start of a process: none after a run that was not short, else doubled from start to start.
-
-    Args:
-        first_s: delay after the first short run [s].
-        longest_s: longest delay [s].
-    """
+    """Delay before each start of a process: none after a run that was not short, else doubled from start to start."""
 
     def __init__(self, first_s: float = FIRST_RESTART_S, longest_s: float = LONGEST_RESTART_S) -> None:
         self._first_s = first_s
@@ -144,12 +135,6 @@ class ForkedProcess:
 
     Args:
         run: body of the child; its return, or an exception, ends the child.
-
-    Attributes:
-        pid: process id.
-
-    Raises:
-        OSError: the system has no process or memory left for it.
     """
 
     def __init__(self, run: Callable[[], None]) -> None:
@@ -177,11 +162,7 @@ class ForkedProcess:
             os.kill(self.pid, signal.SIGKILL)
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the exit code.
-
-        Raises:
-            subprocess.TimeoutExpired: it still runs.
-        """
+        """Wait for the exit code."""
         until_s = None if timeout is None else time.monotonic() + timeout
         while (code := self.poll()) is None:
             if until_s is not None and time.monotonic() >= until_s:
@@ -209,11 +190,9 @@ class StartedChild:
     """Child process started ahead: it loads its modules, and ends by itself when this process does.
 
     Args:
-        module: name of the module to run with ``python -m``.
         arm: name of the arm that its log lines are about; empty for an arm that is alone, and for other children.
 
     Attributes:
-        process: the child.
         socket: the server's end of its channel.
         adopted: True once a :class:`Child` owns it.
 
@@ -236,14 +215,7 @@ class StartedChild:
 
     @classmethod
     def forked(cls, run: Callable[[socket.socket], None]) -> StartedChild:
-        """Start a child by ``fork``: see :class:`ForkedProcess`.
-
-        Args:
-            run: body of the child; gets its end of the channel.
-
-        Raises:
-            OSError: the system has no descriptor, process or memory left for it.
-        """
+        """Start a child by ``fork``: see :class:`ForkedProcess`."""
         started = cls.__new__(cls)
         started.adopted = False
         started.socket, theirs = socket.socketpair()
@@ -273,10 +245,8 @@ class Child:
     """Running child process, and the server's end of its channel.
 
     Args:
-        started: the child, which this adopts.
         on_message: called in the event loop with every message of the child.
         on_exit: called once in the event loop when the child has ended.
-        niceness: added to the child's scheduling niceness.
     """
 
     def __init__(
@@ -361,11 +331,6 @@ class _Link(asyncio.Protocol):
     """Protocol of one child's socket.
 
     Messages are delivered as they are read: a task would first wait for its turn in the event loop.
-
-    Args:
-        on_message: called with every message.
-        process: the child; killed when it sends anything but messages.
-        on_end: called once, when the socket is closed from either side.
     """
 
     def __init__(self, on_message: Callable[[Any], None], process: Process, on_end: Callable[[], None]) -> None:
@@ -442,11 +407,6 @@ def start_module(module: str, arguments: list[str], pass_fds: tuple[int, ...]) -
 
     Args:
         module: name of the module; its ``main`` opens the channel (:func:`robot.channel.channel_of_child`).
-        arguments: its command line.
-        pass_fds: file descriptors that it inherits.
-
-    Raises:
-        OSError: the system has no descriptor, process or memory left for it.
     """
     environment = {name: value for name, value in os.environ.items() if name not in OF_SERVICE_MANAGER}
     with _blocked(SIGNALS_OF_SERVER):

@@ -107,9 +107,6 @@ def rest_to_rest(
     Cubic interpolation between the samples, the corners of the profile, is exact.
 
     Args:
-        joint: name of the joint.
-        start_rad: position at the start [rad].
-        end_rad: position at the end [rad].
         max_velocity: above 0 [rad/s].
         max_acceleration: above 0 [rad/s^2].
     """

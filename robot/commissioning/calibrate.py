@@ -21,7 +21,6 @@ class Swept:
     """All that was measured by hand.
 
     Attributes:
-        sweep: ranges of all servos.
         offsets: register HOMING_OFFSET during the sweep, by servo id [ticks].
         middles: position in its middle of each joint without stops, by servo id [ticks], in the sweep's count.
         drive_modes: 1 for servos that turn the other way than the format takes them to, by servo id; 0 for others.
@@ -42,8 +41,6 @@ def calibrate(servos: Sequence[ServoSpec], swept: Swept, *, recentre: bool) -> C
     """Compute the calibration.
 
     Args:
-        servos: servos of the arm.
-        swept: what was measured of all of them.
         recentre: True for new homing offsets, which must then be written to the servos; False to keep theirs.
 
     Raises:
@@ -96,12 +93,7 @@ def differences(calibration: Calibration, servos: Sequence[ServoReport]) -> list
 
 
 def read_differences(bus: Bus, calibration: Calibration) -> Steps[list[Difference]]:
-    """Compare a calibration with the servos' registers, as a sequence.
-
-    Raises:
-        NoReply: a servo gave no valid reply.
-        PortLost: the port is gone.
-    """
+    """Compare a calibration with the servos' registers, as a sequence."""
     found = []
     for joint in calibration.joints:
         for register, value in calibrated_registers(joint).items():
@@ -119,12 +111,9 @@ def write_to_servos(bus: Bus, changes: Sequence[Difference]) -> Steps[None]:
 
     Args:
         bus: an open bus; the servos' torque must be off, since a new homing offset moves their goal.
-        changes: result of :func:`differences`.
 
     Raises:
         StartupError: a servo keeps another value.
-        NoReply: a servo gave no valid reply.
-        PortLost: the port is gone.
     """
     for servo_id in dict.fromkeys(change.servo_id for change in changes):
         own = [change for change in changes if change.servo_id == servo_id]

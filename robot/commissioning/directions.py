@@ -62,11 +62,6 @@ def asked_motions(robot: RobotModel) -> dict[str, AskedMotion]:
 def turned_the_other_way(servo: ServoSpec, motion: AskedMotion, moved_ticks: int) -> bool:
     """Return True when a servo turned against the sign that the robot's folder gives it.
 
-    Args:
-        servo: the joint's servo.
-        motion: the motion that was asked for.
-        moved_ticks: change of its position meanwhile [ticks].
-
     Raises:
         CalibrationError: it was hardly moved.
     """

@@ -73,9 +73,6 @@ class Finding:
     """Result of one check.
 
     Attributes:
-        check: name of the check.
-        verdict: severity.
-        says: observation, a sentence or figures.
         remedy: advice to the person at the arm; empty for none.
     """
 
@@ -86,13 +83,7 @@ class Finding:
 
 
 def judge_scan(result: ScanResult, joints: Sequence[ServoSpec], calibration: Calibration | None) -> list[Finding]:
-    """Judge the result of a scan.
-
-    Args:
-        result: result of the scan.
-        joints: servos of the arm.
-        calibration: calibration of the arm; None if it is not known.
-    """
+    """Judge the result of a scan."""
     findings = [_servos(result, joints)]
     if result.servos:
         servos = result.servos
@@ -115,13 +106,7 @@ def judge_cycles(times: CycleTimes) -> list[Finding]:
 
 
 def judge_long_reads(address: int, length: int, silent_ids: Sequence[int]) -> Finding:
-    """Judge the replies to reads past the documented registers, whose lengths distinguish replies.
-
-    Args:
-        address: first register of the read.
-        length: bytes of the read.
-        silent_ids: servos that did not reply to it.
-    """
+    """Judge the replies to reads past the documented registers, whose lengths distinguish replies."""
     block = f"registers {address} to {address + length - 1}"
     if not silent_ids:
         return Finding("long reads", Verdict.GOOD, f"all servos answer a read of {block}")
@@ -301,10 +286,7 @@ class Experiment:
     """Experiment on a property of the servos.
 
     Attributes:
-        name: name in the report.
         does: its effects on the arm, for the person who must agree.
-        switches_torque: True if it drives a servo.
-        needs_hands: True if a person must take part.
         run: carries it out; raises NoReply, StartupError or PortLost when the servo does not respond as required.
     """
 
@@ -316,11 +298,7 @@ class Experiment:
 
 
 def run_experiment(experiment: Experiment, rig: ServoRig) -> Finding:
-    """Carry out an experiment; it remains open when the servo does not respond as required.
-
-    Raises:
-        PortLost: the port is gone.
-    """
+    """Carry out an experiment; it remains open when the servo does not respond as required."""
     try:
         return experiment.run(rig)
     except (NoReply, StartupError) as error:
@@ -334,11 +312,8 @@ class ServoRig:
     Every method raises NoReply, StartupError or PortLost when the servo does not reply or take a value.
 
     Attributes:
-        bus: an open bus.
         servo_id: servo whose torque may be switched.
         present_ids: all servos that answer.
-        clock: monotonic time [s].
-        wait: waits for a time [s].
     """
 
     bus: Bus

@@ -53,7 +53,6 @@ class SavedServo:
         servo_id: id that it had.
         new_id: id that it was to get.
         baudrate: baud rate at which it answered.
-        registers: value of every register.
     """
 
     joint: str
@@ -85,13 +84,6 @@ class _Content(BaseModel):
 class BackupFile:
     """File to which the servos of one visit are saved; it is created with the first.
 
-    Args:
-        path: of the file, which must not exist.
-        robot: name of the arm.
-
-    Attributes:
-        path: as given.
-
     Raises:
         BackupError: it exists.
     """
@@ -110,10 +102,6 @@ class BackupFile:
 
     def save(self, servo: SavedServo, now: datetime) -> None:
         """Save a servo; on return the file holds it, also after a loss of power.
-
-        Args:
-            servo: registers before they are changed.
-            now: wall-clock time.
 
         Raises:
             BackupError: the file cannot be written, or appeared meanwhile.
@@ -158,10 +146,6 @@ def match_saved(saved: Sequence[SavedServo], ids: Collection[int]) -> dict[int, 
 
     A servo usually has the id that it was to get. One whose setup was broken off has the id from before, which every
     new servo has: it counts only if the servo with the new id is missing, and no other servo may be meant.
-
-    Args:
-        saved: servos of a backup.
-        ids: present ids of the servos.
     """
     found = {}
     for servo_id in ids:
@@ -174,12 +158,7 @@ def match_saved(saved: Sequence[SavedServo], ids: Collection[int]) -> dict[int, 
 
 
 def read_registers(bus: Bus, servo_id: int) -> Steps[dict[Register, int]]:
-    """Read every register of a servo, as a sequence.
-
-    Raises:
-        NoReply: the servo gave no valid reply.
-        PortLost: the port is gone.
-    """
+    """Read every register of a servo, as a sequence."""
     values: dict[Register, int] = {}
     for address, length in BLOCKS:
         frame = yield from read_block(bus, servo_id, address, length)

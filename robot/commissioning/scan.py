@@ -30,7 +30,6 @@ class ServoReport:
     """Registers and telemetry of one servo.
 
     Attributes:
-        servo_id: register ID.
         model: 777 for an STS3215.
         firmware: major and minor version.
         mode: register OPERATING_MODE, 0 for position.
@@ -80,11 +79,7 @@ def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
     """Find the servos on the bus and read each.
 
     Args:
-        bus: an open bus.
         expected_ids: ids that are also pinged one by one, since a reply to a broadcast may get lost.
-
-    Raises:
-        PortLost: the port is gone.
     """
     garbled = bus.counters.discarded_bytes
     ids = set(bus.broadcast_ping())
@@ -107,7 +102,6 @@ def examine(bus: Bus, servo_id: int) -> ServoReport:
 
     Raises:
         NoReply: it does not answer every read.
-        PortLost: the port is gone.
     """
 
     def value(register: Register) -> int:
@@ -130,12 +124,7 @@ def examine(bus: Bus, servo_id: int) -> ServoReport:
 
 
 def read_telemetry(bus: Bus, servo_id: int) -> Telemetry:
-    """Read the telemetry of a servo.
-
-    Raises:
-        NoReply: it gave no valid reply.
-        PortLost: the port is gone.
-    """
+    """Read the telemetry of a servo."""
     attempts = 3  # as a single read of the bus
     for _ in range(attempts):
         frame = bus.sync_read((servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES).get(servo_id)
@@ -148,7 +137,6 @@ def explain_missing(result: ScanResult, joints: Sequence[ServoSpec]) -> list[str
     """Explain missing and unsteady servos with the likely cause, a sentence each; none when all is well.
 
     Args:
-        result: result of the scan.
         joints: joints of the arm, in the order in which their servos are chained.
     """
     present = [joint.servo_id in result.ids for joint in joints]

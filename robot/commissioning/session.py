@@ -51,7 +51,6 @@ class Step:
     Attributes:
         name: unique in the procedure.
         instruction: what the person is to do, in sentences.
-        answers: what may be answered.
     """
 
     name: str
@@ -64,12 +63,10 @@ class SweptRange:
     """Range of one joint so far; positions count on across the seam between ticks 4095 and 0.
 
     Attributes:
-        joint: name of the joint.
         lowest: lowest position [ticks].
         present: latest position [ticks].
         highest: highest position [ticks].
         expected_width: width of its range in the URDF [ticks].
-        done: True when nothing more is asked of it.
         note: what is missing; empty for nothing.
     """
 
@@ -86,12 +83,10 @@ class CalibrationSession:
     """Calibration of one arm, from holding it to writing the result.
 
     Args:
-        servos: servos of the arm.
         motions: motion that shows the direction of each joint, by joint.
         recentre: True for new homing offsets, which are then written to the servos; False to keep theirs.
 
     Attributes:
-        recentre: as given.
         step: the step to answer; None once the session has ended.
         findings: what was found, a sentence each.
         calibration: the result; None before the step that asks for it to be written.
@@ -173,9 +168,6 @@ class CalibrationSession:
 
     def answer(self, answer: str) -> Act | None:
         """Take the answer to the present step.
-
-        Returns:
-            The act that is now due; None for none.
 
         Raises:
             CalibrationError: it cannot go on so; the step stays, and the sentence says what is missing.

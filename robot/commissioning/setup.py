@@ -59,12 +59,7 @@ NO_ANSWER = (
 
 
 class ServoLine:
-    """Port of the servos, open at one baud rate at a time.
-
-    Args:
-        open_bus: opens the bus at a baud rate.
-        wait: waits for a time [s].
-    """
+    """Port of the servos, open at one baud rate at a time."""
 
     def __init__(self, open_bus: Callable[[int], Bus], wait: Callable[[float], None] = time.sleep) -> None:
         self._open = open_bus
@@ -99,9 +94,7 @@ class FoundServo:
     """Servo found on the bus.
 
     Attributes:
-        servo_id: its id.
         baudrate: baud rate at which it answers.
-        registers: value of every register.
     """
 
     servo_id: int
@@ -138,16 +131,8 @@ def search(
 
     Servos that have their ids already may be connected as well.
 
-    Args:
-        line: the servos' port.
-        joint: joint of the servo.
-        arm: servos of the arm.
-        say: tells progress.
-
     Raises:
         StartupError: none may be meant, or more than one; the text says how to part them.
-        NoReply: a servo stopped answering.
-        PortError: the port cannot be opened, or is gone.
     """
     found: list[FoundServo] = []
     for baudrate in BAUDRATES:
@@ -175,14 +160,10 @@ def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServ
     """Find and read the servos that answer at one baud rate; nothing is written.
 
     Args:
-        line: the servos' port.
-        baudrate: baud rate to look at.
         ids: ids that are also asked one by one, since a reply to a broadcast may get lost.
 
     Raises:
         StartupError: several servos have the same id.
-        NoReply: a servo stopped answering.
-        PortError: the port cannot be opened, or is gone.
     """
     bus = line.at(baudrate)
     garbled = bus.counters.discarded_bytes
@@ -232,7 +213,6 @@ def choose_profile(
 
     Args:
         name: name of a profile that was asked for; None for the arm's own, or without one for the nearest.
-        own: profile of the arm's folder, if it has one.
         servos: servos, with True for one of the gripper.
     """
     if name is not None:
@@ -245,11 +225,6 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
 
     Angle limits and homing offset of a servo that has the joint's id are its calibration, and stay. Those of any other
     belong to another joint and are cleared.
-
-    Args:
-        servo: the servo.
-        joint: joint that it is to turn.
-        profile: settings that it should have.
     """
     held = servo.registers
     wanted = {
@@ -274,8 +249,6 @@ def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[
     """Return the registers to change for a servo to be as it was saved.
 
     Args:
-        servo: the servo.
-        saved: its backup.
         alone: True for the only servo on the bus, which gets id and baud rate back as well: among others it might
             become the second one of its id.
     """
@@ -296,18 +269,8 @@ def needs_writing(servo: FoundServo, changes: Sequence[Change]) -> bool:
 def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> FoundServo:
     """Relax a servo and write its changes, each read back; its EPROM is locked at the end, also after a failure.
 
-    Args:
-        line: the servos' port.
-        servo: the servo, as found.
-        changes: registers to change.
-
-    Returns:
-        The servo as it is afterwards.
-
     Raises:
         StartupError: it keeps another value, or cannot be relaxed.
-        NoReply: it stopped answering.
-        PortError: the port cannot be opened, or is gone.
     """
     writer = _Writer(line, servo.servo_id, servo.baudrate)
     try:
@@ -329,17 +292,7 @@ def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> Foun
 
 
 class _Writer:
-    """Access to one servo whose id and baud rate change on the way.
-
-    Args:
-        line: the servos' port.
-        servo_id: present id.
-        baudrate: present baud rate.
-
-    Attributes:
-        servo_id: present id.
-        baudrate: present baud rate.
-    """
+    """Access to one servo whose id and baud rate change on the way."""
 
     def __init__(self, line: ServoLine, servo_id: int, baudrate: int) -> None:
         self._line = line

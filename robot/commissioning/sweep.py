@@ -35,9 +35,6 @@ FREE_MIDDLE_WITHIN_TICKS = 100
 class Sweep:
     """Ranges covered by the servos, tracked across the seam: positions count on beyond 0 and 4095.
 
-    Args:
-        ticks: positions at the start, by servo id.
-
     Attributes:
         lowest: lowest position so far, by servo id [ticks].
         highest: highest position so far, by servo id [ticks].
@@ -99,10 +96,7 @@ def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Pla
     """Place the swept range of a joint with stops within the turn.
 
     Args:
-        servo: the joint's servo.
-        sweep: ranges of all servos.
         offset: register HOMING_OFFSET during the sweep [ticks].
-        recentre: True for a new homing offset, False to keep the servo's.
 
     Raises:
         CalibrationError: the joint was hardly moved, turned by a whole turn, or its range crosses the seam.
@@ -137,10 +131,8 @@ def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) ->
     """Place a joint that turns freely: its range is the turn, and its middle the tick that lerobot takes for it.
 
     Args:
-        servo: the joint's servo.
         middle: position at which the joint is in its middle [ticks].
         offset: register HOMING_OFFSET at that time [ticks].
-        recentre: True for a new homing offset, False to keep the servo's.
 
     Raises:
         CalibrationError: the middle is elsewhere, and the servo keeps its offset.

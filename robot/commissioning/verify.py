@@ -41,7 +41,6 @@ class VerificationPose:
     """Pose to compare: the first of the candidates that can be reached.
 
     Attributes:
-        name: its name for people.
         candidates: positions of the arm's joints, by joint [rad].
     """
 
@@ -95,7 +94,6 @@ class Droop:
     """Distance of a joint from its goal while it holds.
 
     Attributes:
-        joint: name of the joint.
         droop_rad: goal less position [rad].
         load: share of full motor duty, signed.
         p_gain: register P_GAIN; None where it is not known.

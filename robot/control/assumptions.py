@@ -55,13 +55,7 @@ class Assumptions:
 
     @classmethod
     def of(cls, limits: GuardLimits, actuation: Actuation, full_torque: Vector) -> Self:
-        """Adapt the program's limits to the actuators.
-
-        Args:
-            limits: limits for actuators as the factory leaves them.
-            actuation: strength of the actuators.
-            full_torque: largest share of full duty that each joint is given, shape (joints,).
-        """
+        """Adapt the program's limits to the actuators."""
         # A higher gain than the factory's does not make the gears stiffer.
         softness = 1.0 / np.clip(actuation.stiffness, 1e-2, 1.0)
         tolerance = limits.goal_tolerance_rad * (1.0 + DROOP_SHARE * (softness - 1.0))

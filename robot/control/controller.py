@@ -71,21 +71,12 @@ class ArmController:
     """Motion state of one arm; it is relaxed until :meth:`hold`.
 
     Args:
-        joint_names: order of every array.
-        bounds: limits of the joints.
-        guards: checks of every reading.
         full_torque: largest share of full duty for each joint, shape (joints,).
-        temperatures: thresholds at which motions slow down.
         fault: fault latched before, not yet reset.
-        simulated: True for a simulated arm, whose faults have other remedies.
         speed_limit: share of the velocity limits that no motion exceeds, until :meth:`change_pace`.
 
     Attributes:
-        bounds: as given.
-        guards: as given.
-        pace: speed factor, course and speed limit of motions.
         driven: True while torque is on.
-        fault: latched fault, or None.
     """
 
     def __init__(
@@ -261,10 +252,6 @@ class ArmController:
 
     def step(self, measured: Measured, now_s: float) -> list[MotionEnded]:
         """Advance one tick: set :attr:`goal_rad`, and check the readings.
-
-        Args:
-            measured: latest readings.
-            now_s: time of the control loop [s].
 
         Returns:
             Ends of the motions that this tick ends.

@@ -15,15 +15,9 @@ from robot.trajectory import Vector
 class ControlCycle:
     """Control cycle on open hardware.
 
-    Args:
-        hardware: the arm's actuators.
-        clock: time of the control loop [s].
-
     Attributes:
-        hardware: as given.
         controller: controller of the arm; None until the actuators were surveyed.
         measured: latest readings; None until every joint has answered.
-        errors: errors of the actuators since the hardware was opened.
     """
 
     def __init__(self, hardware: HardwareInterface, clock: Callable[[], float]) -> None:
@@ -39,9 +33,6 @@ class ControlCycle:
 
         Returns:
             Ends of the motions that this tick ended.
-
-        Raises:
-            PortLost: the port is gone.
         """
         measured = self.hardware.read()
         self.measured = measured
@@ -61,11 +52,7 @@ class ControlCycle:
         return ended
 
     def hold(self, goal_rad: Vector) -> None:
-        """Let the controller hold at goals that were written at full torque; goals far from the arm return to it.
-
-        Args:
-            goal_rad: goals of all joints, shape (joints,) [rad].
-        """
+        """Let the controller hold at goals that were written at full torque; goals far from the arm return to it."""
         if self.controller is not None:
             self.controller.hold(goal_rad, self.measured)
 

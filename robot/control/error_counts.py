@@ -24,9 +24,6 @@ class ErrorCounts:
 
     Status flags count each time they come up; a servo that was found rebooted or relaxed counts once until it is sound
     again.
-
-    Args:
-        joint_names: order of every array.
     """
 
     def __init__(self, joint_names: Sequence[str]) -> None:
@@ -45,12 +42,7 @@ class ErrorCounts:
         self._status = status
 
     def add_finding(self, fault: Fault, now_s: float) -> None:
-        """Count what a register check has found.
-
-        Args:
-            fault: its finding.
-            now_s: time of the control loop [s].
-        """
+        """Count what a register check has found."""
         alert, joint = _FOUND.get(fault.code), self._joints.get(fault.joint)
         if alert is None or joint is None:
             return

@@ -61,11 +61,7 @@ class Temperatures:
 
 
 class Persistence:
-    """Timer of a condition for each joint.
-
-    Args:
-        joints: number of joints.
-    """
+    """Timer of a condition for each joint."""
 
     def __init__(self, joints: int) -> None:
         self._never = np.full(joints, np.inf)
@@ -88,15 +84,10 @@ class Guards:
     """Guards of one arm.
 
     Args:
-        joint_names: order of every array.
-        temperatures: thresholds of warnings and faults.
         max_voltage_v: register MAX_VOLTAGE of each servo, shape (joints,) [V]; None for that of a new servo.
-        limits: thresholds of the other faults.
         assumptions: what follows from the servos' settings; None for servos without any.
 
     Attributes:
-        limits: as given.
-        assumptions: as given.
         stalled: joints that push without moving, shape (joints,).
         lost: joints that are too far behind their goals, shape (joints,).
     """
@@ -138,10 +129,7 @@ class Guards:
         """Check one tick's readings; sets :attr:`stalled` and :attr:`lost`.
 
         Args:
-            goal_rad: goals of the joints, shape (joints,) [rad].
-            measured: readings of the joints.
             torque_limit: share of full duty that each may use, shape (joints,).
-            now_s: monotonic time [s].
             yielding: joints for which a stall is no fault, shape (joints,); None for none.
 
         Returns:

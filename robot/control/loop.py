@@ -37,10 +37,6 @@ class HardwareSource(Protocol):
 def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
     """Build the source of an arm's hardware; a back end's libraries are imported only where it is used.
 
-    Args:
-        config: configuration of the arm.
-        clock: time of the control loop.
-
     Raises:
         OSError: the log or the control socket of emulated servos cannot be created.
     """
@@ -74,13 +70,7 @@ STEP_ROOM_S = 0.002
 
 
 class ArmLoop:
-    """Control loop of one arm.
-
-    Args:
-        channel: channel to the server.
-        config: hardware, limits and policies of the arm.
-        scheduling: protection of the ticks against the rest of the machine.
-    """
+    """Control loop of one arm."""
 
     def __init__(self, channel: Channel, config: ArmConfig, scheduling: Scheduling) -> None:
         self._channel = channel
@@ -105,11 +95,7 @@ class ArmLoop:
                 retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
 
     def _open(self) -> HardwareInterface:
-        """Open the hardware, and make its source before the first time.
-
-        Raises:
-            RobotError: it is missing or cannot be used.
-        """
+        """Open the hardware, and make its source before the first time."""
         if self._source is None:
             try:
                 self._source = hardware_source(self._config, self._clock)
@@ -118,11 +104,7 @@ class ArmLoop:
         return self._source.open()
 
     def _drive(self) -> None:
-        """Run ticks until the end.
-
-        Raises:
-            RobotError: the hardware is lost.
-        """
+        """Run ticks until the end."""
         pacer = Pacer(time.monotonic())
         while not self._supervisor.finished():
             skipped = self._between_ticks(pacer)
@@ -185,11 +167,7 @@ def main() -> None:
 
 
 def run_forked(sock: socket.socket) -> None:
-    """Be the arm process of the server that has forked this one.
-
-    Args:
-        sock: this end of the channel.
-    """
+    """Be the arm process of the server that has forked this one."""
     leave_signals_to_server()
     channel = Channel(sock)
     send_log(channel, __name__)
@@ -197,11 +175,7 @@ def run_forked(sock: socket.socket) -> None:
 
 
 def run_arm(channel: Channel) -> None:
-    """Run an arm until its server ends it.
-
-    Args:
-        channel: channel to the server; the first message is the arm's configuration.
-    """
+    """Run an arm until its server ends it."""
     config = channel.receive_first()
     if config is not None:
         ArmLoop(channel, checked(config), become_punctual()).run()

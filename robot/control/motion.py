@@ -41,17 +41,10 @@ class Motion:
     """Motion in progress.
 
     Args:
-        command: accepted command.
-        names: the arm's joints, order of the controller's arrays.
-        bounds: limits of the joints.
-        limits: goal tolerance and settling time.
         goal_tolerance_rad: tolerance of each of the arm's joints, shape (joints,) [rad]; None for that of ``limits``.
-        speed_limit: as of :meth:`limit_speed`.
 
     Attributes:
-        command: as given.
         columns: indices of its joints in the controller's arrays.
-        playback: its trajectory being played.
     """
 
     def __init__(
@@ -142,7 +135,6 @@ class Motion:
         """Advance by a time step.
 
         Args:
-            elapsed_s: time step [s].
             rate: wanted path time per time, below 0 to go back.
             fastest: greatest rate allowed.
 
@@ -162,7 +154,6 @@ class Motion:
         Args:
             goal_rad: goals of all joints [rad].
             position_rad: measured positions of all joints [rad].
-            now_s: monotonic time [s].
         """
         playback = self.playback
         if not playback.finished:
@@ -201,9 +192,7 @@ class Playback:
     acceleration rate^2 * q''(s) + d(rate)/dt * q'(s).
 
     Args:
-        trajectory: trajectory to play.
         max_acceleration: limit of each of its joints, shape (joints,) [rad/s^2].
-        ceiling: fastest rate allowed, and that at the start.
 
     Attributes:
         ceiling: fastest rate allowed, in (0, 1].
@@ -250,7 +239,6 @@ class Playback:
         """Return True when another trajectory has the same position and velocity now, and can replace this one.
 
         Args:
-            other: trajectory of the same joints.
             from_s: time on this one at which the other begins [s].
         """
         there_s = self._path_time_s - from_s
@@ -265,7 +253,6 @@ class Playback:
         """Continue at the position and rate of another playback.
 
         Args:
-            former: playback that this one replaces.
             from_s: time on its trajectory at which this one's begins [s].
         """
         self._path_time_s = former._path_time_s - from_s
@@ -304,7 +291,6 @@ class Playback:
         """Return the fastest change of the rate that all joints' acceleration limits allow in this tick [1/s].
 
         Args:
-            elapsed_s: time step [s].
             direction: 1 to raise the rate, -1 to lower it.
         """
         fastest = STANDSTILL_BRAKING
@@ -326,15 +312,7 @@ def splice_refusal(
     bounds: JointBounds,
     goal_rad: Vector,
 ) -> str:
-    """Check a motion that replaces another one; return the reason to refuse it, empty for none.
-
-    Args:
-        motions: motions in progress.
-        command: command with a continuation.
-        names: the arm's joints, order of the arrays.
-        bounds: limits of the joints.
-        goal_rad: goals of the latest tick, shape (joints,) [rad].
-    """
+    """Check a motion that replaces another one; return the reason to refuse it, empty for none."""
     former, continues = _former(motions, command), command.continues
     if former is None or continues is None:
         return "the motion whose place it should take is not in progress"
@@ -353,7 +331,6 @@ def splice(motions: MutableSequence[Motion | Streaming], motion: Motion) -> Moti
 
     Args:
         motions: motions in progress; the replaced one is removed.
-        motion: accepted motion; it continues where the replaced one is.
 
     Returns:
         End of the replaced motion; None for a motion that begins at rest.

@@ -35,8 +35,6 @@ class Orders:
     """Orders to one arm on open hardware.
 
     Args:
-        arm: control cycle of the arm.
-        config: limits and policies of the arm.
         fault: fault latched before this hardware was opened.
         report: called with the motions that an order ends.
     """
@@ -56,11 +54,7 @@ class Orders:
         return self._early_fault if self._arm.controller is None else self._arm.controller.fault
 
     def connect(self, *, may_enable: bool) -> Steps[str]:
-        """Survey the actuators, take over those that hold, and enable the arm where permitted.
-
-        Args:
-            may_enable: True to enable an arm that is relaxed.
-        """
+        """Survey the actuators, take over those that hold, and enable the arm where permitted."""
         hardware = self._arm.hardware
         found = yield from hardware.survey()
         measured = yield from self._first_readings()
@@ -186,11 +180,7 @@ class Orders:
         return "the arm holds" if controller.driven else "the arm is relaxed"
 
     def write_calibration(self, calibration: Calibration | None) -> Steps[str]:
-        """Write a calibration into the servos of a relaxed arm; its readings then differ from this process's.
-
-        Args:
-            calibration: the calibration, of the same servos.
-        """
+        """Write a calibration into the servos of a relaxed arm; its readings then differ from this process's."""
         if calibration is None:
             raise OrderRefused("there is no calibration to write")
         if self._controller().driven:

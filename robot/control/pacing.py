@@ -41,9 +41,6 @@ ROUNDING = 1e-9
 class Pacer:
     """Pacer with absolute deadlines; a missed tick is skipped, never made up for.
 
-    Args:
-        now_s: monotonic time [s].
-
     Attributes:
         deadline_s: monotonic time at which the next tick is due [s].
         lateness_s: start of the latest ticks after their deadlines [s].
@@ -83,12 +80,7 @@ def percentiles(values_s: Iterable[float]) -> tuple[float, float, float]:
 
 
 class Scheduling(NamedTuple):
-    """Protection of the loop's ticks against the rest of the machine.
-
-    Attributes:
-        real_time: True if the process has real-time priority.
-        memory_locked: True if its memory cannot be swapped out.
-    """
+    """Protection of the loop's ticks against the rest of the machine."""
 
     real_time: bool = False
     memory_locked: bool = False

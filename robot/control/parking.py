@@ -38,11 +38,7 @@ class Stage(Enum):
 
 
 class Parking:
-    """Parking of one arm.
-
-    Args:
-        joint_names: the arm's joints, order of the controller's arrays.
-    """
+    """Parking of one arm."""
 
     def __init__(self, joint_names: tuple[str, ...]) -> None:
         self._names = joint_names
@@ -74,12 +70,7 @@ class Parking:
         self._stage = Stage.NOT_BEGUN
 
     def give_up(self, controller: ArmController, reason: str) -> None:
-        """Brake, and have the arm relaxed; do nothing when parking is over.
-
-        Args:
-            controller: controller of the arm.
-            reason: sentence for the log.
-        """
+        """Brake, and have the arm relaxed; do nothing when parking is over."""
         if self._stage is not Stage.OVER:
             log.warning("parking: %s; the arm is relaxed where it is", reason)
             controller.stop()
@@ -89,8 +80,6 @@ class Parking:
         """Do what is next; called once a tick.
 
         Args:
-            controller: controller of the arm.
-            now_s: time of the control loop [s].
             may_move: False to brake only, because the server may come back.
         """
         if self._stage is Stage.NOT_BEGUN:

@@ -28,19 +28,10 @@ class Streaming:
     """Stream in progress, with the interface of :class:`robot.control.motion.Motion`.
 
     Args:
-        command: accepted command.
-        names: the arm's joints, order of the controller's arrays.
-        bounds: limits of the joints.
         held_rad: goals at which the arm holds, shape (joints,) [rad].
-        speed_limit: as of :meth:`limit_speed`.
 
     Attributes:
-        command: as given.
         columns: indices of its joints in the controller's arrays.
-        gripping: always False.
-        fraction: always 0, as a stream has no planned end.
-        remaining_s: always 0, likewise.
-        rate: always 1, likewise.
     """
 
     gripping = False
@@ -109,7 +100,6 @@ class Streaming:
         """Advance by a time step.
 
         Args:
-            elapsed_s: time step [s].
             rate: share of the setpoints' speed; a stream cannot go back, so it waits below 0.
             fastest: greatest share allowed.
 
@@ -143,7 +133,6 @@ class VelocityTracking:
     """Positions of joints that follow target velocities.
 
     Args:
-        bounds: limits of these joints, each of shape (joints,).
         position_rad: positions at rest, shape (joints,) [rad].
 
     Attributes:

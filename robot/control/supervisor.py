@@ -67,12 +67,8 @@ def arm_state(
     """Build the state of the arm at its latest reading.
 
     Args:
-        arm: control cycle of the arm.
-        mode: state of its state machine.
-        fault: latched fault.
         reason: sentence on an arm that is connected but not ready.
         lateness_s: lateness of the ticks since the last state [s].
-        clock_s: time of the control loop [s].
     """
     measured, controller, names = arm.measured, arm.controller, arm.hardware.joint_names
     if measured is None:
@@ -110,16 +106,7 @@ def arm_health(
     clock: LoopClock,
     scheduling: Scheduling,
 ) -> ArmHealth:
-    """Build the report of the arm's health.
-
-    Args:
-        arm: control cycle of the arm.
-        state: its state now.
-        port: name of its port.
-        pacer: pacer of the control loop.
-        clock: clock of the control loop.
-        scheduling: protection of the ticks against the rest of the machine.
-    """
+    """Build the report of the arm's health."""
     controller = arm.controller
     bounds = None if controller is None else controller.bounds
     limits = None if bounds is None else np.stack((bounds.lower_rad, bounds.upper_rad), axis=1)
@@ -236,11 +223,8 @@ class Supervisor:
     """Supervisor of the arm of one arm process.
 
     Args:
-        config: hardware, limits and policies of the arm.
         send: sends a message to the server; its second argument says that the message may be dropped while the server
             does not read.
-        clock: time of the control loop.
-        scheduling: protection of the ticks against the rest of the machine.
 
     Attributes:
         arm: control cycle on the open hardware; None while disconnected.
@@ -312,11 +296,7 @@ class Supervisor:
         self._send(disconnected(self._joint_names, reason, self._fault, self._clock()), True)
 
     def handle(self, message: object) -> None:
-        """Handle one message of the server.
-
-        Raises:
-            PortLost: the port is gone.
-        """
+        """Handle one message of the server."""
         self._watchdog.feed(self._clock())
         if isinstance(message, Stop):
             self._last_stop = max(self._last_stop, message.epoch)
@@ -361,12 +341,7 @@ class Supervisor:
         """Run one cycle of the arm.
 
         Args:
-            pacer: pacer of the control loop.
-            server_gone: True when the server's process has ended.
             ticks: periods since the last cycle; more than one after skipped ticks.
-
-        Raises:
-            PortLost: the port is gone.
         """
         arm, now_s = self.arm, self._clock()
         if arm is None:
@@ -405,9 +380,6 @@ class Supervisor:
 
         Returns:
             Time until the next step is due [s]; infinite without a sequence.
-
-        Raises:
-            PortError: the port is gone.
         """
         task, now_s = self._task, self._clock()
         if task is None:
@@ -623,12 +595,7 @@ class Supervisor:
 
 
 class Watchdog:
-    """Watchdog on the server's messages. Pure: time is passed in.
-
-    Args:
-        timeout_s: silence after which the server counts as lost [s].
-        now_s: monotonic time [s].
-    """
+    """Watchdog on the server's messages. Pure: time is passed in."""
 
     def __init__(self, timeout_s: float, now_s: float) -> None:
         self._timeout_s = timeout_s
@@ -652,8 +619,6 @@ class _Task:
     """Sequence in progress.
 
     Attributes:
-        name: its name in refusals and logs.
-        steps: the sequence.
         number: of the command to answer; None for a sequence that no command began.
         ready_s: time of its next step [s].
         urgent: True for an emergency stop, which nothing interrupts.

@@ -14,10 +14,6 @@ XACRO_NAMESPACES = ("http://www.ros.org/wiki/xacro", "http://wiki.ros.org/xacro"
 def root_of(text: str, source: str) -> ET.Element:
     """Parse a text whose root is <robot>.
 
-    Args:
-        text: URDF or SRDF.
-        source: kind or path of the file, for errors.
-
     Raises:
         DescriptionError: the text is not XML, has another root, or is xacro.
     """
@@ -51,11 +47,6 @@ def attribute(element: ET.Element, name: str, source: str) -> str:
 
 def number(element: ET.Element, name: str, where: str) -> float:
     """Return an attribute that must be a finite number.
-
-    Args:
-        element: element.
-        name: of the attribute.
-        where: file and element, for errors.
 
     Raises:
         DescriptionError: there is no such attribute, or it is no finite number.

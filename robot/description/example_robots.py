@@ -22,8 +22,6 @@ class ExampleRobot:
     """Files of a published robot.
 
     Attributes:
-        urdf: path of the URDF.
-        srdf: path of the SRDF.
         packages: folders for ``package://``.
     """
 
@@ -34,9 +32,6 @@ class ExampleRobot:
 
 def find_example(name: str) -> ExampleRobot | None:
     """Find a robot in the installed package example-robot-data.
-
-    Args:
-        name: of the robot, such as ``panda``.
 
     Returns:
         Its files; None without the package, or for a name that it does not have.

@@ -19,7 +19,6 @@ def rotation_about(axis: Vector, angle_rad: float) -> Vector:
 
     Args:
         axis: unit vector, shape (3,).
-        angle_rad: right-handed angle about it [rad].
     """
     x, y, z = axis.tolist()
     sin, cos = math.sin(angle_rad), math.cos(angle_rad)
@@ -69,7 +68,6 @@ def joint_motion(element: ET.Element, position: float) -> Vector:
     """Return the motion of a URDF <joint>, shape (4, 4) [m].
 
     Args:
-        element: the joint.
         position: [rad, or m of a prismatic joint].
     """
     transform, axis = np.eye(4), unit_axis(element)
@@ -94,7 +92,6 @@ def with_fixed_joints(urdf: str, positions: Mapping[str, float]) -> str:
     """Return a URDF in which some joints are fixed where they stay, so that nothing knows them as joints that move.
 
     Args:
-        urdf: text of a URDF that has been read.
         positions: joint -> position at which it stays [rad, or m of a prismatic joint].
     """
     root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed as a description

@@ -69,7 +69,6 @@ def prefixed(robot: RobotModel, name: str) -> RobotModel:
     """Return an arm whose names of links, joints and groups begin with a prefix.
 
     Args:
-        robot: the arm.
         name: of the arm; the prefix is ``name_``.
 
     Raises:
@@ -105,10 +104,6 @@ def joined(name: str, arms: Mapping[str, PlacedArm]) -> RobotModel:
     """Return the description of several arms.
 
     The default group, tip and gripper are those of the first.
-
-    Args:
-        name: of the whole.
-        arms: each by its name, at least one.
 
     Raises:
         DescriptionError: the arms do not go together.

@@ -94,7 +94,6 @@ class JointBounds:
         """Narrow the soft limits to the servos' own angle limits, less the margin.
 
         Args:
-            calibration: joints in the order of the arrays.
             angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT by servo id; (0, 0) means none.
 
         Raises:

@@ -80,13 +80,10 @@ class RobotModel:
     """Description of an arm, shared by planners, arm process and server.
 
     Attributes:
-        urdf: text of the URDF.
-        srdf: text of the SRDF.
         mesh_directory: base of the URDF's relative mesh paths; None for a URDF without meshes.
         package_directories: folders for ``package://``, beside those around the URDF.
         links: link names, root first.
         joints: every joint by name, in the order of the URDF.
-        groups: planning groups by name.
         named_states: group name -> state name -> joint name -> position [rad].
         disabled_pairs: pairs of links whose collision is not checked.
         hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
@@ -94,7 +91,6 @@ class RobotModel:
             the link's frame; for the cases in which a hull is too wide.
         surfaces: link name -> its surface; for the cases in which its parts are too wide.
         planning_frame: name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
-        gripper: the gripper; None for an arm without one.
         default_group: group of goals that name none.
         tip_link: link that pose goals of this group move; empty for a group that is no chain.
         park_state: name of the state in which the arm is parked; it need not exist.
@@ -144,14 +140,8 @@ def load(
     """Read a robot from files.
 
     Args:
-        urdf_path: URDF.
-        srdf_path: SRDF.
         package_directories: folders for ``package://``, beside those of the ROS environment and around the URDF.
-        limits: limits by joint that replace those of the URDF.
-        held: as of :func:`parse`.
         hulls: see :class:`RobotModel`; with them the meshes need not be there.
-        parts: see :class:`RobotModel`.
-        surfaces: see :class:`RobotModel`.
 
     Raises:
         DescriptionError: a file cannot be read or does not describe an arm, or a mesh is not there.
@@ -186,13 +176,6 @@ def parse(
     """Read a robot from the texts of its URDF and SRDF.
 
     Args:
-        urdf: text of the URDF.
-        srdf: text of the SRDF.
-        mesh_directory: see :class:`RobotModel`.
-        package_directories: see :class:`RobotModel`.
-        hulls: see :class:`RobotModel`.
-        parts: see :class:`RobotModel`.
-        surfaces: see :class:`RobotModel`.
         limits: limits by joint that replace those of the URDF.
         held: joints that are not driven, and the positions at which they stay; they become fixed [rad or m].
         sources: names of the URDF and of the SRDF, for errors.
@@ -259,8 +242,6 @@ def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> Gri
     Of several, it is that at the arm's tip. It is open and closed in its named states, or else at its limits.
 
     Args:
-        semantics: groups, named states and end effectors.
-        joints: joints by name.
         arm: group whose gripper it is.
     """
     groups = semantics.groups

@@ -39,11 +39,7 @@ class RobotFolder:
     """An arm by its folder.
 
     Attributes:
-        name: the folder's name.
         title: name of the arm for people.
-        model: links, joints, groups.
-        hardware: its servos.
-        folder: where it was read.
     """
 
     name: str
@@ -83,11 +79,7 @@ def find(name_or_folder: str) -> Path:
 
 
 def built_in(name: str) -> RobotFolder:
-    """Load a built-in arm.
-
-    Raises:
-        DescriptionError: there is none of this name.
-    """
+    """Load a built-in arm."""
     return load(find(name))
 
 
@@ -95,12 +87,6 @@ def resolve(
     name_or_folder: str, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
 ) -> RobotFolder:
     """Load an arm by the name of a built-in one, by its folder, or by its name in the package example-robot-data.
-
-    Args:
-        name_or_folder: name or path.
-        urdf: as of :func:`load`.
-        srdf: as of :func:`load`.
-        package_directories: as of :func:`load`.
 
     Raises:
         DescriptionError: there is no such arm, or its files do not describe one.
@@ -133,9 +119,7 @@ def load(
     """Load an arm from its folder.
 
     Args:
-        folder: the folder.
         urdf: URDF in place of the folder's, whose hulls, parts and surfaces then do not apply.
-        srdf: SRDF that goes with it.
         package_directories: folders for ``package://``, ahead of the folder's own.
 
     Raises:

@@ -35,12 +35,10 @@ class ServoSpec:
 
     Attributes:
         joint: name in the URDF.
-        servo_id: id on the bus.
         lower_rad: lower limit of the joint in the URDF [rad].
         upper_rad: upper limit [rad].
         model: model of the servo, in small letters.
         sign: 1, or -1 for a servo whose ticks fall while the joint's position rises.
-        zero: place of the joint's zero.
         turns_freely: True for a joint without end stops.
         gripper: True for a joint of the gripper, which may stall against what it holds.
     """
@@ -83,7 +81,6 @@ class HardwareTable:
     Attributes:
         kind: kind of its servos; ``ideal`` for joints without servos.
         servos: its servos, whose order is that of every array; empty for ideal joints.
-        baud: rate of the bus [baud].
         calibrations: folders in which lerobot keeps calibrations of such arms, the newest name first.
         profile: settings of its servos; None for those of the factory or of lerobot, whichever are nearer.
     """

@@ -16,7 +16,6 @@ class Group:
     """Planning group of the SRDF: joints that move together.
 
     Attributes:
-        name: of the group.
         joints: joints with a position of their own, from the root outwards.
         base_link: link from which the joints' chain starts; that of the first joint where they are not a chain.
         tip_link: link to which the chain leads; empty where the joints are not one chain.
@@ -44,8 +43,6 @@ class Semantics:
     Attributes:
         groups: planning groups by name, those without a movable joint left out.
         named_states: group name -> state name -> joint name -> position [rad].
-        disabled_pairs: pairs of links whose collision is not checked.
-        end_effectors: end effectors.
         passive_joints: movable joints that nothing drives.
         planning_frame: frame from which a virtual joint leads to the root link; without one, the root link.
     """
@@ -60,11 +57,6 @@ class Semantics:
 
 def read_srdf(text: str, source: str, tree: Tree) -> Semantics:
     """Read an SRDF.
-
-    Args:
-        text: SRDF.
-        source: kind or path of the file, for errors.
-        tree: links and joints of the URDF.
 
     Raises:
         DescriptionError: the text does not parse, has no group, or is that of another robot.

@@ -72,15 +72,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of a joint from beside the URDF, whose own they replace; None for those that stay.
-
-    Attributes:
-        lower: lower limit [rad or m].
-        upper: upper limit [rad or m].
-        max_velocity: [rad/s or m/s].
-        max_acceleration: [rad/s^2 or m/s^2].
-        max_jerk: [rad/s^3 or m/s^3].
-    """
+    """Limits of a joint from beside the URDF, whose own they replace; None for those that stay."""
 
     lower: float | None = None
     upper: float | None = None
@@ -97,7 +89,6 @@ class Tree:
     """Links and joints.
 
     Attributes:
-        name: of the robot.
         links: link names: root first, each with all that it carries before the next.
         joints: joints by name, in the order of the URDF.
     """
@@ -111,8 +102,6 @@ def read_urdf(text: str, source: str, limits: Mapping[str, JointLimits]) -> Tree
     """Read a URDF.
 
     Args:
-        text: URDF.
-        source: kind or path of the file, for errors.
         limits: limits by joint that replace those of the URDF.
 
     Raises:

@@ -16,8 +16,9 @@ import logging
 import time
 from collections.abc import Callable, Collection
 from dataclasses import replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
+from robot.arm_interface import ArmInterface
 from robot.calibration import Calibration
 from robot.logs import LogLimiter
 from robot.messages import (
@@ -102,26 +103,14 @@ def start_arm_process(name: str = "") -> StartedChild:
     return StartedChild("robot.control.loop", name)
 
 
-class ClockedArm(Protocol):
-    """Arm with a clock."""
-
-    @property
-    def clock_s(self) -> float:
-        """Clock of the control loop [s]."""
-
-    @property
-    def state_age_s(self) -> float:
-        """Age of the latest state [s]."""
-
-
-async def wait_on_clock(arm: ClockedArm, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
-    """Wait until all of some futures are done, for a time on an arm's clock, as :meth:`Arm.wait`."""
+async def wait_on_clock(arm: ArmInterface, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
+    """Wait until all of some futures are done, for a time on an arm's clock; see :meth:`Arm.wait`."""
     until_s = arm.clock_s + timeout_s
     while (pending := [end for end in ends if not end.done()]) and arm.clock_s < until_s:
         if arm.state_age_s > SILENT_S:
             break
-        # The arm's clock is never faster than this one. The first wait lasts all of the time: states that come
-        # late, to a server that stood still itself, cut nothing short.
+        # The arm's clock is never faster than the machine's. The first wait lasts all of the time, so that states that
+        # come late to a server that stood still cut nothing short.
         await asyncio.wait(pending, timeout=max(until_s - arm.clock_s, HEARTBEAT_S))
     return all(end.done() for end in ends)
 
@@ -306,7 +295,7 @@ class Arm:
             self._process.send(Stop(number))
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor, course or speed limit of motions, from now on."""
+        """Change speed factor, direction or speed limit of motions, from now on."""
         if change.speed_factor is not None:
             self._speed_factor = change.speed_factor
         self._process.send(change)
@@ -509,7 +498,7 @@ class Arm:
         # A fault stays latched. An arm that holds is adopted; one that was relaxed, perhaps by an emergency stop, must
         # not be switched on.
         last = self._last_connected
-        hardware = self._config.hardware.resumed(_position_rad(last), driven=last.driven)
+        hardware = self._config.hardware.resumed(_position_rad(last), driven=last.torque_enabled)
         self._config = replace(self._config, hardware=hardware, start_enabled=False, fault=self.state.fault)
         while True:
             await asyncio.sleep(self._restart_delay.after(ran_s))
@@ -689,7 +678,7 @@ def _epoch_of_request(epoch: int | None) -> int:
 
 def _position_rad(state: ArmState) -> dict[str, float]:
     """Return goals of a driven arm, else positions, by joint [rad]; empty for an arm that was never read."""
-    held_rad = state.goal_rad if state.driven else state.position_rad
+    held_rad = state.goal_rad if state.torque_enabled else state.position_rad
     return {} if held_rad is None else dict(zip(state.joint_names, held_rad.tolist(), strict=True))
 
 

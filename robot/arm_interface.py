@@ -80,7 +80,7 @@ class ArmInterface(Protocol):
         """Brake one motion, or all of them."""
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor, course or speed limit of motions."""
+        """Change speed factor, direction or speed limit of motions."""
 
     async def rest(self, timeout_s: float) -> bool:
         """Wait until every motion has ended."""

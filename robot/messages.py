@@ -6,6 +6,7 @@ states, health).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -226,7 +227,7 @@ class Setpoint:
     velocity_rad_s: Vector
 
 
-class Course(Enum):
+class PlaybackDirection(Enum):
     """Direction in which motions are played along their paths."""
 
     FORWARD = "forward"
@@ -240,16 +241,16 @@ MIN_SPEED_LIMIT = 0.01
 
 @dataclass(frozen=True)
 class Pace:
-    """Speed and direction of motions; grips are exempt from the speed factor and the course.
+    """Speed and direction of motions; grips are exempt from the speed factor and the direction.
 
     Attributes:
         speed_factor: share of the planned speed, 0 to 1.
-        course: direction; forward again once no motion is in progress.
+        direction: forward again once no motion is in progress.
         speed_limit: share of the joints' velocity limits that no motion exceeds, MIN_SPEED_LIMIT to 1.
     """
 
     speed_factor: float = 1.0
-    course: Course = Course.FORWARD
+    direction: PlaybackDirection = PlaybackDirection.FORWARD
     speed_limit: float = 1.0
 
 
@@ -258,7 +259,7 @@ class ChangePace:
     """Command to change the pace of motions; None leaves a value. Factor and limit also apply to later motions."""
 
     speed_factor: float | None = None
-    course: Course | None = None
+    direction: PlaybackDirection | None = None
     speed_limit: float | None = None
 
 
@@ -404,7 +405,7 @@ class ArmState(Frequent):
         remaining_s: time left to the end of the motion [s].
         lateness_s: start of the latest ticks after their deadlines, one value each [s].
         clock_s: time of the control loop, which on a simulated arm passes no faster than the loop runs [s].
-        driven: True while torque is on.
+        torque_enabled: True while torque is on.
     """
 
     stamp_s: float
@@ -425,7 +426,7 @@ class ArmState(Frequent):
     lateness_s: tuple[float, ...] = field(default=())
     fault: Fault | None = None
     clock_s: float = 0.0
-    driven: bool = False
+    torque_enabled: bool = False
 
 
 @dataclass(frozen=True)
@@ -445,15 +446,15 @@ class JointHealth:
 
     joint: str
     hardware_id: str
-    position_rad: float
-    temperature_c: float
-    voltage_v: float
-    current_a: float
-    load: float
-    torque_enabled: bool | None
-    status: int
-    age_s: float
-    silent_cycles: int
+    position_rad: float = math.nan
+    temperature_c: float = math.nan
+    voltage_v: float = math.nan
+    current_a: float = math.nan
+    load: float = math.nan
+    torque_enabled: bool | None = None
+    status: int = 0
+    age_s: float = math.inf
+    silent_cycles: int = 0
     warnings: tuple[ServoWarning, ...] = ()
     errors: Mapping[str, int] = field(default_factory=dict)
     registers: Mapping[str, int] = field(default_factory=dict)

@@ -42,11 +42,11 @@ class ControlCycle:
         if controller is None or measured is None:
             return []
         ended = controller.step(measured, self._clock())
-        if controller.driven and self._writing:
+        if controller.torque_enabled and self._writing:
             self.hardware.write_goals(controller.goal_rad)
             self.hardware.write_torque_shares(controller.torque_limit)
         fault = self.hardware.check(measured.stamp_s)
-        if fault is not None and controller.driven:
+        if fault is not None and controller.torque_enabled:
             self.errors.add_finding(fault, self._clock())
             ended += controller.react(fault, measured)
         return ended

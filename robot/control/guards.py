@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot.advice import ServoAlert, ServoWarning
-from robot.control.assumptions import Assumptions
+from robot.control.actuator_thresholds import ActuatorThresholds
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Actuation, Flags, Measured, StatusFlag, status_names
 from robot.messages import GuardLimits
@@ -46,7 +46,7 @@ _SENTENCES = {
     FaultCode.BUS_SILENT: "no servo has answered for {age_s:.2f} s",
     FaultCode.VOLTAGE_LOW: "joint {name} has {volts:.1f} V; it needs {least_volts:g} V at least",
     FaultCode.VOLTAGE_HIGH: "joint {name} has {volts:.1f} V, above the {most_volts:.1f} V of its servo",
-    FaultCode.STALLED: "joint {name} pushes in vain, {error_rad:.2f} rad short of its goal",
+    FaultCode.STALLED: "joint {name} is stalled, {error_rad:.2f} rad short of its goal",
     FaultCode.TRACKING_LOST: "joint {name} is {error_rad:.2f} rad behind its goal: blocked, or too weak for the load",
 }
 
@@ -85,7 +85,7 @@ class Guards:
 
     Args:
         max_voltage_v: register MAX_VOLTAGE of each servo, shape (joints,) [V]; None for that of a new servo.
-        assumptions: what follows from the servos' settings; None for servos without any.
+        thresholds: what follows from the servos' settings; None for servos without any.
 
     Attributes:
         stalled: joints that push without moving, shape (joints,).
@@ -98,7 +98,7 @@ class Guards:
         temperatures: Temperatures | None = None,
         max_voltage_v: Vector | None = None,
         limits: GuardLimits | None = None,
-        assumptions: Assumptions | None = None,
+        thresholds: ActuatorThresholds | None = None,
     ) -> None:
         self._names = joint_names
         self._temperatures = temperatures or Temperatures()
@@ -106,7 +106,9 @@ class Guards:
         # No joint nearer to its goal can be stalled or lost.
         self._near_goal_rad = min(STALL_ERROR_RAD, self.limits.tracking_error_rad)
         joints = len(joint_names)
-        self.assumptions = assumptions or Assumptions.of(self.limits, Actuation.unprotected(joints), np.ones(joints))
+        self.thresholds = thresholds or ActuatorThresholds.of(
+            self.limits, Actuation.unprotected(joints), np.ones(joints)
+        )
         self._max_voltage_v = np.full(joints, DEFAULT_MAX_VOLTAGE_V) if max_voltage_v is None else max_voltage_v
         self._none: Flags = np.zeros(joints, dtype=bool)
         self._last: tuple[Measured, float] | None = None
@@ -211,10 +213,10 @@ class Guards:
         if not far.any():
             return self._pushing.lasting(far, now_s) > 0.0
         loaded = np.abs(measured.load) > STALL_LOAD_SHARE * torque_limit
-        pushing = loaded | (np.abs(measured.current_a) > self.assumptions.stall_current_a)
+        pushing = loaded | (np.abs(measured.current_a) > self.thresholds.stall_current_a)
         standing = np.abs(measured.velocity_rad_s) < STALL_SPEED_RAD_S
         lasting_s = self._pushing.lasting(far & pushing & standing, now_s)
-        return np.asarray(lasting_s >= self.assumptions.stall_time_s)
+        return np.asarray(lasting_s >= self.thresholds.stall_time_s)
 
     def _badly_supplied(self, measured: Measured, now_s: float) -> Flags:
         low, flagged = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusFlag.VOLTAGE != 0

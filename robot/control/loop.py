@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
 from robot.control.checks import checked
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling, become_punctual
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling, enter_realtime
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
@@ -135,7 +135,7 @@ class ArmLoop:
             else:
                 self._handle(self._channel.receive(idle_s))
             if (spare := self._supervisor.spare_ticks) < skipped:
-                pacer.hurry(skipped - spare, time.monotonic())
+                pacer.cancel_skip(skipped - spare, time.monotonic())
                 skipped = spare
         return skipped
 
@@ -178,7 +178,7 @@ def run_arm(channel: Channel) -> None:
     """Run an arm until its server ends it."""
     config = channel.receive_first()
     if config is not None:
-        ArmLoop(channel, checked(config), become_punctual()).run()
+        ArmLoop(channel, checked(config), enter_realtime()).run()
 
 
 if __name__ == "__main__":

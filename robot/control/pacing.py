@@ -61,7 +61,7 @@ class Pacer:
         """Postpone the next tick by a number of periods."""
         self.deadline_s += ticks * PERIOD_S
 
-    def hurry(self, ticks: int, now_s: float) -> None:
+    def cancel_skip(self, ticks: int, now_s: float) -> None:
         """Undo :meth:`skip`; a tick that would have been due meanwhile is due now, and not late."""
         self.deadline_s = max(self.deadline_s - ticks * PERIOD_S, now_s)
 
@@ -86,7 +86,7 @@ class Scheduling(NamedTuple):
     memory_locked: bool = False
 
 
-def become_punctual() -> Scheduling:
+def enter_realtime() -> Scheduling:
     """Request real-time priority, and with it locked memory, and switch garbage collection off.
 
     A collection in the middle of a motion would delay ticks; the loop makes no reference cycles.

@@ -14,7 +14,7 @@ import numpy as np
 
 from robot.control.controller import ArmController
 from robot.control.motion import Motion
-from robot.messages import PARKING_TIMEOUT_S, ChangePace, Course, Execute, MotionEnded, Outcome, ParkingPlan
+from robot.messages import PARKING_TIMEOUT_S, ChangePace, Execute, MotionEnded, Outcome, ParkingPlan, PlaybackDirection
 from robot.trajectory import Vector
 
 log = logging.getLogger("armbridge.arm")
@@ -111,25 +111,25 @@ class Parking:
         self._stage = Stage.BRAKING
         self._refusal = self._no_way_back(controller) if controller.moving else ""
         if controller.moving and not self._refusal:
-            controller.change_pace(ChangePace(course=Course.PAUSED))
+            controller.change_pace(ChangePace(direction=PlaybackDirection.PAUSED))
         else:
             controller.stop()
 
     def _begin(self, controller: ArmController) -> None:
-        if not controller.driven:
+        if not controller.torque_enabled:
             self._stage = Stage.OVER
         elif self._refusal:
             self.give_up(controller, self._refusal)
         elif controller.moving:
             log.warning("parking: the arm goes back along its path to where the motion began")
-            controller.change_pace(ChangePace(course=Course.BACK))
+            controller.change_pace(ChangePace(direction=PlaybackDirection.BACK))
             self._stage = Stage.GOING_BACK
         else:
             self._park(controller)
 
     def _no_way_back(self, controller: ArmController) -> str:
         """Return the reason why the motions in progress cannot be played back to the parking start, empty for none."""
-        if controller.pace.course is Course.PAUSED or controller.pace.speed_factor == 0.0:
+        if controller.pace.direction is PlaybackDirection.PAUSED or controller.pace.speed_factor == 0.0:
             return "the motion is paused"
         start_rad = controller.goal_rad.copy()
         for motion in controller.motions:

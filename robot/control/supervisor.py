@@ -9,18 +9,17 @@ arm's state many times a second and its health once a second.
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot.advice import ServoAlert, ServoWarning
 from robot.control.controller import RELAXING
 from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling, percentiles
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.parking import Parking
+from robot.control.reports import arm_health, arm_state, disconnected
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import LoopClock
@@ -33,7 +32,6 @@ from robot.messages import (
     PARKING_TIMEOUT_S,
     TORQUE_LEFT_ON,
     ArmConfig,
-    ArmHealth,
     ArmState,
     ChangePace,
     Command,
@@ -41,131 +39,17 @@ from robot.messages import (
     EndState,
     Execute,
     Heartbeat,
-    JointHealth,
     KeepParking,
     Mode,
     MotionEnded,
     Order,
     Outcome,
-    Pace,
     Setpoint,
     Shutdown,
     Stop,
     Stream,
 )
 from robot.stop_epochs import STOPPED_SINCE
-
-
-def disconnected(joint_names: tuple[str, ...], reason: str, fault: Fault | None, clock_s: float) -> ArmState:
-    """Build the state of an arm whose hardware is not open."""
-    return ArmState(time.time(), Mode.DISCONNECTED, joint_names, reason=reason, fault=fault, clock_s=clock_s)
-
-
-def arm_state(
-    arm: ControlCycle, mode: Mode, fault: Fault | None, reason: str, lateness_s: tuple[float, ...], clock_s: float
-) -> ArmState:
-    """Build the state of the arm at its latest reading.
-
-    Args:
-        reason: sentence on an arm that is connected but not ready.
-        lateness_s: lateness of the ticks since the last state [s].
-    """
-    measured, controller, names = arm.measured, arm.controller, arm.hardware.joint_names
-    if measured is None:
-        return ArmState(time.time(), mode, names, reason=reason, fault=fault, lateness_s=lateness_s, clock_s=clock_s)
-    motion = controller.motion if controller is not None else None
-    driven = controller is not None and controller.driven
-    return ArmState(
-        stamp_s=measured.stamp_s,
-        mode=mode,
-        joint_names=names,
-        reason=reason,
-        position_rad=measured.position_rad,
-        velocity_rad_s=measured.velocity_rad_s,
-        age_s=measured.age_s,
-        load=measured.load,
-        current_a=measured.current_a,
-        goal_rad=controller.goal_rad if controller is not None and driven else measured.position_rad,
-        motion_id=motion.motion_id if motion is not None else None,
-        fraction=motion.fraction if motion is not None else 0.0,
-        remaining_s=motion.remaining_s if motion is not None else 0.0,
-        motions=controller.progress if controller is not None else (),
-        pace=controller.pace if controller is not None else Pace(),
-        lateness_s=lateness_s,
-        fault=fault,
-        clock_s=clock_s,
-        driven=driven,
-    )
-
-
-def arm_health(
-    arm: ControlCycle,
-    state: ArmState,
-    port: str,
-    pacer: Pacer,
-    clock: LoopClock,
-    scheduling: Scheduling,
-) -> ArmHealth:
-    """Build the report of the arm's health."""
-    controller = arm.controller
-    bounds = None if controller is None else controller.bounds
-    limits = None if bounds is None else np.stack((bounds.lower_rad, bounds.upper_rad), axis=1)
-    return ArmHealth(
-        monotonic_s=time.monotonic(),
-        mode=state.mode,
-        port=port,
-        joints=tuple(_joint_health(arm, joint) for joint in range(len(arm.hardware.joint_names))),
-        bus=arm.hardware.counters,
-        lateness_s=percentiles(pacer.lateness_s),
-        round_trip_s=percentiles(arm.hardware.round_trips_s),
-        real_time=scheduling.real_time,
-        memory_locked=scheduling.memory_locked,
-        real_time_factor=clock.real_time_factor,
-        limits_rad=limits,
-        fault=state.fault,
-        reason=state.reason,
-    )
-
-
-def _joint_health(arm: ControlCycle, joint: int) -> JointHealth:
-    condition, measured, controller = arm.hardware.condition(joint), arm.measured, arm.controller
-    if measured is None or controller is None:
-        never_heard = condition.age_s == float("inf")
-        return JointHealth(
-            joint=arm.hardware.joint_names[joint],
-            hardware_id=condition.hardware_id,
-            position_rad=float("nan"),
-            temperature_c=float("nan"),
-            voltage_v=float("nan"),
-            current_a=float("nan"),
-            load=float("nan"),
-            torque_enabled=None,
-            status=0,
-            age_s=condition.age_s,
-            silent_cycles=condition.silent_cycles,
-            errors=arm.errors.of(joint),
-            warnings=(ServoWarning(ServoAlert.NO_ANSWER, "it has not answered yet"),) if never_heard else (),
-            registers=condition.registers,
-            expected=condition.expected,
-        )
-    return JointHealth(
-        joint=arm.hardware.joint_names[joint],
-        hardware_id=condition.hardware_id,
-        position_rad=float(measured.position_rad[joint]),
-        temperature_c=float(measured.temperature_c[joint]),
-        voltage_v=float(measured.voltage_v[joint]),
-        current_a=float(measured.current_a[joint]),
-        load=float(measured.load[joint]),
-        torque_enabled=condition.torque_enabled,
-        status=int(measured.status[joint]),
-        age_s=float(measured.age_s[joint]),
-        silent_cycles=condition.silent_cycles,
-        errors=arm.errors.of(joint),
-        warnings=condition.warnings + controller.guards.warnings(measured, joint),
-        registers=condition.registers,
-        expected=condition.expected,
-    )
-
 
 log = logging.getLogger("armbridge.arm")
 
@@ -405,7 +289,7 @@ class Supervisor:
             self._interrupt("the server is ending")
             return True
         self._end_begun_s = self._end_begun_s or now_s
-        driven = self._end is not EndState.HOLD and controller.driven
+        driven = self._end is not EndState.HOLD and controller.torque_enabled
         if not controller.moving and self._task is None and not driven:
             return True
         timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
@@ -541,7 +425,7 @@ class Supervisor:
             if fault is not None:
                 log.error("%s", fault)
         controller = self.arm.controller if self.arm is not None else None
-        if fault is not None and fault.code in RELAXING and controller is not None and controller.driven:
+        if fault is not None and fault.code in RELAXING and controller is not None and controller.torque_enabled:
             self._relax()
 
     def _check_server(self, now_s: float, *, server_gone: bool) -> None:
@@ -565,7 +449,7 @@ class Supervisor:
             self._parking.advance(controller, now_s, may_move=gone)
         else:
             controller.stop()
-        if controller.driven and (end is EndState.RELAX or self._parking.over):
+        if controller.torque_enabled and (end is EndState.RELAX or self._parking.over):
             self._relax()
 
     def _log_silence(self, now_s: float) -> None:
@@ -579,7 +463,7 @@ class Supervisor:
         controller = self.arm.controller if self.arm is not None else None
         if controller is not None and controller.moving:
             return "stopping"
-        if controller is not None and controller.driven and end is not EndState.HOLD:
+        if controller is not None and controller.torque_enabled and end is not EndState.HOLD:
             return "relaxing" if end is EndState.RELAX else "parking"
         return "nothing moves"
 

@@ -17,7 +17,7 @@ from tests.server.monitoring.watched_parts import JOINTS, arm_health
 
 NAN = float("nan")
 STATE = ArmState(100.0, Mode.HOLDING, JOINTS)
-STALLED = Fault(FaultCode.STALLED, "joint gripper pushes in vain", "gripper")
+STALLED = Fault(FaultCode.STALLED, "joint gripper is stalled", "gripper")
 
 
 class World:
@@ -105,7 +105,7 @@ async def test_a_fault_of_a_joint_and_its_reset_are_events_of_that_joint(world: 
     for state in (STATE, replace(STATE, mode=Mode.FAULT, fault=STALLED), STATE):
         world.history.take_state(state)
     assert world.asked()["events"] == [
-        "0 s ago: fault stalled: joint gripper pushes in vain",
+        "0 s ago: fault stalled: joint gripper is stalled",
         "0 s ago: fault stalled was reset",
     ]
     assert world.asked("shoulder_pan")["events"] == []

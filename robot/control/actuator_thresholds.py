@@ -1,4 +1,4 @@
-"""Assumptions of the controller about each joint that follow from how strong its actuator is set to be.
+"""ActuatorThresholds of the controller about each joint that follow from how strong its actuator is set to be.
 
 A servo with half the position gain droops twice as far, and one that protects itself from 25 % of its torque on must
 not be asked to hold with more. The settings of the program hold for servos as the factory leaves them; here they are
@@ -36,8 +36,8 @@ STALL_CURRENT_A = 2.7
 
 
 @dataclass(frozen=True)
-class Assumptions:
-    """Assumptions about the joints, each of shape (joints,).
+class ActuatorThresholds:
+    """ActuatorThresholds about the joints, each of shape (joints,).
 
     Attributes:
         goal_tolerance_rad: greatest distance of a settled joint from its goal [rad].

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from robot.calibration import Calibration, JointCalibration
-from robot.commissioning.scan import ServoReport
+from robot.commissioning.servo_registers import ServoRegisters
 from robot.commissioning.sweep import Sweep, met_both_stops, place, place_free
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError, PortError, RobotError
@@ -72,24 +72,16 @@ def calibrated_registers(joint: JointCalibration) -> dict[Register, int]:
     }
 
 
-def differences(calibration: Calibration, servos: Sequence[ServoReport]) -> list[Difference]:
+def differences(calibration: Calibration, servos: Sequence[ServoRegisters]) -> list[Difference]:
     """Compare a calibration with the servos' registers; missing servos are left out."""
-    reports = {servo.servo_id: servo for servo in servos}
-    found = []
-    for joint in calibration.joints:
-        if (report := reports.get(joint.servo_id)) is None:
-            continue
-        held = {
-            Register.HOMING_OFFSET: report.homing_offset_ticks,
-            Register.MIN_ANGLE_LIMIT: report.angle_limits_ticks[0],
-            Register.MAX_ANGLE_LIMIT: report.angle_limits_ticks[1],
-        }
-        found += [
-            Difference(joint.joint, joint.servo_id, register, value, held[register])
-            for register, value in calibrated_registers(joint).items()
-            if held[register] != value
-        ]
-    return found
+    found = {servo.servo_id: servo for servo in servos}
+    return [
+        Difference(joint.joint, joint.servo_id, register, value, found[joint.servo_id][register])
+        for joint in calibration.joints
+        if joint.servo_id in found
+        for register, value in calibrated_registers(joint).items()
+        if found[joint.servo_id][register] != value
+    ]
 
 
 def read_differences(bus: Bus, calibration: Calibration) -> Steps[list[Difference]]:

@@ -17,28 +17,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from robot import files
 from robot.description.servo_table import MAX_SERVO_ID
 from robot.errors import BackupError
-from robot.hardware.feetech.bus import Bus, read_block
-from robot.hardware.feetech.registers import (
-    CONTROL_ADDRESS,
-    CONTROL_BYTES,
-    LAYOUT,
-    TELEMETRY_ADDRESS,
-    TELEMETRY_BYTES,
-    Register,
-    decode,
-    value_range,
-)
-from robot.hardware.feetech.settings import SETTINGS_ADDRESS, SETTINGS_BYTES
-from robot.hardware.interface import Steps
+from robot.hardware.feetech.registers import Register, value_range
 
 FORMAT: Literal["armbridge servo registers 1"] = "armbridge servo registers 1"
-
-# All documented registers, in blocks that the bus reads elsewhere too: a servo need not answer any longer read.
-BLOCKS = (
-    (SETTINGS_ADDRESS, SETTINGS_BYTES),
-    (CONTROL_ADDRESS, CONTROL_BYTES),
-    (TELEMETRY_ADDRESS, TELEMETRY_BYTES),
-)
 
 # Forty servos with all their registers; an arm has six.
 MAX_FILE_BYTES = 100_000
@@ -155,24 +136,6 @@ def match_saved(saved: Sequence[SavedServo], ids: Collection[int]) -> dict[int, 
         if len(got or kept) == 1:
             found[servo_id] = (got or kept)[0]
     return found
-
-
-def read_registers(bus: Bus, servo_id: int) -> Steps[dict[Register, int]]:
-    """Read every register of a servo, as a sequence."""
-    values: dict[Register, int] = {}
-    for address, length in BLOCKS:
-        frame = yield from read_block(bus, servo_id, address, length)
-        values |= _decoded(frame.data, address)
-    return values
-
-
-def _decoded(data: bytes, address: int) -> dict[Register, int]:
-    """Decode the registers of a block that begins at an address."""
-    inside = (register for register in LAYOUT if address <= register < address + len(data))
-    return {
-        register: decode(register, data[register - address : register - address + LAYOUT[register].size])
-        for register in inside
-    }
 
 
 def _as_entry(servo: SavedServo) -> _Servo:

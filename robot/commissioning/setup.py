@@ -13,8 +13,9 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from robot.commissioning.register_backup import SavedServo, read_registers
+from robot.commissioning.register_backup import SavedServo
 from robot.commissioning.scan import BAUDRATES, FACTORY_ID
+from robot.commissioning.servo_registers import ServoRegisters, read_registers
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import ATTEMPTS, STEP_ATTEMPTS, Bus, read, write_verified
@@ -23,10 +24,9 @@ from robot.hardware.feetech.registers import (
     MODELS,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
-    VOLT_PER_UNIT,
     Register,
 )
-from robot.hardware.feetech.settings import EPROM, SETTINGS, ServoSettings
+from robot.hardware.feetech.settings import EPROM
 from robot.hardware.feetech.survey import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.interface import Result, Steps, run_to_end
 
@@ -90,26 +90,14 @@ class ServoLine:
 
 
 @dataclass(frozen=True)
-class FoundServo:
+class FoundServo(ServoRegisters):
     """Servo found on the bus.
 
     Attributes:
         baudrate: baud rate at which it answers.
     """
 
-    servo_id: int
     baudrate: int
-    registers: Mapping[Register, int]
-
-    @property
-    def settings(self) -> ServoSettings:
-        """Settings that it keeps."""
-        return ServoSettings({register: self.registers[register] for register in SETTINGS})
-
-    @property
-    def voltage_v(self) -> float:
-        """Supply [V]."""
-        return self.registers[Register.PRESENT_VOLTAGE] * VOLT_PER_UNIT
 
 
 @dataclass(frozen=True)
@@ -177,12 +165,12 @@ def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServ
             f"replies at {baudrate} baud are garbled: several servos with the same id answer at once, or a plug has "
             "bad contact; unplug all servos but one"
         )
-    return [FoundServo(each, baudrate, line.run(read_registers(bus, each))) for each in sorted(heard)]
+    return [FoundServo(each, line.run(read_registers(bus, each)), baudrate) for each in sorted(heard)]
 
 
 def check_model(servo: FoundServo, joint: ServoSpec) -> None:
     """Raise StartupError for a servo of an unknown model, whose registers may have other meanings."""
-    model = servo.registers[Register.MODEL_NUMBER]
+    model = servo[Register.MODEL_NUMBER]
     if model not in MODELS.values() and str(model) != joint.model:
         known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
         raise StartupError(
@@ -193,8 +181,7 @@ def check_model(servo: FoundServo, joint: ServoSpec) -> None:
 
 def supply_complaint(servo: FoundServo) -> str:
     """Return a sentence about a supply that the servo is not made for, empty for a good one."""
-    lowest = servo.registers[Register.MIN_VOLTAGE] * VOLT_PER_UNIT
-    highest = servo.registers[Register.MAX_VOLTAGE] * VOLT_PER_UNIT
+    lowest, highest = servo.voltage_limits_v
     if lowest <= servo.voltage_v <= highest:
         return ""
     consequence = (
@@ -263,7 +250,7 @@ def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[
 
 def needs_writing(servo: FoundServo, changes: Sequence[Change]) -> bool:
     """Return True for a servo with registers to change, or whose EPROM is unlocked."""
-    return bool(changes) or servo.registers[Register.LOCK] != 1
+    return bool(changes) or servo[Register.LOCK] != 1
 
 
 def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> FoundServo:
@@ -288,7 +275,7 @@ def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> Foun
     if kept := [change for change in changes if registers[change.register] != change.wanted]:
         names = ", ".join(f"{change.register.name} {registers[change.register]}" for change in kept)
         raise StartupError(f"servo {writer.servo_id} does not keep what was written to it: it has {names}")
-    return FoundServo(writer.servo_id, writer.baudrate, registers)
+    return FoundServo(writer.servo_id, registers, writer.baudrate)
 
 
 class _Writer:

@@ -41,29 +41,19 @@ class ServoAlert(Enum):
 
 
 class ServoWarning(NamedTuple):
-    """Warning about one servo.
-
-    Attributes:
-        sentence: one sentence with figures, which change from report to report.
-        register: register concerned, where a servo may have several warnings of the kind; else empty.
-    """
+    """Warning about one servo."""
 
     alert: ServoAlert
-    sentence: str
-    register: str = ""
+    sentence: str  # one sentence with figures, which change from report to report
+    register: str = ""  # register concerned, where a servo may have several warnings of the kind; else empty
 
 
 @dataclass(frozen=True)
 class Advice:
-    """Advice on an alert.
+    """Advice on an alert."""
 
-    Attributes:
-        means: meaning of the alert, without a full stop.
-        do: what to do, one or two sentences; for a code, the remedy of that fault.
-    """
-
-    means: str
-    do: str | FaultCode
+    means: str  # meaning of the alert, without a full stop
+    do: str | FaultCode  # what to do, one or two sentences; for a code, the remedy of that fault
 
     def remedy(self, *, simulated: bool = False) -> str:
         """Return what to do; the faults of a simulated arm have other remedies."""

@@ -51,22 +51,15 @@ class JointCalibration:
     zero_offset_rad``. The range of one whose zero is given by its ``ends`` spans the URDF's: ``q = lower + (ticks -
     range_min) / (range_max - range_min) * (upper - lower)``, and ``drive_mode`` 1 swaps its ends, as the sign -1 does.
     lerobot ignores ``drive_mode`` of joints in degrees, and so does this class.
-
-    Attributes:
-        drive_mode: 0, or 1 for a mirrored gripper.
-        homing_offset: register HOMING_OFFSET at calibration [ticks]; the servo applies it itself.
-        range_min: lowest position reached by hand [ticks].
-        range_max: highest position reached by hand [ticks].
-        zero_offset_rad: trim added to the position of a joint whose zero is a tick [rad].
     """
 
     servo: ServoSpec
     servo_id: int
-    drive_mode: int
-    homing_offset: int
-    range_min: int
-    range_max: int
-    zero_offset_rad: float = 0.0
+    drive_mode: int  # 0, or 1 for a mirrored gripper
+    homing_offset: int  # register HOMING_OFFSET at calibration [ticks]; the servo applies it itself
+    range_min: int  # lowest position reached by hand [ticks]
+    range_max: int  # highest position reached by hand [ticks]
+    zero_offset_rad: float = 0.0  # trim added to the position of a joint whose zero is a tick [rad]
 
     @property
     def joint(self) -> str:
@@ -127,16 +120,11 @@ class JointCalibration:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibration of an arm.
+    """Calibration of an arm."""
 
-    Attributes:
-        joints: its joints from base to gripper.
-        measured: False for one that was assumed rather than read from a file.
-        offsets_known: False if it does not say which homing offsets the servos should have.
-    """
-
-    joints: tuple[JointCalibration, ...]
-    measured: bool = field(default=True, compare=False)
+    joints: tuple[JointCalibration, ...]  # its joints from base to gripper
+    measured: bool = field(default=True, compare=False)  # False for one that was assumed rather than read from a file
+    # False if it does not say which homing offsets the servos should have.
     offsets_known: bool = field(default=True, compare=False)
 
     @property

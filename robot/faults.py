@@ -80,20 +80,13 @@ def remedy_of(code: FaultCode, *, simulated: bool) -> str:
 
 @dataclass(frozen=True)
 class Fault:
-    """Fault, latched until it is reset.
-
-    Attributes:
-        message: one sentence with joint and figures.
-        joint: joint concerned; empty for the whole arm.
-        stamp_s: wall-clock time at which it was detected [s since the epoch].
-        simulated: True for a simulated arm, whose remedies differ.
-    """
+    """Fault, latched until it is reset."""
 
     code: FaultCode
-    message: str
-    joint: str = ""
-    stamp_s: float = 0.0
-    simulated: bool = False
+    message: str  # one sentence with joint and figures
+    joint: str = ""  # joint concerned; empty for the whole arm
+    stamp_s: float = 0.0  # wall-clock time at which it was detected [s since the epoch]
+    simulated: bool = False  # True for a simulated arm, whose remedies differ
 
     @property
     def remedy(self) -> str:

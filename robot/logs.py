@@ -272,21 +272,14 @@ MAX_LINE_CHARACTERS = 3000
 
 @dataclass(frozen=True)
 class LogLine:
-    """Line of a process's log, as it is passed on to where the last lines are kept.
+    """Line of a process's log, as it is passed on to where the last lines are kept."""
 
-    Attributes:
-        at_s: wall-clock time [s since the epoch].
-        level: level, numbered as Python does.
-        text: message without tokens, and the traceback below it; at most :data:`MAX_LINE_CHARACTERS`.
-        monotonic_s: monotonic time of the machine, which all of its processes share [s].
-    """
-
-    at_s: float
-    level: int
+    at_s: float  # wall-clock time [s since the epoch]
+    level: int  # level, numbered as Python does
     logger: str
     process: str
-    text: str
-    monotonic_s: float
+    text: str  # message without tokens, and the traceback below it; at most MAX_LINE_CHARACTERS
+    monotonic_s: float  # monotonic time of the machine, which all of its processes share [s]
 
 
 class LineHandler(logging.Handler):

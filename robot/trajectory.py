@@ -16,21 +16,13 @@ SHORTEST_WAY_RAD = 1e-6
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Joint positions over time with continuous velocity.
+    """Joint positions over time with continuous velocity."""
 
-    Attributes:
-        joint_names: joint of each column.
-        time_s: shape (n,), n >= 1, strictly increasing from 0 [s].
-        positions_rad: shape (n, joints) [rad].
-        velocities_rad_s: shape (n, joints) [rad/s].
-        accelerations_rad_s2: shape (n, joints) [rad/s^2].
-    """
-
-    joint_names: tuple[str, ...]
-    time_s: Vector
-    positions_rad: Vector
-    velocities_rad_s: Vector
-    accelerations_rad_s2: Vector
+    joint_names: tuple[str, ...]  # joint of each column
+    time_s: Vector  # shape (n,), n >= 1, strictly increasing from 0 [s]
+    positions_rad: Vector  # shape (n, joints) [rad]
+    velocities_rad_s: Vector  # shape (n, joints) [rad/s]
+    accelerations_rad_s2: Vector  # shape (n, joints) [rad/s^2]
 
     @property
     def duration_s(self) -> float:

@@ -18,17 +18,13 @@ from robot.hardware.interface import Result, Steps, run_to_end
 
 @dataclass(frozen=True)
 class Swept:
-    """All that was measured by hand.
-
-    Attributes:
-        offsets: register HOMING_OFFSET during the sweep, by servo id [ticks].
-        middles: position in its middle of each joint without stops, by servo id [ticks], in the sweep's count.
-        drive_modes: 1 for servos that turn the other way than the format takes them to, by servo id; 0 for others.
-    """
+    """All that was measured by hand."""
 
     sweep: Sweep
-    offsets: Mapping[int, int]
+    offsets: Mapping[int, int]  # register HOMING_OFFSET during the sweep, by servo id [ticks]
+    # Position in its middle of each joint without stops, by servo id [ticks], in the sweep's count.
     middles: Mapping[int, int]
+    # 1 for servos that turn the other way than the format takes them to, by servo id; 0 for others.
     drive_modes: Mapping[int, int]
 
 

@@ -35,15 +35,10 @@ REACH_M = 0.05
 
 @dataclass(frozen=True)
 class AskedMotion:
-    """Motion of one joint to ask for.
+    """Motion of one joint to ask for."""
 
-    Attributes:
-        request: imperative sentence without a full stop.
-        rises: True if the joint's position rises meanwhile.
-    """
-
-    request: str
-    rises: bool
+    request: str  # imperative sentence without a full stop
+    rises: bool  # True if the joint's position rises meanwhile
 
 
 def asked_motions(robot: RobotModel) -> dict[str, AskedMotion]:

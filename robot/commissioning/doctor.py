@@ -48,16 +48,12 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check.
-
-    Attributes:
-        remedy: advice to the person at the arm; empty for none.
-    """
+    """Result of one check."""
 
     check: str
     verdict: Verdict
     says: str
-    remedy: str = ""
+    remedy: str = ""  # advice to the person at the arm; empty for none
 
 
 def judge_scan(result: ScanResult, joints: Sequence[ServoSpec], calibration: Calibration | None) -> list[Finding]:

@@ -74,16 +74,11 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class Experiment:
-    """Experiment on a property of the servos.
-
-    Attributes:
-        does: its effects on the arm, for the person who must agree.
-        run: carries it out; raises Undecided, NoReply or StartupError when it has no answer.
-    """
+    """Experiment on a property of the servos."""
 
     name: str
-    does: str
-    run: Callable[[ServoRig], Answer]
+    does: str  # its effects on the arm, for the person who must agree
+    run: Callable[[ServoRig], Answer]  # carries it out; raises Undecided, NoReply or StartupError when it has no answer
     switches_torque: bool = False
     needs_hands: bool = False
 
@@ -102,15 +97,11 @@ class ServoRig:
     """Servo under test, with guarded access to its torque.
 
     Every method raises NoReply, StartupError or PortLost when the servo does not reply or take a value.
-
-    Attributes:
-        servo_id: servo whose torque may be switched.
-        present_ids: all servos that answer.
     """
 
     bus: Bus
-    servo_id: int
-    present_ids: tuple[int, ...]
+    servo_id: int  # servo whose torque may be switched
+    present_ids: tuple[int, ...]  # all servos that answer
     clock: Callable[[], float] = time.monotonic
     wait: Callable[[float], None] = time.sleep
 

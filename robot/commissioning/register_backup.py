@@ -27,19 +27,12 @@ MAX_FILE_BYTES = 100_000
 
 @dataclass(frozen=True)
 class SavedServo:
-    """Registers of one servo before it was changed.
+    """Registers of one servo before it was changed."""
 
-    Attributes:
-        joint: joint of the arm that it was to turn.
-        servo_id: id that it had.
-        new_id: id that it was to get.
-        baudrate: baud rate at which it answered.
-    """
-
-    joint: str
-    servo_id: int
-    new_id: int
-    baudrate: int
+    joint: str  # joint of the arm that it was to turn
+    servo_id: int  # id that it had
+    new_id: int  # id that it was to get
+    baudrate: int  # baud rate at which it answered
     registers: Mapping[Register, int]
 
 

@@ -22,17 +22,11 @@ FACTORY_ID = 1
 
 @dataclass(frozen=True)
 class ScanResult:
-    """Result of a scan.
+    """Result of a scan."""
 
-    Attributes:
-        servos: servos that answered every read, ordered by id.
-        unsteady_ids: servos that answered some reads only.
-        garbled_bytes: bytes of invalid replies to the broadcast ping.
-    """
-
-    servos: tuple[ServoRegisters, ...]
-    unsteady_ids: tuple[int, ...] = ()
-    garbled_bytes: int = 0
+    servos: tuple[ServoRegisters, ...]  # servos that answered every read, ordered by id
+    unsteady_ids: tuple[int, ...] = ()  # servos that answered some reads only
+    garbled_bytes: int = 0  # bytes of invalid replies to the broadcast ping
 
     @property
     def ids(self) -> frozenset[int]:

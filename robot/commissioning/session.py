@@ -46,37 +46,24 @@ class Act(Enum):
 
 @dataclass(frozen=True)
 class Step:
-    """Step of a procedure.
+    """Step of a procedure."""
 
-    Attributes:
-        name: unique in the procedure.
-        instruction: what the person is to do, in sentences.
-    """
-
-    name: str
-    instruction: str
+    name: str  # unique in the procedure
+    instruction: str  # what the person is to do, in sentences
     answers: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class SweptRange:
-    """Range of one joint so far; positions count on across the seam between ticks 4095 and 0.
-
-    Attributes:
-        lowest: lowest position [ticks].
-        present: latest position [ticks].
-        highest: highest position [ticks].
-        expected_width: width of its range in the URDF [ticks].
-        note: what is missing; empty for nothing.
-    """
+    """Range of one joint so far; positions count on across the seam between ticks 4095 and 0."""
 
     joint: str
-    lowest: int
-    present: int
-    highest: int
-    expected_width: int
+    lowest: int  # lowest position [ticks]
+    present: int  # latest position [ticks]
+    highest: int  # highest position [ticks]
+    expected_width: int  # width of its range in the URDF [ticks]
     done: bool
-    note: str
+    note: str  # what is missing; empty for nothing
 
 
 class CalibrationSession:

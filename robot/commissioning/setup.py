@@ -91,13 +91,9 @@ class ServoLine:
 
 @dataclass(frozen=True)
 class FoundServo(ServoRegisters):
-    """Servo found on the bus.
+    """Servo found on the bus."""
 
-    Attributes:
-        baudrate: baud rate at which it answers.
-    """
-
-    baudrate: int
+    baudrate: int  # baud rate at which it answers
 
 
 @dataclass(frozen=True)

@@ -79,17 +79,11 @@ def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
 
 @dataclass(frozen=True)
 class Placed:
-    """Range of a servo under its homing offset.
+    """Range of a servo under its homing offset."""
 
-    Attributes:
-        homing_offset: register HOMING_OFFSET [ticks].
-        range_min: lowest position [ticks].
-        range_max: highest position [ticks].
-    """
-
-    homing_offset: int
-    range_min: int
-    range_max: int
+    homing_offset: int  # register HOMING_OFFSET [ticks]
+    range_min: int  # lowest position [ticks]
+    range_max: int  # highest position [ticks]
 
 
 def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Placed:

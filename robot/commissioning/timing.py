@@ -15,19 +15,13 @@ from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
 
 @dataclass(frozen=True)
 class CycleTimes:
-    """Times of many read cycles.
-
-    Attributes:
-        round_trip_p50_s: time from the instruction to the last reply, median of the complete cycles [s]; NaN without
-            one.
-        round_trip_p99_s: its 99th percentile [s].
-        lateness_p99_s: start of the cycles after their deadlines, 99th percentile [s].
-    """
+    """Times of many read cycles."""
 
     cycles: int
+    # Time from the instruction to the last reply, median of the complete cycles [s]; NaN without one.
     round_trip_p50_s: float
-    round_trip_p99_s: float
-    lateness_p99_s: float
+    round_trip_p99_s: float  # its 99th percentile [s]
+    lateness_p99_s: float  # start of the cycles after their deadlines, 99th percentile [s]
     lost_replies: int
     expected_replies: int
 

@@ -38,14 +38,10 @@ Positions = Mapping[str, float]
 
 @dataclass(frozen=True)
 class VerificationPose:
-    """Pose to compare: the first of the candidates that can be reached.
-
-    Attributes:
-        candidates: positions of the arm's joints, by joint [rad].
-    """
+    """Pose to compare: the first of the candidates that can be reached."""
 
     name: str
-    candidates: tuple[Positions, ...]
+    candidates: tuple[Positions, ...]  # positions of the arm's joints, by joint [rad]
 
 
 def poses(robot: RobotModel) -> tuple[VerificationPose, ...]:
@@ -91,18 +87,12 @@ def poses(robot: RobotModel) -> tuple[VerificationPose, ...]:
 
 @dataclass(frozen=True)
 class Droop:
-    """Distance of a joint from its goal while it holds.
-
-    Attributes:
-        droop_rad: goal less position [rad].
-        load: share of full motor duty, signed.
-        p_gain: register P_GAIN; None where it is not known.
-    """
+    """Distance of a joint from its goal while it holds."""
 
     joint: str
-    droop_rad: float
-    load: float
-    p_gain: int | None = None
+    droop_rad: float  # goal less position [rad]
+    load: float  # share of full motor duty, signed
+    p_gain: int | None = None  # register P_GAIN; None where it is not known
 
     @property
     def explained_rad(self) -> float:

@@ -37,21 +37,14 @@ STALL_CURRENT_A = 2.7
 
 @dataclass(frozen=True)
 class ActuatorThresholds:
-    """ActuatorThresholds about the joints, each of shape (joints,).
+    """ActuatorThresholds about the joints, each of shape (joints,)."""
 
-    Attributes:
-        goal_tolerance_rad: greatest distance of a settled joint from its goal [rad].
-        sustained_torque: share of full duty that a joint may use for ever.
-        relieve_after_s: time above it after which a joint is limited to it; infinite where that is never needed [s].
-        stall_current_a: current above which a joint that all but stands still is stalled [A].
-        stall_time_s: time for which that must last [s].
-    """
-
-    goal_tolerance_rad: Vector
-    sustained_torque: Vector
+    goal_tolerance_rad: Vector  # greatest distance of a settled joint from its goal [rad]
+    sustained_torque: Vector  # share of full duty that a joint may use for ever
+    # Time above it after which a joint is limited to it; infinite where that is never needed [s].
     relieve_after_s: Vector
-    stall_current_a: Vector
-    stall_time_s: Vector
+    stall_current_a: Vector  # current above which a joint that all but stands still is stalled [A]
+    stall_time_s: Vector  # time for which that must last [s]
 
     @classmethod
     def of(cls, limits: GuardLimits, actuation: Actuation, full_torque: Vector) -> Self:

@@ -500,16 +500,10 @@ class Watchdog:
 
 @dataclass
 class _Task:
-    """Sequence in progress.
-
-    Attributes:
-        number: of the command to answer; None for a sequence that no command began.
-        ready_s: time of its next step [s].
-        urgent: True for an emergency stop, which nothing interrupts.
-    """
+    """Sequence in progress."""
 
     name: str
     steps: Steps[str]
-    number: int | None
-    ready_s: float
-    urgent: bool = False
+    number: int | None  # of the command to answer; None for a sequence that no command began
+    ready_s: float  # time of its next step [s]
+    urgent: bool = False  # True for an emergency stop, which nothing interrupts

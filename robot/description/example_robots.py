@@ -19,15 +19,11 @@ _ENDINGS = ("", "_robot", "_reduced")
 
 @dataclass(frozen=True)
 class ExampleRobot:
-    """Files of a published robot.
-
-    Attributes:
-        packages: folders for ``package://``.
-    """
+    """Files of a published robot."""
 
     urdf: Path
     srdf: Path
-    packages: tuple[Path, ...]
+    packages: tuple[Path, ...]  # folders for `package://`
 
 
 def find_example(name: str) -> ExampleRobot | None:

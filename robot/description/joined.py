@@ -52,16 +52,11 @@ _OF_OTHERS = ("gazebo", "transmission", "ros2_control", "sensor")
 
 @dataclass(frozen=True)
 class PlacedArm:
-    """Arm at its place.
+    """Arm at its place."""
 
-    Attributes:
-        robot: its description, as by :func:`prefixed`.
-        base_xyz_m: origin of its root link in the common frame [m].
-        base_rpy_rad: fixed-axis roll, pitch and yaw of its root link there [rad].
-    """
-
-    robot: RobotModel
-    base_xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    robot: RobotModel  # its description, as by prefixed
+    base_xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # origin of its root link in the common frame [m]
+    # Fixed-axis roll, pitch and yaw of its root link there [rad].
     base_rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 

@@ -36,14 +36,10 @@ MAX_YAML_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class RobotFolder:
-    """An arm by its folder.
-
-    Attributes:
-        title: name of the arm for people.
-    """
+    """An arm by its folder."""
 
     name: str
-    title: str
+    title: str  # name of the arm for people
     model: RobotModel
     hardware: HardwareTable
     folder: Path

@@ -30,11 +30,7 @@ class Mimic:
 
 @dataclass(frozen=True)
 class Joint:
-    """Joint of a URDF. Positions in rad (m when prismatic); rates per second, squared and cubed.
-
-    Attributes:
-        mimic: joint that it follows, one with a position of its own; None for a joint that follows none.
-    """
+    """Joint of a URDF. Positions in rad (m when prismatic); rates per second, squared and cubed."""
 
     name: str
     type: str
@@ -45,6 +41,7 @@ class Joint:
     max_velocity: float
     max_acceleration: float
     max_jerk: float | None = None
+    # Joint that it follows, one with a position of its own; None for a joint that follows none.
     mimic: Mimic | None = None
 
     @property
@@ -86,16 +83,11 @@ NO_LIMITS = JointLimits()
 
 @dataclass(frozen=True)
 class Tree:
-    """Links and joints.
-
-    Attributes:
-        links: link names: root first, each with all that it carries before the next.
-        joints: joints by name, in the order of the URDF.
-    """
+    """Links and joints."""
 
     name: str
-    links: tuple[str, ...]
-    joints: Mapping[str, Joint]
+    links: tuple[str, ...]  # link names: root first, each with all that it carries before the next
+    joints: Mapping[str, Joint]  # joints by name, in the order of the URDF
 
 
 def read_urdf(text: str, source: str, limits: Mapping[str, JointLimits]) -> Tree:

@@ -95,11 +95,7 @@ CLOSE_LIMIT_S = 60.0
 
 
 def start_arm_process(name: str = "") -> StartedChild:
-    """Start an arm process; it loads its modules, then waits for its configuration.
-
-    Args:
-        name: of the arm, for its log lines; empty for an arm that is alone.
-    """
+    """Start an arm process, which loads its modules; its log lines have the arm's name, or none for a lone arm."""
     return StartedChild("robot.control.loop", name)
 
 
@@ -177,11 +173,7 @@ class Arm:
         await self._process.launch()
 
     async def start(self, timeout_s: float) -> None:
-        """Configure the process, and wait for the arm's first state, connected or not.
-
-        Raises:
-            TimeoutError: no state came within ``timeout_s``.
-        """
+        """Configure the process, and wait for the arm's first state, connected or not; else raise TimeoutError."""
         if not self._process.launched:
             await self.launch()
         self._begun = True
@@ -223,13 +215,9 @@ class Arm:
         return self.state.clock_s
 
     async def wait(self, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
-        """Wait until all of some futures are done.
+        """Wait until all of some futures are done; return True when they are.
 
-        Args:
-            timeout_s: longest wait on the arm's clock [s]; a silent arm is waited for :data:`SILENT_S` at most.
-
-        Returns:
-            True when all are done.
+        The time counts on the arm's clock; a silent arm is waited for :data:`SILENT_S` at most.
         """
         return await wait_on_clock(self, ends, timeout_s)
 
@@ -267,11 +255,7 @@ class Arm:
         return next((one for one in self.state.motions if one.motion_id == number), None)
 
     def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> ArmStream:
-        """Begin a stream of velocity setpoints; the joints stay at rest until the first.
-
-        Args:
-            joint_names: joints that follow, order of the setpoints.
-        """
+        """Begin a stream of velocity setpoints in the order of the joints, which stay at rest until the first."""
         motion_id = next(self._ids)
         ended = self._begin(Stream(motion_id, joint_names, _epoch_of_request(epoch)))
         stream = ArmStream(motion_id, joint_names, ended, self._process.send)
@@ -344,11 +328,7 @@ class Arm:
             _settle(answered, CommandDone(number, done=False, message=message))
 
     def keep_parking(self, plan: ParkingPlan | None) -> None:
-        """Have the process keep a trajectory to the rest pose for its end, in place of the one before.
-
-        Args:
-            plan: the trajectory; None when the one before became invalid.
-        """
+        """Have the process keep a way to the rest pose for its end, in place of the one before; None for none."""
         self._process.send(KeepParking(plan))
 
     async def close(self) -> None:
@@ -556,11 +536,7 @@ class ArmStream:
         self.commanded: Commanded | None = None
 
     def steer(self, velocity_rad_s: Vector) -> None:
-        """Set the joints' velocities until the next setpoint; without one the stream ends soon.
-
-        Args:
-            velocity_rad_s: in the order of ``joint_names``, shape (joints,) [rad/s].
-        """
+        """Set the joints' velocities, shape (joints,) [rad/s]; without a next setpoint the stream ends soon."""
         if not self.ended.done():
             self._send(Setpoint(self._motion_id, velocity_rad_s))
 
@@ -612,10 +588,9 @@ class ArmProcess:
         await self._child.connect()
 
     def configure(self, config: ArmConfig, last_stop: Stop) -> None:
-        """Send the process its configuration, the last stop, then the queued orders; without effect when it has ended.
+        """Send the process its configuration, the last stop, which it cannot know, then the queued orders.
 
-        Args:
-            last_stop: last stop of all motion, of which a new process knows nothing.
+        Without effect when it has ended.
         """
         if self._child is None or not self._runs():
             return
@@ -632,11 +607,7 @@ class ArmProcess:
             self._child.send(message)
 
     def order(self, command: Command) -> bool:
-        """Send an order, or queue it for a process that is not configured yet.
-
-        Returns:
-            False when no process runs or the queue is full.
-        """
+        """Send an order, or queue it for a process that is not configured yet; return False for neither."""
         if not self._runs() or (not self._configured and len(self._early) >= MAX_EARLY_ORDERS):
             return False
         if self._configured:

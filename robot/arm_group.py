@@ -217,11 +217,7 @@ class ArmGroup:
         return min(begun, key=lambda one: one.fraction) if begun and len(begun) == len(moving) else None
 
     def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> StreamInterface:
-        """Begin a stream of velocity setpoints to joints of one arm.
-
-        Raises:
-            OrderRefused: the joints belong to several arms.
-        """
+        """Begin a stream of velocity setpoints; raise OrderRefused for joints of several arms."""
         part = self.part(joint_names)
         if isinstance(part, ArmGroup):
             raise OrderRefused(f"a stream moves one arm, not {', '.join(part.states)}")

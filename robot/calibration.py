@@ -1,5 +1,7 @@
 """Calibration of the arm as lerobot writes it: conversion between servo ticks and the URDF's radians.
 
+A calibration that cannot be found, read, written or used raises CalibrationError.
+
 lerobot records for each joint the ticks of its two ends. The middle of that range is the URDF's zero: on four
 measured arms the elbow's range agrees with the URDF's within 0.8 deg, while its middle lies up to 13.5 deg
 from tick 2048.
@@ -139,11 +141,7 @@ class Calibration:
 
     @classmethod
     def load(cls, path: Path, servos: Sequence[ServoSpec]) -> Calibration:
-        """Read a calibration file of lerobot (June 2025 or later).
-
-        Raises:
-            CalibrationError: the file cannot be read, has the older schema, or does not describe this arm.
-        """
+        """Read a calibration file of lerobot (June 2025 or later)."""
         table = _read_table(path)
         names = [servo.joint for servo in servos]
         if missing := [name for name in names if name not in table]:
@@ -155,14 +153,7 @@ class Calibration:
         return cls(joints)
 
     def with_zero_offsets(self, zero_offset_rad: Mapping[str, float]) -> Calibration:
-        """Return the calibration with a trim of some joints' zero.
-
-        Args:
-            zero_offset_rad: offset to add to a joint's position, by joint [rad]; joints not named keep theirs.
-
-        Raises:
-            CalibrationError: there is no such joint, its ends are its zero, or the trim is too large.
-        """
+        """Return the calibration with a trim added to the positions of some joints, by joint [rad]."""
         names = [joint.joint for joint in self.joints if joint.servo.zero != "ends"]
         for name, offset_rad in zero_offset_rad.items():
             if name not in names:
@@ -190,15 +181,7 @@ class Calibration:
 
 
 def find_calibration(name_or_path: str, folders: Sequence[str], environment: Mapping[str, str]) -> Path:
-    """Find a calibration file.
-
-    Args:
-        name_or_path: path of the file, or the arm's lerobot id.
-        folders: lerobot's names of such arms, the newest first.
-
-    Raises:
-        CalibrationError: lerobot has no calibration of that id, or one under each of its names that differ.
-    """
+    """Find a calibration file by its path, or by the arm's lerobot id in lerobot's folders, the newest first."""
     if _is_path(name_or_path):
         return Path(name_or_path)
     candidates = [directory / f"{name_or_path}.json" for directory in lerobot_directories(folders, environment)]
@@ -214,11 +197,7 @@ def find_calibration(name_or_path: str, folders: Sequence[str], environment: Map
 
 
 def new_calibration_path(name_or_path: str, folders: Sequence[str], environment: Mapping[str, str]) -> Path:
-    """Return the file of a new calibration: the path, or the file in which lerobot looks for that id.
-
-    Raises:
-        CalibrationError: an id of an arm that lerobot does not know.
-    """
+    """Return the file of a new calibration: the path, or the file in which lerobot looks for that id."""
     if _is_path(name_or_path):
         return Path(name_or_path)
     if not folders:
@@ -237,11 +216,7 @@ def lerobot_directories(folders: Sequence[str], environment: Mapping[str, str]) 
 
 @contextlib.contextmanager
 def reserved(path: Path, *, overwrite: bool) -> Iterator[None]:
-    """Reserve a file for a new calibration, against other processes that would write it meanwhile.
-
-    Raises:
-        CalibrationError: it exists, cannot be written, or another process has it.
-    """
+    """Reserve a file for a new calibration, against other processes that would write it meanwhile."""
     lock = files.FileLock(path)
     try:
         lock.acquire()
@@ -258,11 +233,7 @@ def reserved(path: Path, *, overwrite: bool) -> Iterator[None]:
 
 
 def save(calibration: Calibration, path: Path) -> None:
-    """Write a calibration as lerobot does, as a whole or not at all; its file is :func:`reserved`.
-
-    Raises:
-        CalibrationError: the file cannot be written.
-    """
+    """Write a calibration as lerobot does, as a whole or not at all; its file is :func:`reserved`."""
     table = {
         joint.joint: {
             "id": joint.servo_id,

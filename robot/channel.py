@@ -47,11 +47,7 @@ class Decoder:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Any]:
-        """Return the messages completed by ``data``.
-
-        Raises:
-            ValueError: a message is larger than :data:`MAX_MESSAGE_BYTES`.
-        """
+        """Return the messages completed by ``data``; raise ValueError for one above :data:`MAX_MESSAGE_BYTES`."""
         self._buffer += data
         messages = []
         while len(self._buffer) >= LENGTH.size:
@@ -86,11 +82,7 @@ class Channel:
         return self._socket.fileno()
 
     def receive(self, timeout_s: float | None) -> list[Any]:
-        """Return the messages that arrive within ``timeout_s``; none when the server is gone.
-
-        Args:
-            timeout_s: longest wait for the first one [s]; None for no bound.
-        """
+        """Return the messages that arrive within a time, without bound for None; none when the server is gone."""
         if self._kept:
             kept, self._kept = self._kept, []
             return kept
@@ -130,11 +122,7 @@ class Channel:
         return [message for message in messages if not isinstance(message, LoggerLevel)]
 
     def send(self, message: object, *, droppable: bool = False) -> None:
-        """Send without waiting.
-
-        Args:
-            droppable: True to drop it while :data:`MAX_PENDING_BYTES` wait for the server to read.
-        """
+        """Send without waiting; drop a droppable message while :data:`MAX_PENDING_BYTES` wait for the server."""
         self._flush()
         if droppable and len(self._pending) > MAX_PENDING_BYTES:
             return
@@ -154,14 +142,7 @@ class Channel:
 
 
 def send_log(channel: Channel, process: str) -> LineHandler:
-    """Send the lines of this process's log to the server as well, which keeps the last ones.
-
-    Args:
-        channel: channel to the server; lines are dropped while it does not read.
-
-    Returns:
-        The handler, which sends until it is closed.
-    """
+    """Send the lines of this process's log to the server as well, as far as it reads, until the handler is closed."""
     return LineHandler(process, lambda line: channel.send(line, droppable=True))
 
 

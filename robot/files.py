@@ -83,7 +83,6 @@ def locked(path: Path) -> Iterator[None]:
 
     Raises:
         FileLockedError: another process has it for longer than :data:`LOCK_TIMEOUT_S`.
-        OSError: the lock's file cannot be made.
     """
     lock = FileLock(path)
     lock.acquire(LOCK_TIMEOUT_S)
@@ -165,11 +164,7 @@ class FileSeries:
 
 
 def set_aside(path: Path) -> Path:
-    """Rename a file that cannot be used, whose lock is held, to ``NAME.broken``, ``NAME.broken.1`` and so on.
-
-    Raises:
-        OSError: it cannot be renamed.
-    """
+    """Rename a file that cannot be used, whose lock is held, to ``NAME.broken``, ``NAME.broken.1`` and so on."""
     aside, number = path.with_name(f"{path.name}.broken"), 0
     while aside.exists():
         number += 1

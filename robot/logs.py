@@ -48,11 +48,7 @@ MAX_CHANGED_LOGGERS = 100
 
 
 def configure(level: int | str, log_format: LogFormat, process: str = "server", arm: str = "") -> None:
-    """Log to standard error; to be called once in each process.
-
-    Args:
-        arm: name of the arm that plain lines begin their messages with; empty for an arm that is alone.
-    """
+    """Log to standard error; to be called once in each process. The arm's name begins the message of plain lines."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter(process) if log_format == "json" else PlainFormatter(arm))
     handler.addFilter(FloodFilter())
@@ -154,11 +150,7 @@ class LogLimiter:
         now_s: float = 0.0,
         extra: Mapping[str, str] | None = None,
     ) -> None:
-        """Write a line if it is due, and how many like it were not; write once that there are too many keys.
-
-        Args:
-            now_s: monotonic time [s]; without effect where there are no lines in the long run.
-        """
+        """Write a line if it is due, and how many like it were not; write once that there are too many keys."""
         if self.due(key, now_s):
             logger.log(level, "%s%s", line, suppressed_note(self.suppressed(key)), stacklevel=2, extra=extra)
         elif hash(key) not in self._buckets and not self._end_is_written:
@@ -240,11 +232,7 @@ _changed: dict[str, LoggerLevel] = {}
 
 
 def change(level: LoggerLevel) -> bool:
-    """Change a logger's level in this process and in all children.
-
-    Returns:
-        False when :data:`MAX_CHANGED_LOGGERS` other loggers have been changed already.
-    """
+    """Change a logger's level in this process and in all children; return False for too many loggers."""
     if level.name not in _changed and len(_changed) >= MAX_CHANGED_LOGGERS:
         return False
     _changed[level.name] = level
@@ -283,11 +271,7 @@ class LogLine:
 
 
 class LineHandler(logging.Handler):
-    """Handler that passes each record of our loggers on as a line, from its construction to :meth:`close`.
-
-    Args:
-        take: takes each line, in the thread that has logged it.
-    """
+    """Handler that passes each record of our loggers on as a line, in the thread that has logged it."""
 
     def __init__(self, process: str, take: Callable[[LogLine], None]) -> None:
         super().__init__()

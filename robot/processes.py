@@ -1,7 +1,8 @@
 """Child processes, from the server's side.
 
 A child is started as ``python -P -m MODULE --fd N`` with a fresh interpreter: it shares no lock, no heap and no random
-state with the server, only the socket pair of :mod:`robot.channel`.
+state with the server, only the socket pair of :mod:`robot.channel`. Where the system has no descriptor, process or
+memory left for a child, its start raises OSError.
 """
 
 from __future__ import annotations
@@ -96,11 +97,7 @@ class RestartDelay:
         self._next_s = first_s
 
     def after(self, ran_s: float) -> float:
-        """Return the time to wait [s].
-
-        Args:
-            ran_s: time for which the process ran [s]; 0 for one that could not be started.
-        """
+        """Return the time to wait [s] after a process ran for a time [s]; 0 for one that could not be started."""
         if ran_s >= SHORT_RUN_S:
             self._next_s = self._first_s
             return 0.0
@@ -120,11 +117,7 @@ class Process(Protocol):
         """Kill it, if it runs."""
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the exit code.
-
-        Raises:
-            subprocess.TimeoutExpired: it still runs.
-        """
+        """Wait for the exit code; raise subprocess.TimeoutExpired when it still runs."""
 
 
 class ForkedProcess:
@@ -195,9 +188,6 @@ class StartedChild:
     Attributes:
         socket: the server's end of its channel.
         adopted: True once a :class:`Child` owns it.
-
-    Raises:
-        OSError: the system has no descriptor, process or memory left for it.
     """
 
     def __init__(self, module: str, arm: str = "") -> None:
@@ -284,11 +274,7 @@ class Child:
         return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
 
     async def connect(self) -> None:
-        """Begin to read the child's messages; a child that cannot be read is killed.
-
-        Raises:
-            OSError: the system lets no further socket be watched.
-        """
+        """Begin to read the child's messages; a child that cannot be read is killed."""
         try:
             await asyncio.get_running_loop().create_unix_connection(lambda: self._link, sock=self._socket)
         except BaseException:
@@ -401,12 +387,10 @@ async def has_ended(process: Process, timeout_s: float) -> bool:
 def start_module(module: str, arguments: list[str], pass_fds: tuple[int, ...]) -> subprocess.Popen[bytes]:
     """Start ``python -P -m MODULE`` in a session of its own, out of reach of the terminal's Ctrl-C.
 
-    ``-P`` keeps a folder of the working directory with the name of one of our packages from being imported instead.
-    One BLAS thread: the matrices are tiny, and idle BLAS threads spin on the cores that the servo loop needs. The child
-    does not inherit the service manager's notification socket (sd_notify(3)).
-
-    Args:
-        module: name of the module; its ``main`` opens the channel (:func:`robot.channel.channel_of_child`).
+    Its ``main`` opens the channel (:func:`robot.channel.channel_of_child`). ``-P`` keeps a folder of the working
+    directory with the name of one of our packages from being imported. One BLAS thread: the matrices are tiny, and idle
+    BLAS threads spin on the cores that the servo loop needs. The child does not inherit the service manager's
+    notification socket (sd_notify(3)).
     """
     environment = {name: value for name, value in os.environ.items() if name not in OF_SERVICE_MANAGER}
     with _blocked(SIGNALS_OF_SERVER):

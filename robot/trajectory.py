@@ -96,11 +96,7 @@ def rest_to_rest(
 ) -> Trajectory:
     """Plan the fastest motion of one joint from rest to rest: a trapezoidal velocity profile.
 
-    Cubic interpolation between the samples, the corners of the profile, is exact.
-
-    Args:
-        max_velocity: above 0 [rad/s].
-        max_acceleration: above 0 [rad/s^2].
+    Cubic interpolation between the samples, the corners of the profile, is exact. Both limits are above 0.
     """
     way_rad = abs(end_rad - start_rad)
     if way_rad < SHORTEST_WAY_RAD:

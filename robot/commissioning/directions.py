@@ -55,11 +55,7 @@ def asked_motions(robot: RobotModel) -> dict[str, AskedMotion]:
 
 
 def turned_the_other_way(servo: ServoSpec, motion: AskedMotion, moved_ticks: int) -> bool:
-    """Return True when a servo turned against the sign that the robot's folder gives it.
-
-    Raises:
-        CalibrationError: it was hardly moved.
-    """
+    """Return True when a servo turned against its sign; raise CalibrationError when it was hardly moved."""
     if abs(moved_ticks) < LEAST_MOTION_TICKS:
         raise CalibrationError(
             "direction",

@@ -131,13 +131,9 @@ class ServoRig:
 
     @contextlib.contextmanager
     def holding(self, goal_ticks: int | None = None) -> Iterator[int]:
-        """Hold with reduced torque within the context; torque is off after it, also after an exception.
+        """Hold with reduced torque within the context, and yield the goal; torque is off after it in any case.
 
-        Args:
-            goal_ticks: goal at torque on, at most STEP_TICKS away; None for the present position.
-
-        Yields:
-            Goal [ticks].
+        The goal is the present position, or one at most STEP_TICKS away.
         """
         self.require_relaxed()
         torque_limit = self.read(Register.TORQUE_LIMIT)

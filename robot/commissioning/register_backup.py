@@ -1,7 +1,8 @@
 """Backup of the servos' registers: a JSON file, written before the first change of a servo.
 
 The file grows servo by servo and is replaced as a whole each time; a file that is there already is never touched.
-Registers are named, so that people can read it. A servo has no serial number: it is recognised by its id.
+Registers are named, so that people can read it. A servo has no serial number: it is recognised by its id. A file that
+cannot be read or written raises BackupError.
 """
 
 from __future__ import annotations
@@ -56,11 +57,7 @@ class _Content(BaseModel):
 
 
 class BackupFile:
-    """File to which the servos of one visit are saved; it is created with the first.
-
-    Raises:
-        BackupError: it exists.
-    """
+    """File to which the servos of one visit are saved; it is created with the first, and never overwritten."""
 
     def __init__(self, path: Path, robot: str) -> None:
         if path.exists():
@@ -75,11 +72,7 @@ class BackupFile:
         return not self._servos
 
     def save(self, servo: SavedServo, now: datetime) -> None:
-        """Save a servo; on return the file holds it, also after a loss of power.
-
-        Raises:
-            BackupError: the file cannot be written, or appeared meanwhile.
-        """
+        """Save a servo; on return the file holds it, also after a loss of power."""
         servos = [*self._servos, servo]
         content = _Content(
             format=FORMAT,
@@ -98,11 +91,7 @@ class BackupFile:
 
 
 def read_backup(path: Path) -> tuple[SavedServo, ...]:
-    """Read a backup.
-
-    Raises:
-        BackupError: it cannot be read, or is not one.
-    """
+    """Read a backup."""
     try:
         with path.open("rb") as file:
             content = _Content.model_validate_json(file.read(MAX_FILE_BYTES))

@@ -37,8 +37,7 @@ class ScanResult:
 def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
     """Find the servos on the bus and read each.
 
-    Args:
-        expected_ids: ids that are also pinged one by one, since a reply to a broadcast may get lost.
+    Expected ids are also pinged one by one, since a reply to a broadcast may get lost.
     """
     garbled = bus.counters.discarded_bytes
     ids = set(bus.broadcast_ping())
@@ -67,11 +66,7 @@ def read_telemetry(bus: Bus, servo_id: int) -> Telemetry:
 
 
 def explain_missing(result: ScanResult, joints: Sequence[ServoSpec]) -> list[str]:
-    """Explain missing and unsteady servos with the likely cause, a sentence each; none when all is well.
-
-    Args:
-        joints: joints of the arm, in the order in which their servos are chained.
-    """
+    """Explain missing and unsteady servos, a sentence each; joints are in the order of the chain."""
     present = [joint.servo_id in result.ids for joint in joints]
     said = [
         f"servo {servo_id} answers some questions only: its plug, or the power supply, has bad contact"

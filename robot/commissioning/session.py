@@ -128,12 +128,7 @@ class CalibrationSession:
         )
 
     def begin(self, ticks: Mapping[int, int], offsets: Mapping[int, int]) -> None:
-        """Begin the sweep: the arm is relaxed.
-
-        Args:
-            ticks: positions, by servo id.
-            offsets: registers HOMING_OFFSET, by servo id [ticks].
-        """
+        """Begin the sweep of the relaxed arm: positions, and registers HOMING_OFFSET, by servo id [ticks]."""
         self._sweep, self._offsets = Sweep(ticks), dict(offsets)
         self._ask_for_sweep()
 
@@ -154,10 +149,9 @@ class CalibrationSession:
             self._sweep.add(ticks)
 
     def answer(self, answer: str) -> Act | None:
-        """Take the answer to the present step.
+        """Take the answer to the present step; return the act that is now due, if any.
 
-        Raises:
-            CalibrationError: it cannot go on so; the step stays, and the sentence says what is missing.
+        Raises CalibrationError where it cannot go on so; the step stays, and the text names what is missing.
         """
         step = self.step
         if step is None or answer not in step.answers:

@@ -68,11 +68,7 @@ class ServoLine:
         self._baudrate = 0
 
     def at(self, baudrate: int) -> Bus:
-        """Return the bus at a baud rate.
-
-        Raises:
-            PortError: the port cannot be opened.
-        """
+        """Return the bus at a baud rate."""
         if self._bus is None or self._baudrate != baudrate:
             self.close()
             self._bus, self._baudrate = self._open(baudrate), baudrate
@@ -113,10 +109,8 @@ def search(
 ) -> FoundServo:
     """Find the servo that is to turn a joint, at any baud rate and with any id.
 
-    Servos that have their ids already may be connected as well.
-
-    Raises:
-        StartupError: none may be meant, or more than one; the text says how to part them.
+    Servos that have their ids already may be connected as well. Raises StartupError where no servo may be meant, or
+    more than one; the text says how to part them.
     """
     found: list[FoundServo] = []
     for baudrate in BAUDRATES:
@@ -143,11 +137,8 @@ def search(
 def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServo]:
     """Find and read the servos that answer at one baud rate; nothing is written.
 
-    Args:
-        ids: ids that are also asked one by one, since a reply to a broadcast may get lost.
-
-    Raises:
-        StartupError: several servos have the same id.
+    The ids are also asked one by one, since a reply to a broadcast may get lost. Raises StartupError where several
+    servos have the same id.
     """
     bus = line.at(baudrate)
     garbled = bus.counters.discarded_bytes
@@ -250,10 +241,9 @@ def needs_writing(servo: FoundServo, changes: Sequence[Change]) -> bool:
 
 
 def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> FoundServo:
-    """Relax a servo and write its changes, each read back; its EPROM is locked at the end, also after a failure.
+    """Relax a servo and write its changes, each read back; return it as it is afterwards.
 
-    Raises:
-        StartupError: it keeps another value, or cannot be relaxed.
+    Its EPROM is locked at the end, also after a failure. Raises StartupError where it keeps another value.
     """
     writer = _Writer(line, servo.servo_id, servo.baudrate)
     try:

@@ -33,13 +33,7 @@ FREE_MIDDLE_WITHIN_TICKS = 100
 
 
 class Sweep:
-    """Ranges covered by the servos, tracked across the seam: positions count on beyond 0 and 4095.
-
-    Attributes:
-        lowest: lowest position so far, by servo id [ticks].
-        highest: highest position so far, by servo id [ticks].
-        present: latest position, by servo id [ticks].
-    """
+    """Ranges covered by the servos, by servo id [ticks], tracked across the seam: positions go on beyond 0 and 4095."""
 
     def __init__(self, ticks: Mapping[int, int]) -> None:
         self.lowest = dict(ticks)

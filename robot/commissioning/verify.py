@@ -47,8 +47,7 @@ class VerificationPose:
 def poses(robot: RobotModel) -> tuple[VerificationPose, ...]:
     """Return the model's zero, two poses around it in which every joint is elsewhere, and one of the gripper alone.
 
-    Args:
-        robot: the arm, within its calibration.
+    The limits of the model lie within the calibration.
     """
     joints = [robot.joints[name] for name in robot.groups[robot.default_group].joints]
     named = robot.named_states.get(robot.default_group, {})

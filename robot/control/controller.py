@@ -155,12 +155,7 @@ class ArmController:
         return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s, one.rate) for one in self._motions)
 
     def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
-        """Begin to hold at the goals that the servos have, or at their positions where those are far away.
-
-        Args:
-            goal_rad: goals of the servos, shape (joints,) [rad].
-            measured: latest readings; None if the joints are at their goals.
-        """
+        """Begin to hold at the goals that the servos have, or at their positions where they are far away."""
         self._goal_rad, self._hold_rad = goal_rad.copy(), goal_rad.copy()
         self._braking = []
         self.guards.restart()
@@ -175,11 +170,7 @@ class ArmController:
         self._braking = []
 
     def execute(self, command: Execute) -> MotionEnded | None:
-        """Begin a motion.
-
-        Returns:
-            The refusal, or the end of the motion that this one is spliced into; None for neither.
-        """
+        """Begin a motion; return its refusal, or the end of the motion that it is spliced into, if any."""
         reason = self._refusal(command)
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
@@ -251,11 +242,7 @@ class ArmController:
                 motion.stop()
 
     def step(self, measured: Measured, now_s: float) -> list[MotionEnded]:
-        """Advance one tick: set :attr:`goal_rad`, and check the readings.
-
-        Returns:
-            Ends of the motions that this tick ends.
-        """
+        """Advance one tick: set :attr:`goal_rad`, and check the readings; return the ends of motions."""
         elapsed_s = 0.0 if self._last_step_s is None else min(max(now_s - self._last_step_s, 0.0), MAX_TICK_S)
         self._last_step_s = now_s
         if not self.torque_enabled:
@@ -375,12 +362,9 @@ class ArmController:
         self.guards.restart()
 
     def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
-        """React to a fault: latch it, or yield.
+        """React to a fault: latch it, or yield; return the ends of motions.
 
         A latched fault is replaced only by one that takes torque off.
-
-        Returns:
-            Ends of the motions that it ends.
         """
         if self.fault is None or (found.code in RELAXING and self.fault.code not in RELAXING):
             return self.latch(found, measured)

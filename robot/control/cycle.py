@@ -29,11 +29,7 @@ class ControlCycle:
         self._writing = True
 
     def tick(self) -> list[MotionEnded]:
-        """Read the joints, update the controller, and write the goals.
-
-        Returns:
-            Ends of the motions that this tick ended.
-        """
+        """Read the joints, update the controller, and write the goals; return the ends of motions."""
         measured = self.hardware.read()
         self.measured = measured
         controller = self.controller

@@ -68,10 +68,10 @@ class Persistence:
         self._since_s = self._never
 
     def lasting(self, condition: Flags, now_s: float) -> Vector:
-        """Update with the condition of each joint, shape (joints,).
+        """Update with the condition of each joint, and return for how long it has held.
 
         Returns:
-            Time for which it has held without a break, -inf where it does not hold, shape (joints,) [s].
+            Time without a break, -inf where the condition does not hold, shape (joints,) [s].
         """
         if not condition.any():
             self._since_s = self._never

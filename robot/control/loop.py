@@ -27,18 +27,13 @@ class HardwareSource(Protocol):
     """Source of hardware, which can be opened again when it was lost."""
 
     def open(self) -> HardwareInterface:
-        """Open the hardware.
-
-        Raises:
-            RobotError: it is missing or cannot be used.
-        """
+        """Open the hardware; raise a RobotError when it is missing or cannot be used."""
 
 
 def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
     """Build the source of an arm's hardware; a back end's libraries are imported only where it is used.
 
-    Raises:
-        OSError: the log or the control socket of emulated servos cannot be created.
+    Raises OSError when the log or the control socket of emulated servos cannot be created.
     """
     joint_names = config.hardware.joint_names(config.robot)
     bounds = JointBounds.of(config.robot, joint_names)
@@ -114,11 +109,7 @@ class ArmLoop:
             self._supervisor.tick(pacer, ticks=1 + skipped, server_gone=self._channel.closed)
 
     def _between_ticks(self, pacer: Pacer) -> int:
-        """Handle the server's messages, and do steps of orders, until the tick is due.
-
-        Returns:
-            Number of ticks that were skipped because the arm needed none; fewer when a message made it need them.
-        """
+        """Handle the server's messages, and do steps of orders, until the tick is due; return the skipped ticks."""
         skipped = self._supervisor.spare_ticks
         pacer.skip(skipped)
         if pacer.deadline_s - time.monotonic() <= STEP_ROOM_S:

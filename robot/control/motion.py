@@ -132,14 +132,11 @@ class Motion:
         self.playback.stop()
 
     def advance(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
-        """Advance by a time step.
+        """Advance by a time step, and return the goals of its joints, shape (joints,) [rad].
 
         Args:
             rate: wanted path time per time, below 0 to go back.
             fastest: greatest rate allowed.
-
-        Returns:
-            Goals of its joints, shape (joints,) [rad].
         """
         self.playback.pace, self.playback.ceiling = rate, min(fastest, self._fastest)
         return self.playback.advance(elapsed_s)
@@ -151,9 +148,7 @@ class Motion:
     def end(self, goal_rad: Vector, position_rad: Vector, now_s: float) -> MotionEnded | None:
         """Return the regular end, None while in progress: stopped, or settled at the goal, or not settled in time.
 
-        Args:
-            goal_rad: goals of all joints [rad].
-            position_rad: measured positions of all joints [rad].
+        Goals and measured positions are those of all joints of the arm [rad].
         """
         playback = self.playback
         if not playback.finished:
@@ -236,11 +231,7 @@ class Playback:
         return max(self.trajectory.duration_s - self._path_time_s, 0.0) / rate
 
     def can_splice(self, other: Trajectory, from_s: float) -> bool:
-        """Return True when another trajectory has the same position and velocity now, and can replace this one.
-
-        Args:
-            from_s: time on this one at which the other begins [s].
-        """
+        """Return True when a trajectory that begins at a time of this one [s] can replace it without a step now."""
         there_s = self._path_time_s - from_s
         if self._stopping or not 0.0 <= there_s < other.duration_s:
             return False
@@ -250,11 +241,7 @@ class Playback:
         return bool((near & (np.abs(velocity - other_velocity) <= SAME_SPEED_RAD_S)).all())
 
     def continue_from(self, former: Playback, from_s: float) -> None:
-        """Continue at the position and rate of another playback.
-
-        Args:
-            from_s: time on its trajectory at which this one's begins [s].
-        """
+        """Continue at position and rate of a playback on whose trajectory this one's begins at ``from_s`` [s]."""
         self._path_time_s = former._path_time_s - from_s
         self._rate = former._rate
 
@@ -288,11 +275,7 @@ class Playback:
             self._rate = 0.0
 
     def _largest_change(self, elapsed_s: float, direction: float) -> float:
-        """Return the fastest change of the rate that all joints' acceleration limits allow in this tick [1/s].
-
-        Args:
-            direction: 1 to raise the rate, -1 to lower it.
-        """
+        """Return the fastest change of the rate, up (1) or down (-1), within all acceleration limits [1/s]."""
         fastest = STANDSTILL_BRAKING
         # The path's own acceleration may change within the tick, as where a joint begins to slow down.
         for path_time_s in (self._path_time_s, self._path_time_s + self._rate * elapsed_s):
@@ -327,14 +310,7 @@ def splice_refusal(
 
 
 def splice(motions: MutableSequence[Motion | Streaming], motion: Motion) -> MotionEnded | None:
-    """Replace the motion that an accepted one continues, if it continues one.
-
-    Args:
-        motions: motions in progress; the replaced one is removed.
-
-    Returns:
-        End of the replaced motion; None for a motion that begins at rest.
-    """
+    """Put an accepted motion in the place of the one that it continues; return the end of that one, if there is one."""
     former, continues = _former(motions, motion.command), motion.command.continues
     if former is None or continues is None:
         return None

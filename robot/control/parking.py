@@ -77,11 +77,7 @@ class Parking:
             self._stage = Stage.OVER
 
     def advance(self, controller: ArmController, now_s: float, *, may_move: bool) -> None:
-        """Do what is next; called once a tick.
-
-        Args:
-            may_move: False to brake only, because the server may come back.
-        """
+        """Take the next step, once a tick; only brake while ``may_move`` is False, because the server may come back."""
         if self._stage is Stage.NOT_BEGUN:
             self._brake(controller)
         if self._stage is Stage.BRAKING and may_move:

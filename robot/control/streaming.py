@@ -97,14 +97,11 @@ class Streaming:
         self._ending = self._ending or "stopped"
 
     def advance(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
-        """Advance by a time step.
+        """Advance by a time step, and return the goals of its joints, shape (joints,) [rad].
 
         Args:
             rate: share of the setpoints' speed; a stream cannot go back, so it waits below 0.
             fastest: greatest share allowed.
-
-        Returns:
-            Goals of its joints, shape (joints,) [rad].
         """
         self._at_s += elapsed_s
         self._silence_s += elapsed_s
@@ -120,10 +117,7 @@ class Streaming:
         return MotionEnded(self.motion_id, outcome, message)
 
     def end(self, _goal_rad: Vector, _position_rad: Vector, _now_s: float) -> MotionEnded | None:
-        """Return the regular end, None while in progress: at rest, and stopped or without setpoints.
-
-        Its arguments are those of a motion's end.
-        """
+        """Return the regular end, None while in progress: at rest, and stopped or without setpoints."""
         if not self.finished:
             return None
         return self.ended(Outcome.STOPPED, self._ending or f"no setpoint came for {SETPOINT_LASTS_S:g} s")
@@ -163,11 +157,7 @@ class VelocityTracking:
         return not self._target_rad_s.any() and self._since_s >= self._profile.duration
 
     def set_target(self, velocity_rad_s: Vector) -> None:
-        """Set the target velocities; those above the velocity limits are clamped to them.
-
-        Args:
-            velocity_rad_s: finite numbers, shape (joints,) [rad/s].
-        """
+        """Set finite target velocities, shape (joints,) [rad/s], clamped to the velocity limits."""
         target = np.clip(velocity_rad_s, -self._max_velocity, self._max_velocity)
         target[np.abs(target) < LEAST_SPEED_RAD_S] = 0.0
         if not np.array_equal(target, self._target_rad_s):

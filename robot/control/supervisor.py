@@ -222,11 +222,7 @@ class Supervisor:
         return SPARE_TICKS if self._ticks_per_state > SPARE_TICKS else 0
 
     def tick(self, pacer: Pacer, *, server_gone: bool, ticks: int = 1) -> None:
-        """Run one cycle of the arm.
-
-        Args:
-            ticks: periods since the last cycle; more than one after skipped ticks.
-        """
+        """Run one cycle of the arm, ``ticks`` periods after the last one."""
         arm, now_s = self.arm, self._clock()
         if arm is None:
             return
@@ -260,11 +256,7 @@ class Supervisor:
             self._send(arm_health(arm, state, port, pacer, self._clock, self._scheduling), True)
 
     def work(self) -> float:
-        """Do one step of the sequence in progress.
-
-        Returns:
-            Time until the next step is due [s]; infinite without a sequence.
-        """
+        """Do one step of the sequence in progress; return the time until the next [s], infinite without one."""
         task, now_s = self._task, self._clock()
         if task is None:
             return float("inf")

@@ -27,14 +27,7 @@ class ExampleRobot:
 
 
 def find_example(name: str) -> ExampleRobot | None:
-    """Find a robot in the installed package example-robot-data.
-
-    Returns:
-        Its files; None without the package, or for a name that it does not have.
-
-    Raises:
-        DescriptionError: the package has a URDF of this robot, but no SRDF.
-    """
+    """Find a robot in the installed package example-robot-data; None without the package, or for an unknown name."""
     robots = _robots()
     if robots is None or name not in _urdfs(robots):
         return None

@@ -61,14 +61,7 @@ class PlacedArm:
 
 
 def prefixed(robot: RobotModel, name: str) -> RobotModel:
-    """Return an arm whose names of links, joints and groups begin with a prefix.
-
-    Args:
-        name: of the arm; the prefix is ``name_``.
-
-    Raises:
-        DescriptionError: a mesh is not there.
-    """
+    """Return an arm whose names of links, joints and groups begin with ``name_``."""
     prefix = f"{name}_"
     packages = robot.package_directories
     if robot.mesh_directory is not None:
@@ -96,13 +89,7 @@ def prefixed(robot: RobotModel, name: str) -> RobotModel:
 
 
 def joined(name: str, arms: Mapping[str, PlacedArm]) -> RobotModel:
-    """Return the description of several arms.
-
-    The default group, tip and gripper are those of the first.
-
-    Raises:
-        DescriptionError: the arms do not go together.
-    """
+    """Return the description of several arms by name; default group, tip and gripper are those of the first."""
     urdf, srdf = ET.Element("robot", name=name), ET.Element("robot", name=name)
     ET.SubElement(urdf, "link", name=COMMON_LINK)
     for arm, placed in arms.items():

@@ -51,14 +51,7 @@ def built_in_names() -> list[str]:
 
 
 def find(name_or_folder: str) -> Path:
-    """Find an arm's folder.
-
-    Args:
-        name_or_folder: name of a built-in arm, or a path.
-
-    Raises:
-        DescriptionError: there is no such folder.
-    """
+    """Find the folder of a built-in arm by its name, or of another arm by its path."""
     path = Path(name_or_folder).expanduser()
     built_in = BUILT_IN / name_or_folder
     if path.name == name_or_folder and (built_in / robot_file.FILE_NAME).is_file():
@@ -82,11 +75,7 @@ def built_in(name: str) -> RobotFolder:
 def resolve(
     name_or_folder: str, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
 ) -> RobotFolder:
-    """Load an arm by the name of a built-in one, by its folder, or by its name in the package example-robot-data.
-
-    Raises:
-        DescriptionError: there is no such arm, or its files do not describe one.
-    """
+    """Load an arm by the name of a built-in one, by its folder, or by its name in the package example-robot-data."""
     try:
         folder = find(name_or_folder)
     except DescriptionError:
@@ -222,11 +211,7 @@ def _limits(folder: Path, file: RobotFile) -> dict[str, JointLimits]:
 
 
 def moveit_limits(path: Path) -> dict[str, JointLimits]:
-    """Read MoveIt's joint_limits.yaml (MoveIt's tutorial on the RobotModel's limits and joint_limits_aggregator).
-
-    Raises:
-        DescriptionError: it cannot be read, or a limit is no number above 0.
-    """
+    """Read MoveIt's joint_limits.yaml (MoveIt's tutorial on the RobotModel's limits and joint_limits_aggregator)."""
     # Imported when it is needed: most arms have no such file.
     import yaml
 

@@ -44,11 +44,7 @@ class Semantics:
 
 
 def read_srdf(text: str, source: str, tree: Tree) -> Semantics:
-    """Read an SRDF.
-
-    Raises:
-        DescriptionError: the text does not parse, has no group, or is that of another robot.
-    """
+    """Read an SRDF that belongs to links and joints of a URDF."""
     return _Reader(root_of(text, source), source, tree).read()
 
 

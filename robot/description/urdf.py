@@ -91,14 +91,7 @@ class Tree:
 
 
 def read_urdf(text: str, source: str, limits: Mapping[str, JointLimits]) -> Tree:
-    """Read a URDF.
-
-    Args:
-        limits: limits by joint that replace those of the URDF.
-
-    Raises:
-        DescriptionError: the text does not parse, or misses what planning needs.
-    """
+    """Read a URDF; some joints have limits that replace its own."""
     robot = root_of(text, source)
     joints: dict[str, Joint] = {}
     for element in robot.iterfind("joint"):

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection, Iterator
-from typing import Any, NoReturn, Protocol, cast
+from typing import Any, NoReturn, TypeAlias, cast
 
 from robot import logs
 from robot.channel import SIGNALS_OF_SERVER, Decoder, encode
@@ -105,21 +105,6 @@ class RestartDelay:
         return delay_s
 
 
-class Process(Protocol):
-    """Process that this one has started, as far as :class:`subprocess.Popen` is used here."""
-
-    pid: int
-
-    def poll(self) -> int | None:
-        """Return the exit code, the negative number of a signal; None while it runs."""
-
-    def kill(self) -> None:
-        """Kill it, if it runs."""
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Wait for the exit code; raise subprocess.TimeoutExpired when it still runs."""
-
-
 class ForkedProcess:
     """Child of ``fork``: it shares the memory of what this process has loaded, until one of them writes there.
 
@@ -179,10 +164,15 @@ def _be_child(run: Callable[[], None]) -> NoReturn:
         os._exit(code)
 
 
+# Process that this one has started.
+Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
+
+
 class StartedChild:
     """Child process started ahead: it loads its modules, and ends by itself when this process does.
 
     Args:
+        module: name of the module to run with ``python -m``.
         arm: name of the arm that its log lines are about; empty for an arm that is alone, and for other children.
 
     Attributes:
@@ -192,35 +182,29 @@ class StartedChild:
 
     def __init__(self, module: str, arm: str = "") -> None:
         self.adopted = False
-        self.process: Process
-        self.socket, theirs = socket.socketpair()
-        with theirs:
-            level = str(logging.getLogger().getEffectiveLevel())
-            logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module, "--arm", arm]
-            try:
-                self.process = start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
-            except BaseException:
-                self.socket.close()
-                raise
+        level = str(logging.getLogger().getEffectiveLevel())
+        logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module, "--arm", arm]
+
+        def start(_ours: socket.socket, theirs: socket.socket) -> Process:
+            return start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
+
+        self.process, self.socket = _with_channel(start)
 
     @classmethod
     def forked(cls, run: Callable[[socket.socket], None]) -> StartedChild:
-        """Start a child by ``fork``: see :class:`ForkedProcess`."""
+        """Start a child by ``fork``, which runs a body with its end of the channel: see :class:`ForkedProcess`."""
         started = cls.__new__(cls)
         started.adopted = False
-        started.socket, theirs = socket.socketpair()
 
-        def child() -> None:
-            # The server's end would keep the channel open when the server has died.
-            started.socket.close()
-            run(theirs)
+        def start(ours: socket.socket, theirs: socket.socket) -> Process:
+            def child() -> None:
+                # The server's end would keep the channel open when the server has died.
+                ours.close()
+                run(theirs)
 
-        with theirs:
-            try:
-                started.process = ForkedProcess(child)
-            except BaseException:
-                started.socket.close()
-                raise
+            return ForkedProcess(child)
+
+        started.process, started.socket = _with_channel(start)
         return started
 
     def close(self) -> None:
@@ -229,6 +213,17 @@ class StartedChild:
             self.socket.close()
             self.process.kill()
             self.process.wait(KILL_TIMEOUT_S)
+
+
+def _with_channel(start: Callable[[socket.socket, socket.socket], Process]) -> tuple[Process, socket.socket]:
+    """Start a child that inherits one end of a socket pair; return it and the other end."""
+    ours, theirs = socket.socketpair()
+    with theirs:
+        try:
+            return start(ours, theirs), ours
+        except BaseException:
+            ours.close()
+            raise
 
 
 class Child:

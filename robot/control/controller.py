@@ -289,7 +289,7 @@ class ArmController:
         fastest = SLOW_RATE if hot else 1.0
         led = np.zeros(len(self._names), dtype=bool)
         for motion in motions:
-            wanted[motion.columns] = motion.advance(elapsed_s, 1.0 if motion.gripping else self._rate, fastest)
+            wanted[motion.columns] = motion.step(elapsed_s, 1.0 if motion.gripping else self._rate, fastest)
             led[motion.columns] = True
         if self._braking:
             led &= ~self._yielded

@@ -96,7 +96,7 @@ class Streaming:
         """Begin to brake, for good."""
         self._ending = self._ending or "stopped"
 
-    def advance(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
+    def step(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
         """Advance by a time step, and return the goals of its joints, shape (joints,) [rad].
 
         Args:

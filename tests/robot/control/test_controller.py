@@ -289,8 +289,8 @@ def test_progress_is_reported_while_moving(rig: Rig) -> None:
     rig.move_pan(100, 9)
     motion = rig.controller.motion
     assert motion.motion_id == 9
-    assert motion.playback.fraction == pytest.approx(0.5, abs=0.02)
-    assert motion.playback.remaining_s == pytest.approx(1.0, abs=0.02)
+    assert motion.fraction == pytest.approx(0.5, abs=0.02)
+    assert motion.remaining_s == pytest.approx(1.0, abs=0.02)
 
 
 def test_an_abandoned_motion_is_answered_once(rig: Rig) -> None:

@@ -93,7 +93,7 @@ ADVICE: Mapping[ServoAlert, Advice] = {
     ),
     ServoAlert.ANGLE_LIMITS: Advice(
         "the limits in the servo are of another calibration",
-        "Name the calibration that the servos hold, or calibrate anew: armbridge calibrate NAME --write-servos.",
+        "Name the calibration that the servos hold, or calibrate again: armbridge calibrate NAME --write-servos.",
     ),
     ServoAlert.SEVERAL_TURNS: Advice(
         "the position goes on beyond one turn, and overflows",

@@ -67,8 +67,8 @@ MAX_EARLY_ORDERS = 16
 # A fifth of the shortest watchdog timeout of the arm process.
 HEARTBEAT_S = 0.1
 
-# States come once a second at least; a process that is silent for so long hangs, however busy the machine is.
-# Counted in heartbeats: the silence is not the child's fault when the server itself was stopped.
+# Silence after which a process hangs, however busy the machine is; states come at least once a second. Counted in
+# heartbeats, because a server that was stopped itself hears nothing either.
 SILENT_S = 5.0
 SILENT_HEARTBEATS = round(SILENT_S / HEARTBEAT_S)
 
@@ -82,15 +82,13 @@ ORDER_TIMEOUT_S = 6.0
 RESTART_LINES = 10
 RESTART_LINES_PER_S = 1.0 / 600.0
 
-# Longer than the arm process itself takes to brake, park, relax and end, by the arm's clock; it ends by itself before.
+# By the arm's clock, longer than the arm process takes to brake, park, relax and end.
 CLOSE_TIMEOUT_S = END_LIMIT_S + 1.0
 
-# An arm that is to hold has come to rest before, and holds whatever becomes of its process: one that hangs holds up the
-# end of the server for no longer.
+# Silence after which a process that ends holding is not waited for: the arm is at rest, and holds without its process.
 SILENT_HOLDING_S = 0.8
 
-# A simulated arm on a busy machine has this time by the machine's clock: it is far slower only where nothing else works
-# either. Each simulated second has then taken three.
+# Longest end by the machine's clock: a simulated arm on a busy machine may need three seconds for each of its own.
 CLOSE_LIMIT_S = 60.0
 
 
@@ -381,7 +379,7 @@ class Arm:
             self._process.send(Heartbeat(self._observed()))
             self._silent_heartbeats += self._heard_since_s is not None
             if self._silent_heartbeats > SILENT_HEARTBEATS:
-                log.error("the arm process has said nothing for %g s; ending it", SILENT_S)
+                log.error("the arm process has been silent for %g s and is ended", SILENT_S)
                 self._silent_heartbeats = 0
                 await self._process.kill()
 
@@ -622,7 +620,7 @@ class ArmProcess:
             await self._child.wait(SILENT_S)
 
     def close(self) -> None:
-        """Give back what is kept for the start of another process."""
+        """Give the descriptors for the start of another process back."""
         self._reserve.close()
 
     async def kill(self) -> None:

@@ -1,7 +1,7 @@
 """Several arms as one: each has its process, and a motion of the joints of several is played by each for its own.
 
 All that is sent to several arms leaves in the same turn of the event loop; each begins with the next tick of its own
-loop, so that two arms differ by one tick at most, and by what a busy machine lets one of their processes wait.
+loop, so that two arms differ by one tick at most, plus the time for which a busy machine delays a process.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class ArmGroup:
     ) -> asyncio.Future[MotionEnded]:
         """Send a trajectory to the arms whose joints it moves, as :meth:`robot.arm.Arm.execute`.
 
-        What ends the motion of one early stops those of the others.
+        When one arm ends its part early, the other arms stop theirs.
         """
         shares = {
             name: [joint for joint in trajectory.joint_names if self._arm_of.get(joint) == name] for name in self._arms

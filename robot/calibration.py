@@ -174,7 +174,7 @@ class Calibration:
         """Return warnings about a calibration that is usable but looks wrong, a sentence each."""
         return tuple(
             f"{joint.joint} has a range of {joint.range_max - joint.range_min} ticks, more than {WIDEST_RANGE_TICKS}: "
-            "its sweep went across the seam between 4095 and 0; calibrate anew from the middle of the joint's range"
+            "its sweep went across the seam between 4095 and 0; calibrate again from the middle of the joint's range"
             for joint in self.joints
             if not joint.servo.turns_freely and joint.range_max - joint.range_min > WIDEST_RANGE_TICKS
         )
@@ -275,7 +275,7 @@ def _read_table(path: Path) -> Mapping[str, object]:
         raise CalibrationError(
             str(path),
             "",
-            "is of lerobot's schema before June 2025, whose zero is another: calibrate the arm anew",
+            "is of lerobot's schema before June 2025, whose zero is another: calibrate the arm again",
         )
     return table
 
@@ -300,7 +300,7 @@ def _joint(file: str, servo: ServoSpec, entry: object) -> JointCalibration:
         raise CalibrationError(
             file,
             f"{name}.range_min",
-            f"must be below range_max {range_max}, not {range_min}: calibrate the arm anew",
+            f"must be below range_max {range_max}, not {range_min}: calibrate the arm again",
         )
     return JointCalibration(
         servo=servo,

@@ -56,7 +56,7 @@ class PortPermission(PortError):  # noqa: N818 - named by the fact, as its sibli
         join = (
             f"give the container its group, --group-add {group}"
             if group.isdigit()
-            else f"join the group {group} (`sudo usermod -aG {group} $USER`, then log in anew)"
+            else f"join the group {group} (`sudo usermod -aG {group} $USER`, then log in again)"
         )
         super().__init__(port, f"may not be opened by this user: {join}, or add a udev rule (docs/hardware.md)")
 

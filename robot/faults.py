@@ -52,7 +52,7 @@ REMEDIES: Mapping[FaultCode, str] = {
     FaultCode.STARTUP_REFUSED: "Do what the message says, then reset the fault.",
     FaultCode.EMERGENCY_STOP: "Make sure that the arm may move, then reset the fault and enable it.",
     FaultCode.EMERGENCY_STOP_UNVERIFIED: "Cut the servos' supply: some may still be driven.",
-    FaultCode.PROCESS_LOST: "The arm process is started anew; reset the fault when it is back.",
+    FaultCode.PROCESS_LOST: "The arm process restarts; reset the fault when it is back.",
 }
 
 

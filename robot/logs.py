@@ -30,7 +30,7 @@ SUBJECTS = ("client", "goal", "code")
 # Parent of all loggers of this program; libraries have theirs beside it.
 OUR_LOGGER = "armbridge"
 
-# Messages quote what clients send, which may be as long as a WebSocket message.
+# Messages quote clients, whose text may be as long as a WebSocket message.
 MAX_MESSAGE_CHARACTERS = 4000
 
 # Tokens stand in URLs and headers, which libraries quote in their own messages.

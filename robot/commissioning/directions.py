@@ -1,4 +1,4 @@
-"""Direction of each joint, found by a motion of the hand: the request for it in words, and what its ticks say. Pure.
+"""Direction of each joint, found by a motion of the hand: the request in words, and the meaning of the ticks. Pure.
 
 The words follow from the URDF: the end of the link that the joint carries goes up, forward or to the left, as the
 model has it with every joint at zero; a joint whose axis goes through that end is turned.

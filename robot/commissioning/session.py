@@ -1,8 +1,8 @@
-"""Calibration step by step, for a terminal and for a server alike: what to ask a person, and what follows. Pure.
+"""Calibration step by step, for a terminal and a server alike: questions to a person and their consequences. Pure.
 
-The session moves and writes nothing. :meth:`CalibrationSession.answer` says which act is due: to relax the arm before
-the sweep, and to write the calibration at the end; who has carried it out goes on with :meth:`CalibrationSession.begin`
-and :meth:`CalibrationSession.finish`.
+The session moves and writes nothing. :meth:`CalibrationSession.answer` names the act that is due: relax the arm before
+the sweep, and write the calibration at the end. After the act, the caller goes on with :meth:`CalibrationSession.begin`
+or :meth:`CalibrationSession.finish`.
 """
 
 from __future__ import annotations
@@ -237,7 +237,7 @@ class CalibrationSession:
             self.findings.append(
                 f"{servo.joint} turned the other way than the model: its horn is mounted mirrored, or its servo counts "
                 f"the other way; mount it as the model has it, or set sign = {-servo.sign} for it in the arm's "
-                "robot.toml, and calibrate anew, before anything moves"
+                "robot.toml, and calibrate again, before anything moves"
             )
 
     def _next(self) -> None:

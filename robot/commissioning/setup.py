@@ -252,7 +252,7 @@ def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> Foun
             writer.write(change)
         writer.lock()
     except BaseException:
-        # An interrupted exchange may leave replies behind: the port is opened anew.
+        # An interrupted exchange may leave replies behind: the port is opened again.
         line.close()
         with contextlib.suppress(RobotError):
             writer.lock()

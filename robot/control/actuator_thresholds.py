@@ -1,4 +1,4 @@
-"""ActuatorThresholds of the controller about each joint that follow from how strong its actuator is set to be.
+"""Thresholds of the controller for each joint, which follow from the strength to which its actuator is set.
 
 A servo with half the position gain droops twice as far, and one that protects itself from 25 % of its torque on must
 not be asked to hold with more. The settings of the program hold for servos as the factory leaves them; here they are
@@ -28,7 +28,7 @@ MARGIN = 0.8
 # A joint that is loaded beyond its protection's threshold is relieved after this share of the protection's time.
 RELIEF_SHARE = 0.5
 
-# A stall is told well before the protection of the servo latches.
+# A stall is reported well before the protection of the servo latches.
 STALL_SHARE = 0.25
 
 # Current of a stalled STS3215 C001 at full duty (Feetech's data sheet: 2.4 A at 6 V, 2.7 A at 7.4 V).
@@ -37,7 +37,7 @@ STALL_CURRENT_A = 2.7
 
 @dataclass(frozen=True)
 class ActuatorThresholds:
-    """ActuatorThresholds about the joints, each of shape (joints,)."""
+    """Thresholds of the joints, each of shape (joints,)."""
 
     goal_tolerance_rad: Vector  # greatest distance of a settled joint from its goal [rad]
     sustained_torque: Vector  # share of full duty that a joint may use for ever

@@ -1,4 +1,4 @@
-"""Checks of what the server sends: its configuration, and every trajectory before it is played.
+"""Checks of the server's configuration, and of every trajectory before it is played.
 
 The arm process relies on its own guards, so it does not trust the server's numbers. A value of the configuration that
 is out of range is replaced by its default; a trajectory is refused with a sentence that names joint, limit and value.

@@ -1,4 +1,4 @@
-"""Orders to the arm: sequences of steps, each of which returns a sentence or raises a RobotError."""
+"""Orders to the arm: sequences that return a sentence or raise a RobotError."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Measured, StatusFlag, Steps, Survey, status_names
 from robot.messages import ArmConfig, EmergencyPolicy, MotionEnded
 
-# Polling of what only ticks can change: first readings, and the end of motions that brake.
+# Polling of conditions that only ticks change: first readings, and the end of motions that brake.
 POLL_S = 0.01
 POLLS = 200
 

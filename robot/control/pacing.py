@@ -34,7 +34,7 @@ MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 # not: 180 MB at its start, of which it uses 36.
 MIN_LOCKABLE_BYTES = 1 << 30
 
-# Far above the rounding of monotonic times in periods, far below what anything could notice.
+# Far above the rounding of monotonic times in periods, far below any visible effect.
 ROUNDING = 1e-9
 
 

@@ -57,7 +57,7 @@ log = logging.getLogger("armbridge.arm")
 FIRST_RETRY_S = 0.2
 LONGEST_RETRY_S = 2.0
 
-# A server that is silent for no longer may come back; the arm brakes meanwhile, but parks only then.
+# A silent server may come back within this time: the arm only brakes until then, and parks afterwards.
 SILENCE_BEFORE_PARKING_S = 5.0
 
 HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
@@ -66,14 +66,13 @@ HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
 SPARE_TICKS = 1
 IDLE_SPARE_TICKS = 4
 
-# After so many ticks at rest the joints have come to where their last motion has sent them.
+# Ticks at rest after which the joints have reached the end of their last motion.
 SETTLED_TICKS = round(0.5 / PERIOD_S)
 
-# A server that is silent for so long hangs, however busy the machine is; a simulated arm can afford to wait.
+# Least watchdog timeout of a simulated arm, which a server on a busy machine must not trip.
 SIMULATED_WATCHDOG_S = 5.0
 
-# A machine that is too busy makes the server silent again and again: lines of the log at once, and in the long run
-# [1/s], one in ten minutes.
+# Log lines about a silent server: at once, and in the long run [1/s], one in ten minutes.
 SILENCE_BURST = 3
 SILENCE_LINES_PER_S = 1.0 / 600.0
 
@@ -299,7 +298,7 @@ class Supervisor:
         return True
 
     def _torque_left(self) -> str:
-        """Read where torque is on, and say what to do about it."""
+        """Describe where torque is on, with the remedy."""
         if self.arm is None:
             return ""
         hardware = self.arm.hardware

@@ -143,7 +143,7 @@ def _mesh_name(robot: RobotModel, filename: str) -> str:
     try:
         find_mesh(filename, directory, robot.package_directories)
     except DescriptionError:
-        # One that is only seen may be missing: the start has told of it.
+        # A visual mesh may be missing; the log of the start names it.
         return filename
     return f"package://{directory.name}/{filename.removeprefix('./')}"
 

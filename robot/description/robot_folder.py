@@ -161,7 +161,7 @@ def load(
 
 
 class _Problems:
-    """Problems of a folder, collected so that all are told at once."""
+    """Problems of a folder, collected so that all are reported at once."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -183,12 +183,12 @@ class _Problems:
         self._sentences += sentences
 
     def error(self) -> RobotFileError:
-        """Return the error that tells them."""
+        """Return the error that lists them."""
         return RobotFileError(self._path, self._sentences)
 
 
 def _description_file(folder: Path, named: Path | None, kind: str) -> Path:
-    """Return the folder's URDF or SRDF: the one that is named, or the only one."""
+    """Return the folder's URDF or SRDF: the named one, or the only one."""
     if named is not None:
         path = folder / named
         if not path.is_file():
@@ -202,7 +202,7 @@ def _description_file(folder: Path, named: Path | None, kind: str) -> Path:
 
 
 def _limits(folder: Path, file: RobotFile) -> dict[str, JointLimits]:
-    """Return the limits beside the URDF: MoveIt's, and in their place those of ``robot.toml``."""
+    """Return the limits that replace the URDF's: MoveIt's, and before them the limits of ``robot.toml``."""
     limits = {} if file.robot.joint_limits is None else moveit_limits(folder / file.robot.joint_limits)
     for name, table in file.joints.items():
         own = {key: value for key, value in table.model_dump().items() if value is not None}

@@ -119,7 +119,7 @@ def status(state: ArmState, robot_name: str) -> dict[str, Any]:
     values = {
         "mode": state.mode.value,
         "reason": state.reason,
-        "course": state.pace.course.value,
+        "course": state.pace.direction.value,
         "speed_factor": f"{state.pace.speed_factor:g}",
         "speed_limit": f"{state.pace.speed_limit:g}",
     }

@@ -53,14 +53,6 @@ def nearest_end(
 ) -> PathGoal | None:
     """Find how far a path can be followed, and whether its end can be had by another way.
 
-    Args:
-        problem: the path, which cannot be followed to its end.
-        robot: the arm.
-        collision: its collisions with itself and the scene.
-        forward: its kinematics.
-        plan: plans a motion that need not follow the path.
-        budget: ends the search.
-
     Returns:
         None when neither is found, or the problem is refused.
     """

@@ -291,12 +291,7 @@ def conditions(constraints: Constraints | None, joints: Joints) -> tuple[Conditi
 
 
 class ConditionSet:
-    """Conditions that hold together, measured in configurations ``q`` of shape (n,) [rad].
-
-    Args:
-        forward: places the links.
-        conditions: the conditions.
-    """
+    """Conditions that hold together, measured in configurations ``q`` of shape (n,) [rad]."""
 
     def __init__(self, forward: ForwardKinematics, conditions: Sequence[Condition]) -> None:
         self._forward = forward

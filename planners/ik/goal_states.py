@@ -32,11 +32,10 @@ from planners.problem import Deviation, PlanningFailure
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 
-# After so many restarts without a new solution, when there is one, more rarely find any.
+# Restarts without a new solution, when there is one, after which more rarely find any.
 FRUITLESS_RESTARTS = 6
 
-# A goal is out of reach when so many restarts in a row come no nearer to it; of 1000 poses within reach none needed
-# more.
+# Restarts in a row that come no nearer to a goal out of reach; of 1000 poses within reach none needed more.
 HOPELESS_RESTARTS = 20
 NEARER_M = 0.001
 
@@ -84,15 +83,7 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class _End:
-    """End of one descent.
-
-    Attributes:
-        q: the configuration.
-        tight: whether the robot's hulls touch something there.
-        collides: whether more than the hulls does.
-        violation_m: how far all that is required is from holding, 0 if it holds [m].
-        preference_error_m: how far the preferences are from holding [m].
-    """
+    """End of one descent; it is tight where hulls touch something, and collides where more than the hulls does."""
 
     q: Vector
     tight: bool
@@ -121,7 +112,7 @@ class DescentResults:
         self.begin()
 
     def begin(self, patience: int = HOPELESS_RESTARTS) -> None:
-        """Begin a series of descents, of which so many may be fruitless as long as there is no solution."""
+        """Begin a series of descents, of which ``patience`` may be fruitless as long as there is no solution."""
         self._fruitless, self._patience = 0, patience
 
     def enough(self, wanted: int) -> bool:
@@ -223,7 +214,7 @@ class GoalSearch:
             goal_conditions: the conditions.
             seed_q: present configuration, shape (n,) [rad]; the first descent starts there.
             should_stop: ends the restarts early.
-            wanted: so many solutions are enough.
+            wanted: number of solutions that are enough.
             avoid_collisions: whether configurations in which something touches are none.
         """
         results = DescentResults(self.forward, self._collision if avoid_collisions else None, goal_conditions)
@@ -360,12 +351,7 @@ class GoalQuery:
 
 
 class GoalStates:
-    """Goal configurations of one robot.
-
-    Args:
-        robot: the arm.
-        collision: its collisions with itself and the scene.
-    """
+    """Goal configurations of one robot."""
 
     def __init__(self, robot: RobotModel, collision: CollisionModel) -> None:
         self._collision = collision
@@ -382,12 +368,7 @@ class GoalStates:
         return self._search.projection(group, conditions(constraints, self._joints), start_q)
 
     def find(self, goal: Goal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
-        """Find configurations in which a goal holds, the soonest reached first; or the reason for which there is none.
-
-        Args:
-            goal: a checked goal.
-            query: group, start and bounds of the search.
-        """
+        """Find configurations in which a checked goal holds, the soonest reached first; or why there is none."""
         if not isinstance(goal, AnyOf):
             return self._single(goal, query, 0)
         answers = [self._single(single, query, index) for index, single in enumerate(goal.goals)]

@@ -79,11 +79,7 @@ def coarse_first(pieces: int) -> Vector:
 
 
 class CountedSpace:
-    """Joint space that counts its collision checks.
-
-    Args:
-        space: the joints that move, and what they must not touch.
-        should_stop: once true, no line or curve is called free any more: long ones take longer than a cancel may.
+    """Joint space that counts its collision checks; once it is to stop, no line or curve is called free any more.
 
     Attributes:
         checks: number of checks so far.

@@ -48,7 +48,7 @@ UNREACHED = (MoveItErrorCode.TIMED_OUT, MoveItErrorCode.GOAL_VIOLATES_PATH_CONST
 # plan, so that others follow.
 AROUND_SHARE, FIND_SHARE, TREE_SHARE, TRY_SHARE = 0.6, 0.5, 0.5, 0.5
 
-# A tree of so many checks takes about 0.1 s, which is the same on every machine; and how coarse they are [m].
+# Checks of a tree, which take about 0.1 s, and their coarseness [m]; the tree is the same on every machine.
 TREE_CHECKS = 3000
 TREE_STEP_M = 0.01
 
@@ -100,13 +100,13 @@ def _are_numbers(goal: JointGoal) -> bool:
 def ways_out(
     space: JointSpace, point: Vector, start: Vector, moving: Vector, should_stop: Callable[[], bool]
 ) -> list[tuple[float, Vector]]:
-    """Return free points around one that is not, nearest first, with the most that anything moves to there [m].
+    """Return free points around one that is not, nearest first, with the greatest travel to there [m].
 
     Args:
-        space: what is free.
-        point: shape (n,) [rad].
+        space: free points.
+        point: point in contact, shape (n,) [rad].
         start: a free point, shape (n,) [rad].
-        moving: joints that may differ from the point, shape (n,), 1 or 0.
+        moving: 1 for joints that may differ from the point, else 0, shape (n,).
         should_stop: ends the search.
     """
     found: list[tuple[float, Vector]] = []

@@ -41,14 +41,14 @@ from robot.trajectory import Vector
 # Joints that it takes to move a tip in any direction.
 POSITION_DIRECTIONS = 3
 
-# A quaternion whose length is further from 1 is none.
+# Greatest deviation of a unit quaternion's length from 1.
 UNIT_TOLERANCE = 1e-3
 
 # An error shrinks to a third in a quarter of a second: ten times the delay from question to servo.
 GAIN_PER_S = 4.0
 
-# Further than this from its anchor the tip is not drifting but held off, by a limit or by what is in the way; the
-# anchor then comes along.
+# Further than this from its anchor the tip is not drifting but held off, by a limit or an obstacle; the anchor then
+# comes along.
 MAX_DRIFT_M = 0.02
 MAX_DRIFT_RAD = 0.35
 
@@ -287,8 +287,8 @@ class DesiredMotion:
     Attributes:
         linear_m_s: its velocity, shape (3,) [m/s].
         angular_rad_s: its angular velocity, shape (3,) [rad/s].
-        drift_rad: how far it is turned from its anchor or target [rad].
-        anchor: what to keep from now on; None where there is nothing to keep.
+        drift_rad: angle to its anchor or target [rad].
+        anchor: the next anchor; None where there is nothing to keep.
     """
 
     linear_m_s: Vector
@@ -298,18 +298,12 @@ class DesiredMotion:
 
 
 def twist_motion(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> DesiredMotion:
-    """Return the desired motion of a twist; directions that it does not command are held.
-
-    Args:
-        command: the twist.
-        tip: pose of the tip in the root link.
-        anchor: the anchor until now; None at the beginning.
-    """
+    """Return the desired motion of a twist; directions that it does not command are held, from no anchor at first."""
     linear, angular = np.array(command.linear_m_s), np.array(command.angular_rad_s)
     along, about = _unit_or_zero(linear), _unit_or_zero(angular)
     kept = anchor or Anchor(_pose(tip))
     if command.zero:
-        # It still brakes: what it had been moved along it need not come back for.
+        # It still brakes: along its last motion it need not come back.
         along, about = np.array(kept.along), np.array(kept.about)
     # An orientation out of reach would keep the arm moving without a command.
     righting_per_s = 0.0 if command.zero else GAIN_PER_S

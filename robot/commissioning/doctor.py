@@ -20,7 +20,8 @@ from robot.commissioning.scan import ScanResult, ServoReport, explain_missing, r
 from robot.commissioning.timing import CycleTimes, measure_reads
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, StartupError
-from robot.hardware.feetech.bus import SERVO_IDS, Bus, write_verified
+from robot.hardware.feetech.bus import SERVO_IDS, Bus
+from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.registers import (
     GOAL_ADDRESS,
     MODELS,
@@ -30,8 +31,8 @@ from robot.hardware.feetech.registers import (
     Telemetry,
     goal_block,
 )
-from robot.hardware.feetech.survey import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.interface import StatusFlag, run_to_end, status_names
+from robot.hardware.servos.bus import write_verified
 
 # Temperatures of the motor's housing [degC] at which the arm process, by default, stops the arm and warns.
 HOT_C = 65

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from robot import files
 from robot.description.servo_table import MAX_SERVO_ID
 from robot.errors import BackupError
-from robot.hardware.feetech.bus import Bus, read_block
+from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
     CONTROL_BYTES,
@@ -30,6 +30,7 @@ from robot.hardware.feetech.registers import (
 )
 from robot.hardware.feetech.settings import SETTINGS_ADDRESS, SETTINGS_BYTES
 from robot.hardware.interface import Steps
+from robot.hardware.servos.bus import read_block
 
 FORMAT: Literal["armbridge servo registers 1"] = "armbridge servo registers 1"
 

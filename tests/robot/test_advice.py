@@ -7,14 +7,16 @@ from robot.advice import ADVICE, Complaint, advise, complaints_in
 from robot.control.guards import Guards
 from robot.faults import REMEDIES, SIMULATED_REMEDIES, FaultCode
 from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech
 from robot.hardware.feetech.registers import Register
-from robot.hardware.feetech.servo_map import ServoMap
-from robot.hardware.feetech.survey import PHASE_MULTI_TURN, survey
 from robot.hardware.interface import StatusFlag
+from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.survey import survey
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES, reading, run
 
 HERE = np.zeros(6)
-SERVOS = ServoMap(CALIBRATION, BOUNDS)
+FAMILY = Feetech()
+SERVOS = ServoMap(FAMILY, CALIBRATION, BOUNDS)
 
 
 def test_every_complaint_has_its_meaning_and_a_remedy() -> None:
@@ -52,13 +54,13 @@ SURVEYED = {
 @pytest.mark.parametrize(("register", "value", "complaint"), SURVEYED.values(), ids=SURVEYED.keys())
 def test_a_warning_of_the_survey_has_advice(bus: Bus, register: Register, value: int, complaint: Complaint) -> None:
     bus.write(2, register, value)
-    assert complaints_in(run(survey(bus, SERVOS))[2].warnings) == [complaint]
+    assert complaints_in(run(survey(FAMILY, bus, SERVOS))[2].warnings) == [complaint]
 
 
 @pytest.mark.parametrize(("register", "value"), [(Register.RETURN_DELAY, 250), (Register.LOCK, 0)])
 def test_a_warning_that_says_what_to_do_has_no_other_advice(bus: Bus, register: Register, value: int) -> None:
     bus.write(2, register, value)
-    (warning,) = run(survey(bus, SERVOS))[2].warnings
+    (warning,) = run(survey(FAMILY, bus, SERVOS))[2].warnings
     assert complaints_in([warning]) == []
     assert "to 0" in warning or "armbridge setup" in warning
 

@@ -6,7 +6,7 @@ import type { State } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
 import { el, labelled, loadPreference, section, setText, storePreference } from "./dom";
-import { axisText, choice, watchPointer, type JogControls } from "./drive-controls";
+import { axisText, choice, watchHold, type JogControls } from "./drive-controls";
 import { gamepadSection } from "./drive-gamepad";
 import { keyboardSection } from "./drive-keyboard";
 import { isTouch, padsSection } from "./drive-pads";
@@ -34,11 +34,9 @@ export function driveSection(context: PanelContext): HTMLElement {
 
 /** A key or finger that is released elsewhere is not reported to this page. */
 function releaseWhenAway({ jogSender }: PanelContext): void {
-  const release = (): void => jogSender.releaseAll();
-  for (const event of ["blur", "pagehide"]) window.addEventListener(event, release);
-  document.addEventListener("visibilitychange", release);
-  // In the capturing phase, so that no other element can consume the key.
-  window.addEventListener("keydown", ({ key }) => key === "Escape" && release(), { capture: true });
+  const leave = (): void => jogSender.leave();
+  for (const event of ["blur", "pagehide"]) window.addEventListener(event, leave);
+  document.addEventListener("visibilitychange", leave);
 }
 
 function createControls(context: PanelContext): { controls: JogControls; settings: HTMLElement } {
@@ -71,10 +69,7 @@ function createControls(context: PanelContext): { controls: JogControls; setting
     if (mode.value === "hold") jogSender.hold(input, scaled(command, share()));
     else step(input, command);
   };
-  const release = (input: string): void => {
-    // A step goes on after its press, which may be shorter than the step.
-    if (mode.value === "hold") jogSender.release(input);
-  };
+  const release = (input: string): void => jogSender.release(input);
   mode.addEventListener("change", () => jogSender.releaseAll());
   const speed_line = el("label", { class: "line" }, t("drive.speed"), " ", speed, shown);
   const settings = el("div", { class: "drive-settings" }, labelled(t("drive.mode"), mode), labelled(t("drive.frame"), frame), speed_line);
@@ -156,14 +151,7 @@ function jogRow(controls: JogControls, name: string, testid: string, minus: JogE
 /** Create a button that moves the arm while a finger, pen, mouse button or key holds it. */
 function holdButton(controls: JogControls, text: string, label: string, testid: string, command: JogCommand): HTMLElement {
   const hold = el("button", { type: "button", class: "hold", text, label, testid });
-  watchPointer(hold, () => controls.press(testid, command), () => controls.release(testid));
-  hold.addEventListener("keydown", (event) => {
-    if (event.key !== " " && event.key !== "Enter") return;
-    event.preventDefault();
-    if (!event.repeat) controls.press(testid, command);
-  });
-  hold.addEventListener("keyup", ({ key }) => (key === " " || key === "Enter") && controls.release(testid));
-  hold.addEventListener("blur", () => controls.release(testid));
+  watchHold(hold, () => controls.press(testid, command), () => controls.release(testid));
   // A screen reader's press has no release, and no pointer either.
   hold.addEventListener("click", ({ detail, isTrusted }) => detail === 0 && isTrusted && controls.step(testid, command));
   return hold;

@@ -1,4 +1,4 @@
-"""A stop ends what is driven by hand, whatever is held and whoever stops; the server's record of the arm is the judge."""
+"""A stop ends what is driven by hand, whatever is held and whoever stops; the server's record is the judge."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from websockets.sync import client as blocking
 
 from tests.helpers.arm_record import MOVED_RAD, ArmRecord, arm_record
-from tests.helpers.clients import call
-from tests.helpers.page import PHONE, SHARED, OpenPage, at_ready, opened
+from tests.helpers.clients import call, publish, values_of
+from tests.helpers.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
@@ -27,33 +27,6 @@ WATCHED_S = 1.5
 
 # Presses of a button until the arm moves: on a busy machine the servo loop may end a press.
 PRESSES = 20
-
-Point = dict[str, Any]
-
-
-class Fingers:
-    """Fingers on the screen of a phone; each stays until it is lifted."""
-
-    def __init__(self, page: OpenPage) -> None:
-        self._page = page
-        self._touches = page.page.context.new_cdp_session(page.page)
-        self._down: dict[int, Point] = {}
-
-    def press(self, finger: int, test_id: str) -> None:
-        box = self._page.box(test_id)
-        self._down[finger] = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2, "id": finger}
-        self._send("touchStart", *self._down.values())
-
-    def lift(self, finger: int) -> None:
-        if finger in self._down:
-            self._send("touchEnd", self._down.pop(finger))
-
-    def lift_all(self) -> None:
-        for finger in list(self._down):
-            self.lift(finger)
-
-    def _send(self, kind: str, *points: Point) -> None:
-        self._touches.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
 
 @pytest.fixture(scope="module")
@@ -129,8 +102,7 @@ def stop_from_elsewhere(url: str, way: str) -> None:
     if way == "service":
         assert call(url, "/arm/stop")["success"]
         return
-    with blocking.connect(url) as websocket:
-        websocket.send(json.dumps({"op": "publish", "topic": "/stop", "type": "std_msgs/Empty", "msg": {}}))
+    publish(url, "/stop", "std_msgs/Empty", {})
 
 
 def test_the_gripper_stays_where_another_has_stopped_it(
@@ -147,10 +119,47 @@ def test_a_button_does_not_outlive_its_element(
     page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer
 ) -> None:
     move(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
-    with blocking.connect(server.url) as websocket:
-        message = {"op": "publish", "topic": "/moveit_goal_group", "type": "std_msgs/String", "msg": {"data": "gripper"}}
-        websocket.send(json.dumps(message))
-        page.until_state("s.group === 'gripper'")
+    choose_group(page, server, "gripper")
     fingers.lift(1)
     time.sleep(BRAKES_WITHIN_S)
     assert record.stands(WATCHED_S)
+    choose_group(page, server, "arm")
+
+
+def choose_group(page: OpenPage, server: RunningServer, group: str) -> None:
+    publish(server.url, "/moveit_goal_group", "std_msgs/String", {"data": group})
+    page.until_state(f"s.group === '{group}'")
+
+
+def test_a_press_of_a_quarter_of_a_second_cancels_a_goal(
+    page: OpenPage, fingers: Fingers, server: RunningServer
+) -> None:
+    page.part("tab-goals").click()
+    with blocking.connect(server.url) as websocket:
+        # Slow, so that statuses come all the while.
+        for topic, type_name, msg in (
+            ("/arm/speed_factor", "std_msgs/Float64", {"data": 0.1}),
+            ("/moveit_goal_named", "std_msgs/String", {"data": "home"}),
+            ("/moveit_goal_named", "std_msgs/String", {"data": "ready"}),
+        ):
+            websocket.send(json.dumps({"op": "publish", "topic": topic, "type": type_name, "msg": msg}))
+        status = {"op": "subscribe", "topic": "/moveit_goal_status", "type": "diagnostic_msgs/DiagnosticStatus"}
+        websocket.send(json.dumps(status))
+        page.until_state("s.active_goals.length === 2 && s.active_goals.some(({ state }) => state === 'executing')")
+        for goal_id in reversed([goal["id"] for goal in page.state("active_goals")]):
+            page.part(f"cancel-{goal_id}").focus()
+            fingers.press(1, f"cancel-{goal_id}")
+            time.sleep(0.25)
+            assert page.page.evaluate("document.activeElement.dataset.testid") == f"cancel-{goal_id}"
+            fingers.lift(1)
+            assert cancelled(websocket, goal_id)
+        websocket.send(json.dumps({"op": "publish", "topic": "/arm/speed_factor", "msg": {"data": 1.0}}))
+
+
+def cancelled(websocket: blocking.ClientConnection, goal_id: str) -> bool:
+    """Wait for the answer of a goal; return true if it was cancelled."""
+    while True:
+        status = json.loads(websocket.recv(timeout=10.0))["msg"]
+        values = values_of(status)
+        if status["hardware_id"] == goal_id and values["state"] == "done":
+            return values["code"] == "-7"

@@ -40,7 +40,7 @@ export function onArm(store: PageStore, listener: (namespace: string) => void): 
     known = namespace;
     listener(namespace);
   };
-  for (const part of DESCRIPTION) store.subscribe((state) => state[part], (_, state) => update(state));
+  store.watch(DESCRIPTION, update);
 }
 
 /** Subscribe to status and parameters of the servo node of the planning group's arm. */

@@ -21,16 +21,17 @@ from robot.hardware.feetech.registers import (
     CONTROL,
     GOAL_ADDRESS,
     MODELS,
+    PERMILLE,
     STALL_CURRENT_A,
     TABLE,
     Register,
     goal_block,
     parse_telemetry,
 )
-from robot.hardware.feetech.settings import PERMILLE, SETTINGS, SETTINGS_BLOCK, ServoSettings
+from robot.hardware.feetech.settings import SETTINGS, SETTINGS_BLOCK, ServoSettings
 from robot.hardware.interface import FREE_SPEED_RAD_S, Actuation, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame, write_verified
-from robot.hardware.servos.family import Difference, Limit, Reading, ServoFamily, ServoFound, Values, label
+from robot.hardware.servos.family import Difference, Limit, ServoFamily, ServoFound, Telemetry, Values, label
 from robot.hardware.servos.registers import Block
 from robot.hardware.servos.survey import limits_warnings
 
@@ -145,18 +146,11 @@ class Feetech(ServoFamily):
         """Return identity and EPROM."""
         return {register.name: values[register] for register in SETTINGS}
 
-    def parse_reading(self, frame: StatusFrame, joint: JointCalibration) -> Reading:  # noqa: ARG002 - the same for all
+    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:  # noqa: ARG002 - the same for all
         """Parse registers 56 to 70; the error byte of the reply has status flags too."""
-        told = parse_telemetry(frame.data)
-        return Reading(
-            position_ticks=told.position_ticks,
-            velocity_ticks_s=told.velocity_ticks_s,
-            load=told.load_permille / PERMILLE,
-            current_a=told.current_a,
-            voltage_v=told.voltage_v,
-            temperature_c=told.temperature_c,
-            status=told.status | frame.error,
-        )
+        telemetry = parse_telemetry(frame.data)
+        telemetry.status |= frame.error
+        return telemetry
 
     def around_goal(self, speed_ticks_s: float) -> tuple[bytes, bytes]:
         """Return acceleration, and time and velocity cap."""

@@ -40,15 +40,15 @@ class Watchdog(NamedTuple):
 
 # Six hundred are created a second, and a frozen one takes three times as long.
 @dataclass(slots=True)
-class Reading:
+class Telemetry:
     """Measurements of one servo; signs are of the servo's rotation."""
 
     position_ticks: int  # present position, with the turns that the servo has counted
     velocity_ticks_s: float  # present velocity [ticks/s]
     load: float  # share of full motor duty
     current_a: float  # motor current; NaN for a servo that does not measure it [A]
-    voltage_v: float | None  # supply; None in a reply without it [V]
-    temperature_c: float | None  # temperature of the motor; None in a reply without it [degC]
+    voltage_v: float  # supply; NaN in a reply without it [V]
+    temperature_c: float  # temperature of the motor; NaN in a reply without it [degC]
     status: int = 0  # bits of :class:`robot.hardware.interface.StatusFlag`
     reports_error: bool = False  # True for a servo whose error register must be read
     turns_ticks: int = 0  # whole turns to add to the position for the calibrated one
@@ -163,7 +163,7 @@ class ServoFamily(ABC):
     # Driving.
 
     @abstractmethod
-    def parse_reading(self, frame: StatusFrame, joint: JointCalibration) -> Reading:
+    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
         """Parse the reply to a read of :attr:`motion` or :attr:`telemetry`."""
 
     def status_of(self, error: int) -> StatusFlag:

@@ -96,6 +96,19 @@ class ServoMap:
         head, tail = self._around_goal[servo_id]
         return head + self._encode(self._goal, goal_ticks) + tail
 
+    def goal_blocks(self, goal_rad: Vector, turns_ticks: Mapping[int, int]) -> dict[int, bytes]:
+        """Build the blocks of all servos for goals, shape (joints,) [rad].
+
+        Args:
+            goal_rad: the goals.
+            turns_ticks: whole turns to add to a servo's positions for the calibrated ones, by id; 0 without an entry.
+        """
+        blocks = {}
+        for servo, ticks in self.goals_ticks(goal_rad).items():
+            head, tail = self._around_goal[servo]
+            blocks[servo] = head + self._encode(self._goal, ticks - turns_ticks.get(servo, 0)) + tail
+        return blocks
+
     def goals_ticks(self, goal_rad: Vector) -> dict[int, int]:
         """Convert goals, shape (joints,) [rad], to calibrated positions by servo id [ticks]."""
         each = zip(self.ids, goal_rad.tolist(), self._offset_rad, self._rad_per_tick, strict=True)

@@ -27,7 +27,7 @@ from tests.helpers.robots import SO101_SERVOS, nominal_calibration
 from tests.helpers.server import read_write_log
 
 NOMINAL = nominal_calibration()
-TELEMETRY = Telemetry(2048, 0, 0, 5.0, 32, 0, False, 2048, 0.0)
+TELEMETRY = Telemetry(2048, 0.0, 0.0, 0.0, 5.0, 32)
 TIMES = CycleTimes(300, 0.002, 0.0021, 0.0003, 0, 1800)
 
 

@@ -52,11 +52,7 @@ _GOAL_END = _GOAL_AT + TABLE.layout[Register.GOAL_POSITION].size
 
 
 class Feetech(ServoFamily):
-    """Servos of one arm.
-
-    Args:
-        profile: settings that the servos should have; None for those of the known profile that is nearest.
-    """
+    """Servos of one arm, with the settings that they should have; without a profile those of the nearest known one."""
 
     bus = Bus
     registers = TABLE

@@ -103,11 +103,7 @@ _SIGN_10, _SIGN_15 = 1 << 10, 1 << 15
 
 
 def parse_telemetry(data: bytes) -> Telemetry:
-    """Parse the telemetry block, ``TELEMETRY_BYTES`` from ``TELEMETRY_ADDRESS`` on.
-
-    Raises:
-        ValueError: ``data`` has another length.
-    """
+    """Parse the telemetry block, ``TELEMETRY_BYTES`` from ``TELEMETRY_ADDRESS`` on."""
     if len(data) != TELEMETRY_BYTES:
         raise ValueError(f"the telemetry block has {TELEMETRY_BYTES} bytes, not {len(data)}")
 
@@ -128,13 +124,8 @@ def parse_telemetry(data: bytes) -> Telemetry:
 def goal_block(goal_ticks: int, velocity_ticks_s: int, acceleration: int = 254) -> bytes:
     """Build registers 41 to 47: goal, velocity cap and acceleration.
 
-    Args:
-        goal_ticks: goal position.
-        velocity_ticks_s: velocity cap [ticks/s]; 0 means as fast as the servo can.
-        acceleration: in 100 ticks/s^2, at most 254; the default lags least behind a streamed goal.
-
-    Raises:
-        ValueError: a register cannot hold its value.
+    A velocity of 0 means as fast as the servo can; the default acceleration [100 ticks/s^2] lags least behind a
+    streamed goal.
     """
     return (
         encode(Register.ACCELERATION, acceleration)

@@ -136,12 +136,7 @@ class ServoFamily(ABC):
         values: Values,
         certain_ticks: tuple[int, int],  # noqa: ARG002 - for families that count turns
     ) -> tuple[int, int]:
-        """Return the lowest and highest goal that a servo takes [ticks].
-
-        Args:
-            values: its registers.
-            certain_ticks: positions between which its turns are certain.
-        """
+        """Return the lowest and highest goal that a servo takes, where its turns are certain [ticks]."""
         return self.position_limits_ticks(values)
 
     @abstractmethod
@@ -171,11 +166,7 @@ class ServoFamily(ABC):
         return StatusFlag(error)
 
     def around_goal(self, speed_ticks_s: float) -> tuple[bytes, bytes]:  # noqa: ARG002 - for families with caps
-        """Return the bytes before and after a goal in the block at :attr:`goal_address`.
-
-        Args:
-            speed_ticks_s: speed with which the servo may follow [ticks/s].
-        """
+        """Return the bytes before and after a goal in the block at :attr:`goal_address`, for a speed [ticks/s]."""
         return b"", b""
 
     def profile(self, speed_ticks_s: float) -> Values:  # noqa: ARG002 - for families with profiles
@@ -195,19 +186,14 @@ class ServoFamily(ABC):
     def clear_error(self, bus: ServoBus, joint: JointCalibration) -> Steps[None]:
         """Clear a latched error; torque is off at the end.
 
-        Raises:
-            StartupError: the servo keeps it.
-            NoReply: the servo gave no valid reply.
+        Raises StartupError for a servo that keeps it, and NoReply.
         """
 
     @abstractmethod
     def has_restarted(self, found: ServoFound, values: Values, limit: Limit) -> bool:
-        """Return True for a driven servo whose registers are as after power-up.
+        """Return True for a driven servo whose registers are as after power-up, and not the limit that was written.
 
-        Args:
-            found: servo as surveyed.
-            values: registers of a block of :attr:`read_back`.
-            limit: limit that was written.
+        The values are of a block of :attr:`read_back`.
         """
 
     # Calibration.
@@ -215,8 +201,7 @@ class ServoFamily(ABC):
     def read_differences(self, bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:  # noqa: ARG002 - likewise
         """Compare a calibration with the servos' registers.
 
-        Raises:
-            OrderRefused: the servos keep no calibration of this kind.
+        Raises OrderRefused for servos that keep no calibration of this kind.
         """
         yield 0.0
         raise OrderRefused(CALIBRATION_NOT_KEPT)

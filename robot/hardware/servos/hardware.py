@@ -38,15 +38,7 @@ TELEMETRY_EVERY = 10
 
 
 class SerialServos:
-    """Servos of an arm on a serial port, as a hardware source.
-
-    Args:
-        family: family of the servos.
-        config: port and calibration.
-        bounds: soft limits of the joints.
-        guard_limits: torque limits.
-        clock: time of the control loop [s].
-    """
+    """Servos of an arm on a serial port, as a hardware source."""
 
     def __init__(
         self,
@@ -69,20 +61,9 @@ class SerialServos:
 
 
 class ServoHardware(HardwareInterface):
-    """Servos of one arm on an open bus.
+    """Servos of one arm on an open bus, which it closes; emulated ones have no cable and supply to check.
 
-    Args:
-        family: family of the servos.
-        bus: the bus, which this closes.
-        calibration: joints, whose order is that of every array, and their servos.
-        bounds: soft limits of the joints.
-        guard_limits: torque limits.
-        clock: time of the control loop [s].
-        simulated: True for emulated servos, without cable and supply to check.
-
-    Attributes:
-        bus: as given.
-        servos: conversion between joints and servos.
+    The order of every array is that of the calibration's joints; the clock is the control loop's [s].
     """
 
     def __init__(

@@ -34,15 +34,7 @@ ASK_ALL_EVERY = 3
 
 
 class ServoTracker:
-    """Latest readings of an arm's servos.
-
-    Args:
-        family: family of the servos.
-        servos: servos of the arm.
-
-    Attributes:
-        silent_cycles: cycles without a reading, by servo id.
-    """
+    """Latest readings of an arm's servos."""
 
     def __init__(self, family: ServoFamily, servos: ServoMap) -> None:
         self._family = family
@@ -106,16 +98,11 @@ class ServoTracker:
         return {servo: seen.turns_ticks for servo, seen in self._seen.items()}
 
     def take(self, asked: Sequence[int], frames: Mapping[int, StatusFrame], now_s: float) -> None:
-        """Take the replies to one block read.
+        """Take the replies to one block read of servos in this order, which were asked at a monotonic time [s].
 
         A reading with a jump that no joint can make may be another servo's with a disturbed id: the first one is
         ignored, a second one in a row is believed. When all servos behind a missing one are missing too, they may have
         waited for it, so that it alone has missed its turn.
-
-        Args:
-            asked: servos that were asked, in this order.
-            frames: valid replies, each with a block of measurements.
-            now_s: monotonic time at which they were asked, so that no reading is older than its age [s].
         """
         if frames is self._frames and len(frames) == len(self._servos.ids) and not self._suspect_ids:
             # The same bytes as in the last cycle, whose readings were believed.

@@ -125,7 +125,7 @@ class Condition:
     silent_cycles: int  # cycles in which it did not answer
     warnings: tuple[str, ...] = ()  # warnings of the survey, a sentence each
     registers: Mapping[str, int] = field(default_factory=dict)  # its settings as surveyed, by the name of the register
-    # Values that those of them should have which have another, likewise.
+    # Profile's value of each register that has another, likewise.
     expected: Mapping[str, int] = field(default_factory=dict)
 
 

@@ -26,7 +26,7 @@ LENGTH_OVERHEAD = 3
 # Bytes of a status packet besides its data: header, id, LEN, INST, ERR, CRC.
 STATUS_OVERHEAD_BYTES = 11
 
-# Bit of ERR that says that HARDWARE_ERROR_STATUS is not 0; the others are the number of an error of the instruction.
+# Bit of ERR: HARDWARE_ERROR_STATUS is not 0. The other bits are the number of an error of the instruction.
 ALERT = 0x80
 
 # Longest packet of the SDK.

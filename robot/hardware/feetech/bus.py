@@ -1,4 +1,4 @@
-"""Feetech's bus: packets of ``scservo_sdk``, and replies that are told apart by their length.
+"""Feetech's bus: packets of ``scservo_sdk``, and replies that are distinguished by their length.
 
 Nothing in a reply identifies the instruction that it answers. So instructions are distinguished by the number of bytes
 that they ask for:

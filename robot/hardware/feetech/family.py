@@ -52,7 +52,7 @@ _GOAL_END = _GOAL_AT + TABLE.layout[Register.GOAL_POSITION].size
 
 
 class Feetech(ServoFamily):
-    """Servos of one arm, with the settings that they should have; without a profile those of the nearest known one."""
+    """Servos of one arm, with the settings that they should have; by default the nearest known profile's."""
 
     bus = Bus
     registers = TABLE
@@ -65,7 +65,7 @@ class Feetech(ServoFamily):
         "calibrate the arm (armbridge calibrate NAME) and name the calibration (arm.calibration, --calibration NAME)"
     )
     recalibrate_advice = (
-        "Either calibrate the arm anew (armbridge calibrate NAME --write-servos), or write the calibrated offsets and "
+        "Either calibrate the arm again (armbridge calibrate NAME --write-servos), or write the calibrated offsets and "
         "limits back (armbridge calibrate NAME --write-back)"
     )
 

@@ -76,7 +76,7 @@ class ServoBus(ABC):
         self._sdk = self._make_sdk()
         self._disturbed = True  # an earlier process may have left replies on the line
         self._line_free_s = self._last_byte_s = clock()
-        # The latest replies and their frames: those of an arm at rest repeat.
+        # The latest replies and their frames: the replies of an arm at rest repeat.
         self._replied: tuple[bytes, tuple[int, ...], int] = (b"", (), 0)
         self._replied_frames: dict[int, StatusFrame] = {}
         self._written: dict[int, bytes] = {}

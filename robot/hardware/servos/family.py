@@ -100,7 +100,7 @@ class ServoFamily(ABC):
     none_answers_advice: ClassVar[str] = ": is the arm powered?"  # likely cause when no servo answers
     # What to do with an arm without calibration, and with one whose servos have another calibration.
     calibrate_advice: ClassVar[str] = "name a calibration (arm.calibration, --calibration NAME)"
-    recalibrate_advice: ClassVar[str] = "Write the calibration to the servos, or calibrate the arm anew"
+    recalibrate_advice: ClassVar[str] = "Write the calibration to the servos, or calibrate the arm again"
 
     # Survey.
 

@@ -1,7 +1,7 @@
 """Comparison of driven servos' registers with what was written to them.
 
-A servo whose supply dips reboots, with torque off and its torque limit at the maximum, and one that its watchdog has
-stopped ignores its goals: telemetry shows neither. So the registers of one servo at a time are read back, in turn.
+A servo whose supply dips reboots, with torque off and its torque limit at the maximum. A servo that its watchdog has
+stopped ignores its goals. Telemetry shows neither, so the registers of one servo at a time are read back, in turn.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class RegisterChecks:
             if restarted or values.get(limit.register, limit.value) != limit.value:
                 self._expected.pop(servo_id)
             if restarted:
-                return Fault(FaultCode.SERVO_REBOOTED, f"the servo of joint {joint} has started anew", joint, stamp_s)
+                return Fault(FaultCode.SERVO_REBOOTED, f"the servo of joint {joint} has restarted", joint, stamp_s)
         if torque_on not in (None, 1):
             return Fault(FaultCode.TORQUE_LOST, f"the servo of joint {joint} was found relaxed", joint, stamp_s)
         return None

@@ -56,8 +56,8 @@ class ServoTracker:
     def complete(self) -> bool:
         """True when every servo has answered at least once, with its supply and temperature."""
         if not self._complete:
-            told = [reading for reading in self._seen.values() if not math.isnan(reading.voltage_v)]
-            self._complete = len(told) == len(self._servos.ids)
+            supplied = [reading for reading in self._seen.values() if not math.isnan(reading.voltage_v)]
+            self._complete = len(supplied) == len(self._servos.ids)
         return self._complete
 
     def ids_to_ask(self) -> list[int]:
@@ -92,7 +92,7 @@ class ServoTracker:
         self._measured = None
 
     def turns_ticks(self) -> dict[int, int]:
-        """Return the turns to add to the positions of servos for the calibrated ones; none of servos without turns."""
+        """Return the turns to add to servos' positions for the calibrated ones, by id; empty for servos without turns."""
         if not self._family.counts_turns:
             return {}
         return {servo: seen.turns_ticks for servo, seen in self._seen.items()}

@@ -92,7 +92,7 @@ class ServoTracker:
         self._measured = None
 
     def turns_ticks(self) -> dict[int, int]:
-        """Return the turns to add to servos' positions for the calibrated ones, by id; empty for servos without turns."""
+        """Return the turns to add to positions for the calibrated ones, by id; empty for servos without turns."""
         if not self._family.counts_turns:
             return {}
         return {servo: seen.turns_ticks for servo, seen in self._seen.items()}

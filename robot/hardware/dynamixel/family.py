@@ -39,9 +39,10 @@ from robot.hardware.dynamixel.registers import (
 )
 from robot.hardware.interface import StatusFlag, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame, read, write_verified
-from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Telemetry, Values, Watchdog, label
+from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, Watchdog, label
 from robot.hardware.servos.registers import Block
 from robot.hardware.servos.survey import limits_warnings
+from robot.hardware.servos.telemetry import Telemetry
 
 # Register PROFILE_ACCELERATION, 39 rad/s^2: smoothness comes from the trajectory, and any less adds lag.
 PROFILE_ACCELERATION = round(25400 / TICKS_S2_PER_ACCELERATION_UNIT)

@@ -32,9 +32,10 @@ from robot.hardware.feetech.registers import (
 from robot.hardware.feetech.settings import SETTINGS, SETTINGS_BLOCK, ServoSettings
 from robot.hardware.interface import FREE_SPEED_RAD_S, Actuation, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame, write_verified
-from robot.hardware.servos.family import Difference, Limit, ServoFamily, ServoFound, Telemetry, Values, label
+from robot.hardware.servos.family import Difference, Limit, ServoFamily, ServoFound, Values, label
 from robot.hardware.servos.registers import Block
 from robot.hardware.servos.survey import limits_warnings
+from robot.hardware.servos.telemetry import Telemetry
 
 # Register ACCELERATION: its largest value, 39 rad/s^2. Smoothness comes from the trajectory, and any less adds lag.
 ACCELERATION = 254

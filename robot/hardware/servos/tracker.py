@@ -14,8 +14,9 @@ import numpy as np
 from robot.calibration import RAD_PER_TICK
 from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Measured
 from robot.hardware.servos.bus import StatusFrame
-from robot.hardware.servos.family import ServoFamily, Telemetry
+from robot.hardware.servos.family import ServoFamily
 from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.telemetry import Telemetry
 
 # Misses in a row after which a servo is asked behind the others.
 MISSES_UNTIL_LAST = 2

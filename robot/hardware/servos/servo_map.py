@@ -84,11 +84,8 @@ class ServoMap:
 
         The servos' turns are by id [ticks], as :meth:`turns_ticks` gives them; 0 without an entry.
         """
-        blocks = {}
-        for servo, ticks in self.goals_ticks(goal_rad).items():
-            head, tail = self._around_goal[servo]
-            blocks[servo] = head + self._encode(self._goal, ticks - turns_ticks.get(servo, 0)) + tail
-        return blocks
+        goals = self.goals_ticks(goal_rad)
+        return {servo: self.goal_block(servo, ticks - turns_ticks.get(servo, 0)) for servo, ticks in goals.items()}
 
     def goals_ticks(self, goal_rad: Vector) -> dict[int, int]:
         """Convert goals, shape (joints,) [rad], to calibrated positions by servo id [ticks]."""

@@ -10,6 +10,7 @@ is measured.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,9 +18,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.cartesian.spline import NaturalSpline
 from planners.cartesian.tip_path import TipPath, apart_m, apart_rad
 from planners.geometry.kinematics import ForwardKinematics
+from planners.ik.constraints import norm
+from planners.ik.differential import Task, free_directions, solve
+from planners.motions.path_timing import SplinePath
 from planners.problem import Deviation
 from robot.trajectory import Vector
 
@@ -134,7 +137,7 @@ class TipTracker:
             step += turn
             step *= min(1.0, LONGEST_STEP_RAD / max(float(np.max(np.abs(step))), LONGEST_STEP_RAD))
             settled = float(np.max(np.abs(step))) < SETTLED_RAD
-            if settled and float(np.linalg.norm(missing_m)) < ACCURACY_M:
+            if settled and norm(missing_m) < ACCURACY_M:
                 break
             point = np.clip(point + step, self._lower_rad, self._upper_rad)
             if settled:
@@ -156,32 +159,18 @@ class TipTracker:
         """The steps for position and orientation, of joints near their limits only where the others cannot do it."""
         weight = np.ones_like(point)
         for _ in range(len(point)):
-            step, turn = _prioritized(weight * jacobian, missing_m, missing_rad)
-            step, turn = weight * step, weight * turn
+            scaled = weight * jacobian
+            step, _ = solve([Task(scaled[:3], missing_m)], POSITION_DAMPING_M)
+            damping = math.sqrt(ORIENTATION_DAMPING**2 + norm(missing_rad - scaled[3:] @ step))
+            free = free_directions(scaled[:3], POSITION_DAMPING_M)
+            turned, _ = solve([Task(scaled[3:], missing_rad)], damping, before=step, free=free)
+            step, turn = weight * step, weight * (turned - step)
             room = np.where(step + turn < 0.0, point - self._lower_rad, self._upper_rad - point)
             allowed = np.sqrt(np.clip(room / NEAR_LIMIT_RAD, 0.0, 1.0))
             if np.all(allowed >= weight):
                 break
             weight = np.minimum(weight, allowed)
         return step, turn
-
-
-def _prioritized(jacobian: Vector, missing_m: Vector, missing_rad: Vector) -> tuple[Vector, Vector]:
-    """The step that meets the position, and what freedom it leaves used for the orientation."""
-    linear, angular = jacobian[:3], jacobian[3:]
-    inverse = _damped_inverse(linear, POSITION_DAMPING_M)
-    step = inverse @ missing_m
-    free = angular - (angular @ inverse) @ linear
-    missing_rad = missing_rad - angular @ step
-    damping = float(np.sqrt(ORIENTATION_DAMPING**2 + np.linalg.norm(missing_rad)))
-    turn = _damped_inverse(free, damping) @ missing_rad
-    # Damping lets this leave the position's null space by a little: taken out again.
-    return step, turn - inverse @ (linear @ turn)
-
-
-def _damped_inverse(matrix: Vector, damping: float) -> Vector:
-    """Least-squares inverse, shape (n, 3), that stays finite where the matrix loses rank."""
-    return np.asarray(np.linalg.solve(matrix @ matrix.T + damping**2 * np.eye(3), matrix).T)
 
 
 @dataclass(frozen=True)
@@ -321,12 +310,6 @@ def _jump(joint: str, step_rad: float, step_m: float) -> PathEnd:
     )
 
 
-# On a curve of few points the progress still has to rise and fall within this many steps.
-LEAST_GRID_STEPS = 20
-
-# The limits between grid points are kept to a few per mille with this many between two points of the curve.
-GRID_STEPS_PER_SPAN = 2
-
 # The tip is measured at so many places of each span between two points: half-way, where a curve is furthest off.
 MEASURED_PER_SPAN = 2
 
@@ -338,32 +321,6 @@ MEASURED_AROUND = 2
 
 # Each round of new points halves the spans where the curve is off, and what it is off by more than that.
 REFINEMENTS = 5
-
-
-class SplinePath:
-    """The natural cubic spline through points.
-
-    Args:
-        knots: shape (m,), m >= 2, strictly increasing parameters.
-        points: shape (m, n), finite, where the curve is there [rad].
-    """
-
-    def __init__(self, knots: Vector, points: Vector) -> None:
-        self.knots = knots
-        self.points = points
-        self._curve = NaturalSpline(knots, points)
-
-    @property
-    def grid(self) -> Vector:
-        """Parameters for timing: the second derivative is linear between them."""
-        spans = len(self.knots) - 1
-        steps = max(GRID_STEPS_PER_SPAN, -(-LEAST_GRID_STEPS // spans))
-        at = np.arange(spans * steps + 1) / steps
-        return np.interp(at, np.arange(spans + 1), self.knots)
-
-    def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
-        """Position, first or second derivative at parameters, shape (k, n)."""
-        return self._curve(path_positions, order)
 
 
 @dataclass(frozen=True)

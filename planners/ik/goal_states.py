@@ -90,20 +90,20 @@ class _End:
         q: the configuration.
         tight: whether the robot's hulls touch something there.
         collides: whether more than the hulls does.
-        beyond_m: how far all that is required is from holding, 0 if it holds [m].
+        violation_m: how far all that is required is from holding, 0 if it holds [m].
         preference_error_m: how far the preferences are from holding [m].
     """
 
     q: Vector
     tight: bool
     collides: bool
-    beyond_m: float
+    violation_m: float
     preference_error_m: float
 
     @property
     def solves(self) -> bool:
         """True when all that is required holds and nothing touches."""
-        return self.beyond_m == 0.0 and not self.collides
+        return self.violation_m == 0.0 and not self.collides
 
 
 class DescentResults:
@@ -117,7 +117,7 @@ class DescentResults:
         self._preferred = ConditionSet(forward, goal_conditions.preferred)
         self._both = ConditionSet(forward, (*goal_conditions.required, *goal_conditions.preferred))
         self._ends: list[_End] = []
-        self._least_beyond_m, self._least_preference_error_m = math.inf, math.inf
+        self._least_violation_m, self._least_preference_error_m = math.inf, math.inf
         self.begin()
 
     def begin(self, patience: int = HOPELESS_RESTARTS) -> None:
@@ -138,7 +138,7 @@ class DescentResults:
     @property
     def only_touching(self) -> bool:
         """True when all that is required can be had, but only with something touching, for all that was found."""
-        return not self.any_solution and any(end.beyond_m == 0.0 for end in self._ends)
+        return not self.any_solution and any(end.violation_m == 0.0 for end in self._ends)
 
     @property
     def only_colliding(self) -> bool:
@@ -152,8 +152,8 @@ class DescentResults:
             return
         end = self._judged(q)
         self._ends.append(end)
-        if end.beyond_m < self._least_beyond_m - NEARER_M:
-            self._least_beyond_m, self._fruitless = end.beyond_m, 0
+        if end.violation_m < self._least_violation_m - NEARER_M:
+            self._least_violation_m, self._fruitless = end.violation_m, 0
         if end.solves:
             if end.preference_error_m <= max(0.0, self._least_preference_error_m - NEARER_M):
                 self._fruitless = 0
@@ -161,15 +161,15 @@ class DescentResults:
 
     def look_closer(self) -> None:
         """Ask the surfaces of what touches by its parts, where nothing else meets all that is required."""
-        self._ends = [self._by_surfaces(end) if end.beyond_m == 0.0 and end.collides else end for end in self._ends]
+        self._ends = [self._by_surfaces(end) if end.violation_m == 0.0 and end.collides else end for end in self._ends]
 
     def result(self, move_time_s: Callable[[Vector], float]) -> SearchResult:
         """Return the solutions, or the nearest configuration; ``move_time_s`` is the time of a move to one [s]."""
-        nearest = min(self._ends, key=lambda end: (end.collides, end.beyond_m, end.preference_error_m))
+        nearest = min(self._ends, key=lambda end: (end.collides, end.violation_m, end.preference_error_m))
         deviation = self._both.deviation(nearest.q)
         solving = [end for end in self._ends if end.solves]
         if not solving:
-            meeting = next((end for end in self._ends if end.beyond_m == 0.0), None)
+            meeting = next((end for end in self._ends if end.violation_m == 0.0), None)
             return SearchResult((), self._pairs(meeting), nearest.q, deviation)
         # Where only parts within the hulls are apart, motions are slow to check and rarely found.
         roomy = [end for end in solving if not end.tight] or solving
@@ -180,7 +180,7 @@ class DescentResults:
     def _judged(self, q: Vector) -> _End:
         tight = self._collision is not None and self._collision.in_collision(q)
         collides = tight and self._collision is not None and self._collision.collides(q, Closeness.PARTS)
-        return _End(q, tight, collides, self._required.beyond_m(q), self._preferred.beyond_m(q))
+        return _End(q, tight, collides, self._required.violation_m(q), self._preferred.violation_m(q))
 
     def _by_surfaces(self, end: _End) -> _End:
         return replace(end, collides=self._collision is not None and self._collision.collides(end.q))

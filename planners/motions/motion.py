@@ -42,6 +42,7 @@ from planners.motions.path import (
     search,
     without_detours,
 )
+from planners.motions.path_timing import MAX_DURATION_S
 from planners.motions.via_point import via_point
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
@@ -63,9 +64,6 @@ LEAST_GAIN_TICKS = 40
 FRUITLESS_ROUNDS = 5
 
 STRAIGHT_LINE = "straight line"
-
-# The arm's longest trajectory: 180 000 samples at 100 Hz. A scaling of 1e-6 would make 25 million samples.
-MAX_DURATION_S = 1800.0
 
 # Sparse check of a straight line before it is timed: most blocked ones are found here [m].
 SPARSE_STEP_M = 0.2

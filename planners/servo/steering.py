@@ -18,6 +18,7 @@ from planners.checks import check_group, check_start
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.shapes import placement
+from planners.ik.differential import Limit, Task, solve, velocity_limit
 from planners.ik.goal_checks import invalid_goal
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Point, Pose
@@ -32,16 +33,8 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from planners.servo.velocity_limits import (
-    PredictedTip,
-    RegularizedMotion,
-    VelocityBounds,
-    bounded_least_squares,
-    regularized,
-    velocity_bounds,
-    watched_m,
-    within_reach,
-)
+from planners.servo.singularities import PredictedTip, RegularizedMotion, regularized
+from planners.servo.velocity_limits import VelocityBounds, velocity_bounds, watched_m, within_reach
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
@@ -135,17 +128,14 @@ def answer_servo(
         return refusal
     state = _servo_state(question, robot, collision, forward)
     names = robot.groups[question.group].joints
-    if isinstance(question.command, JointVelocities):
-        return servo_answer(
-            question, names, _ramped(_joint_outcome(question.command, names, state), state), state.velocity_bounds
-        )
-    if isinstance(question.command, TipTwist):
-        desired = twist_motion(question.command, state.tip, question.anchor)
-    else:
-        desired = target_motion(question.command, state.tip, question.limits)
-    return servo_answer(
-        question, names, _ramped(_tip_outcome(question, desired, state, forward), state), state.velocity_bounds
-    )
+    match question.command:
+        case JointVelocities() as command:
+            outcome = _joint_outcome(command, names, state)
+        case TipTwist() as command:
+            outcome = _tip_outcome(question, twist_motion(command, state.tip, question.anchor), state, forward)
+        case TipTarget() as command:
+            outcome = _tip_outcome(question, target_motion(command, state.tip, question.limits), state, forward)
+    return servo_answer(question, names, _ramped(outcome, state), state.velocity_bounds)
 
 
 def _servo_state(
@@ -178,18 +168,8 @@ def _joint_outcome(command: JointVelocities, names: tuple[str, ...], state: Serv
     """Return the outcome of a joint command: only named joints move, also where others could help past a bound."""
     desired = np.array([command.velocity_rad_s.get(name, 0.0) for name in names])
     desired = desired * _share_of_speed(desired, state.max_velocity)
-    named = np.flatnonzero(desired)
-    velocity = np.zeros(len(names))
-    if not named.size:
-        return Outcome(velocity, np.array([], dtype=np.intp), desired, velocity)
-    found, active = bounded_least_squares(
-        np.eye(len(named)),
-        desired[named],
-        POSITION_DAMPING,
-        state.velocity_bounds.rows[:, named],
-        state.velocity_bounds.bounds,
-    )
-    velocity[named] = found
+    named = np.eye(len(names))[:, desired != 0.0]
+    velocity, active = solve([Task(np.eye(len(names)), desired)], POSITION_DAMPING, state.velocity_bounds, free=named)
     return Outcome(velocity, active, desired, velocity)
 
 
@@ -225,12 +205,11 @@ def _moved(
     sound: RegularizedMotion, angular: Vector, turn: Vector, state: ServoState
 ) -> tuple[Vector, NDArray[np.intp]]:
     """Return the joint velocities that move the tip, and the indices of the active velocity bounds."""
-    rows, bounds = state.velocity_bounds.rows, state.velocity_bounds.bounds
-    first, active = bounded_least_squares(sound.jacobian, sound.linear_m_s, POSITION_DAMPING, rows, bounds)
+    position = Task(sound.jacobian, sound.linear_m_s)
+    first, active = solve([position], POSITION_DAMPING, state.velocity_bounds)
     if state.velocity_bounds.near(active):
-        both = np.vstack((sound.jacobian, PUSHED_TURN_M * angular))
-        desired = np.concatenate((sound.linear_m_s, PUSHED_TURN_M * turn))
-        first, active = bounded_least_squares(both, desired, POSITION_DAMPING, rows, bounds)
+        both = [position, Task(angular, turn, PUSHED_TURN_M)]
+        first, active = solve(both, POSITION_DAMPING, state.velocity_bounds)
     return first * _share_of_speed(first, state.max_velocity), active
 
 
@@ -238,16 +217,10 @@ def _turned(
     first: Vector, angular: Vector, turn: Vector, free: Vector, state: ServoState
 ) -> tuple[Vector, NDArray[np.intp]]:
     """Add velocities that turn the tip without moving it; return all, and the indices of the active velocity bounds."""
-    rows, bounds = state.velocity_bounds.rows, state.velocity_bounds.bounds
-    speeds = np.concatenate((state.max_velocity - first, state.max_velocity + first))
-    rest, active = bounded_least_squares(
-        np.vstack((angular @ free, STEADINESS * np.eye(free.shape[1]))),
-        np.concatenate((turn - angular @ first, STEADINESS * free.T @ (state.velocity_rad_s - first))),
-        TURN_DAMPING,
-        np.vstack((rows @ free, free, -free)),
-        np.maximum(np.concatenate((bounds - rows @ first, speeds)), 0.0),
-    )
-    return first + free @ rest, active[active < len(bounds)]
+    steady = Task(free.T, free.T @ state.velocity_rad_s, STEADINESS)
+    limit = state.velocity_bounds.also(velocity_limit(state.max_velocity))
+    velocity, active = solve([Task(angular, turn), steady], TURN_DAMPING, limit, first, free)
+    return velocity, active[active < len(state.velocity_bounds.bounds)]
 
 
 def _ramped(outcome: Outcome, state: ServoState) -> Outcome:
@@ -262,7 +235,7 @@ def _ramped(outcome: Outcome, state: ServoState) -> Outcome:
     # A joint that rests, and is to rest, helps no other.
     reach = np.where((state.velocity_rad_s != 0.0) | (outcome.velocity_rad_s != 0.0), state.max_change, 0.0)
     rows, bounds = state.velocity_bounds.rows, state.velocity_bounds.bounds
-    change = within_reach(wanted, reach, rows, bounds - rows @ state.velocity_rad_s)
+    change = within_reach(wanted, reach, Limit(rows, bounds - rows @ state.velocity_rad_s))
     return replace(outcome, velocity_rad_s=state.velocity_rad_s + change)
 
 

@@ -13,8 +13,8 @@ from robot.commissioning.scan import ScanResult, explain_missing
 from robot.commissioning.servo_registers import ServoRegisters
 from robot.commissioning.timing import CycleTimes
 from robot.description.servo_table import ServoSpec
+from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.registers import MODELS, Register
-from robot.hardware.feetech.survey import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.interface import status_names
 from robot.messages import ArmConfig, GuardLimits
 

@@ -17,7 +17,7 @@ from robot.commissioning.doctor import Finding, Verdict
 from robot.commissioning.scan import read_telemetry
 from robot.commissioning.timing import measure_reads
 from robot.errors import NoReply, RobotError, StartupError
-from robot.hardware.feetech.bus import SERVO_IDS, Bus, write_verified
+from robot.hardware.feetech.bus import SERVO_IDS, Bus
 from robot.hardware.feetech.registers import (
     GOAL_ADDRESS,
     TELEMETRY_ADDRESS,
@@ -27,6 +27,7 @@ from robot.hardware.feetech.registers import (
     goal_block,
 )
 from robot.hardware.interface import StatusFlag, run_to_end
+from robot.hardware.servos.bus import write_verified
 
 # Register TORQUE_LIMIT during experiments [0.1 %]: a finger stops the gripper.
 GENTLE_TORQUE = 200

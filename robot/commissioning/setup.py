@@ -18,7 +18,8 @@ from robot.commissioning.scan import BAUDRATES, FACTORY_ID
 from robot.commissioning.servo_registers import ServoRegisters, read_registers
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, RobotError, StartupError
-from robot.hardware.feetech.bus import ATTEMPTS, STEP_ATTEMPTS, Bus, read, write_verified
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile
 from robot.hardware.feetech.registers import (
     MODELS,
@@ -27,8 +28,8 @@ from robot.hardware.feetech.registers import (
     Register,
 )
 from robot.hardware.feetech.settings import EPROM
-from robot.hardware.feetech.survey import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.interface import Result, Steps, run_to_end
+from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
 
 # Baud rate of the driver, 1 Mbaud, and its value of register BAUD_RATE.
 BAUDRATE = BAUDRATES[0]

@@ -31,9 +31,6 @@ RELIEF_SHARE = 0.5
 # A stall is reported well before the protection of the servo latches.
 STALL_SHARE = 0.25
 
-# Current of a stalled STS3215 C001 at full duty (Feetech's data sheet: 2.4 A at 6 V, 2.7 A at 7.4 V).
-STALL_CURRENT_A = 2.7
-
 
 @dataclass(frozen=True)
 class ActuatorThresholds:
@@ -45,6 +42,7 @@ class ActuatorThresholds:
     relieve_after_s: Vector
     stall_current_a: Vector  # current above which a joint that all but stands still is stalled [A]
     stall_time_s: Vector  # time for which that must last [s]
+    free_speed_rad_s: Vector  # greatest speed of the joint [rad/s]
 
     @classmethod
     def of(cls, limits: GuardLimits, actuation: Actuation, full_torque: Vector) -> Self:
@@ -52,7 +50,7 @@ class ActuatorThresholds:
         # A higher gain than the factory's does not make the gears stiffer.
         softness = 1.0 / np.clip(actuation.stiffness, 1e-2, 1.0)
         tolerance = limits.goal_tolerance_rad * (1.0 + DROOP_SHARE * (softness - 1.0))
-        threshold = np.minimum(actuation.overload_torque, actuation.overload_current_a / STALL_CURRENT_A)
+        threshold = np.minimum(actuation.overload_torque, actuation.overload_current_a / actuation.stall_current_a)
         within = threshold >= full_torque
         return cls(
             goal_tolerance_rad=np.minimum(tolerance, max(LARGEST_TOLERANCE_RAD, limits.goal_tolerance_rad)),
@@ -60,4 +58,5 @@ class ActuatorThresholds:
             relieve_after_s=np.where(within, np.inf, RELIEF_SHARE * actuation.overload_time_s),
             stall_current_a=np.minimum(limits.stall_current_a, MARGIN * actuation.overload_current_a),
             stall_time_s=np.minimum(limits.stall_time_s, STALL_SHARE * actuation.overload_time_s),
+            free_speed_rad_s=actuation.free_speed_rad_s,
         )

@@ -9,12 +9,12 @@ import numpy as np
 from robot.advice import ServoAlert, ServoWarning
 from robot.control.actuator_thresholds import ActuatorThresholds
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Actuation, Flags, Measured, StatusFlag, status_names
+from robot.hardware.interface import JUMP_RAD, Actuation, Flags, Measured, StatusFlag, status_names
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
-# A joint is stalled when it is far behind its goal, near its torque limit or drawing much current, and all but standing
-# still (60 ticks of an STS3215, and 30 a second).
+# A joint is stalled when it is far behind its goal (5 deg), near its torque limit or drawing much current, and all but
+# standing still (3 deg/s).
 STALL_ERROR_RAD = 0.092
 STALL_SPEED_RAD_S = 0.046
 STALL_LOAD_SHARE = 0.8
@@ -25,9 +25,6 @@ ALL_SILENT_AFTER_S = 0.03
 # Longer than the voltage dip of a starting motor.
 LOW_VOLTAGE_TIME_S = 0.2
 VOLTAGE_BIT_TIME_S = 2.0
-
-# Register MAX_VOLTAGE of a new 7.4 V servo.
-DEFAULT_MAX_VOLTAGE_V = 8.0
 
 _STATUS_FAULTS = (
     (StatusFlag.TEMPERATURE, FaultCode.OVERHEATED),
@@ -84,7 +81,7 @@ class Guards:
     """Guards of one arm.
 
     Args:
-        max_voltage_v: register MAX_VOLTAGE of each servo, shape (joints,) [V]; None for that of a new servo.
+        max_voltage_v: highest supply of each servo, shape (joints,) [V]; None for servos without such a limit.
         thresholds: what follows from the servos' settings; None for servos without any.
 
     Attributes:
@@ -109,7 +106,7 @@ class Guards:
         self.thresholds = thresholds or ActuatorThresholds.of(
             self.limits, Actuation.unprotected(joints), np.ones(joints)
         )
-        self._max_voltage_v = np.full(joints, DEFAULT_MAX_VOLTAGE_V) if max_voltage_v is None else max_voltage_v
+        self._max_voltage_v = np.full(joints, np.inf) if max_voltage_v is None else max_voltage_v
         self._none: Flags = np.zeros(joints, dtype=bool)
         self._last: tuple[Measured, float] | None = None
         self.restart()
@@ -143,7 +140,7 @@ class Guards:
                 self.restart()
             return self._silence_fault(goal_rad, measured)
         self._fresh = False
-        jumped = self._none if last is None else _jumped(measured, now_s, *last)
+        jumped = self._none if last is None else self._jumped(measured, now_s, *last)
         self._check_errors(goal_rad, measured, torque_limit, now_s)
         resisting = self._none if yielding is None else yielding
         status_faults = _STATUS_FAULTS if measured.status.any() else ()
@@ -188,6 +185,12 @@ class Guards:
             and not any(degrees >= self._temperatures.stop_c for degrees in measured.temperature_c.tolist())
             and not any(volts < self.limits.min_voltage_v for volts in measured.voltage_v.tolist())
         )
+
+    def _jumped(self, measured: Measured, now_s: float, before: Measured, before_s: float) -> Flags:
+        """Find the joints that cannot have turned from their last reading to this one in the time between."""
+        gap_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
+        way_rad = np.abs(measured.position_rad - before.position_rad)
+        return np.asarray(way_rad > JUMP_RAD + self.thresholds.free_speed_rad_s * gap_s)
 
     def _silence_fault(self, goal_rad: Vector, measured: Measured) -> Fault | None:
         """Return the fault of silent servos, the same object while the same servos are silent."""
@@ -243,10 +246,3 @@ class Guards:
             least_volts=self.limits.min_voltage_v,
         )
         return Fault(code, sentence, "" if code is FaultCode.BUS_SILENT else self._names[joint], measured.stamp_s)
-
-
-def _jumped(measured: Measured, now_s: float, before: Measured, before_s: float) -> Flags:
-    """Find the joints that cannot have turned from their last reading to this one in the time between."""
-    gap_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
-    way_rad = np.abs(measured.position_rad - before.position_rad)
-    return np.asarray(way_rad > JUMP_RAD + FREE_SPEED_RAD_S * gap_s)

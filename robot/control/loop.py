@@ -39,17 +39,19 @@ def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
     bounds = JointBounds.of(config.robot, joint_names)
     match config.hardware:
         case FeetechConfig():
-            from robot.hardware.feetech.hardware import SerialServos
+            from robot.hardware.feetech.family import Feetech
+            from robot.hardware.servos.hardware import SerialServos
 
-            return SerialServos(config.hardware, bounds, config.guard_limits, clock)
+            return SerialServos(Feetech(config.hardware.profile), config.hardware, bounds, config.guard_limits, clock)
         case EmulatedConfig():
             from robot.emulator.in_process import EmulatedServos
 
             return EmulatedServos(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case DynamixelConfig():
-            from robot.hardware.dynamixel.hardware import SerialDynamixels
+            from robot.hardware.dynamixel.family import Dynamixel
+            from robot.hardware.servos.hardware import SerialServos
 
-            return SerialDynamixels(config.hardware, bounds, config.guard_limits, clock)
+            return SerialServos(Dynamixel(), config.hardware, bounds, config.guard_limits, clock)
         case EmulatedDynamixelConfig():
             from robot.emulator.dynamixel.in_process import EmulatedDynamixels
 

@@ -32,17 +32,11 @@ UsbId = tuple[int, int]
 
 @dataclass(frozen=True)
 class Board:
-    """Kind of board that leads to a servo bus.
+    """Kind of board that leads to a servo bus."""
 
-    Attributes:
-        usb_id: vendor and product id of its serial chip.
-        name: chip and boards, for the reader.
-        certain: False for a chip that many devices other than servo boards have.
-    """
-
-    usb_id: UsbId
-    name: str
-    certain: bool
+    usb_id: UsbId  # vendor and product id of its serial chip
+    name: str  # chip and boards, for the reader
+    certain: bool  # False for a chip that many devices other than servo boards have
 
 
 # In order of certainty. Sources: the ids that public SO-101 projects list (phosphobot's so100.py and the constants of

@@ -36,10 +36,13 @@ Flags: TypeAlias = NDArray[np.bool_]
 # Round trips of the last second at 100 Hz.
 ROUND_TRIPS_KEPT = 100
 
-# No joint turns this far in a cycle (300 ticks of an STS3215, 46 rad/s); longer gaps allow for the free speed of an
-# STS3215 at 7.4 V.
+# No joint turns this far in a cycle (46 rad/s); longer gaps allow for the free speed of the actuators.
 JUMP_RAD = 0.46
+
+# Free speed of small servos (an STS3215 at 7.4 V), for actuators that state none.
 FREE_SPEED_RAD_S = 5.5
+
+CALIBRATION_NOT_KEPT = "a calibration is written into Feetech servos only, and this arm has others"
 
 
 class StatusFlag(IntFlag):
@@ -59,119 +62,71 @@ def status_names(status: int) -> list[str]:
 
 
 class Measured(NamedTuple):
-    """Latest good reading of every joint, each of shape (joints,); NaN where the hardware does not measure it.
-
-    Attributes:
-        position_rad: position [rad].
-        velocity_rad_s: velocity [rad/s].
-        load: share of full motor duty, signed.
-        current_a: motor current, signed [A].
-        voltage_v: supply [V].
-        temperature_c: temperature of the motors [degC].
-        status: bits of :class:`StatusFlag`.
-        age_s: age of the readings [s].
-        stamp_s: wall-clock time of the tick [s since the epoch], one number.
-    """
+    """Latest good reading of every joint, each of shape (joints,); NaN where the hardware does not measure it."""
 
     position_rad: Vector
     velocity_rad_s: Vector
-    load: Vector
-    current_a: Vector
-    voltage_v: Vector
-    temperature_c: Vector
-    status: NDArray[np.int_]
-    age_s: Vector
-    stamp_s: float = 0.0
+    load: Vector  # share of full motor duty, signed
+    current_a: Vector  # motor current, signed [A]
+    voltage_v: Vector  # supply [V]
+    temperature_c: Vector  # temperature of the motors [degC]
+    status: NDArray[np.int_]  # bits of :class:`StatusFlag`
+    age_s: Vector  # age of the readings [s]
+    stamp_s: float = 0.0  # wall-clock time of the tick [s since the epoch], one number
 
 
 class Actuation(NamedTuple):
-    """Strength of the actuators as they are set, each of shape (joints,).
+    """Strength of the actuators as they are set, each of shape (joints,)."""
 
-    Attributes:
-        stiffness: position gain as a share of the factory's; with half of it a joint droops twice as far.
-        max_torque: largest share of full duty.
-        overload_torque: share of full duty that must not last; infinite without such a protection.
-        overload_time_s: time for which it may last [s].
-        overload_current_a: current that must not last; infinite without such a protection [A].
-    """
-
-    stiffness: Vector
-    max_torque: Vector
-    overload_torque: Vector
-    overload_time_s: Vector
-    overload_current_a: Vector
+    stiffness: Vector  # position gain as a share of the factory's; with half of it a joint droops twice as far
+    max_torque: Vector  # largest share of full duty
+    overload_torque: Vector  # share of full duty that must not last; infinite without such a protection
+    overload_time_s: Vector  # time for which it may last [s]
+    overload_current_a: Vector  # current that must not last; infinite without such a protection [A]
+    stall_current_a: Vector  # current of the stalled motor at full duty [A]
+    free_speed_rad_s: Vector  # speed without load at full duty [rad/s]
 
     @classmethod
     def unprotected(cls, joints: int) -> Actuation:
-        """Return that of actuators without settings.
-
-        Args:
-            joints: their number.
-        """
+        """Return the strength of a number of actuators that have no settings."""
         ones, never = np.ones(joints), np.full(joints, np.inf)
-        return cls(ones, ones, never, never, never)
+        return cls(ones, ones, never, never, never, ones, np.full(joints, FREE_SPEED_RAD_S))
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Result of surveying the actuators, to which nothing was written.
+    """Result of surveying the actuators, to which nothing was written."""
 
-    Attributes:
-        bounds: soft limits, narrowed to the actuators' own limits.
-        driven: True for joints whose torque is on, shape (joints,).
-        goal_rad: goals of those, NaN for the others, shape (joints,) [rad].
-        max_voltage_v: highest supply of each; infinite where there is no such limit, shape (joints,) [V].
-        actuation: their strength.
-        reply_latency_s: time that the bus waits for a reply [s].
-    """
-
-    bounds: JointBounds
-    driven: Flags
-    goal_rad: Vector
-    max_voltage_v: Vector
-    actuation: Actuation
-    reply_latency_s: float
+    bounds: JointBounds  # soft limits, narrowed to the actuators' own limits
+    driven: Flags  # True for joints whose torque is on, shape (joints,)
+    goal_rad: Vector  # goals of those, NaN for the others, shape (joints,) [rad]
+    max_voltage_v: Vector  # highest supply of each; infinite where there is no such limit, shape (joints,) [V]
+    actuation: Actuation  # their strength
+    reply_latency_s: float  # time that the bus waits for a reply [s]
 
 
 @dataclass
 class BusCounters:
-    """Counters of the bus since it was opened.
+    """Counters of the bus since it was opened."""
 
-    Attributes:
-        sent: instructions written.
-        replies: valid replies received.
-        timeouts: replies that were expected and missing or invalid.
-        discarded_bytes: bytes that belonged to no valid reply.
-        retries: instructions repeated because the servo gave no valid reply.
-    """
-
-    sent: int = 0
-    replies: int = 0
-    timeouts: int = 0
-    discarded_bytes: int = 0
-    retries: int = 0
+    sent: int = 0  # instructions written
+    replies: int = 0  # valid replies received
+    timeouts: int = 0  # replies that were expected and missing or invalid
+    discarded_bytes: int = 0  # bytes that belonged to no valid reply
+    retries: int = 0  # instructions repeated because the servo gave no valid reply
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Condition of one actuator beyond its readings.
+    """Condition of one actuator beyond its readings."""
 
-    Attributes:
-        hardware_id: its name in diagnostics, as ``servo 3``.
-        torque_enabled: True if its torque was on when it was last read back; None before.
-        age_s: time since its last good reading, infinite before the first [s].
-        silent_cycles: cycles in which it did not answer.
-        warnings: warnings of the survey.
-        registers: its settings as surveyed, by the name of the register.
-        expected: values that those of them should have which have another, likewise.
-    """
-
-    hardware_id: str
-    torque_enabled: bool | None
-    age_s: float
-    silent_cycles: int
-    warnings: tuple[ServoWarning, ...] = ()
-    registers: Mapping[str, int] = field(default_factory=dict)
+    hardware_id: str  # its name in diagnostics, as ``servo 3``
+    torque_enabled: bool | None  # True if its torque was on when it was last read back; None before
+    age_s: float  # time since its last good reading, infinite before the first [s]
+    silent_cycles: int  # cycles in which it did not answer
+    warnings: tuple[ServoWarning, ...] = ()  # warnings of the survey
+    registers: Mapping[str, int] = field(default_factory=dict)  # its settings as surveyed, by the name of the register
+    # Values that those of them should have which have another, likewise.
     expected: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -317,7 +272,7 @@ class HardwareInterface(ABC):
             NoReply: an actuator does not answer.
         """
         yield 0.0
-        raise OrderRefused("a calibration is written into Feetech servos only, and this arm has others")
+        raise OrderRefused(CALIBRATION_NOT_KEPT)
 
     @abstractmethod
     def condition(self, joint: int) -> Condition:

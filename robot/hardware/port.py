@@ -28,6 +28,9 @@ from robot.hardware.boards import find_board, find_usb_id
 
 AUTO = "auto"
 
+# Start bit, eight data bits and stop bit.
+BITS_PER_BYTE = 10
+
 _USB_ID = re.compile(r"(?:usb:)?([0-9a-f]{4}):([0-9a-f]{4})", re.IGNORECASE)
 
 # A sync write of 56 bytes takes 0.6 ms; an adapter that has not taken it in 100 ms is gone or stuck.
@@ -66,23 +69,14 @@ _BUSY = frozenset({errno.EBUSY, errno.EAGAIN})
 
 
 class BusPort(Protocol):
-    """Port of a servo bus, as :class:`robot.hardware.feetech.bus.Bus` and ``scservo_sdk`` use it.
+    """Port of a servo bus, as :class:`robot.hardware.servos.bus.ServoBus` and ``scservo_sdk`` use it."""
 
-    Attributes:
-        port_name: name in errors.
-        baudrate: bits per second.
-        is_using: the SDK's lock.
-        latency_s: time that a reply may take beyond its wire time [s].
-        quiet_s: pause after which a burst of replies counts as ended [s].
-        discarded_bytes: unexpected input bytes discarded so far.
-    """
-
-    port_name: str
-    baudrate: int
-    is_using: bool
-    latency_s: float
-    quiet_s: float
-    discarded_bytes: int
+    port_name: str  # name in errors
+    baudrate: int  # bits per second
+    is_using: bool  # the SDK's lock
+    latency_s: float  # time that a reply may take beyond its wire time [s]
+    quiet_s: float  # pause after which a burst of replies counts as ended [s]
+    discarded_bytes: int  # unexpected input bytes discarded so far
 
     def clearPort(self) -> None:  # noqa: N802 - the SDK's name
         """Discard the input that has arrived."""
@@ -103,6 +97,11 @@ class BusPort(Protocol):
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
         """Close the port, even if it is gone."""
+
+
+def wire_time_s(byte_count: int, baudrate: int) -> float:
+    """Compute the time of bytes on the wire [s]."""
+    return byte_count * BITS_PER_BYTE / baudrate
 
 
 def resolve_port(port: str) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from robot.calibration import Calibration, find_calibration, new_calibration_path, reserved, save
-from robot.commissioning.calibrate import Difference, differences, write_to_servos
+from robot.commissioning.calibrate import differences
 from robot.commissioning.directions import asked_motions
 from robot.commissioning.scan import explain_missing, read_telemetry, scan
 from robot.commissioning.servo_registers import ServoRegisters
@@ -19,8 +19,10 @@ from robot.description import robot_folder
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError, StartupError
 from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.calibration import write_to_servos
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, parse_telemetry
 from robot.hardware.interface import run_to_end
+from robot.hardware.servos.family import Difference
 from server.commands.arm import relax_arm
 from server.commands.options import Subparsers, add_robot, add_serial, guarded, open_bus, read_hardware
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table

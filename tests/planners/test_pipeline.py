@@ -7,8 +7,6 @@ import time
 import numpy as np
 import pytest
 
-from planners.cartesian.following import SplinePath
-from planners.cartesian.planning import time_along
 from planners.checks import START_CONTACT_DEPTH_M
 from planners.geometry.collision import CollisionModel
 from planners.goals import (
@@ -24,6 +22,7 @@ from planners.goals import (
 )
 from planners.ik.goal_states import GoalStates
 from planners.motions.path import PROJECTED_SEARCH
+from planners.motions.path_timing import SplinePath, time_along
 from planners.pipeline import Planner, recheck
 from planners.problem import (
     VIA_POINT,

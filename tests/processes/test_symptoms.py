@@ -23,8 +23,8 @@ from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
 from robot.hardware import boards
 from robot.hardware.config import FeetechConfig
+from robot.hardware.feetech.family import PHASE_MULTI_TURN
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
-from robot.hardware.feetech.survey import PHASE_MULTI_TURN
 from robot.hardware.interface import StatusFlag
 from robot.hardware.port import _refusal, resolve_port
 from robot.messages import ArmState, Mode, Order

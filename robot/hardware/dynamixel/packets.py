@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from dynamixel_sdk import INST_STATUS
 
-from robot.hardware.half_duplex import StatusFrame as StatusFrame
+from robot.hardware.servos.bus import StatusFrame as StatusFrame
 
 HEADER = b"\xff\xff\xfd\x00"
 _HEADER_IN_BODY = b"\xff\xff\xfd"

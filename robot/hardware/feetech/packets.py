@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from robot.hardware.half_duplex import StatusFrame as StatusFrame
+from robot.hardware.servos.bus import StatusFrame as StatusFrame
 
 HEADER = b"\xff\xff"
 

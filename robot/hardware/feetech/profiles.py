@@ -21,17 +21,11 @@ RETURN_DELAY_UNIT_US = 2
 
 @dataclass(frozen=True)
 class ServoProfile:
-    """Values that the settings of an arm's servos should have.
+    """Values that the settings of an arm's servos should have."""
 
-    Attributes:
-        name: its name for people.
-        registers: value of each register that the profile fixes.
-        gripper: those that are others at the gripper's servo.
-    """
-
-    name: str
-    registers: Mapping[Register, int]
-    gripper: Mapping[Register, int] = field(default_factory=dict)
+    name: str  # its name for people
+    registers: Mapping[Register, int]  # value of each register that the profile fixes
+    gripper: Mapping[Register, int] = field(default_factory=dict)  # those that are others at the gripper's servo
 
     def expected(self, *, gripper: bool) -> dict[Register, int]:
         """Return the values that a servo should have.
@@ -144,7 +138,7 @@ def meaning(register: Register, value: int) -> str:
 
 def _registers(named: Mapping[str, int], key: str) -> dict[Register, int]:
     """Convert names of registers, checked against what each can hold."""
-    settings = {register.name: register for register in LAYOUT if LAYOUT[register].area is Area.EPROM}
+    settings = {register.name: register for register in LAYOUT if LAYOUT[register].area is Area.EEPROM}
     found = {}
     for name, value in named.items():
         register = settings.get(name.upper())

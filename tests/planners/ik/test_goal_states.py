@@ -180,7 +180,7 @@ def test_solutions_of_a_preference_are_about_equally_good(search, arm, joints, f
         wanted = goal_conditions(PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02)), joints)
         found = search.find(arm, wanted, HOME, never)
         assert found.solutions
-        turned = [ConditionSet(search.forward, wanted.preferred).beyond_m(q) for q in found.solutions]
+        turned = [ConditionSet(search.forward, wanted.preferred).violation_m(q) for q in found.solutions]
         assert max(turned) - min(turned) <= 0.1 * PREFERENCE_SLACK_RAD + 1e-9
 
 

@@ -21,6 +21,8 @@ def assumed(**settings: float) -> ActuatorThresholds:
         "overload_torque": 0.8,
         "overload_time_s": 2.0,
         "overload_current_a": 3.25,
+        "stall_current_a": 2.7,
+        "free_speed_rad_s": 5.5,
     }
     return ActuatorThresholds.of(
         LIMITS, Actuation(**{name: np.full(2, value) for name, value in (usual | settings).items()}), FULL

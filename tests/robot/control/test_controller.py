@@ -359,6 +359,8 @@ LEROBOT = Actuation(
     overload_torque=np.array([0.8] * 5 + [0.25]),
     overload_time_s=np.full(6, 2.0),
     overload_current_a=np.array([3.25] * 5 + [1.625]),
+    stall_current_a=np.full(6, 2.7),
+    free_speed_rad_s=np.full(6, 5.5),
 )
 PUSHING = [0, 0, 0, 0, 0, -0.45]
 

@@ -29,7 +29,7 @@ def at(joint: int, value: float, else_value: float = 0.0) -> list[float]:
 
 def seconds_until(code: FaultCode, position: Any = GOAL, limits: GuardLimits = LIMITS, **readings: Any) -> float:
     """Time for which the guards tolerate a reading before this fault [s]."""
-    guards = Guards(NAMES, limits=limits)
+    guards = Guards(NAMES, max_voltage_v=np.full(6, 8.0), limits=limits)
     for tick in range(round(3.0 / PERIOD_S)):
         fault = guards.check(GOAL, reading(position, **readings), FULL, tick * PERIOD_S)
         if fault is not None:

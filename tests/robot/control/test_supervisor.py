@@ -13,8 +13,9 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.clock import SimulationClock
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.hardware import FeetechHardware
+from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register
+from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import (
     END_LIMIT_S,
     ArmHealth,
@@ -38,7 +39,9 @@ from tests.helpers.motions import smooth_move
 
 @pytest.fixture
 def arm(emulator: SteppedEmulator, bus: Bus) -> ControlCycle:
-    return ControlCycle(FeetechHardware(bus, CALIBRATION, BOUNDS, GuardLimits(), emulator.clock), emulator.clock)
+    return ControlCycle(
+        ServoHardware(Feetech(), bus, CALIBRATION, BOUNDS, GuardLimits(), emulator.clock), emulator.clock
+    )
 
 
 def test_a_disconnected_arm_has_a_reason_and_keeps_its_fault() -> None:

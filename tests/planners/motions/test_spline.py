@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from planners.cartesian.spline import NaturalSpline
+from planners.motions.spline import NaturalSpline
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 8, 37, 400])

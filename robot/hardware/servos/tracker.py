@@ -1,21 +1,20 @@
 """Readings of the servos, their ages, and the servos to read next.
 
 A servo that does not answer must not hold up the others, nor silence them: one that has just missed its turn is asked
-last, since servos are said to wait for the reply before theirs, and one that stays silent is asked now and then.
+last, since servos wait for the reply before theirs, and one that stays silent is asked now and then.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from robot.calibration import RAD_PER_TICK
-from robot.hardware.dynamixel.packets import ALERT, StatusFrame
-from robot.hardware.dynamixel.registers import AMPERE_PER_UNIT, Climate, Motion, parse_climate, parse_motion, status_of
-from robot.hardware.dynamixel.servo_map import ServoMap
 from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Measured
+from robot.hardware.servos.bus import StatusFrame
+from robot.hardware.servos.family import Reading, ServoFamily
+from robot.hardware.servos.servo_map import ServoMap
 
 # Misses in a row after which a servo is asked behind the others.
 MISSES_UNTIL_LAST = 2
@@ -33,43 +32,51 @@ ASK_SILENT_EVERY = 10
 ASK_ALL_EVERY = 3
 
 
-class ServoWatch:
-    """Readings of the servos, their ages, and the servos to read next.
+class ServoTracker:
+    """Latest readings of an arm's servos.
 
     Args:
+        family: family of the servos.
         servos: servos of the arm.
 
     Attributes:
         silent_cycles: cycles without a reading, by servo id.
     """
 
-    def __init__(self, servos: ServoMap) -> None:
+    def __init__(self, family: ServoFamily, servos: ServoMap) -> None:
+        self._family = family
         self._servos = servos
-        self._seen: dict[int, _Seen] = {}
-        self._climate: dict[int, Climate] = {}
-        self._hardware_error: dict[int, int] = {}
+        self._seen: dict[int, Reading] = {}
+        self._error_status: dict[int, int] = {}
         self._error_known: set[int] = set()
         self._read_at_s: dict[int, float] = {}
         self._frames: Mapping[int, StatusFrame] = {}
         self._measured: Measured | None = None
+        self._complete = False
         self._cycle = 0
         self._misses_in_row = dict.fromkeys(servos.ids, 0)
         self._empty_reads = 0
-        self._doubted: set[int] = set()
+        self._suspect_ids: set[int] = set()
         self.silent_cycles = dict.fromkeys(servos.ids, 0)
 
     @property
     def complete(self) -> bool:
         """True when every servo has answered at least once, with its supply and temperature."""
-        return len(self._seen) == len(self._climate) == len(self._servos.ids)
+        if not self._complete:
+            told = [reading for reading in self._seen.values() if reading.voltage_v is not None]
+            self._complete = len(told) == len(self._servos.ids)
+        return self._complete
 
     def ids_to_ask(self) -> list[int]:
         """Choose the servos to read in this cycle: those that have missed their turn last, silent ones now and then."""
         self._cycle += 1
         misses = self._misses_in_row
-        silent = [servo for servo in self._servos.ids if self.is_silent(servo)]
+        prompt = [servo for servo in self._servos.ids if misses[servo] < MISSES_UNTIL_LAST]
+        if len(prompt) == len(misses):
+            return prompt
         late = [servo for servo in self._servos.ids if MISSES_UNTIL_LAST <= misses[servo] < MISSES_UNTIL_SILENT]
-        speaking = [servo for servo in self._servos.ids if misses[servo] < MISSES_UNTIL_LAST] + late
+        silent = [servo for servo in self._servos.ids if self.is_silent(servo)]
+        speaking = prompt + late
         every = ASK_SILENT_EVERY if speaking else ASK_ALL_EVERY
         return speaking if self._cycle % every else speaking + silent
 
@@ -77,13 +84,17 @@ class ServoWatch:
         """Return True for a servo that has missed so many reads in a row that it is read less often."""
         return self._misses_in_row[servo_id] >= MISSES_UNTIL_SILENT
 
-    def alerting(self) -> list[int]:
-        """Return the servos that report a hardware error which has not been read lately."""
-        return [servo for servo, seen in self._seen.items() if seen.alert and servo not in self._error_known]
+    def ask_again(self, servo_id: int) -> None:
+        """Ask a servo in the next cycle, though it was silent."""
+        self._misses_in_row[servo_id] = 0
 
-    def take_hardware_error(self, servo_id: int, value: int) -> None:
-        """Take register HARDWARE_ERROR_STATUS of a servo, which counts until the servo reports none."""
-        self._hardware_error[servo_id] = value
+    def alerting(self) -> list[int]:
+        """Return the servos that report an error which has not been read lately."""
+        return [servo for servo, seen in self._seen.items() if seen.reports_error and servo not in self._error_known]
+
+    def take_error(self, servo_id: int, status: int) -> None:
+        """Take the status flags of a servo's error register, which count until the servo reports none."""
+        self._error_status[servo_id] = status
         self._error_known.add(servo_id)
         self._measured = None
 
@@ -104,23 +115,19 @@ class ServoWatch:
             frames: valid replies, each with a block of measurements.
             now_s: monotonic time at which they were asked, so that no reading is older than its age [s].
         """
-        if frames is self._frames and len(frames) == len(self._servos.ids) and not self._doubted:
+        if frames is self._frames and len(frames) == len(self._servos.ids) and not self._suspect_ids:
             # The same bytes as in the last cycle, whose readings were believed.
             self._read_at_s = dict.fromkeys(self._servos.ids, now_s)
             return
         self._frames, self._measured = frames, None
-        readings = {servo: self._seen_in(frame) for servo, frame in frames.items()}
-        jumped = {servo for servo, seen in readings.items() if self._jumps(servo, seen, now_s)}
-        believed = readings.keys() - (jumped - self._doubted)
-        self._doubted = (self._doubted - frames.keys()) | (jumped - believed)
+        readings = {servo: self._reading(servo, frame) for servo, frame in frames.items()}
+        jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
+        believed = readings.keys() - (jumped - self._suspect_ids)
+        self._suspect_ids = (self._suspect_ids - frames.keys()) | (jumped - believed)
         for servo in believed:
-            self._believe(servo, readings[servo], frames[servo], now_s)
-        missing = [servo for servo in asked if servo not in frames]
-        behind_first = missing[1:] if missing and list(asked[-len(missing) :]) == missing else []
-        for servo in self._servos.ids:
-            if servo not in believed:
-                self._misses_in_row[servo] += servo in asked and servo not in behind_first
-                self.silent_cycles[servo] += 1
+            self._believe(servo, readings[servo], now_s)
+        if len(believed) < len(self._servos.ids):
+            self._count_misses(asked, frames, believed)
         self._empty_reads = 0 if frames else self._empty_reads + 1
         if self._empty_reads >= EMPTY_READS_PER_SERVO * len(self._servos.ids):
             for servo, misses in self._misses_in_row.items():
@@ -137,60 +144,52 @@ class ServoWatch:
         age_s = np.array([now_s - self._read_at_s[servo] for servo in ids])
         if self._measured is not None:
             return self._measured._replace(age_s=age_s, stamp_s=stamp_s)
-        motions = [self._seen[servo].motion for servo in ids]
-        climates = [self._climate[servo] for servo in ids]
+        seen = [self._seen[servo] for servo in ids]
         # From plain numbers: an operation on arrays costs more than all the arithmetic for six joints.
         self._measured = Measured(
-            position_rad=np.array(servos.positions_rad([self._seen[servo].ticks for servo in ids])),
-            velocity_rad_s=np.array(servos.velocities_rad_s([motion.velocity for motion in motions])),
-            load=np.array(servos.loads([motion.pwm for motion in motions])),
-            current_a=np.array(
-                servos.currents_a([self._current_a(servo, motion) for servo, motion in zip(ids, motions, strict=True)])
+            position_rad=np.array(servos.positions_rad([each.position_ticks + each.turns_ticks for each in seen])),
+            velocity_rad_s=np.array(servos.velocities_rad_s([each.velocity_ticks_s for each in seen])),
+            load=np.array(servos.signed([each.load for each in seen])),
+            current_a=np.array(servos.signed([each.current_a for each in seen])),
+            voltage_v=np.array([each.voltage_v for each in seen], dtype=float),
+            temperature_c=np.array([each.temperature_c for each in seen], dtype=float),
+            status=np.array(
+                [each.status | self._error_status.get(servo, 0) for servo, each in zip(ids, seen, strict=True)]
             ),
-            voltage_v=np.array([climate.voltage_v for climate in climates]),
-            temperature_c=np.array([float(climate.temperature_c) for climate in climates]),
-            status=np.array([int(status_of(self._hardware_error.get(servo, 0))) for servo in ids]),
             age_s=age_s,
             stamp_s=stamp_s,
         )
         return self._measured
 
-    def _seen_in(self, frame: StatusFrame) -> _Seen:
-        motion = parse_motion(frame.data)
-        turns = self._servos.turns_ticks(frame.servo_id, motion.position_ticks)
-        return _Seen(motion, turns, alert=bool(frame.error & ALERT))
+    def _reading(self, servo_id: int, frame: StatusFrame) -> Reading:
+        reading = self._family.parse_reading(frame, self._servos.by_id[servo_id])
+        reading.turns_ticks = self._servos.turns_ticks(servo_id, reading.position_ticks)
+        return reading
 
-    def _believe(self, servo_id: int, seen: _Seen, frame: StatusFrame, now_s: float) -> None:
-        self._seen[servo_id] = seen
-        climate = parse_climate(frame.data)
-        if climate is not None:
-            self._climate[servo_id] = climate
+    def _believe(self, servo_id: int, reading: Reading, now_s: float) -> None:
+        before = self._seen.get(servo_id)
+        if reading.voltage_v is not None:
             self._error_known.discard(servo_id)
-        if not seen.alert:
-            self._hardware_error.pop(servo_id, None)
+        elif before is not None:
+            reading.voltage_v, reading.temperature_c = before.voltage_v, before.temperature_c
+        self._seen[servo_id] = reading
+        if not reading.reports_error:
+            self._error_status.pop(servo_id, None)
         self._read_at_s[servo_id] = now_s
         self._misses_in_row[servo_id] = 0
 
-    def _jumps(self, servo_id: int, seen: _Seen, now_s: float) -> bool:
+    def _count_misses(self, asked: Sequence[int], frames: Mapping[int, StatusFrame], believed: set[int]) -> None:
+        missing = [servo for servo in asked if servo not in frames]
+        behind_first = missing[1:] if missing and list(asked[-len(missing) :]) == missing else []
+        for servo in self._servos.ids:
+            if servo not in believed:
+                self._misses_in_row[servo] += servo in asked and servo not in behind_first
+                self.silent_cycles[servo] += 1
+
+    def _jumps(self, servo_id: int, reading: Reading, now_s: float) -> bool:
         """Return True when a servo cannot have turned from its last reading to this one."""
         before = self._seen.get(servo_id)
         if before is None:
             return False
-        way_rad = abs(seen.ticks - before.ticks) * RAD_PER_TICK
-        return way_rad > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])
-
-    def _current_a(self, servo_id: int, motion: Motion) -> float:
-        return motion.current * AMPERE_PER_UNIT if self._servos.models[servo_id].has_current else float("nan")
-
-
-class _Seen(NamedTuple):
-    """Latest good reading of one servo."""
-
-    motion: Motion
-    turns_ticks: int
-    alert: bool
-
-    @property
-    def ticks(self) -> int:
-        """Position as the calibration counts."""
-        return self.motion.position_ticks + self.turns_ticks
+        way_ticks = abs(reading.position_ticks + reading.turns_ticks - before.position_ticks - before.turns_ticks)
+        return way_ticks * RAD_PER_TICK > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])

@@ -39,8 +39,8 @@ MAX_STEPS = 25
 # matters where one vanishes.
 POSITION_DAMPING_M = 1e-4
 
-# Damping of the orientation's least squares where it can be met; where it cannot, the damping's square is the angle
-# that is missing, which makes the descent to the nearest one converge (Sugihara, "Solvability-unconcerned inverse
+# Damping of the orientation's least squares where it can be met; where it cannot, the damping's square is the error,
+# which makes the descent to the nearest one converge (Sugihara, "Solvability-unconcerned inverse
 # kinematics by the Levenberg-Marquardt method", 2011).
 ORIENTATION_DAMPING = 0.02
 
@@ -70,7 +70,7 @@ GROWTH = 0.5
 # The place where a path ends early is located this closely.
 SHORTEST_STEP_M = 0.0003
 
-# What is left of a path is gone in one step where it is no longer than so many steps.
+# The rest of a path is one step where it is no longer than this number of steps.
 LAST_STEP = 1.5
 
 # For the orientation's sake joints turn no faster than this per length of the path; a wrist that would have to flip
@@ -79,13 +79,13 @@ TURN_RAD_PER_M = 10.0
 
 
 class TipTracker:
-    """Follows a pose with some of the joints.
+    """Follows a pose with some of the joints: points have their positions, shape (n,) [rad].
 
     Args:
         kinematics: of the robot.
         limits: lower and upper positions of all joints, shape (joints,) each [rad].
-        columns: where the joints that may move are among all; points have them in this order, shape (n,) [rad].
-        start_q: positions of all joints; those that may not move stay there [rad].
+        columns: places of the joints that may move among all.
+        start_q: positions of all joints, of which the others stay there, shape (joints,) [rad].
         link: the tip.
     """
 
@@ -120,32 +120,29 @@ class TipTracker:
         return float(np.linalg.norm(self._jacobian(point)[:3] @ tangent))
 
     def follow(self, point: Vector, target: pin.SE3, most_turn_rad: float) -> Vector:
-        """The point nearby with the tip in the target's position, its orientation as near as can be; within limits.
+        """Return the point nearby with the tip in the target's position, and its orientation as near as possible.
 
-        Args:
-            point: where the joints are.
-            target: where the tip shall be. One out of reach leaves the tip where it comes nearest, as far as descent
-                from here finds out.
-            most_turn_rad: by so much any joint may move for the orientation's sake [rad].
+        A target out of reach leaves the tip at the nearest place that a descent from here finds. No joint moves further
+        than ``most_turn_rad`` for the orientation's sake.
         """
         point = point.copy()
         for _ in range(MAX_STEPS):
-            missing_m, missing_rad, jacobian = self._missing(point, target)
-            step, turn = self._step(point, missing_m, missing_rad, jacobian)
+            error_m, error_rad, jacobian = self._errors(point, target)
+            step, turn = self._step(point, error_m, error_rad, jacobian)
             turn *= min(1.0, most_turn_rad / max(float(np.max(np.abs(turn))), 1e-12))
             most_turn_rad -= float(np.max(np.abs(turn)))
             step += turn
             step *= min(1.0, LONGEST_STEP_RAD / max(float(np.max(np.abs(step))), LONGEST_STEP_RAD))
             settled = float(np.max(np.abs(step))) < SETTLED_RAD
-            if settled and norm(missing_m) < ACCURACY_M:
+            if settled and norm(error_m) < ACCURACY_M:
                 break
             point = np.clip(point + step, self._lower_rad, self._upper_rad)
             if settled:
                 break
         return point
 
-    def _missing(self, point: Vector, target: pin.SE3) -> tuple[Vector, Vector, Vector]:
-        """From the tip to a target in position and orientation, along the root link's axes, and the Jacobian there."""
+    def _errors(self, point: Vector, target: pin.SE3) -> tuple[Vector, Vector, Vector]:
+        """Return the errors of position and orientation, along the root link's axes, and the tip's Jacobian."""
         jacobian = self._jacobian(point)
         placement = self._kinematics.placement(self._link)
         turn = pin.log3(placement.rotation.T @ target.rotation)
@@ -155,15 +152,15 @@ class TipTracker:
         self._q[self._columns] = point
         return np.asarray(self._kinematics.jacobian(self._q, self._link)[:, self._columns])
 
-    def _step(self, point: Vector, missing_m: Vector, missing_rad: Vector, jacobian: Vector) -> tuple[Vector, Vector]:
-        """The steps for position and orientation, of joints near their limits only where the others cannot do it."""
+    def _step(self, point: Vector, error_m: Vector, error_rad: Vector, jacobian: Vector) -> tuple[Vector, Vector]:
+        """Return the steps for position and orientation; joints near their limits take part only where they must."""
         weight = np.ones_like(point)
         for _ in range(len(point)):
             scaled = weight * jacobian
-            step, _ = solve([Task(scaled[:3], missing_m)], POSITION_DAMPING_M)
-            damping = math.sqrt(ORIENTATION_DAMPING**2 + norm(missing_rad - scaled[3:] @ step))
+            step, _ = solve([Task(scaled[:3], error_m)], POSITION_DAMPING_M)
+            damping = math.sqrt(ORIENTATION_DAMPING**2 + norm(error_rad - scaled[3:] @ step))
             free = free_directions(scaled[:3], POSITION_DAMPING_M)
-            turned, _ = solve([Task(scaled[3:], missing_rad)], damping, before=step, free=free)
+            turned, _ = solve([Task(scaled[3:], error_rad)], damping, before=step, free=free)
             step, turn = weight * step, weight * (turned - step)
             room = np.where(step + turn < 0.0, point - self._lower_rad, self._upper_rad - point)
             allowed = np.sqrt(np.clip(room / NEAR_LIMIT_RAD, 0.0, 1.0))
@@ -210,7 +207,7 @@ class PathFollower:
     Attributes:
         tracker: the tip and its joints.
         joint_names: the joints.
-        path: where the tip shall be.
+        path: path of the tip.
         max_step_m: greatest distance between points [m].
         max_joint_step_rad: greatest step of a joint between points, 0 for none [rad].
         orientation_tolerance_rad: greatest deviation from the path's orientation; infinite to take the nearest [rad].
@@ -310,16 +307,16 @@ def _jump(joint: str, step_rad: float, step_m: float) -> PathEnd:
     )
 
 
-# The tip is measured at so many places of each span between two points: half-way, where a curve is furthest off.
+# Places in each span between two points at which the tip is measured: half-way, where a curve is furthest off.
 MEASURED_PER_SPAN = 2
 
-# Joint limits are checked at so many places of each span: a shorter excursion is negligible.
+# Places in each span at which joint limits are checked: a shorter excursion is negligible.
 LIMIT_CHECKS_PER_SPAN = 16
 
-# Beside a corner the curve runs ahead of the path or behind it, by no more than so many measured places.
+# Measured places by which the curve runs ahead of the path or behind it beside a corner, at most.
 MEASURED_AROUND = 2
 
-# Each round of new points halves the spans where the curve is off, and what it is off by more than that.
+# Each round of new points halves the spans where the curve is off, and its deviation by more than that.
 REFINEMENTS = 5
 
 
@@ -339,7 +336,7 @@ class TipCurve:
 
 
 def tip_curve(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> TipCurve:
-    """The curve through at least two followed points, with more of them where it would leave the path or the limits."""
+    """Return the curve through two or more followed points, with further ones where it would leave path or limits."""
     for _ in range(REFINEMENTS):
         measured = _measured(followed, path, tracker)
         off = np.flatnonzero(measured.off_m.reshape(-1, MEASURED_PER_SPAN).max(axis=1) > CHORD_M)
@@ -374,14 +371,14 @@ def _measured(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> _Me
 
 
 def _along_m(followed: FollowedPath, per_span: int) -> Vector:
-    """Lengths evenly within each span, its end included, shape (spans * per_span,) [m]."""
+    """Return lengths evenly within each span, its end included, shape (spans * per_span,) [m]."""
     spans = len(followed.points) - 1
     at = (np.arange(per_span * spans) + 1.0) / per_span
     return np.interp(at, np.arange(spans + 1), followed.along_m)
 
 
 def _distances_m(places_m: Vector, line_m: Vector) -> Vector:
-    """Distance of places from the pieces of a polyline around the points of their index, shape (m, 3) each."""
+    """Return distances of places, shape (m, 3), from the pieces of a polyline around the point of the same index."""
     nearest_m = np.linalg.norm(places_m - line_m, axis=1)
     last = len(line_m) - 1
     for shift in range(-MEASURED_AROUND, MEASURED_AROUND):
@@ -395,7 +392,7 @@ def _distances_m(places_m: Vector, line_m: Vector) -> Vector:
 
 
 def _halved(followed: FollowedPath, spans: NDArray[np.int64], path: TipPath, tracker: TipTracker) -> FollowedPath:
-    """With a point more in the middle of some spans: half-way between their ends, brought back to the path."""
+    """Add a point in the middle of some spans: half-way between their ends, brought back to the path."""
     middle_m = 0.5 * (followed.along_m[spans] + followed.along_m[spans + 1])
     guesses = zip(middle_m, 0.5 * (followed.points[spans] + followed.points[spans + 1]), strict=True)
     points = np.array([tracker.follow(guess, path.at(length_m), 0.0) for length_m, guess in guesses])

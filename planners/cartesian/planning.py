@@ -37,7 +37,7 @@ STANDING_SHARE = 1e-3
 # Decimals of the place that is reached, which people read: a tenth of a millimetre.
 DIGITS = 4
 
-# What ends a path, as MoveIt's Pilz planner tells it.
+# Codes for the ends of a path, as of MoveIt's Pilz planner.
 CODES = {
     "reach": MoveItErrorCode.NO_IK_SOLUTION,
     "orientation": MoveItErrorCode.NO_IK_SOLUTION,
@@ -53,16 +53,8 @@ def plan_cartesian(
 ) -> CartesianPlan | PlanningFailure:
     """Plan the motion along a path of the tip, as far as the path can be followed.
 
-    Args:
-        problem: the path.
-        robot: the arm.
-        collision: its collisions with itself and the scene.
-        forward: its kinematics; configurations are in the order of the collisions' joints.
-        budget: ends it.
-
-    Returns:
-        A plan for the whole path or its first part, which may be nothing; or a failure when the problem or the start
-        is refused or time is up.
+    The plan is for the whole path or its first part, which may be nothing. It is a failure where the problem or the
+    start is refused or time is up. ``forward`` has the joints in the order of ``collision``.
     """
     refusal = check_path(robot, problem) or checks.check_start(robot, problem.start_rad)
     if refusal is not None:
@@ -91,7 +83,7 @@ def plan_cartesian(
     rates = _rate_limits(robot, problem)
 
     def task(closest: Closeness) -> _Task:
-        check_point = _PointCheck(space, constraints, start_q, columns, problem.avoid_collisions, closest)
+        check_point = _PointCheck(space, constraints, problem.avoid_collisions, closest)
         return _Task(problem, robot.groups[problem.group].joints, rates, tracker, path, space, check_point)
 
     plan = task(Closeness.PARTS).plan(start_q[columns], budget)
@@ -116,8 +108,6 @@ class _PointCheck:
 
     space: JointSpace
     constraints: ConditionSet
-    start_q: Vector
-    columns: list[int]
     avoid_collisions: bool
     closest: Closeness
 
@@ -126,22 +116,16 @@ class _PointCheck:
             free = self.space.free(point)
             free = free or (self.space.look_closer_at(point, self.closest) and self.space.free(point))
             return None if free else self.ended(self.space.contacts(point), point)
-        q = self._configuration(point)
-        return None if self.constraints.holds(q) else self.ended((), point)
+        return None if self.constraints.holds(self.space.configuration(point)) else self.ended((), point)
 
     def ended(self, pairs: Sequence[CollidingPair], point: Vector) -> PathEnd:
         """Return the flaw of a point that is not free: contacts, or else the constraints that do not hold there."""
         if pairs:
             sentence = f"there would touch: {checks.describe_pairs(pairs)}"
             return PathEnd("collision", sentence, {"pairs": checks.pairs_as_data(pairs)})
-        violations = self.constraints.violations(self._configuration(point))
+        violations = self.constraints.violations(self.space.configuration(point))
         sentences = [violation.sentence for violation in violations]
         return PathEnd("constraint", "; ".join(sentences), {"violations": [dict(v.details) for v in violations]})
-
-    def _configuration(self, point: Vector) -> Vector:
-        q = self.start_q.copy()
-        q[self.columns] = point
-        return q
 
 
 @dataclass(frozen=True)
@@ -230,7 +214,7 @@ class _Task:
 
 
 def _shortened(followed: FollowedPath, contact: Vector, ended: PathEnd) -> FollowedPath:
-    """The part of a path before the point that comes nearest to a contact; the start at least."""
+    """Return the part of a path before the point that comes nearest to a contact; the start at least."""
     nearest = int(np.argmin(np.max(np.abs(followed.points - contact), axis=1)))
     kept = max(1, min(nearest, len(followed.points) - 1))
     return FollowedPath(followed.along_m[:kept], followed.points[:kept], ended)

@@ -29,10 +29,10 @@ from planners.goals import (
 from planners.problem import Deviation
 from robot.trajectory import Vector
 
-# A turn counts as much as the motion of a point this far away: half the length of a small gripper.
+# Rotations count as the motion of a point this far away: half the length of a small gripper.
 ROTATION_ARM_M = 0.1
 
-# Of unit vectors: so nearly parallel or opposite that they span no plane.
+# Sine below which unit vectors span no plane.
 PARALLEL = 1e-9
 
 # Rounding in the placement of a link must not break a condition that was met to its very edge.
@@ -172,8 +172,8 @@ class JointCondition:
 
     Attributes:
         joint: its name.
-        column: where it is in a configuration.
-        position_rad: where it shall be, as far as its limits allow [rad].
+        column: its place in a configuration.
+        position_rad: desired position within its limits [rad].
         lower_rad: lower end of the range [rad].
         upper_rad: upper end [rad].
         weight: its share where not all can hold.
@@ -189,7 +189,7 @@ class JointCondition:
     arm_m = ROTATION_ARM_M
 
     def violation_rad(self, value: float, share: float = 1.0) -> float:
-        """From a position of the joint to a share of the range [rad]."""
+        """Return the way from a position of the joint to a share of its range; 0 inside [rad]."""
         lower_rad = self.position_rad - share * (self.position_rad - self.lower_rad) - ROUNDING
         upper_rad = self.position_rad + share * (self.upper_rad - self.position_rad) + ROUNDING
         return min(max(value, lower_rad), upper_rad) - value
@@ -200,7 +200,7 @@ Condition = LinkCondition | JointCondition
 
 
 def outside(vector: Vector, tolerance: float | Vector, share: float) -> Vector:
-    """The part of a vector outside a share of a ball of some radius, or of a box of half edges, around its origin."""
+    """Return the part of a vector outside a share of a ball, by its radius, or of a box, by half its edges."""
     if isinstance(tolerance, float):
         length = norm(vector)
         inside = share * tolerance + ROUNDING
@@ -211,12 +211,12 @@ def outside(vector: Vector, tolerance: float | Vector, share: float) -> Vector:
 
 
 def norm(vector: Vector) -> float:
-    """Length of a short vector: numpy's own takes four times as long."""
+    """Return the length of a short vector, in a quarter of the time that numpy takes."""
     return math.sqrt(float(vector @ vector))
 
 
 def frame_along(axis: Vector) -> Vector:
-    """A rotation whose third column is a unit vector, shape (3, 3)."""
+    """Return a rotation whose third column is a unit vector, shape (3, 3)."""
     across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     across /= np.linalg.norm(across)
     return np.column_stack((np.cross(across, axis), across, axis))
@@ -224,7 +224,7 @@ def frame_along(axis: Vector) -> Vector:
 
 @dataclass(frozen=True)
 class Violation:
-    """A condition that does not hold: said in words, and as plain values."""
+    """A condition that does not hold, as a sentence and as plain values."""
 
     sentence: str
     details: Mapping[str, str | float]
@@ -291,12 +291,7 @@ def conditions(constraints: Constraints | None, joints: Joints) -> tuple[Conditi
 
 
 class ConditionSet:
-    """Conditions that hold together, measured in configurations ``q`` of shape (n,) [rad].
-
-    Args:
-        forward: places the links.
-        conditions: the conditions.
-    """
+    """Conditions that hold together, measured in configurations ``q`` of shape (n,) [rad]."""
 
     def __init__(self, forward: ForwardKinematics, conditions: Sequence[Condition]) -> None:
         self._forward = forward
@@ -310,7 +305,7 @@ class ConditionSet:
         return not any(violation.any() for _, _, violation in self._measured(q))
 
     def violation_m(self, q: Vector) -> float:
-        """Return the distance from satisfying all conditions, 0 when they hold; rotations count by their arm [m]."""
+        """Return the length of all violations, 0 when the conditions hold; rotations count by their arm [m]."""
         turned = [condition.arm_m * condition.violation_rad(q[condition.column]) for condition in self._of_joints]
         moved = [condition.arm_m * norm(violation) for condition, _, violation in self._measured(q)]
         return math.hypot(*turned, *moved)
@@ -330,7 +325,7 @@ class ConditionSet:
         return found
 
     def deviation(self, q: Vector) -> Deviation:
-        """The furthest that a point is from the middle of its region, and a link from its orientation."""
+        """Return the greatest distance of a point from the middle of its region, and of a link from its orientation."""
         position_m, orientation_rad = 0.0, 0.0
         for condition, error, _ in self._measured(q):
             if isinstance(condition, PointCondition):
@@ -349,7 +344,7 @@ class ConditionSet:
 
 
 def rotation(orientation: Quaternion) -> Vector:
-    """Rotation matrix of a quaternion x, y, z, w of any length above 0, shape (3, 3)."""
+    """Return the rotation matrix of a quaternion x, y, z, w of any length above 0, shape (3, 3)."""
     return np.asarray(pin.XYZQUATToSE3(np.array([0.0, 0.0, 0.0, *_unit(orientation)])).rotation)
 
 
@@ -374,7 +369,7 @@ def _in_region(constraint: PositionConstraint) -> PointCondition:
 def _turned(
     link: str, orientation: Quaternion, tolerance_rad: Sequence[float], weight: float
 ) -> Iterator[TurnCondition | AxisCondition]:
-    """An orientation; one that leaves an axis of the link free is about that axis alone, one with two free is none."""
+    """Yield the condition of an orientation: of an axis alone where the turn about it is free, none where all are."""
     tolerance = np.array(tolerance_rad, float)
     free = np.flatnonzero(tolerance >= math.pi)
     wanted = rotation(orientation)

@@ -32,11 +32,10 @@ from planners.problem import Deviation, PlanningFailure
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 
-# After so many restarts without a new solution, when there is one, more rarely find any.
+# Restarts without a new solution, when there is one, after which more rarely find any.
 FRUITLESS_RESTARTS = 6
 
-# A goal is out of reach when so many restarts in a row come no nearer to it; of 1000 poses within reach none needed
-# more.
+# Restarts in a row that come no nearer to a goal out of reach; of 1000 poses within reach none needed more.
 HOPELESS_RESTARTS = 20
 NEARER_M = 0.001
 
@@ -57,7 +56,7 @@ SAMPLE_SEED = 7
 # Of 1000 reachable targets placo solves 99 % collision-free with 10 restarts and all with 30.
 RESTARTS = 30
 
-# Where all of these end in contacts more are made, from samples that touch nothing themselves.
+# Further restarts, from free samples, where all of these end in contact.
 RESTARTS_AMONG_OBSTACLES = 100
 
 # A joint goal this near already holds: a servo's step is 1.5 mrad.
@@ -69,9 +68,9 @@ class SearchResult:
     """Configurations that the descents of one search found.
 
     Attributes:
-        solutions: configurations in which all that is required holds and nothing touches, those that meet the
-            preferences best, least time from the seed first.
-        colliding: contacts in the first configuration in which all that is required holds, if every such one has some.
+        solutions: free configurations in which the required conditions hold and the preferred ones hold best, least
+            time from the seed first.
+        colliding: contacts in the first configuration in which the required conditions hold, if all of them have some.
         nearest_q: the configuration that comes nearest, free of contacts if any is.
         nearest: its deviation from the conditions.
     """
@@ -84,15 +83,7 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class _End:
-    """End of one descent.
-
-    Attributes:
-        q: the configuration.
-        tight: whether the robot's hulls touch something there.
-        collides: whether more than the hulls does.
-        violation_m: how far all that is required is from holding, 0 if it holds [m].
-        preference_error_m: how far the preferences are from holding [m].
-    """
+    """End of one descent; it is tight where hulls touch something, and collides where more than the hulls does."""
 
     q: Vector
     tight: bool
@@ -102,7 +93,7 @@ class _End:
 
     @property
     def solves(self) -> bool:
-        """True when all that is required holds and nothing touches."""
+        """True when the required conditions hold and nothing touches."""
         return self.violation_m == 0.0 and not self.collides
 
 
@@ -121,7 +112,7 @@ class DescentResults:
         self.begin()
 
     def begin(self, patience: int = HOPELESS_RESTARTS) -> None:
-        """Begin a series of descents, of which so many may be fruitless as long as there is no solution."""
+        """Begin a series of descents, of which ``patience`` may be fruitless as long as there is no solution."""
         self._fruitless, self._patience = 0, patience
 
     def enough(self, wanted: int) -> bool:
@@ -132,17 +123,17 @@ class DescentResults:
 
     @property
     def any_solution(self) -> bool:
-        """True when anything was found that meets all that is required."""
+        """True when a free configuration was found in which the required conditions hold."""
         return any(end.solves for end in self._ends)
 
     @property
     def only_touching(self) -> bool:
-        """True when all that is required can be had, but only with something touching, for all that was found."""
+        """True when the required conditions hold only in configurations in contact, of those found."""
         return not self.any_solution and any(end.violation_m == 0.0 for end in self._ends)
 
     @property
     def only_colliding(self) -> bool:
-        """True when nothing free was found, neither in tolerance nor near it."""
+        """True when every configuration found is in contact."""
         return all(end.collides for end in self._ends)
 
     def add(self, q: Vector) -> None:
@@ -160,7 +151,7 @@ class DescentResults:
             self._least_preference_error_m = min(self._least_preference_error_m, end.preference_error_m)
 
     def look_closer(self) -> None:
-        """Ask the surfaces of what touches by its parts, where nothing else meets all that is required."""
+        """Check by surfaces what touches by its parts and meets the required conditions."""
         self._ends = [self._by_surfaces(end) if end.violation_m == 0.0 and end.collides else end for end in self._ends]
 
     def result(self, move_time_s: Callable[[Vector], float]) -> SearchResult:
@@ -223,8 +214,8 @@ class GoalSearch:
             goal_conditions: the conditions.
             seed_q: present configuration, shape (n,) [rad]; the first descent starts there.
             should_stop: ends the restarts early.
-            wanted: so many solutions are enough.
-            avoid_collisions: whether configurations in which something touches are none.
+            wanted: number of solutions that are enough.
+            avoid_collisions: False to accept configurations in contact.
         """
         results = DescentResults(self.forward, self._collision if avoid_collisions else None, goal_conditions)
 
@@ -235,7 +226,7 @@ class GoalSearch:
         results.begin()
         self._descend(results, group, goal_conditions, self._starts(group, goal_conditions, seed_q), enough)
         if goal_conditions.preferred and not results.any_solution:
-            # The preferences may lead all descents away from where the rest can be had.
+            # The preferences may lead all descents away from where the required conditions hold.
             results.begin()
             self._descend(results, group, required, self._starts(group, required, seed_q), enough)
         if results.only_touching and not should_stop():
@@ -328,7 +319,7 @@ class GoalState:
     Attributes:
         q: the configuration, shape (n,) [rad].
         deviation: from the goal.
-        alternative: which of the goals it is, when there are several.
+        alternative: index of the goal among several.
     """
 
     q: Vector
@@ -343,11 +334,11 @@ class GoalQuery:
     Attributes:
         group: the joints that may move.
         start_q: present configuration, shape (n,) [rad].
-        constraints: what must hold in them beside the goal.
+        constraints: constraints that must hold beside the goal.
         budget: ends the search.
         wanted: number of configurations that are enough.
-        avoid_collisions: whether configurations in which something touches are none.
-        accept_start: whether the start is an answer even where something touches, as a motion may begin there.
+        avoid_collisions: False to accept configurations in contact.
+        accept_start: True to accept the start even in contact, as a motion may begin there.
     """
 
     group: Group
@@ -360,12 +351,7 @@ class GoalQuery:
 
 
 class GoalStates:
-    """Goal configurations of one robot.
-
-    Args:
-        robot: the arm.
-        collision: its collisions with itself and the scene.
-    """
+    """Goal configurations of one robot."""
 
     def __init__(self, robot: RobotModel, collision: CollisionModel) -> None:
         self._collision = collision
@@ -374,7 +360,7 @@ class GoalStates:
         self.forward = self._search.forward
 
     def condition_set(self, constraints: Constraints | None) -> ConditionSet:
-        """Return constraints as conditions that can be measured."""
+        """Return the conditions of constraints."""
         return ConditionSet(self.forward, conditions(constraints, self._joints))
 
     def projection(self, group: Group, constraints: Constraints, start_q: Vector) -> Callable[[Vector], Vector | None]:
@@ -382,12 +368,7 @@ class GoalStates:
         return self._search.projection(group, conditions(constraints, self._joints), start_q)
 
     def find(self, goal: Goal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
-        """Find configurations in which a goal holds, the soonest reached first; or the reason for which there is none.
-
-        Args:
-            goal: a checked goal.
-            query: group, start and bounds of the search.
-        """
+        """Find configurations in which a checked goal holds, the soonest reached first; or why there is none."""
         if not isinstance(goal, AnyOf):
             return self._single(goal, query, 0)
         answers = [self._single(single, query, index) for index, single in enumerate(goal.goals)]
@@ -448,7 +429,7 @@ class GoalStates:
     def _refusal(
         self, goal: TaskGoal, wanted: GoalConditions, also: Sequence[Condition], found: SearchResult, query: GoalQuery
     ) -> PlanningFailure:
-        """Return the reason for which nothing was found."""
+        """Return the failure of a search without solutions."""
         if query.budget.used_up():
             nearest_m = self.point_m(goal, found.nearest_q)
             failure = out_of_time(goal, query.budget.failure(), nearest_m, found.nearest)
@@ -467,7 +448,7 @@ class GoalStates:
     ) -> PlanningFailure:
         q = found.nearest_q
         if isinstance(goal, PoseGoal | AxisGoal):
-            # The point with the nearest orientation there says more than a compromise between both.
+            # The point with the nearest orientation there is more useful than a compromise between both.
             point, *turns = wanted.required
             if turns:
                 found = self._find(GoalConditions((point,), (*turns, *wanted.preferred)), query)

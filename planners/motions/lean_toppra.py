@@ -11,7 +11,7 @@ import importlib
 import sys
 import warnings
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any
 
 _UNUSED = ("scipy", "scipy.interpolate", "scipy.sparse", "matplotlib", "matplotlib.pyplot")
 
@@ -19,8 +19,10 @@ _UNUSED = ("scipy", "scipy.interpolate", "scipy.sparse", "matplotlib", "matplotl
 class _Unused(ModuleType):
     """Module of which any name can be imported, and nothing used."""
 
-    # Python takes a module without a path for one that has no modules in it.
-    __path__: ClassVar[list[str]] = []
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        # Python takes a module without a path for one that has no modules in it.
+        self.__path__ = []
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):

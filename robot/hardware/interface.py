@@ -126,7 +126,7 @@ class Condition:
     silent_cycles: int  # cycles in which it did not answer
     warnings: tuple[ServoWarning, ...] = ()  # warnings of the survey
     registers: Mapping[str, int] = field(default_factory=dict)  # its settings as surveyed, by the name of the register
-    # Values that those of them should have which have another, likewise.
+    # Values that settings should have which have another, by the name of the register.
     expected: Mapping[str, int] = field(default_factory=dict)
 
 

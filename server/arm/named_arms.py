@@ -175,7 +175,7 @@ class NamedArm:
         # All joints are on the topic of all arms; this one costs as much again where several listen to that alone.
         if self.graph.subscribers(JOINT_STATES):
             self._joint_states.publish(state)
-        self._topics.take_state(state)
+        self._topics.take_state(state, self.arm.last_stop)
         self._on_state(state)
 
     def _take_health(self, health: ArmHealth) -> None:

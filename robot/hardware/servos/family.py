@@ -62,7 +62,7 @@ class ServoFound:
     model: int  # register MODEL_NUMBER
     values: Values  # values of the registers that the survey reads
     turns_ticks: int = 0  # whole turns to add to its positions for the calibrated ones
-    warnings: tuple[ServoWarning, ...] = ()  # warnings about it
+    warnings: tuple[ServoWarning, ...] = ()
     expected: Values = field(default_factory=dict)  # values that registers should have which have another
 
 

@@ -59,11 +59,11 @@ def survey(
 def limits_warnings(
     joint: JointCalibration, alert: ServoAlert, limits_ticks: tuple[int, int]
 ) -> Iterator[ServoWarning]:
-    """Yield the warning about a servo whose limits are of another calibration."""
+    """Yield the warning about a servo whose angle limits are of another calibration."""
     calibrated = joint.range_min, joint.range_max
     if max(abs(a - b) for a, b in zip(limits_ticks, calibrated, strict=True)) > LIMITS_AGREE_WITHIN_TICKS:
-        name = alert.value.replace("_", " ")
-        sentence = f"the servo's {name} {limits_ticks} differ from the calibrated range {calibrated} ticks"
+        limits = alert.value.replace("_", " ")
+        sentence = f"the servo's {limits} {limits_ticks} differ from the calibrated range {calibrated} ticks"
         yield ServoWarning(alert, sentence)
 
 

@@ -63,8 +63,8 @@ def test_a_setting_that_differs_from_its_profile_is_told_with_its_consequence(bu
 
 def test_servos_are_compared_with_the_profile_of_the_arm_if_it_has_one(bus: Bus) -> None:
     found = surveyed(bus, Feetech(LEROBOT))
-    said = {servo: [warning.sentence for warning in found[servo].warnings] for servo in IDS}
-    assert all("P_GAIN is 32, not 16" in " ".join(sentences) for sentences in said.values())
+    sentences = {servo: [warning.sentence for warning in found[servo].warnings] for servo in IDS}
+    assert all("P_GAIN is 32, not 16" in " ".join(sentences[servo]) for servo in IDS)
     assert all(found[servo].expected[Register.P_GAIN] == 16 for servo in IDS)
 
 

@@ -61,7 +61,7 @@ def expected_width(servo: ServoSpec) -> int:
 
 
 def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
-    """Return True when a joint that covered such a range has met both of its stops.
+    """Return True when a joint that covered a range of this width has met both of its stops.
 
     A joint that the robot's folder calls free may have stops all the same, as the SO-101's wrist has; one that covered
     nearly a whole turn has none.

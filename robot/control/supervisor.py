@@ -205,7 +205,7 @@ class Supervisor:
         elif isinstance(message, Shutdown):
             self._end = self._config.on_exit
             if message.hurry and self._end is EndState.PARK and controller is not None:
-                self._parking.give_up(controller, "the server is told not to wait")
+                self._parking.give_up(controller, "the server must not wait")
         elif isinstance(message, KeepParking):
             self._parking.keep(message.plan)
 
@@ -372,7 +372,7 @@ class Supervisor:
         self._begin(_Task(_NAMES[order], steps, command.number, now_s, urgent))
 
     def _begin(self, task: _Task) -> None:
-        """Begin a sequence in place of the one in progress, an urgent one before that one tidies up."""
+        """Begin a sequence and give up the present one; an urgent sequence begins before the present one tidies up."""
         given_up, self._task = self._task, task
         try:
             if task.urgent:

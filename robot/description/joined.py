@@ -89,7 +89,7 @@ def prefixed(robot: RobotModel, name: str) -> RobotModel:
 
 
 def joined(name: str, arms: Mapping[str, PlacedArm]) -> RobotModel:
-    """Return the description of several arms by name; default group, tip and gripper are those of the first."""
+    """Return the description of several arms by name; the first gives default group, tip and gripper."""
     urdf, srdf = ET.Element("robot", name=name), ET.Element("robot", name=name)
     ET.SubElement(urdf, "link", name=COMMON_LINK)
     for arm, placed in arms.items():
@@ -171,7 +171,7 @@ def _rename(root: ET.Element, names: Mapping[str, Sequence[str]], prefix: str) -
 
 
 def _group_of_all(robots: Sequence[RobotModel]) -> Iterator[ET.Element]:
-    """Yield the group of all arms, and its named states: those that each arm has under one name."""
+    """Yield the group of all arms, and the named states that every arm has under the same name."""
     name = BOTH_ARMS if len(robots) == 2 else ALL_ARMS
     group = ET.Element("group", name=name)
     for robot in robots:

@@ -30,7 +30,7 @@ CLOSED_STATES = ("closed", "close")
 # State in which an arm is parked that names none.
 PARK_STATE = "rest"
 
-# Groups that are the gripper where no end effector says so, as Panda's.
+# Names of a gripper's group in an SRDF without end effector, as Panda's.
 GRIPPER_GROUPS = ("gripper", "hand")
 
 

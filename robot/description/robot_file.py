@@ -132,11 +132,11 @@ class HardwareSection(_Table):
     baud: Annotated[int, Field(ge=9600, le=4_500_000)] = 1_000_000
     """rate of the bus [baud]."""
     calibrations: Annotated[tuple[Name, ...], Field(max_length=8)] = ()
-    """lerobot's folders of calibrations of such arms, the newest name first."""
+    """lerobot's folders of calibrations of the arm, the newest name first."""
     servos: Annotated[tuple[ServoTable, ...], Field(max_length=MAX_JOINTS)] = ()
     """the servos, in the order of the joints."""
     profile: ProfileTable | None = None
-    """settings of the servos; without this table those of the factory or of lerobot, whichever are nearer."""
+    """settings of the servos; without this table the factory's or lerobot's, whichever are nearer."""
 
     @model_validator(mode="after")
     def _servos_fit_the_kind(self) -> HardwareSection:

@@ -207,7 +207,7 @@ def _limits(folder: Path, file: RobotFile) -> dict[str, JointLimits]:
 
 def moveit_limits(path: Path) -> dict[str, JointLimits]:
     """Read MoveIt's joint_limits.yaml (MoveIt's tutorial on the RobotModel's limits and joint_limits_aggregator)."""
-    # Imported when it is needed: most arms have no such file.
+    # Imported where it is needed: most arms have no joint_limits.yaml.
     import yaml
 
     try:

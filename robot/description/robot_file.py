@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
@@ -201,22 +202,21 @@ def _sentence(error: ErrorDetails) -> str:
     return f"{key}: {message[:1].lower()}{message[1:]}{given}"
 
 
+# Tables by the last name of their place; the tables of joints have the joints' names.
+_TABLES: Mapping[str, type[_Table]] = {
+    "": RobotFile,
+    "robot": RobotTable,
+    "planning": PlanningTable,
+    "gripper": GripperTable,
+    "hardware": HardwareSection,
+    "servos": ServoTable,
+    "zero": ZeroTable,
+    "profile": ProfileTable,
+}
+
+
 def _keys_beside(place: list[int | str]) -> list[str]:
     """Return the keys that are allowed where an unknown one stands."""
-    annotation: Any = RobotFile
-    for part in place[:-1]:
-        if _is_table(annotation):
-            annotation = annotation.model_fields[str(part)].annotation
-        elif get_origin(annotation) in (dict, tuple):
-            annotation = next(each for each in get_args(annotation) if _holds_table(each))
-        while get_origin(annotation) not in (None, dict, tuple):
-            annotation = next((each for each in get_args(annotation) if _holds_table(each)), None)
-    return sorted(annotation.model_fields) if _is_table(annotation) else []
-
-
-def _is_table(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
-
-
-def _holds_table(annotation: Any) -> bool:
-    return _is_table(annotation) or any(_holds_table(each) for each in get_args(annotation))
+    names = [part for part in place[:-1] if isinstance(part, str)] or [""]
+    table = JointTable if names[0] == "joints" else _TABLES[names[-1]]
+    return sorted(table.model_fields)

@@ -42,7 +42,7 @@ from planners.motions.path import (
     search,
     without_detours,
 )
-from planners.motions.path_timing import MAX_DURATION_S
+from planners.motions.path_timing import MAX_DURATION_S, standing
 from planners.motions.via_point import via_point
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
@@ -172,7 +172,7 @@ def _straight(task: MotionTask, budget: Budget) -> Motion | None:
         if moving:
             curve = from_moving(ahead, task.start_velocity, goal, task.limits)
         elif same_point(task.start, goal):
-            return Motion(_standing(task), STRAIGHT_LINE, index)
+            return Motion(standing(task.joint_names, task.start), STRAIGHT_LINE, index)
         else:
             free = task.space.line_free(task.start, goal, SPARSE_STEP_M)
             curve = line(task.start, goal, task.limits) if free else None
@@ -180,11 +180,6 @@ def _straight(task: MotionTask, budget: Budget) -> Motion | None:
         if trajectory is not None:
             return Motion(trajectory, STRAIGHT_LINE, index)
     return None
-
-
-def _standing(task: MotionTask) -> Trajectory:
-    rest = np.zeros((1, len(task.start)))
-    return Trajectory(task.joint_names, np.zeros(1), task.start[np.newaxis], rest, rest)
 
 
 def _certified(task: MotionTask, curve: Curve, window: int, closest: Closeness = Closeness.PARTS) -> Trajectory | None:

@@ -6,29 +6,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from robot.calibration import Calibration, JointCalibration
-from robot.commissioning.scan import ServoReport
+from robot.commissioning.servo_registers import ServoRegisters
 from robot.commissioning.sweep import Sweep, met_both_stops, place, place_free
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError
 from robot.hardware.feetech.calibration import calibrated_registers
-from robot.hardware.feetech.registers import Register
 from robot.hardware.servos.family import Difference
 
 
 @dataclass(frozen=True)
 class Swept:
-    """All that was measured by hand.
-
-    Attributes:
-        sweep: ranges of all servos.
-        offsets: register HOMING_OFFSET during the sweep, by servo id [ticks].
-        middles: position in its middle of each joint without stops, by servo id [ticks], in the sweep's count.
-        drive_modes: 1 for servos that turn the other way than the format takes them to, by servo id; 0 for others.
-    """
+    """All that was measured by hand."""
 
     sweep: Sweep
-    offsets: Mapping[int, int]
+    offsets: Mapping[int, int]  # register HOMING_OFFSET during the sweep, by servo id [ticks]
+    # Position in its middle of each joint without stops, by servo id [ticks], in the sweep's count.
     middles: Mapping[int, int]
+    # 1 for servos that turn the other way than the format takes them to, by servo id; 0 for others.
     drive_modes: Mapping[int, int]
 
 
@@ -41,8 +35,6 @@ def calibrate(servos: Sequence[ServoSpec], swept: Swept, *, recentre: bool) -> C
     """Compute the calibration.
 
     Args:
-        servos: servos of the arm.
-        swept: what was measured of all of them.
         recentre: True for new homing offsets, which must then be written to the servos; False to keep theirs.
 
     Raises:
@@ -51,24 +43,16 @@ def calibrate(servos: Sequence[ServoSpec], swept: Swept, *, recentre: bool) -> C
     return Calibration(tuple(_joint(servo, swept, recentre=recentre) for servo in servos))
 
 
-def differences(calibration: Calibration, servos: Sequence[ServoReport]) -> list[Difference]:
+def differences(calibration: Calibration, servos: Sequence[ServoRegisters]) -> list[Difference]:
     """Compare a calibration with the servos' registers; missing servos are left out."""
-    reports = {servo.servo_id: servo for servo in servos}
-    found = []
-    for joint in calibration.joints:
-        if (report := reports.get(joint.servo_id)) is None:
-            continue
-        held = {
-            Register.HOMING_OFFSET: report.homing_offset_ticks,
-            Register.MIN_ANGLE_LIMIT: report.angle_limits_ticks[0],
-            Register.MAX_ANGLE_LIMIT: report.angle_limits_ticks[1],
-        }
-        found += [
-            Difference(joint.joint, joint.servo_id, register, value, held[register])
-            for register, value in calibrated_registers(joint).items()
-            if held[register] != value
-        ]
-    return found
+    found = {servo.servo_id: servo for servo in servos}
+    return [
+        Difference(joint.joint, joint.servo_id, register, value, found[joint.servo_id][register])
+        for joint in calibration.joints
+        if joint.servo_id in found
+        for register, value in calibrated_registers(joint).items()
+        if found[joint.servo_id][register] != value
+    ]
 
 
 def _joint(servo: ServoSpec, swept: Swept, *, recentre: bool) -> JointCalibration:

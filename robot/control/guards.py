@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot.control.assumptions import Assumptions
+from robot.advice import ServoAlert, ServoWarning
+from robot.control.actuator_thresholds import ActuatorThresholds
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import JUMP_RAD, Actuation, Flags, Measured, StatusFlag, status_names
 from robot.messages import GuardLimits
@@ -42,7 +43,7 @@ _SENTENCES = {
     FaultCode.BUS_SILENT: "no servo has answered for {age_s:.2f} s",
     FaultCode.VOLTAGE_LOW: "joint {name} has {volts:.1f} V; it needs {least_volts:g} V at least",
     FaultCode.VOLTAGE_HIGH: "joint {name} has {volts:.1f} V, above the {most_volts:.1f} V of its servo",
-    FaultCode.STALLED: "joint {name} pushes in vain, {error_rad:.2f} rad short of its goal",
+    FaultCode.STALLED: "joint {name} is stalled, {error_rad:.2f} rad short of its goal",
     FaultCode.TRACKING_LOST: "joint {name} is {error_rad:.2f} rad behind its goal: blocked, or too weak for the load",
 }
 
@@ -57,21 +58,17 @@ class Temperatures:
 
 
 class Persistence:
-    """Timer of a condition for each joint.
-
-    Args:
-        joints: number of joints.
-    """
+    """Timer of a condition for each joint."""
 
     def __init__(self, joints: int) -> None:
         self._never = np.full(joints, np.inf)
         self._since_s = self._never
 
     def lasting(self, condition: Flags, now_s: float) -> Vector:
-        """Update with the condition of each joint, shape (joints,).
+        """Update with the condition of each joint, and return for how long it has held.
 
         Returns:
-            Time for which it has held without a break, -inf where it does not hold, shape (joints,) [s].
+            Time without a break, -inf where the condition does not hold, shape (joints,) [s].
         """
         if not condition.any():
             self._since_s = self._never
@@ -84,15 +81,10 @@ class Guards:
     """Guards of one arm.
 
     Args:
-        joint_names: order of every array.
-        temperatures: thresholds of warnings and faults.
         max_voltage_v: highest supply of each servo, shape (joints,) [V]; None for servos without such a limit.
-        limits: thresholds of the other faults.
-        assumptions: what follows from the servos' settings; None for servos without any.
+        thresholds: what follows from the servos' settings; None for servos without any.
 
     Attributes:
-        limits: as given.
-        assumptions: as given.
         stalled: joints that push without moving, shape (joints,).
         lost: joints that are too far behind their goals, shape (joints,).
     """
@@ -103,7 +95,7 @@ class Guards:
         temperatures: Temperatures | None = None,
         max_voltage_v: Vector | None = None,
         limits: GuardLimits | None = None,
-        assumptions: Assumptions | None = None,
+        thresholds: ActuatorThresholds | None = None,
     ) -> None:
         self._names = joint_names
         self._temperatures = temperatures or Temperatures()
@@ -111,7 +103,9 @@ class Guards:
         # No joint nearer to its goal can be stalled or lost.
         self._near_goal_rad = min(STALL_ERROR_RAD, self.limits.tracking_error_rad)
         joints = len(joint_names)
-        self.assumptions = assumptions or Assumptions.of(self.limits, Actuation.unprotected(joints), np.ones(joints))
+        self.thresholds = thresholds or ActuatorThresholds.of(
+            self.limits, Actuation.unprotected(joints), np.ones(joints)
+        )
         self._max_voltage_v = np.full(joints, np.inf) if max_voltage_v is None else max_voltage_v
         self._none: Flags = np.zeros(joints, dtype=bool)
         self._last: tuple[Measured, float] | None = None
@@ -134,10 +128,7 @@ class Guards:
         """Check one tick's readings; sets :attr:`stalled` and :attr:`lost`.
 
         Args:
-            goal_rad: goals of the joints, shape (joints,) [rad].
-            measured: readings of the joints.
             torque_limit: share of full duty that each may use, shape (joints,).
-            now_s: monotonic time [s].
             yielding: joints for which a stall is no fault, shape (joints,); None for none.
 
         Returns:
@@ -167,18 +158,19 @@ class Guards:
                 return self._fault(code, flags, goal_rad, measured)
         return None
 
-    def warnings(self, measured: Measured, joint: int) -> tuple[str, ...]:
-        """Return the warnings about one joint, a sentence each."""
-        said = []
-        if measured.temperature_c[joint] >= self._temperatures.slow_c:
-            said.append(f"motions run at half speed at {measured.temperature_c[joint]:.0f} degC")
-        elif measured.temperature_c[joint] >= self._temperatures.warn_c:
-            said.append(f"warm: {measured.temperature_c[joint]:.0f} degC")
-        if names := status_names(int(measured.status[joint])):
-            said.append(f"the servo complains of {', '.join(names)}")
-        if measured.age_s[joint] > self.limits.silent_after_s:
-            said.append(f"no answer for {measured.age_s[joint]:.1f} s")
-        return tuple(said)
+    def warnings(self, measured: Measured, joint: int) -> tuple[ServoWarning, ...]:
+        """Return the warnings about one joint."""
+        warnings = []
+        temperature_c, age_s = measured.temperature_c[joint], measured.age_s[joint]
+        if temperature_c >= self._temperatures.slow_c:
+            warnings.append(ServoWarning(ServoAlert.SLOWED, f"motions run at half speed at {temperature_c:.0f} degC"))
+        elif temperature_c >= self._temperatures.warn_c:
+            warnings.append(ServoWarning(ServoAlert.WARM, f"warm: {temperature_c:.0f} degC"))
+        flags = status_names(int(measured.status[joint]))
+        warnings += [ServoWarning(ServoAlert(name), f"the servo complains of {name}") for name in flags]
+        if age_s > self.limits.silent_after_s:
+            warnings.append(ServoWarning(ServoAlert.NO_ANSWER, f"no answer for {age_s:.1f} s"))
+        return tuple(warnings)
 
     def _unremarkable(self, goal_rad: Vector, measured: Measured, before: Measured) -> bool:
         """Return True when only silence can be a fault: nothing else is one, or would be one if it lasted.
@@ -198,7 +190,7 @@ class Guards:
         """Find the joints that cannot have turned from their last reading to this one in the time between."""
         gap_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
         way_rad = np.abs(measured.position_rad - before.position_rad)
-        return np.asarray(way_rad > JUMP_RAD + self.assumptions.free_speed_rad_s * gap_s)
+        return np.asarray(way_rad > JUMP_RAD + self.thresholds.free_speed_rad_s * gap_s)
 
     def _silence_fault(self, goal_rad: Vector, measured: Measured) -> Fault | None:
         """Return the fault of silent servos, the same object while the same servos are silent."""
@@ -224,10 +216,10 @@ class Guards:
         if not far.any():
             return self._pushing.lasting(far, now_s) > 0.0
         loaded = np.abs(measured.load) > STALL_LOAD_SHARE * torque_limit
-        pushing = loaded | (np.abs(measured.current_a) > self.assumptions.stall_current_a)
+        pushing = loaded | (np.abs(measured.current_a) > self.thresholds.stall_current_a)
         standing = np.abs(measured.velocity_rad_s) < STALL_SPEED_RAD_S
         lasting_s = self._pushing.lasting(far & pushing & standing, now_s)
-        return np.asarray(lasting_s >= self.assumptions.stall_time_s)
+        return np.asarray(lasting_s >= self.thresholds.stall_time_s)
 
     def _badly_supplied(self, measured: Measured, now_s: float) -> Flags:
         low, flagged = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusFlag.VOLTAGE != 0

@@ -9,7 +9,6 @@ arm's state many times a second and its health once a second.
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -18,8 +17,9 @@ import numpy as np
 from robot.control.controller import RELAXING
 from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling, percentiles
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.parking import Parking
+from robot.control.reports import arm_health, arm_state, disconnected
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import LoopClock
@@ -32,7 +32,6 @@ from robot.messages import (
     PARKING_TIMEOUT_S,
     TORQUE_LEFT_ON,
     ArmConfig,
-    ArmHealth,
     ArmState,
     ChangePace,
     Command,
@@ -40,13 +39,11 @@ from robot.messages import (
     EndState,
     Execute,
     Heartbeat,
-    JointHealth,
     KeepParking,
     Mode,
     MotionEnded,
     Order,
     Outcome,
-    Pace,
     Setpoint,
     Shutdown,
     Stop,
@@ -54,138 +51,13 @@ from robot.messages import (
 )
 from robot.stop_epochs import STOPPED_SINCE
 
-
-def disconnected(joint_names: tuple[str, ...], reason: str, fault: Fault | None, clock_s: float) -> ArmState:
-    """Build the state of an arm whose hardware is not open."""
-    return ArmState(time.time(), Mode.DISCONNECTED, joint_names, reason=reason, fault=fault, clock_s=clock_s)
-
-
-def arm_state(
-    arm: ControlCycle, mode: Mode, fault: Fault | None, reason: str, lateness_s: tuple[float, ...], clock_s: float
-) -> ArmState:
-    """Build the state of the arm at its latest reading.
-
-    Args:
-        arm: control cycle of the arm.
-        mode: state of its state machine.
-        fault: latched fault.
-        reason: sentence on an arm that is connected but not ready.
-        lateness_s: lateness of the ticks since the last state [s].
-        clock_s: time of the control loop [s].
-    """
-    measured, controller, names = arm.measured, arm.controller, arm.hardware.joint_names
-    if measured is None:
-        return ArmState(time.time(), mode, names, reason=reason, fault=fault, lateness_s=lateness_s, clock_s=clock_s)
-    motion = controller.motion if controller is not None else None
-    driven = controller is not None and controller.driven
-    return ArmState(
-        stamp_s=measured.stamp_s,
-        mode=mode,
-        joint_names=names,
-        reason=reason,
-        position_rad=measured.position_rad,
-        velocity_rad_s=measured.velocity_rad_s,
-        age_s=measured.age_s,
-        load=measured.load,
-        current_a=measured.current_a,
-        goal_rad=controller.goal_rad if controller is not None and driven else measured.position_rad,
-        motion_id=motion.motion_id if motion is not None else None,
-        fraction=motion.fraction if motion is not None else 0.0,
-        remaining_s=motion.remaining_s if motion is not None else 0.0,
-        motions=controller.progress if controller is not None else (),
-        pace=controller.pace if controller is not None else Pace(),
-        lateness_s=lateness_s,
-        fault=fault,
-        clock_s=clock_s,
-        driven=driven,
-    )
-
-
-def arm_health(
-    arm: ControlCycle,
-    state: ArmState,
-    port: str,
-    pacer: Pacer,
-    clock: LoopClock,
-    scheduling: Scheduling,
-) -> ArmHealth:
-    """Build the report of the arm's health.
-
-    Args:
-        arm: control cycle of the arm.
-        state: its state now.
-        port: name of its port.
-        pacer: pacer of the control loop.
-        clock: clock of the control loop.
-        scheduling: protection of the ticks against the rest of the machine.
-    """
-    controller = arm.controller
-    bounds = None if controller is None else controller.bounds
-    limits = None if bounds is None else np.stack((bounds.lower_rad, bounds.upper_rad), axis=1)
-    return ArmHealth(
-        monotonic_s=time.monotonic(),
-        mode=state.mode,
-        port=port,
-        joints=tuple(_joint_health(arm, joint) for joint in range(len(arm.hardware.joint_names))),
-        bus=arm.hardware.counters,
-        lateness_s=percentiles(pacer.lateness_s),
-        round_trip_s=percentiles(arm.hardware.round_trips_s),
-        real_time=scheduling.real_time,
-        memory_locked=scheduling.memory_locked,
-        real_time_factor=clock.real_time_factor,
-        limits_rad=limits,
-        fault=state.fault,
-        reason=state.reason,
-    )
-
-
-def _joint_health(arm: ControlCycle, joint: int) -> JointHealth:
-    condition, measured, controller = arm.hardware.condition(joint), arm.measured, arm.controller
-    if measured is None or controller is None:
-        never_heard = condition.age_s == float("inf")
-        return JointHealth(
-            joint=arm.hardware.joint_names[joint],
-            hardware_id=condition.hardware_id,
-            position_rad=float("nan"),
-            temperature_c=float("nan"),
-            voltage_v=float("nan"),
-            current_a=float("nan"),
-            load=float("nan"),
-            torque_enabled=None,
-            status=0,
-            age_s=condition.age_s,
-            silent_cycles=condition.silent_cycles,
-            errors=arm.errors.of(joint),
-            warnings=("it has not answered yet",) if never_heard else (),
-            registers=condition.registers,
-            expected=condition.expected,
-        )
-    return JointHealth(
-        joint=arm.hardware.joint_names[joint],
-        hardware_id=condition.hardware_id,
-        position_rad=float(measured.position_rad[joint]),
-        temperature_c=float(measured.temperature_c[joint]),
-        voltage_v=float(measured.voltage_v[joint]),
-        current_a=float(measured.current_a[joint]),
-        load=float(measured.load[joint]),
-        torque_enabled=condition.torque_enabled,
-        status=int(measured.status[joint]),
-        age_s=float(measured.age_s[joint]),
-        silent_cycles=condition.silent_cycles,
-        errors=arm.errors.of(joint),
-        warnings=condition.warnings + controller.guards.warnings(measured, joint),
-        registers=condition.registers,
-        expected=condition.expected,
-    )
-
-
 log = logging.getLogger("armbridge.arm")
 
 # Interval between attempts to open the hardware, and to check the servos: the first, and the longest.
 FIRST_RETRY_S = 0.2
 LONGEST_RETRY_S = 2.0
 
-# A server that is silent for no longer may come back; the arm brakes meanwhile, but parks only then.
+# A silent server may come back within this time: the arm only brakes until then, and parks afterwards.
 SILENCE_BEFORE_PARKING_S = 5.0
 
 HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
@@ -194,14 +66,13 @@ HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
 SPARE_TICKS = 1
 IDLE_SPARE_TICKS = 4
 
-# After so many ticks at rest the joints have come to where their last motion has sent them.
+# Ticks at rest after which the joints have reached the end of their last motion.
 SETTLED_TICKS = round(0.5 / PERIOD_S)
 
-# A server that is silent for so long hangs, however busy the machine is; a simulated arm can afford to wait.
+# Least watchdog timeout of a simulated arm, which a server on a busy machine must not trip.
 SIMULATED_WATCHDOG_S = 5.0
 
-# A machine that is too busy makes the server silent again and again: lines of the log at once, and in the long run
-# [1/s], one in ten minutes.
+# Log lines about a silent server: at once, and in the long run [1/s], one in ten minutes.
 SILENCE_BURST = 3
 SILENCE_LINES_PER_S = 1.0 / 600.0
 
@@ -235,11 +106,8 @@ class Supervisor:
     """Supervisor of the arm of one arm process.
 
     Args:
-        config: hardware, limits and policies of the arm.
         send: sends a message to the server; its second argument says that the message may be dropped while the server
             does not read.
-        clock: time of the control loop.
-        scheduling: protection of the ticks against the rest of the machine.
 
     Attributes:
         arm: control cycle on the open hardware; None while disconnected.
@@ -311,11 +179,7 @@ class Supervisor:
         self._send(disconnected(self._joint_names, reason, self._fault, self._clock()), True)
 
     def handle(self, message: object) -> None:
-        """Handle one message of the server.
-
-        Raises:
-            PortLost: the port is gone.
-        """
+        """Handle one message of the server."""
         self._watchdog.feed(self._clock())
         if isinstance(message, Stop):
             self._last_stop = max(self._last_stop, message.epoch)
@@ -357,16 +221,7 @@ class Supervisor:
         return SPARE_TICKS if self._ticks_per_state > SPARE_TICKS else 0
 
     def tick(self, pacer: Pacer, *, server_gone: bool, ticks: int = 1) -> None:
-        """Run one cycle of the arm.
-
-        Args:
-            pacer: pacer of the control loop.
-            server_gone: True when the server's process has ended.
-            ticks: periods since the last cycle; more than one after skipped ticks.
-
-        Raises:
-            PortLost: the port is gone.
-        """
+        """Run one cycle of the arm, ``ticks`` periods after the last one."""
         arm, now_s = self.arm, self._clock()
         if arm is None:
             return
@@ -400,14 +255,7 @@ class Supervisor:
             self._send(arm_health(arm, state, port, pacer, self._clock, self._scheduling), True)
 
     def work(self) -> float:
-        """Do one step of the sequence in progress.
-
-        Returns:
-            Time until the next step is due [s]; infinite without a sequence.
-
-        Raises:
-            PortError: the port is gone.
-        """
+        """Do one step of the sequence in progress; return the time until the next [s], infinite without one."""
         task, now_s = self._task, self._clock()
         if task is None:
             return float("inf")
@@ -432,7 +280,7 @@ class Supervisor:
             self._interrupt("the server is ending")
             return True
         self._end_begun_s = self._end_begun_s or now_s
-        driven = self._end is not EndState.HOLD and controller.driven
+        driven = self._end is not EndState.HOLD and controller.torque_enabled
         if not controller.moving and self._task is None and not driven:
             return True
         timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
@@ -450,7 +298,7 @@ class Supervisor:
         return True
 
     def _torque_left(self) -> str:
-        """Read where torque is on, and say what to do about it."""
+        """Describe where torque is on, with the remedy."""
         if self.arm is None:
             return ""
         hardware = self.arm.hardware
@@ -568,7 +416,7 @@ class Supervisor:
             if fault is not None:
                 log.error("%s", fault)
         controller = self.arm.controller if self.arm is not None else None
-        if fault is not None and fault.code in RELAXING and controller is not None and controller.driven:
+        if fault is not None and fault.code in RELAXING and controller is not None and controller.torque_enabled:
             self._relax()
 
     def _check_server(self, now_s: float, *, server_gone: bool) -> None:
@@ -592,7 +440,7 @@ class Supervisor:
             self._parking.advance(controller, now_s, may_move=gone)
         else:
             controller.stop()
-        if controller.driven and (end is EndState.RELAX or self._parking.over):
+        if controller.torque_enabled and (end is EndState.RELAX or self._parking.over):
             self._relax()
 
     def _log_silence(self, now_s: float) -> None:
@@ -606,7 +454,7 @@ class Supervisor:
         controller = self.arm.controller if self.arm is not None else None
         if controller is not None and controller.moving:
             return "stopping"
-        if controller is not None and controller.driven and end is not EndState.HOLD:
+        if controller is not None and controller.torque_enabled and end is not EndState.HOLD:
             return "relaxing" if end is EndState.RELAX else "parking"
         return "nothing moves"
 
@@ -622,12 +470,7 @@ class Supervisor:
 
 
 class Watchdog:
-    """Watchdog on the server's messages. Pure: time is passed in.
-
-    Args:
-        timeout_s: silence after which the server counts as lost [s].
-        now_s: monotonic time [s].
-    """
+    """Watchdog on the server's messages. Pure: time is passed in."""
 
     def __init__(self, timeout_s: float, now_s: float) -> None:
         self._timeout_s = timeout_s
@@ -648,18 +491,10 @@ class Watchdog:
 
 @dataclass
 class _Task:
-    """Sequence in progress.
-
-    Attributes:
-        name: its name in refusals and logs.
-        steps: the sequence.
-        number: of the command to answer; None for a sequence that no command began.
-        ready_s: time of its next step [s].
-        urgent: True for an emergency stop, which nothing interrupts.
-    """
+    """Sequence in progress."""
 
     name: str
     steps: Steps[str]
-    number: int | None
-    ready_s: float
-    urgent: bool = False
+    number: int | None  # of the command to answer; None for a sequence that no command began
+    ready_s: float  # time of its next step [s]
+    urgent: bool = False  # True for an emergency stop, which nothing interrupts

@@ -52,29 +52,16 @@ _OF_OTHERS = ("gazebo", "transmission", "ros2_control", "sensor")
 
 @dataclass(frozen=True)
 class PlacedArm:
-    """Arm at its place.
+    """Arm at its place."""
 
-    Attributes:
-        robot: its description, as by :func:`prefixed`.
-        base_xyz_m: origin of its root link in the common frame [m].
-        base_rpy_rad: fixed-axis roll, pitch and yaw of its root link there [rad].
-    """
-
-    robot: RobotModel
-    base_xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    robot: RobotModel  # its description, as by prefixed
+    base_xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # origin of its root link in the common frame [m]
+    # Fixed-axis roll, pitch and yaw of its root link there [rad].
     base_rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def prefixed(robot: RobotModel, name: str) -> RobotModel:
-    """Return an arm whose names of links, joints and groups begin with a prefix.
-
-    Args:
-        robot: the arm.
-        name: of the arm; the prefix is ``name_``.
-
-    Raises:
-        DescriptionError: a mesh is not there.
-    """
+    """Return an arm whose names of links, joints and groups begin with ``name_``."""
     prefix = f"{name}_"
     packages = robot.package_directories
     if robot.mesh_directory is not None:
@@ -102,17 +89,7 @@ def prefixed(robot: RobotModel, name: str) -> RobotModel:
 
 
 def joined(name: str, arms: Mapping[str, PlacedArm]) -> RobotModel:
-    """Return the description of several arms.
-
-    The default group, tip and gripper are those of the first.
-
-    Args:
-        name: of the whole.
-        arms: each by its name, at least one.
-
-    Raises:
-        DescriptionError: the arms do not go together.
-    """
+    """Return the description of several arms by name; default group, tip and gripper are those of the first."""
     urdf, srdf = ET.Element("robot", name=name), ET.Element("robot", name=name)
     ET.SubElement(urdf, "link", name=COMMON_LINK)
     for arm, placed in arms.items():
@@ -166,7 +143,7 @@ def _mesh_name(robot: RobotModel, filename: str) -> str:
     try:
         find_mesh(filename, directory, robot.package_directories)
     except DescriptionError:
-        # One that is only seen may be missing: the start has told of it.
+        # A visual mesh may be missing; the log of the start names it.
         return filename
     return f"package://{directory.name}/{filename.removeprefix('./')}"
 

@@ -167,11 +167,7 @@ class RobotFile(_Table):
 
 
 def read(path: Path) -> RobotFile:
-    """Read a file.
-
-    Raises:
-        RobotFileError: it cannot be read, is no TOML, or has keys or values that are not allowed; the text names all.
-    """
+    """Read a file; the error names all keys and values that are not allowed."""
     try:
         with path.open("rb") as stream:
             text = stream.read(MAX_BYTES + 1)

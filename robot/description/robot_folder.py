@@ -36,18 +36,10 @@ MAX_YAML_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class RobotFolder:
-    """An arm by its folder.
-
-    Attributes:
-        name: the folder's name.
-        title: name of the arm for people.
-        model: links, joints, groups.
-        hardware: its servos.
-        folder: where it was read.
-    """
+    """An arm by its folder."""
 
     name: str
-    title: str
+    title: str  # name of the arm for people
     model: RobotModel
     hardware: HardwareTable
     folder: Path
@@ -59,14 +51,7 @@ def built_in_names() -> list[str]:
 
 
 def find(name_or_folder: str) -> Path:
-    """Find an arm's folder.
-
-    Args:
-        name_or_folder: name of a built-in arm, or a path.
-
-    Raises:
-        DescriptionError: there is no such folder.
-    """
+    """Find the folder of a built-in arm by its name, or of another arm by its path."""
     path = Path(name_or_folder).expanduser()
     built_in = BUILT_IN / name_or_folder
     if path.name == name_or_folder and (built_in / robot_file.FILE_NAME).is_file():
@@ -83,28 +68,14 @@ def find(name_or_folder: str) -> Path:
 
 
 def built_in(name: str) -> RobotFolder:
-    """Load a built-in arm.
-
-    Raises:
-        DescriptionError: there is none of this name.
-    """
+    """Load a built-in arm."""
     return load(find(name))
 
 
 def resolve(
     name_or_folder: str, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
 ) -> RobotFolder:
-    """Load an arm by the name of a built-in one, by its folder, or by its name in the package example-robot-data.
-
-    Args:
-        name_or_folder: name or path.
-        urdf: as of :func:`load`.
-        srdf: as of :func:`load`.
-        package_directories: as of :func:`load`.
-
-    Raises:
-        DescriptionError: there is no such arm, or its files do not describe one.
-    """
+    """Load an arm by the name of a built-in one, by its folder, or by its name in the package example-robot-data."""
     try:
         folder = find(name_or_folder)
     except DescriptionError:
@@ -133,9 +104,7 @@ def load(
     """Load an arm from its folder.
 
     Args:
-        folder: the folder.
         urdf: URDF in place of the folder's, whose hulls, parts and surfaces then do not apply.
-        srdf: SRDF that goes with it.
         package_directories: folders for ``package://``, ahead of the folder's own.
 
     Raises:
@@ -192,7 +161,7 @@ def load(
 
 
 class _Problems:
-    """Problems of a folder, collected so that all are told at once."""
+    """Problems of a folder, collected so that all are reported at once."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -214,12 +183,12 @@ class _Problems:
         self._sentences += sentences
 
     def error(self) -> RobotFileError:
-        """Return the error that tells them."""
+        """Return the error that lists them."""
         return RobotFileError(self._path, self._sentences)
 
 
 def _description_file(folder: Path, named: Path | None, kind: str) -> Path:
-    """Return the folder's URDF or SRDF: the one that is named, or the only one."""
+    """Return the folder's URDF or SRDF: the named one, or the only one."""
     if named is not None:
         path = folder / named
         if not path.is_file():
@@ -233,7 +202,7 @@ def _description_file(folder: Path, named: Path | None, kind: str) -> Path:
 
 
 def _limits(folder: Path, file: RobotFile) -> dict[str, JointLimits]:
-    """Return the limits beside the URDF: MoveIt's, and in their place those of ``robot.toml``."""
+    """Return the limits that replace the URDF's: MoveIt's, and before them the limits of ``robot.toml``."""
     limits = {} if file.robot.joint_limits is None else moveit_limits(folder / file.robot.joint_limits)
     for name, table in file.joints.items():
         own = {key: value for key, value in table.model_dump().items() if value is not None}
@@ -242,11 +211,7 @@ def _limits(folder: Path, file: RobotFile) -> dict[str, JointLimits]:
 
 
 def moveit_limits(path: Path) -> dict[str, JointLimits]:
-    """Read MoveIt's joint_limits.yaml (MoveIt's tutorial on the RobotModel's limits and joint_limits_aggregator).
-
-    Raises:
-        DescriptionError: it cannot be read, or a limit is no number above 0.
-    """
+    """Read MoveIt's joint_limits.yaml (MoveIt's tutorial on the RobotModel's limits and joint_limits_aggregator)."""
     # Imported when it is needed: most arms have no such file.
     import yaml
 

@@ -21,6 +21,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.advice import ServoWarning
 from robot.calibration import Calibration
 from robot.description.limits import JointBounds
 from robot.errors import OrderRefused
@@ -123,9 +124,9 @@ class Condition:
     torque_enabled: bool | None  # True if its torque was on when it was last read back; None before
     age_s: float  # time since its last good reading, infinite before the first [s]
     silent_cycles: int  # cycles in which it did not answer
-    warnings: tuple[str, ...] = ()  # warnings of the survey, a sentence each
+    warnings: tuple[ServoWarning, ...] = ()  # warnings of the survey
     registers: Mapping[str, int] = field(default_factory=dict)  # its settings as surveyed, by the name of the register
-    # Values that those of them should have which have another, likewise.
+    # Values that settings should have which have another, by the name of the register.
     expected: Mapping[str, int] = field(default_factory=dict)
 
 

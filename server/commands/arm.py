@@ -9,18 +9,10 @@ import textwrap
 from collections.abc import Mapping, Sequence
 
 from robot.calibration import Calibration
-from robot.commissioning.doctor import (
-    EXPERIMENTS,
-    Experiment,
-    Finding,
-    ServoRig,
-    Verdict,
-    judge_cycles,
-    judge_long_reads,
-    judge_scan,
-    run_experiment,
-)
-from robot.commissioning.scan import BAUDRATES, ScanResult, ServoReport, explain_missing, scan
+from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
+from robot.commissioning.experiments import EXPERIMENTS, Experiment, ServoRig, run_experiment
+from robot.commissioning.scan import BAUDRATES, ScanResult, explain_missing, scan
+from robot.commissioning.servo_registers import ServoRegisters
 from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
@@ -95,21 +87,21 @@ def _complaints(result: ScanResult, servos: Sequence[ServoSpec], baudrate: int) 
     ]
 
 
-def _row(servo: ServoReport, names: Mapping[int, str]) -> list[object]:
-    telemetry = servo.telemetry
+def _row(servo: ServoRegisters, names: Mapping[int, str]) -> list[object]:
+    lowest, highest = servo.settings.angle_limits_ticks
     return [
         servo.servo_id,
         names.get(servo.servo_id, "?"),
-        servo.model,
-        f"{servo.firmware[0]}.{servo.firmware[1]}",
-        f"{telemetry.voltage_v:.1f}",
-        telemetry.temperature_c,
-        servo.mode,
-        telemetry.position_ticks,
-        f"{servo.angle_limits_ticks[0]}..{servo.angle_limits_ticks[1]}",
-        servo.homing_offset_ticks,
-        "on" if servo.torque_enable else "off",
-        ", ".join(status_names(telemetry.status)) or "-",
+        servo[Register.MODEL_NUMBER],
+        servo.firmware,
+        f"{servo.voltage_v:.1f}",
+        servo[Register.PRESENT_TEMPERATURE],
+        servo[Register.OPERATING_MODE],
+        servo[Register.PRESENT_POSITION],
+        f"{lowest}..{highest}",
+        servo[Register.HOMING_OFFSET],
+        "on" if servo[Register.TORQUE_ENABLE] else "off",
+        ", ".join(status_names(servo[Register.STATUS])) or "-",
     ]
 
 

@@ -12,6 +12,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from robot.advice import ServoAlert, ServoWarning
 from robot.calibration import JointCalibration
 from robot.errors import NoReply, StartupError
 from robot.hardware.dynamixel.bus import Bus, reboot
@@ -218,13 +219,14 @@ class Dynamixel(ServoFamily):
         """Return True for a disarmed watchdog."""
         return values.get(Register.BUS_WATCHDOG) == 0
 
-    def _warnings(self, joint: JointCalibration, values: Values) -> Iterator[str]:
-        yield from limits_warnings(joint, "position limits", self.position_limits_ticks(values))
+    def _warnings(self, joint: JointCalibration, values: Values) -> Iterator[ServoWarning]:
+        yield from limits_warnings(joint, ServoAlert.POSITION_LIMITS, self.position_limits_ticks(values))
         if not self.has_watchdog(joint, values):
-            yield (
+            sentence = (
                 f"firmware {values[Register.FIRMWARE_VERSION]} has no bus watchdog, so that the servo does not notice "
                 "when this computer fails: update it"
             )
+            yield ServoWarning(ServoAlert.NO_WATCHDOG, sentence)
 
 
 def model_of(joint: JointCalibration) -> Model:

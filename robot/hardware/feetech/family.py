@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from robot.advice import ServoAlert, ServoWarning
 from robot.calibration import Calibration, JointCalibration
 from robot.errors import StartupError
 from robot.hardware.feetech.bus import Bus
@@ -200,28 +201,36 @@ def _named_model(joint: JointCalibration) -> int:
     return int(name) if name.isdecimal() else MODELS.get(name, MODELS["sts3215"])
 
 
-def _warnings(joint: JointCalibration, found: ServoFound, usual_firmware: tuple[int, int]) -> Iterator[str]:
+def _warnings(joint: JointCalibration, found: ServoFound, usual_firmware: tuple[int, int]) -> Iterator[ServoWarning]:
     settings, limits = _settings(found), ServoSettings(found.values).angle_limits_ticks
     if found.model != _named_model(joint):
-        yield f"the servo is model {found.model}, not {_named_model(joint)}: its speed and torque may be others"
-    yield from limits_warnings(joint, "angle limits", limits)
+        sentence = f"the servo is model {found.model}, not {_named_model(joint)}: its speed and torque may be others"
+        yield ServoWarning(ServoAlert.MODEL, sentence)
+    yield from limits_warnings(joint, ServoAlert.ANGLE_LIMITS, limits)
     if settings[Register.PHASE] & PHASE_MULTI_TURN:
-        yield "the servo counts several turns (register PHASE, bit 4), so that its position may overflow"
-    if settings[Register.RETURN_DELAY]:
-        yield f"{meaning(Register.RETURN_DELAY, settings[Register.RETURN_DELAY])}: set register RETURN_DELAY to 0"
+        sentence = "the servo counts several turns (register PHASE, bit 4), so that its position may overflow"
+        yield ServoWarning(ServoAlert.SEVERAL_TURNS, sentence)
+    if delay := settings[Register.RETURN_DELAY]:
+        sentence = f"{meaning(Register.RETURN_DELAY, delay)}: set register RETURN_DELAY to 0"
+        yield ServoWarning(ServoAlert.RETURN_DELAY, sentence)
     if found.values[Register.LOCK] != 1:
-        yield (
+        sentence = (
             "the servo's EPROM is unlocked (register LOCK), as lerobot leaves it, so that what is written by mistake "
             "stays: armbridge setup --registers locks it"
         )
+        yield ServoWarning(ServoAlert.EPROM_UNLOCKED, sentence)
     if settings.firmware != usual_firmware:
-        yield "the servo has firmware {}.{}, most others {}.{}".format(*settings.firmware, *usual_firmware)
+        sentence = "the servo has firmware {}.{}, most others {}.{}".format(*settings.firmware, *usual_firmware)
+        yield ServoWarning(ServoAlert.FIRMWARE, sentence)
 
 
-def _profile_warnings(settings: ServoSettings, expected: Mapping[Register, int], profile: str) -> Iterator[str]:
+def _profile_warnings(
+    settings: ServoSettings, expected: Mapping[Register, int], profile: str
+) -> Iterator[ServoWarning]:
     for register, value in expected.items():
         consequence = meaning(register, settings[register])
-        yield (
+        sentence = (
             f"register {register.name} is {settings[register]}, not {value} as in the profile {profile}"
             f"{consequence and f': {consequence}'}"
         )
+        yield ServoWarning(ServoAlert.REGISTER, sentence, register.name)

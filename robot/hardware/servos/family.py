@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
+from robot.advice import ServoWarning
 from robot.calibration import Calibration, JointCalibration
 from robot.errors import OrderRefused
 from robot.hardware.interface import CALIBRATION_NOT_KEPT, Actuation, StatusFlag, Steps
@@ -61,7 +62,7 @@ class ServoFound:
     model: int  # register MODEL_NUMBER
     values: Values  # values of the registers that the survey reads
     turns_ticks: int = 0  # whole turns to add to its positions for the calibrated ones
-    warnings: tuple[str, ...] = ()  # warnings, a sentence each
+    warnings: tuple[ServoWarning, ...] = ()
     expected: Values = field(default_factory=dict)  # values that registers should have which have another
 
 

@@ -9,6 +9,7 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping
 
+from robot.advice import ServoAlert, ServoWarning
 from robot.calibration import MAX_TICK, TICKS_PER_TURN, JointCalibration
 from robot.errors import NoReply, StartupError
 from robot.hardware.interface import Steps
@@ -55,11 +56,15 @@ def survey(
     return family.compare(servos.joints, found)
 
 
-def limits_warnings(joint: JointCalibration, name: str, limits_ticks: tuple[int, int]) -> Iterator[str]:
+def limits_warnings(
+    joint: JointCalibration, alert: ServoAlert, limits_ticks: tuple[int, int]
+) -> Iterator[ServoWarning]:
     """Yield the warning about a servo whose angle limits are of another calibration."""
     calibrated = joint.range_min, joint.range_max
     if max(abs(a - b) for a, b in zip(limits_ticks, calibrated, strict=True)) > LIMITS_AGREE_WITHIN_TICKS:
-        yield f"the servo's {name} {limits_ticks} differ from the calibrated range {calibrated} ticks"
+        limits = alert.value.replace("_", " ")
+        sentence = f"the servo's {limits} {limits_ticks} differ from the calibrated range {calibrated} ticks"
+        yield ServoWarning(alert, sentence)
 
 
 def calibration_refusal(family: ServoFamily, servos: ServoMap, found: Mapping[int, ServoFound]) -> str:

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robot.advice import ServoAlert, ServoWarning
 from robot.control.guards import (
     JUMP_RAD,
     LOW_VOLTAGE_TIME_S,
@@ -220,8 +221,26 @@ def test_one_tick_in_which_all_is_well_makes_a_condition_begin_anew(ill: Measure
     assert faults == [None] * len(readings)
 
 
-def test_a_warm_servo_has_a_warning_before_a_fault() -> None:
+OVERLOADED = int(StatusFlag.OVERLOAD | StatusFlag.VOLTAGE)
+
+
+@pytest.mark.parametrize(
+    ("told", "warnings"),
+    [
+        ({"temperature_c": 50.0}, []),
+        ({"temperature_c": 56.0}, [(ServoAlert.WARM, "warm: 56 degC")]),
+        ({"temperature_c": 61.0}, [(ServoAlert.SLOWED, "motions run at half speed at 61 degC")]),
+        ({"age_s": 0.5}, [(ServoAlert.NO_ANSWER, "no answer for 0.5 s")]),
+        (
+            {"status": OVERLOADED},
+            [
+                (ServoAlert.VOLTAGE, "the servo complains of voltage"),
+                (ServoAlert.OVERLOAD, "the servo complains of overload"),
+            ],
+        ),
+    ],
+    ids=["well", "warm", "hot", "silent", "flags"],
+)
+def test_warnings_come_before_faults(told: dict[str, float], warnings: list[tuple[ServoAlert, str]]) -> None:
     guards = Guards(NAMES)
-    assert guards.warnings(reading(GOAL, temperature_c=50.0), 0) == ()
-    assert "56" in guards.warnings(reading(GOAL, temperature_c=56.0), 0)[0]
-    assert "half speed" in guards.warnings(reading(GOAL, temperature_c=61.0), 0)[0]
+    assert guards.warnings(reading(GOAL, **told), 0) == tuple(ServoWarning(*warning) for warning in warnings)

@@ -16,7 +16,7 @@ from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.robots import so101
 
 ROBOT = so101()
-STALLED = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex", 12.5)
+STALLED = Fault(FaultCode.STALLED, "joint elbow_flex is stalled", "elbow_flex", 12.5)
 
 
 class Heard:

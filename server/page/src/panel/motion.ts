@@ -33,9 +33,7 @@ export function motionSection(context: PanelContext): HTMLElement {
     both.title = both.disabled ? nextStep(state) : t("move.both.title");
     move.title = move.disabled ? t(trajectory === null ? "move.step.plan_first" : "move.step.moving") : t("move.move.title");
   };
-  for (const part of ["link", "goal", "plan", "selection"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["link", "goal", "plan", "selection"], show);
   const plan_only = permissionFieldset(context, "work", plan);
   const buttons = el("div", { class: "buttons" }, plan_only, permissionFieldset(context, "drive", move, both));
   return section("goals", t("move.title"), true, namedPoses(context), hint, buttons, speedControls(context), relaxButton(context));
@@ -64,9 +62,7 @@ function namedPoses(context: PanelContext): HTMLElement {
       }),
     );
   };
-  for (const part of ["named", "limits", "urdf", "srdf", "group"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["named", "limits", "urdf", "srdf", "group"], show);
   store.subscribe(
     (state) => state.selection,
     ({ name }) => {

@@ -1,8 +1,8 @@
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
-import type { ConnectionState, GoalState, State } from "../state/state";
+import type { ConnectionState, GoalState, Notice, State } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, capitalized, el, setText } from "./dom";
+import { button, capitalized, el, keyedList, setText } from "./dom";
 
 /** Label and kind of the state pill. */
 export interface Pill {
@@ -100,9 +100,7 @@ export function statusBar(context: PanelContext): HTMLElement[] {
     suggestion.hidden = goal.suggestion === null;
     setText(suggestion, t("bar.suggestion", { place: suggestionText(goal) }));
   };
-  for (const part of ["link", "arm", "goal", "pending_request"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["link", "arm", "goal", "pending_request"], show);
   return [state_pill, message, permissionFieldset(context, "drive", suggestion, reset, hold)];
 }
 
@@ -139,14 +137,11 @@ function suggestionText({ suggestion }: GoalState): string {
 export function noticeList({ store }: PanelContext): HTMLElement {
   const list = el("ul", { class: "notices", testid: "notices", attributes: { "aria-live": "assertive" } });
   const drop = (key: string): void => store.set({ notices: store.state.notices.filter((notice) => notice.key !== key) });
-  store.subscribe(
-    (state) => state.notices,
-    (all) => {
-      const items = all.map(({ key, text }) => {
-        return el("li", {}, el("span", { text }), button("×", `drop-${key}`, () => drop(key), t("bar.dismiss")));
-      });
-      list.replaceChildren(...items);
-    },
-  );
+  const showItems = keyedList<Notice>(list, ({ key }) => key, ({ key }) => {
+    const text = el("span");
+    const element = el("li", {}, text, button("×", `drop-${key}`, () => drop(key), t("bar.dismiss")));
+    return { element, show: (notice) => setText(text, notice.text) };
+  });
+  store.subscribe((state) => state.notices, showItems);
   return list;
 }

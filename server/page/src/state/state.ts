@@ -77,6 +77,8 @@ export interface ArmState {
   /** Share of the joints' speed limits that no motion exceeds. */
   speed_limit: number;
   course: string;
+  /** Number of the last stop, anyone's; another number means another stop. */
+  last_stop: string;
 }
 
 /** Goal that the server suggests in place of one that it rejected, ready to be published. */
@@ -523,5 +525,6 @@ function noArm(): ArmState {
     speed_factor: 1,
     speed_limit: 1,
     course: "forward",
+    last_stop: "",
   };
 }

@@ -25,7 +25,18 @@ export class Store<State extends object> {
   /** Replace parts of the state. */
   set(patch: Partial<State>): void {
     this.current = { ...this.current, ...patch };
-    for (const subscription of [...this.subscriptions]) subscription.update(this.current);
+    for (const subscription of [...this.subscriptions]) this.update(subscription);
+  }
+
+  /** Update a subscriber; the error of one is reported, and keeps nothing from the others. */
+  private update(subscription: Subscription<State>): void {
+    try {
+      subscription.update(this.current);
+    } catch (error) {
+      queueMicrotask(() => {
+        throw error;
+      });
+    }
   }
 
   /** Replace fields of one part of the state. */
@@ -51,6 +62,16 @@ export class Store<State extends object> {
     this.subscriptions.add(subscription);
     listener(known, this.current);
     return () => this.subscriptions.delete(subscription);
+  }
+
+  /** Call the listener at once, and once for every replacement of any of these parts. */
+  watch(parts: readonly (keyof State)[], listener: (state: State) => void): void {
+    let known: unknown[] = [];
+    const values = (state: State): unknown[] => {
+      if (parts.some((part, index) => !Object.is(state[part], known[index]))) known = parts.map((part) => state[part]);
+      return known;
+    };
+    this.subscribe(values, (_, state) => listener(state));
   }
 }
 

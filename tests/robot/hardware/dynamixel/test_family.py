@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from robot.advice import ServoAlert
 from robot.errors import NoReply, StartupError
 from robot.faults import FaultCode
 from robot.hardware.dynamixel.family import WATCHDOG, Dynamixel
@@ -95,7 +96,9 @@ def test_a_firmware_without_watchdog_is_a_warning(dynamixels: SteppedDynamixels)
     found = surveyed(dynamixels)
     assert not FAMILY.has_watchdog(CALIBRATION.joints[0], found[1].values)
     assert FAMILY.has_watchdog(CALIBRATION.joints[2], found[3].values)
-    assert "37 has no bus watchdog" in found[1].warnings[0]
+    (warning,) = found[1].warnings
+    assert warning.alert is ServoAlert.NO_WATCHDOG
+    assert "37 has no bus watchdog" in warning.sentence
 
 
 def test_a_servo_keeps_to_its_own_limits_in_position_mode_only(dynamixels: SteppedDynamixels) -> None:

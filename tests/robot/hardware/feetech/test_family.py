@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from robot.advice import ServoAlert
 from robot.errors import StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech
@@ -57,29 +58,34 @@ def test_a_setting_that_differs_from_its_profile_is_told_with_its_consequence(bu
     assert [servo for servo in IDS if found[servo].warnings] == [3]
     (warning,) = found[3].warnings
     expected = "register PROTECTION_TIME is 20, not 200 as in the profile lerobot: an overload latches after 0.2 s"
-    assert expected in warning
+    assert warning.sentence == expected
 
 
 def test_servos_are_compared_with_the_profile_of_the_arm_if_it_has_one(bus: Bus) -> None:
     found = surveyed(bus, Feetech(LEROBOT))
-    assert all("P_GAIN is 32, not 16" in " ".join(found[servo].warnings) for servo in IDS)
+    sentences = {servo: [warning.sentence for warning in found[servo].warnings] for servo in IDS}
+    assert all("P_GAIN is 32, not 16" in " ".join(sentences[servo]) for servo in IDS)
     assert all(found[servo].expected[Register.P_GAIN] == 16 for servo in IDS)
 
 
 @pytest.mark.parametrize(
-    ("register", "value", "words"),
+    ("register", "value", "alert", "words"),
     [
-        (Register.RETURN_DELAY, 250, "500 us later"),
-        (Register.LOCK, 0, "EPROM is unlocked"),
-        (Register.P_GAIN, 8, "droops further"),
-        (Register.MAX_TORQUE, 300, "30 % of its torque"),
-        (Register.PHASE, 12 | PHASE_MULTI_TURN, "PHASE"),
+        (Register.MIN_ANGLE_LIMIT, 100, ServoAlert.ANGLE_LIMITS, "(100, "),
+        (Register.PHASE, 12 | PHASE_MULTI_TURN, ServoAlert.SEVERAL_TURNS, "its position may overflow"),
+        (Register.RETURN_DELAY, 250, ServoAlert.RETURN_DELAY, "500 us later: set register RETURN_DELAY to 0"),
+        (Register.LOCK, 0, ServoAlert.EPROM_UNLOCKED, "EPROM is unlocked"),
+        (Register.P_GAIN, 8, ServoAlert.REGISTER, "droops further"),
+        (Register.MAX_TORQUE, 300, ServoAlert.REGISTER, "30 % of its torque"),
     ],
 )
-def test_whatever_is_set_otherwise_is_told(bus: Bus, register: Register, value: int, words: str) -> None:
+def test_a_deviating_setting_is_a_warning(
+    bus: Bus, register: Register, value: int, alert: ServoAlert, words: str
+) -> None:
     bus.write(2, register, value)
     (warning,) = surveyed(bus)[2].warnings
-    assert words in warning
+    assert warning.alert is alert
+    assert words in warning.sentence
 
 
 def test_an_arm_is_surveyed_in_few_transactions(bus: Bus) -> None:

@@ -144,7 +144,7 @@ def test_the_condition_has_torque_silence_and_the_surveys_warnings(family: Famil
     assert (condition.hardware_id, condition.torque_enabled, condition.silent_cycles) == ("servo 2", True, 1)
     assert condition.age_s > 0.0
     (warning,) = condition.warnings
-    assert "1000" in warning
+    assert "1000" in warning.sentence
 
 
 def writes(emulator: Any) -> list[Any]:

@@ -63,8 +63,8 @@ def test_limits_of_another_calibration_are_a_warning(family: Family, emulator: A
     joint = family.calibration.joints[1]
     family.put(emulator, 2, family.lowest_limit, joint.range_min - 100)
     (warning,) = surveyed(family, emulator)[2].warnings
-    assert f"({joint.range_min - 100}, {joint.range_max})" in warning
-    assert f"({joint.range_min}, {joint.range_max})" in warning
+    assert f"({joint.range_min - 100}, {joint.range_max})" in warning.sentence
+    assert f"({joint.range_min}, {joint.range_max})" in warning.sentence
 
 
 def test_a_homing_offset_that_another_program_wrote_is_refused_with_the_remedy(family: Family, emulator: Any) -> None:

@@ -1,4 +1,4 @@
-"""Assumptions of the controller about each joint that follow from how strong its actuator is set to be.
+"""Thresholds of the controller for each joint, which follow from the strength to which its actuator is set.
 
 A servo with half the position gain droops twice as far, and one that protects itself from 25 % of its torque on must
 not be asked to hold with more. The settings of the program hold for servos as the factory leaves them; here they are
@@ -28,39 +28,25 @@ MARGIN = 0.8
 # A joint that is loaded beyond its protection's threshold is relieved after this share of the protection's time.
 RELIEF_SHARE = 0.5
 
-# A stall is told well before the protection of the servo latches.
+# A stall is reported well before the protection of the servo latches.
 STALL_SHARE = 0.25
 
 
 @dataclass(frozen=True)
-class Assumptions:
-    """Assumptions about the joints, each of shape (joints,).
+class ActuatorThresholds:
+    """Thresholds of the joints, each of shape (joints,)."""
 
-    Attributes:
-        goal_tolerance_rad: greatest distance of a settled joint from its goal [rad].
-        sustained_torque: share of full duty that a joint may use for ever.
-        relieve_after_s: time above it after which a joint is limited to it; infinite where that is never needed [s].
-        stall_current_a: current above which a joint that all but stands still is stalled [A].
-        stall_time_s: time for which that must last [s].
-        free_speed_rad_s: greatest speed of the joint [rad/s].
-    """
-
-    goal_tolerance_rad: Vector
-    sustained_torque: Vector
+    goal_tolerance_rad: Vector  # greatest distance of a settled joint from its goal [rad]
+    sustained_torque: Vector  # share of full duty that a joint may use for ever
+    # Time above it after which a joint is limited to it; infinite where that is never needed [s].
     relieve_after_s: Vector
-    stall_current_a: Vector
-    stall_time_s: Vector
-    free_speed_rad_s: Vector
+    stall_current_a: Vector  # current above which a joint that all but stands still is stalled [A]
+    stall_time_s: Vector  # time for which that must last [s]
+    free_speed_rad_s: Vector  # greatest speed of the joint [rad/s]
 
     @classmethod
     def of(cls, limits: GuardLimits, actuation: Actuation, full_torque: Vector) -> Self:
-        """Adapt the program's limits to the actuators.
-
-        Args:
-            limits: limits for actuators as the factory leaves them.
-            actuation: strength of the actuators.
-            full_torque: largest share of full duty that each joint is given, shape (joints,).
-        """
+        """Adapt the program's limits to the actuators."""
         # A higher gain than the factory's does not make the gears stiffer.
         softness = 1.0 / np.clip(actuation.stiffness, 1e-2, 1.0)
         tolerance = limits.goal_tolerance_rad * (1.0 + DROOP_SHARE * (softness - 1.0))

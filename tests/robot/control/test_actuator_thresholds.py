@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from robot.control.assumptions import MARGIN, Assumptions
+from robot.control.actuator_thresholds import MARGIN, ActuatorThresholds
 from robot.hardware.interface import Actuation
 from robot.messages import GuardLimits
 
@@ -13,8 +13,8 @@ LIMITS = GuardLimits()
 FULL = np.array([0.8, 0.5])
 
 
-def assumed(**settings: float) -> Assumptions:
-    """Assumptions about two equal actuators that are as the factory's but for the named settings."""
+def assumed(**settings: float) -> ActuatorThresholds:
+    """ActuatorThresholds about two equal actuators that are as the factory's but for the named settings."""
     usual = {
         "stiffness": 1.0,
         "max_torque": 1.0,
@@ -24,13 +24,13 @@ def assumed(**settings: float) -> Assumptions:
         "stall_current_a": 2.7,
         "free_speed_rad_s": 5.5,
     }
-    return Assumptions.of(
+    return ActuatorThresholds.of(
         LIMITS, Actuation(**{name: np.full(2, value) for name, value in (usual | settings).items()}), FULL
     )
 
 
 def test_servos_of_the_factory_and_actuators_without_protection_are_taken_as_the_limits_say() -> None:
-    for made in (assumed(), Assumptions.of(LIMITS, Actuation.unprotected(2), FULL)):
+    for made in (assumed(), ActuatorThresholds.of(LIMITS, Actuation.unprotected(2), FULL)):
         assert made.goal_tolerance_rad == pytest.approx(LIMITS.goal_tolerance_rad)
         assert made.sustained_torque == pytest.approx(FULL)
         assert np.isinf(made.relieve_after_s).all()
@@ -71,5 +71,5 @@ def test_a_quick_protection_makes_stalls_be_told_sooner() -> None:
 
 
 def test_what_is_assumed_is_finite_where_the_controller_compares_readings() -> None:
-    made = Assumptions.of(LIMITS, Actuation.unprotected(1), np.ones(1))
+    made = ActuatorThresholds.of(LIMITS, Actuation.unprotected(1), np.ones(1))
     assert all(math.isfinite(value) for value in (*made.goal_tolerance_rad, *made.stall_current_a, *made.stall_time_s))

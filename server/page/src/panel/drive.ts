@@ -104,8 +104,8 @@ function statusLine({ store }: PanelContext): HTMLElement {
   store.subscribe(
     (state) => state.servo_node,
     ({ code, message }) => {
-      const key = `drive.status.${code}` as TextKey;
-      const words = code === 0 && message === "" ? t("drive.hint") : t(key);
+      const known = code >= -1 && code <= 6 ? t(`drive.status.${code}` as TextKey) : "";
+      const words = code === 0 && message === "" ? t("drive.hint") : known;
       setText(line, message === "" ? words : `${words} ${message}`);
       line.dataset["code"] = String(code);
     },

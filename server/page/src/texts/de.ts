@@ -173,6 +173,7 @@ export const GERMAN: Texts = {
   "answer.no_reason": "der Server hat keinen Grund genannt",
 
   // The picture, and what cannot be drawn in it.
+  "picture.label": "Der Arm in 3D: ziehen dreht, Rollen vergrößert, Doppelklick zeigt ihn ganz",
   "picture.off": "{distance} daneben",
   "picture.no_3d": "Der Arm kann hier nicht in 3D gezeichnet werden ({reason}): Er wird nicht gezeigt, alles andere geht.",
   "picture.no_webgl": "der Browser bietet kein WebGL 2",
@@ -223,6 +224,7 @@ export const GERMAN: Texts = {
 
   // Drive by hand.
   "drive.hint": "Eine Taste halten: Der Arm bewegt sich, bis sie losgelassen wird.",
+  "drive.one_arm": "Von Hand wird ein Arm auf einmal gefahren: Wählen Sie unter „Bewegen“ die Gruppe eines Arms.",
   "drive.mode": "Ein Druck bewegt",
   "drive.mode.hold": "solange er dauert",
   "drive.mode.step": "einen Schritt von {length} mm oder {angle}°",
@@ -264,7 +266,6 @@ export const GERMAN: Texts = {
   "drive.pads.right": "Feld für z und {axis}",
   "drive.pads.rotation": "Rechtes Feld dreht",
   "drive.status.-1": "Der Befehl wird abgelehnt.",
-  "drive.status.0": "Nichts begrenzt den Arm.",
   "drive.status.1": "Gebremst: Der Arm ist fast gestreckt oder gefaltet (Singularität).",
   "drive.status.2": "Angehalten: Weiter vorn könnte sich der Arm nicht mehr in jede Richtung bewegen (Singularität). Zurückbewegen.",
   "drive.status.3": "Der Arm verlässt eine Singularität.",

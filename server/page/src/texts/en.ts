@@ -171,6 +171,7 @@ export const ENGLISH = {
   "answer.no_reason": "the server gave no reason",
 
   // The picture, and what cannot be drawn in it.
+  "picture.label": "The arm in 3D: drag to turn, scroll to zoom, double click to see all of it",
   "picture.off": "{distance} off",
   "picture.no_3d": "The arm cannot be drawn in 3D here ({reason}): it is not shown, everything else works.",
   "picture.no_webgl": "the browser gives no WebGL 2",
@@ -221,6 +222,7 @@ export const ENGLISH = {
 
   // Drive by hand.
   "drive.hint": "Hold a button: the arm moves until you let go.",
+  "drive.one_arm": "One arm is driven at a time: choose the group of one arm in Move.",
   "drive.mode": "A press moves",
   "drive.mode.hold": "while held",
   "drive.mode.step": "one step of {length} mm or {angle}°",
@@ -262,7 +264,6 @@ export const ENGLISH = {
   "drive.pads.right": "Pad for z and {axis}",
   "drive.pads.rotation": "Right pad turns",
   "drive.status.-1": "The command is refused.",
-  "drive.status.0": "Nothing limits the arm.",
   "drive.status.1": "Slowed: the arm is almost stretched out or folded (singularity).",
   "drive.status.2": "Halted: further on the arm could not move in every direction (singularity). Move back.",
   "drive.status.3": "Leaving a singularity.",

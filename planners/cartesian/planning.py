@@ -25,7 +25,7 @@ from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import ConditionSet, Joints, conditions
 from planners.ik.goal_checks import in_words
 from planners.ik.goal_refusals import start_violates
-from planners.motions.path_timing import MAX_DURATION_S, SplinePath, time_along
+from planners.motions.path_timing import MAX_DURATION_S, SplinePath, standing, time_along
 from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure, RateLimits
 from planners.scene import Pose
 from robot.description.model import RobotModel
@@ -163,7 +163,11 @@ class _Task:
             if end is None:
                 return self._answer(drawn.followed, motion, drawn.deviation, budget)
             followed = _shortened(drawn.followed, *end)
-        return budget.failure() if budget.used_up() else self._answer(followed, self._stand(start), Deviation(), budget)
+        return (
+            budget.failure()
+            if budget.used_up()
+            else self._answer(followed, standing(self.joint_names, start), Deviation(), budget)
+        )
 
     def _end(self, motion: Trajectory) -> tuple[Vector, PathEnd] | None:
         """Return the point beyond which a motion may not go, and the reason."""
@@ -178,22 +182,9 @@ class _Task:
         return point, self.check_point.ended(contact.pairs, point)
 
     def _followed(self, start: Vector, should_stop: Callable[[], bool]) -> FollowedPath:
-        problem = self.problem
-        tolerance_rad = problem.orientation_tolerance_rad if problem.keep_orientation else np.inf
         return PathFollower(
-            self.tracker,
-            self.joint_names,
-            self.path,
-            problem.max_step_m,
-            problem.max_joint_step_rad,
-            tolerance_rad,
-            self.check_point,
-            should_stop,
+            self.problem, self.tracker, self.joint_names, self.path, self.check_point, should_stop
         ).from_point(start)
-
-    def _stand(self, start: Vector) -> Trajectory:
-        rest = np.zeros((1, len(start)))
-        return Trajectory(self.joint_names, np.zeros(1), start[np.newaxis], rest, rest)
 
     def _top_rate(self, curve: SplinePath) -> Vector | None:
         """Return the greatest speed along the path at each grid point for the tip to keep its limit [m/s]."""

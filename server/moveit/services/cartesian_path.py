@@ -45,8 +45,8 @@ ALIKE = 1.0 - 1e-9
 async def compute_cartesian_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
     """Plan a path of the tip through waypoints; returns the response of moveit_msgs/GetCartesianPath.
 
-    If only a part of the path can be followed, the response has that part and its fraction. The code is then SUCCESS, as
-    in MoveIt (cartesian_path_service_capability.cpp), and its message has the reason.
+    If only a part of the path can be followed, the response has that part and its fraction. The code is SUCCESS, as in
+    MoveIt (cartesian_path_service_capability.cpp), and its message has the reason.
 
     Raises:
         RefusedError: the request cannot be used, or not even a part of the path can be followed.

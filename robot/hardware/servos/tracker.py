@@ -110,7 +110,10 @@ class ServoTracker:
             self._read_at_s = dict.fromkeys(self._servos.ids, now_s)
             return
         self._frames, self._measured = frames, None
-        readings = {servo: self._reading(servo, frame) for servo, frame in frames.items()}
+        parse, joints = self._family.parse_telemetry, self._servos.by_id
+        readings = {servo: parse(frame, joints[servo]) for servo, frame in frames.items()}
+        if self._family.counts_turns:
+            self._add_turns(readings)
         jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
         believed = readings.keys() - (jumped - self._suspect_ids)
         self._suspect_ids = (self._suspect_ids - frames.keys()) | (jumped - believed)
@@ -137,7 +140,7 @@ class ServoTracker:
         seen = [self._seen[servo] for servo in ids]
         # From plain numbers: an operation on arrays costs more than all the arithmetic for six joints.
         self._measured = Measured(
-            position_rad=np.array(servos.positions_rad([each.position_ticks + each.turns_ticks for each in seen])),
+            position_rad=np.array(servos.positions_rad([each.position_ticks for each in seen])),
             velocity_rad_s=np.array(servos.velocities_rad_s([each.velocity_ticks_s for each in seen])),
             load=np.array(servos.signed([each.load for each in seen])),
             current_a=np.array(servos.signed([each.current_a for each in seen])),
@@ -151,21 +154,20 @@ class ServoTracker:
         )
         return self._measured
 
-    def _reading(self, servo_id: int, frame: StatusFrame) -> Telemetry:
-        reading = self._family.parse_telemetry(frame, self._servos.by_id[servo_id])
-        if self._family.counts_turns:
-            reading.turns_ticks = self._servos.turns_ticks(servo_id, reading.position_ticks)
-        return reading
+    def _add_turns(self, readings: Mapping[int, Telemetry]) -> None:
+        for servo, reading in readings.items():
+            reading.turns_ticks = self._servos.turns_ticks(servo, reading.position_ticks)
+            reading.position_ticks += reading.turns_ticks
 
     def _believe(self, servo_id: int, reading: Telemetry, now_s: float) -> None:
-        before = self._seen.get(servo_id)
-        if not math.isnan(reading.voltage_v):
-            self._error_known.discard(servo_id)
-        elif before is not None:
+        if math.isnan(reading.voltage_v):
+            before = self._seen.get(servo_id, reading)
             reading.voltage_v, reading.temperature_c = before.voltage_v, before.temperature_c
-        self._seen[servo_id] = reading
+        else:
+            self._error_known.discard(servo_id)
         if not reading.reports_error:
             self._error_status.pop(servo_id, None)
+        self._seen[servo_id] = reading
         self._read_at_s[servo_id] = now_s
         self._misses_in_row[servo_id] = 0
 
@@ -182,5 +184,5 @@ class ServoTracker:
         before = self._seen.get(servo_id)
         if before is None:
             return False
-        way_ticks = abs(reading.position_ticks + reading.turns_ticks - before.position_ticks - before.turns_ticks)
-        return way_ticks * RAD_PER_TICK > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])
+        way_rad = abs(reading.position_ticks - before.position_ticks) * RAD_PER_TICK
+        return way_rad > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])

@@ -41,7 +41,6 @@ class ServoTracker:
         self._family = family
         self._servos = servos
         self._seen: dict[int, Telemetry] = {}
-        self._error_status: dict[int, int] = {}
         self._error_known: set[int] = set()
         self._read_at_s: dict[int, float] = {}
         self._frames: Mapping[int, StatusFrame] = {}
@@ -88,7 +87,7 @@ class ServoTracker:
 
     def take_error(self, servo_id: int, status: int) -> None:
         """Take the status flags of a servo's error register, which count until the servo reports none."""
-        self._error_status[servo_id] = status
+        self._seen[servo_id].status = status
         self._error_known.add(servo_id)
         self._measured = None
 
@@ -145,10 +144,8 @@ class ServoTracker:
             load=np.array(servos.signed([each.load for each in seen])),
             current_a=np.array(servos.signed([each.current_a for each in seen])),
             voltage_v=np.array([each.voltage_v for each in seen]),
-            temperature_c=np.array([float(each.temperature_c) for each in seen]),
-            status=np.array(
-                [each.status | self._error_status.get(servo, 0) for servo, each in zip(ids, seen, strict=True)]
-            ),
+            temperature_c=np.array([each.temperature_c for each in seen], dtype=float),
+            status=np.array([each.status for each in seen]),
             age_s=age_s,
             stamp_s=stamp_s,
         )
@@ -160,13 +157,13 @@ class ServoTracker:
             reading.position_ticks += reading.turns_ticks
 
     def _believe(self, servo_id: int, reading: Telemetry, now_s: float) -> None:
+        before = self._seen.get(servo_id, reading)
         if math.isnan(reading.voltage_v):
-            before = self._seen.get(servo_id, reading)
             reading.voltage_v, reading.temperature_c = before.voltage_v, before.temperature_c
         else:
             self._error_known.discard(servo_id)
-        if not reading.reports_error:
-            self._error_status.pop(servo_id, None)
+        if reading.reports_error and before.reports_error:
+            reading.status = before.status
         self._seen[servo_id] = reading
         self._read_at_s[servo_id] = now_s
         self._misses_in_row[servo_id] = 0

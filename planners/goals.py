@@ -83,6 +83,16 @@ class PoseGoal:
     orientation_tolerance_rad: Point
     strict: bool = False
 
+    @property
+    def position_m(self) -> Point:
+        """The pose's position."""
+        return self.pose.position_m
+
+    @property
+    def tolerance_m(self) -> float:
+        """The position's tolerance."""
+        return self.position_tolerance_m
+
 
 @dataclass(frozen=True)
 class JointConstraint:

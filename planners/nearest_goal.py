@@ -213,7 +213,7 @@ class _Search:
         )
         found = self._states.find(goal, query)
         states = [] if isinstance(found, PlanningFailure) else found
-        asked_m = np.array(goal.position_m if isinstance(goal, PositionGoal) else goal.pose.position_m)
+        asked_m = np.array(goal.position_m)
         if isinstance(found, PlanningFailure) and "nearest_m" in found.details:
             asked_m = np.array(found.details["nearest_m"])
             yield moved_to(goal, asked_m)

@@ -23,7 +23,7 @@ from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import norm
 from planners.ik.differential import Task, free_directions, solve
 from planners.motions.path_timing import SplinePath
-from planners.problem import Deviation
+from planners.problem import CartesianProblem, Deviation
 from robot.trajectory import Vector
 
 # Nearer is below what any servo resolves.
@@ -175,9 +175,9 @@ class PathEnd:
     """Reason for which a path cannot be followed further.
 
     Attributes:
-        reason: "reach", "orientation", "jump", "limit", or that of ``PathFollower.check_point``.
-        sentence: with the figures.
-        details: the same as plain values.
+        reason: "reach", "orientation", "jump", "limit", or a reason of ``PathFollower.check_point``.
+        sentence: the reason with its figures.
+        details: the figures as plain values.
     """
 
     reason: str
@@ -205,22 +205,18 @@ class PathFollower:
     """Conditions under which a path is followed.
 
     Attributes:
+        problem: bounds of the steps and of the orientation.
         tracker: the tip and its joints.
         joint_names: the joints.
         path: path of the tip.
-        max_step_m: greatest distance between points [m].
-        max_joint_step_rad: greatest step of a joint between points, 0 for none [rad].
-        orientation_tolerance_rad: greatest deviation from the path's orientation; infinite to take the nearest [rad].
         check_point: returns the reason to end at a point, None to go on.
         should_stop: returns true to end it early.
     """
 
+    problem: CartesianProblem
     tracker: TipTracker
     joint_names: tuple[str, ...]
     path: TipPath
-    max_step_m: float
-    max_joint_step_rad: float
-    orientation_tolerance_rad: float
     check_point: Callable[[Vector], PathEnd | None]
     should_stop: Callable[[], bool]
 
@@ -250,8 +246,8 @@ class PathFollower:
         left_m = next_m - from_m
         # The end is no corner to be rounded.
         room_m = left_m if next_m == self.path.length_m else max(CORNER_STEP_M, GROWTH * left_m)
-        step_m = max(min(step_m, self.max_step_m, room_m), min(SHORTEST_STEP_M, self.max_step_m))
-        return next_m if left_m < LAST_STEP * step_m and left_m <= self.max_step_m else from_m + step_m
+        step_m = max(min(step_m, self.problem.max_step_m, room_m), min(SHORTEST_STEP_M, self.problem.max_step_m))
+        return next_m if left_m < LAST_STEP * step_m and left_m <= self.problem.max_step_m else from_m + step_m
 
     def _solved(self, point: Vector, from_m: float, reach_m: float) -> Vector:
         return self.tracker.follow(point, self.path.at(reach_m), TURN_RAD_PER_M * (reach_m - from_m))
@@ -264,12 +260,12 @@ class PathFollower:
             end = self.path.at(self.path.length_m)
             nearest = self.tracker.pose(self.tracker.follow(point, end, 0.0))
             return _out_of_reach(desired, apart_m(end, nearest))
-        if turned_rad > self.orientation_tolerance_rad:
-            return _turned_away(turned_rad, self.orientation_tolerance_rad)
+        if self.problem.keep_orientation and turned_rad > self.problem.orientation_tolerance_rad:
+            return _turned_away(turned_rad, self.problem.orientation_tolerance_rad)
         step = np.abs(point - before)
         most = int(np.argmax(step))
         halfway = self.tracker.pose(0.5 * (before + point)), self.path.at(0.5 * (from_m + reach_m))
-        if 0.0 < self.max_joint_step_rad < step[most] or apart_m(*halfway) > CHORD_M:
+        if 0.0 < self.problem.max_joint_step_rad < step[most] or apart_m(*halfway) > CHORD_M:
             return _jump(self.joint_names[most], float(step[most]), reach_m - from_m)
         return self.check_point(point)
 

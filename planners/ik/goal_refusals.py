@@ -59,18 +59,17 @@ def out_of_reach(
         )
     point = [round(float(value), 4) for value in nearest_m]
     details = {"nearest_m": point, "distance_m": nearest.position_m, "orientation_rad": nearest.orientation_rad}
-    position_m, tolerance_m = _asked(goal)
     degrees = math.degrees(nearest.orientation_rad)
-    if isinstance(goal, PositionGoal) or nearest.position_m > tolerance_m:
+    if isinstance(goal, PositionGoal) or nearest.position_m > goal.tolerance_m:
         any_will_do = isinstance(goal, PositionGoal) or (isinstance(goal, PoseGoal) and not goal.strict)
         orientation = "whatever its orientation" if any_will_do else "in the orientation asked for"
-        sentence = f"cannot reach {in_words(position_m)} m, {orientation}: the nearest point it can reach is"
+        sentence = f"cannot reach {in_words(goal.position_m)} m, {orientation}: the nearest point it can reach is"
         sentence += f" {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away"
     else:
-        sentence = f"reaches {in_words(position_m)} m, but not in the orientation asked for:"
+        sentence = f"reaches {in_words(goal.position_m)} m, but not in the orientation asked for:"
         sentence += f" the nearest one that it can have there is {degrees:.1f}° off"
     return PlanningFailure(
-        MoveItErrorCode.NO_IK_SOLUTION, f"{goal.link!r} {sentence}", {**details, "tolerance_m": tolerance_m}
+        MoveItErrorCode.NO_IK_SOLUTION, f"{goal.link!r} {sentence}", {**details, "tolerance_m": goal.tolerance_m}
     )
 
 
@@ -87,12 +86,6 @@ def out_of_time(
     return PlanningFailure(
         failure.code, message, {**failure.details, "nearest_m": point, "distance_m": nearest.position_m}
     )
-
-
-def _asked(goal: PositionGoal | AxisGoal | PoseGoal) -> tuple[Sequence[float], float]:
-    if isinstance(goal, PoseGoal):
-        return goal.pose.position_m, goal.position_tolerance_m
-    return goal.position_m, goal.tolerance_m
 
 
 def _violated(code: MoveItErrorCode, what: str, violations: Sequence[Violation]) -> PlanningFailure:

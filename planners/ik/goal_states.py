@@ -13,7 +13,7 @@ from itertools import islice
 import numpy as np
 
 from planners.budget import Budget
-from planners.geometry.collision import Closeness, CollidingPair, CollisionModel
+from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.kinematics import ForwardKinematics, Placements
 from planners.goals import AnyOf, AxisGoal, Constraints, Goal, JointGoal, PoseGoal, PositionGoal, SingleGoal
 from planners.ik.constraints import (
@@ -150,10 +150,6 @@ class DescentResults:
                 self._fruitless = 0
             self._least_preference_error_m = min(self._least_preference_error_m, end.preference_error_m)
 
-    def look_closer(self) -> None:
-        """Check by surfaces what touches by its parts and meets the required conditions."""
-        self._ends = [self._by_surfaces(end) if end.violation_m == 0.0 and end.collides else end for end in self._ends]
-
     def result(self, move_time_s: Callable[[Vector], float]) -> SearchResult:
         """Return the solutions, or the nearest configuration; ``move_time_s`` is the time of a move to one [s]."""
         nearest = min(self._ends, key=lambda end: (end.collides, end.violation_m, end.preference_error_m))
@@ -170,146 +166,11 @@ class DescentResults:
 
     def _judged(self, q: Vector) -> _End:
         tight = self._collision is not None and self._collision.in_collision(q)
-        collides = tight and self._collision is not None and self._collision.collides(q, Closeness.PARTS)
+        collides = tight and self._collision is not None and self._collision.collides(q)
         return _End(q, tight, collides, self._required.violation_m(q), self._preferred.violation_m(q))
-
-    def _by_surfaces(self, end: _End) -> _End:
-        return replace(end, collides=self._collision is not None and self._collision.collides(end.q))
 
     def _pairs(self, end: _End | None) -> tuple[CollidingPair, ...]:
         return tuple(self._collision.colliding_pairs(end.q)) if self._collision is not None and end is not None else ()
-
-
-class GoalSearch:
-    """Finds configurations of one robot.
-
-    Args:
-        robot: the arm.
-        collision: its collisions; configurations ``q`` are in the order of its joints.
-    """
-
-    def __init__(self, robot: RobotModel, collision: CollisionModel) -> None:
-        self.forward = ForwardKinematics(robot, collision.joint_names)
-        self._collision = collision
-        self._kinematics = Kinematics(robot, self.forward, collision.joint_names)
-        self._max_velocity = np.array([robot.joints[name].max_velocity for name in collision.joint_names])
-        limits = collision.lower_rad, collision.upper_rad
-        self._samples = np.random.default_rng(SAMPLE_SEED).uniform(*limits, (SAMPLES, len(collision.joint_names)))
-        self._placements: dict[str, Placements] = {}
-
-    def find(
-        self,
-        group: Group,
-        goal_conditions: GoalConditions,
-        seed_q: Vector,
-        should_stop: Callable[[], bool],
-        *,
-        wanted: int = MAX_SOLUTIONS,
-        avoid_collisions: bool = True,
-    ) -> SearchResult:
-        """Find configurations in which conditions hold, or as nearly as possible.
-
-        Args:
-            group: the joints that may move; the others stay as in ``seed_q``.
-            goal_conditions: the conditions.
-            seed_q: present configuration, shape (n,) [rad]; the first descent starts there.
-            should_stop: ends the restarts early.
-            wanted: number of solutions that are enough.
-            avoid_collisions: False to accept configurations in contact.
-        """
-        results = DescentResults(self.forward, self._collision if avoid_collisions else None, goal_conditions)
-
-        def enough() -> bool:
-            return results.enough(wanted) or should_stop()
-
-        required = GoalConditions(goal_conditions.required)
-        results.begin()
-        self._descend(results, group, goal_conditions, self._starts(group, goal_conditions, seed_q), enough)
-        if goal_conditions.preferred and not results.any_solution:
-            # The preferences may lead all descents away from where the required conditions hold.
-            results.begin()
-            self._descend(results, group, required, self._starts(group, required, seed_q), enough)
-        if results.only_touching and not should_stop():
-            results.begin(patience=RESTARTS_AMONG_OBSTACLES)
-            self._descend(results, group, required, self._free_samples_near(group, required, seed_q), enough)
-        if results.only_touching and not should_stop():
-            results.look_closer()
-        if results.only_colliding:
-            # Every descent ended in a contact: the nearest free point is then known to a few centimetres only.
-            results.add(next(self._free_samples_near(group, goal_conditions, seed_q), seed_q))
-        return results.result(lambda q: self.move_time_s(seed_q, q))
-
-    def projection(
-        self, group: Group, conditions: Sequence[Condition], start_q: Vector
-    ) -> Callable[[Vector], Vector | None]:
-        """Return a projection of a group's joint positions onto nearby ones where conditions hold, None on failure.
-
-        Args:
-            group: the joints that may move; points have them in this order, shape (n,) [rad].
-            conditions: the conditions.
-            start_q: configuration of all joints; those outside the group stay there.
-        """
-        descent = self._kinematics.descent(group, GoalConditions(tuple(conditions)))
-        columns = [self._collision.joint_names.index(name) for name in group.joints]
-
-        def project(point: Vector) -> Vector | None:
-            q = start_q.copy()
-            q[columns] = point
-            inside = descent.inside(q)
-            return None if inside is None else inside[columns]
-
-        return project
-
-    def move_time_s(self, start_q: Vector, goal_q: Vector) -> float:
-        """Least time between configurations at the joints' velocity limits [s]."""
-        return float(np.max(np.abs(goal_q - start_q) / self._max_velocity))
-
-    def _descend(
-        self,
-        results: DescentResults,
-        group: Group,
-        goal_conditions: GoalConditions,
-        starts: Iterable[Vector],
-        enough: Callable[[], bool],
-    ) -> None:
-        descent = self._kinematics.descent(group, goal_conditions)
-        for q in starts:
-            results.add(descent(q))
-            if enough():
-                break
-
-    def _starts(self, group: Group, goal_conditions: GoalConditions, seed_q: Vector) -> Iterator[Vector]:
-        """Yield the starts of descents: the robot's configuration, then the samples nearest to the conditions."""
-        yield seed_q
-        yield from islice(self._samples_near(group, goal_conditions, seed_q), RESTARTS)
-
-    def _free_samples_near(self, group: Group, goal_conditions: GoalConditions, seed_q: Vector) -> Iterator[Vector]:
-        """The nearest samples that touch nothing."""
-        near = self._samples_near(group, goal_conditions, seed_q)
-        return islice((q for q in near if not self._collision.in_collision(q)), RESTARTS_AMONG_OBSTACLES)
-
-    def _samples_near(self, group: Group, goal_conditions: GoalConditions, seed_q: Vector) -> Iterator[Vector]:
-        """Samples of the group's joints, those that come nearest to the conditions first."""
-        moving = [self._collision.joint_names.index(name) for name in group.joints]
-        distances_m = self._distances_m((*goal_conditions.required, *goal_conditions.preferred))
-        for i in np.argsort(distances_m, kind="stable"):
-            q = seed_q.copy()
-            q[moving] = self._samples[i][moving]
-            for condition in goal_conditions.required:
-                if isinstance(condition, JointCondition) and condition.column in moving:
-                    q[condition.column] = condition.position_rad
-            yield q
-
-    def _distances_m(self, conditions: Sequence[Condition]) -> Vector:
-        """Return each sample's distance from conditions on links, rotations by their arm [m]."""
-        distances_m = np.zeros(SAMPLES)
-        for condition in conditions:
-            if isinstance(condition, JointCondition):
-                continue
-            if condition.link not in self._placements:
-                self._placements[condition.link] = self.forward.placements(self._samples, condition.link)
-            distances_m += condition.arm_m * condition.distances(self._placements[condition.link])
-        return distances_m
 
 
 @dataclass(frozen=True)
@@ -348,6 +209,113 @@ class GoalQuery:
     wanted: int = MAX_SOLUTIONS
     avoid_collisions: bool = True
     accept_start: bool = True
+
+
+class GoalSearch:
+    """Finds configurations of one robot.
+
+    Args:
+        robot: the arm.
+        collision: its collisions; configurations ``q`` are in the order of its joints.
+    """
+
+    def __init__(self, robot: RobotModel, collision: CollisionModel) -> None:
+        self.forward = ForwardKinematics(robot, collision.joint_names)
+        self._collision = collision
+        self._kinematics = Kinematics(robot, self.forward, collision.joint_names)
+        self._max_velocity = np.array([robot.joints[name].max_velocity for name in collision.joint_names])
+        limits = collision.lower_rad, collision.upper_rad
+        self._samples = np.random.default_rng(SAMPLE_SEED).uniform(*limits, (SAMPLES, len(collision.joint_names)))
+        self._placements: dict[str, Placements] = {}
+
+    def find(self, goal_conditions: GoalConditions, query: GoalQuery) -> SearchResult:
+        """Find configurations in which conditions hold, or as nearly as possible; descents begin at the start."""
+        collision = self._collision if query.avoid_collisions else None
+        results = DescentResults(self.forward, collision, goal_conditions)
+        required = GoalConditions(goal_conditions.required)
+        self._descend(results, goal_conditions, self._starts(goal_conditions, query), query)
+        if goal_conditions.preferred and not results.any_solution:
+            # The preferences may lead all descents away from where the required conditions hold.
+            self._descend(results, required, self._starts(required, query), query)
+        if results.only_touching and not query.budget.used_up():
+            starts = self._free_samples_near(required, query)
+            self._descend(results, required, starts, query, patience=RESTARTS_AMONG_OBSTACLES)
+        if results.only_colliding:
+            # Every descent ended in a contact: the nearest free point is then known to a few centimetres only.
+            results.add(next(self._free_samples_near(goal_conditions, query), query.start_q))
+        return results.result(lambda q: self.move_time_s(query.start_q, q))
+
+    def projection(
+        self, group: Group, conditions: Sequence[Condition], start_q: Vector
+    ) -> Callable[[Vector], Vector | None]:
+        """Return a projection of a group's joint positions onto nearby ones where conditions hold, None on failure.
+
+        Args:
+            group: the joints that may move; points have them in this order, shape (n,) [rad].
+            conditions: the conditions.
+            start_q: configuration of all joints; those outside the group stay there.
+        """
+        descent = self._kinematics.descent(group, GoalConditions(tuple(conditions)))
+        columns = [self._collision.joint_names.index(name) for name in group.joints]
+
+        def project(point: Vector) -> Vector | None:
+            q = start_q.copy()
+            q[columns] = point
+            inside = descent.inside(q)
+            return None if inside is None else inside[columns]
+
+        return project
+
+    def move_time_s(self, start_q: Vector, goal_q: Vector) -> float:
+        """Least time between configurations at the joints' velocity limits [s]."""
+        return float(np.max(np.abs(goal_q - start_q) / self._max_velocity))
+
+    def _descend(
+        self,
+        results: DescentResults,
+        goal_conditions: GoalConditions,
+        starts: Iterable[Vector],
+        query: GoalQuery,
+        patience: int = HOPELESS_RESTARTS,
+    ) -> None:
+        results.begin(patience)
+        descent = self._kinematics.descent(query.group, goal_conditions)
+        for q in starts:
+            results.add(descent(q))
+            if results.enough(query.wanted) or query.budget.used_up():
+                break
+
+    def _starts(self, goal_conditions: GoalConditions, query: GoalQuery) -> Iterator[Vector]:
+        """Yield the starts of descents: the robot's configuration, then the samples nearest to the conditions."""
+        yield query.start_q
+        yield from islice(self._samples_near(goal_conditions, query), RESTARTS)
+
+    def _free_samples_near(self, goal_conditions: GoalConditions, query: GoalQuery) -> Iterator[Vector]:
+        near = self._samples_near(goal_conditions, query)
+        return islice((q for q in near if not self._collision.in_collision(q)), RESTARTS_AMONG_OBSTACLES)
+
+    def _samples_near(self, goal_conditions: GoalConditions, query: GoalQuery) -> Iterator[Vector]:
+        """Yield samples of the group's joints, the nearest to the conditions first."""
+        moving = [self._collision.joint_names.index(name) for name in query.group.joints]
+        distances_m = self._distances_m((*goal_conditions.required, *goal_conditions.preferred))
+        for i in np.argsort(distances_m, kind="stable"):
+            q = query.start_q.copy()
+            q[moving] = self._samples[i][moving]
+            for condition in goal_conditions.required:
+                if isinstance(condition, JointCondition) and condition.column in moving:
+                    q[condition.column] = condition.position_rad
+            yield q
+
+    def _distances_m(self, conditions: Sequence[Condition]) -> Vector:
+        """Return each sample's distance from conditions on links, rotations by their arm [m]."""
+        distances_m = np.zeros(SAMPLES)
+        for condition in conditions:
+            if isinstance(condition, JointCondition):
+                continue
+            if condition.link not in self._placements:
+                self._placements[condition.link] = self.forward.placements(self._samples, condition.link)
+            distances_m += condition.arm_m * condition.distances(self._placements[condition.link])
+        return distances_m
 
 
 class GoalStates:
@@ -397,7 +365,7 @@ class GoalStates:
         whole = ConditionSet(self.forward, (*wanted.required, *wanted.preferred, *also))
         if query.accept_start and whole.holds(query.start_q):
             return [GoalState(query.start_q, whole.deviation(query.start_q), index)]
-        found = self._find(wanted.also(also), query)
+        found = self._search.find(wanted.also(also), query)
         if found.solutions:
             goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
             return [GoalState(q, goal_set.deviation(q), index) for q in found.solutions]
@@ -416,16 +384,6 @@ class GoalStates:
         pairs = self._collision.colliding_pairs(goal_q) if query.avoid_collisions else []
         return goal_in_collision(pairs) if pairs else [GoalState(goal_q, Deviation(), index)]
 
-    def _find(self, wanted: GoalConditions, query: GoalQuery) -> SearchResult:
-        return self._search.find(
-            query.group,
-            wanted,
-            query.start_q,
-            query.budget.used_up,
-            wanted=query.wanted,
-            avoid_collisions=query.avoid_collisions,
-        )
-
     def _refusal(
         self, goal: TaskGoal, wanted: GoalConditions, also: Sequence[Condition], found: SearchResult, query: GoalQuery
     ) -> PlanningFailure:
@@ -437,7 +395,7 @@ class GoalStates:
         if found.colliding:
             return goal_in_collision(found.colliding)
         if also:
-            alone = self._find(wanted, query)
+            alone = self._search.find(wanted, query)
             if alone.solutions:
                 return goal_violates(ConditionSet(self.forward, also).violations(alone.solutions[0]))
             found = alone
@@ -451,7 +409,7 @@ class GoalStates:
             # The point with the nearest orientation there is more useful than a compromise between both.
             point, *turns = wanted.required
             if turns:
-                found = self._find(GoalConditions((point,), (*turns, *wanted.preferred)), query)
+                found = self._search.find(GoalConditions((point,), (*turns, *wanted.preferred)), query)
             q = found.solutions[0] if found.solutions else found.nearest_q
         goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
         nearest = goal_set.deviation(q)

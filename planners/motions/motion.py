@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count, product
+from functools import cached_property
+from itertools import count
 
 import numpy as np
 
 from planners.budget import Budget
 from planners.geometry.certificate import certify
-from planners.geometry.collision import Closeness
 from planners.geometry.joint_space import JointSpace
 from planners.motions.curve import (
     Curve,
@@ -42,7 +42,7 @@ from planners.motions.path import (
     search,
     without_detours,
 )
-from planners.motions.path_timing import MAX_DURATION_S
+from planners.motions.path_timing import MAX_DURATION_S, standing
 from planners.motions.via_point import via_point
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
@@ -111,6 +111,16 @@ class MotionTask:
     optimization_time_s: float = 0.0
     project: Project | None = None
 
+    @cached_property
+    def window(self) -> int:
+        """Window over which curves are averaged to keep the limits of the jerk, 0 for none [ticks]."""
+        return window_ticks(self.limits)
+
+    @property
+    def curve_start(self) -> Vector:
+        """Point from which a curve must start whose average starts in the start, shape (n,) [rad]."""
+        return averaging_start(self.start, self.start_velocity, self.window)
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -142,7 +152,8 @@ def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
     motion = _straight(task, budget)
     if motion is not None:
         return motion
-    lead = _braking(task) if task.start_velocity.any() else None
+    moving = bool(task.start_velocity.any())
+    lead = brake(task.curve_start, task.start_velocity, task.limits) if moving else None
     refusal = None if lead is None else _cannot_stop(task, lead)
     return refusal or _Searching(task, budget, lead).best() or budget.failure()
 
@@ -164,40 +175,29 @@ def _too_slow(task: MotionTask) -> PlanningFailure | None:
 def _straight(task: MotionTask, budget: Budget) -> Motion | None:
     """Return the motion to the first goal that can be reached without a search."""
     moving = bool(task.start_velocity.any())
-    window = window_ticks(task.limits)
-    ahead = averaging_start(task.start, task.start_velocity, window)
     for index, goal in enumerate(task.goals):
         if budget.used_up():
             return None
         if moving:
-            curve = from_moving(ahead, task.start_velocity, goal, task.limits)
+            curve = from_moving(task.curve_start, task.start_velocity, goal, task.limits)
         elif same_point(task.start, goal):
-            return Motion(_standing(task), STRAIGHT_LINE, index)
+            return Motion(standing(task.joint_names, task.start), STRAIGHT_LINE, index)
         else:
             free = task.space.line_free(task.start, goal, SPARSE_STEP_M)
             curve = line(task.start, goal, task.limits) if free else None
-        trajectory = None if curve is None else _certified(task, curve, window)
+        trajectory = None if curve is None else _certified(task, curve)
         if trajectory is not None:
             return Motion(trajectory, STRAIGHT_LINE, index)
     return None
 
 
-def _standing(task: MotionTask) -> Trajectory:
-    rest = np.zeros((1, len(task.start)))
-    return Trajectory(task.joint_names, np.zeros(1), task.start[np.newaxis], rest, rest)
-
-
-def _certified(task: MotionTask, curve: Curve, window: int, closest: Closeness = Closeness.PARTS) -> Trajectory | None:
+def _certified(task: MotionTask, curve: Curve) -> Trajectory | None:
     """Return the curve's samples, their jerk limited, if nothing touches on them."""
     if not curve.stays_within(task.space.lower_rad, task.space.upper_rad):
         return None
-    trajectory = averaged(curve, window, task.joint_names) if window else curve.sampled(task.joint_names)
-    return None if certify(task.space, trajectory, closest) else trajectory
-
-
-def _braking(task: MotionTask) -> Curve:
-    ahead = averaging_start(task.start, task.start_velocity, window_ticks(task.limits))
-    return brake(ahead, task.start_velocity, task.limits)
+    names = task.joint_names
+    trajectory = averaged(curve, task.window, names) if task.window else curve.sampled(names)
+    return None if certify(task.space, trajectory) else trajectory
 
 
 def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
@@ -229,7 +229,6 @@ class _Searching:
         self._rng = np.random.default_rng(task.seed)
         self._searches = count()
         self._finer = self._blocked_paths = 0
-        self._window = window_ticks(task.limits)
         self._lead = lead
         # Where none of the quickest via points is free, others hardly ever are.
         self._try_via_points = self._name == RRT_CONNECT
@@ -238,11 +237,10 @@ class _Searching:
     def best(self) -> Motion | None:
         """Return the shortest in time of the motions found while there is work to be done."""
         while not self._budget.used_up():
-            found = sorted(self._found(), key=_duration)
-            # Surfaces take a hundred times as long: only where nothing else is left they decide.
-            for closest, (method, curve) in product(Closeness, found):
+            found = sorted(self._found(), key=lambda each: each[1].duration_ticks)
+            for method, curve in found:
                 # The best motion is still of use after the deadline, but not once the request is cancelled.
-                trajectory = None if self._budget.stopped else _certified(self._task, curve, self._window, closest)
+                trajectory = None if self._budget.stopped else _certified(self._task, curve)
                 if trajectory is not None:
                     return Motion(trajectory, method, self._goal_at_end_of(curve))
             if found:
@@ -257,7 +255,7 @@ class _Searching:
             method, path = self._path(next(self._searches))
             if path is None:
                 continue
-            curve = polyline(path, self._task.limits, self._window)
+            curve = polyline(path, self._task.limits, self._task.window)
             curve = curve if self._lead is None else self._lead.then(curve)
             if self._enough_checks is None:
                 self._enough_checks = self._space.checks + checks_in(self._task.optimization_time_s)
@@ -317,10 +315,6 @@ def _search_of(task: MotionTask) -> str:
     if name is None:
         raise ValueError(f"there is no planner {task.planner_id!r}")
     return name
-
-
-def _duration(found: tuple[str, Curve]) -> int:
-    return found[1].duration_ticks
 
 
 def smooth(

@@ -69,6 +69,12 @@ class SplinePath:
         return self._curve(path_positions, order)
 
 
+def standing(joint_names: tuple[str, ...], point: Vector) -> Trajectory:
+    """Return the motion of no duration that stays in a point, shape (n,) [rad]."""
+    rest = np.zeros((1, len(point)))
+    return Trajectory(joint_names, np.zeros(1), point[np.newaxis], rest, rest)
+
+
 @dataclass(frozen=True)
 class Profile:
     """Progress along a path: between knots the progress accelerates uniformly.

@@ -186,7 +186,7 @@ class JointPathProblem:
     """A path of the joints to time and to follow, from its first point to its last; answered by :class:`Plan`.
 
     Attributes:
-        start_rad: position of every movable joint of the robot before; those of the path do not count [rad].
+        start_rad: position of every movable joint of the robot before; the path's joints do not count [rad].
         joint_names: the joints of the path, which need not be one group.
         time_s: shape (n,), n >= 2, strictly increasing: when the path passes each point at speed 1 [s].
         positions_rad: shape (n, joints), points that a natural cubic spline joins [rad].
@@ -254,7 +254,7 @@ class RecheckQuestion:
     """Question if the rest of a running motion is free in the present scene; answered by :class:`RecheckAnswer`.
 
     Attributes:
-        group: planning group of its joints; empty for joints that are not just those of a group.
+        group: planning group of its joints; empty for joints that are not exactly a group's.
         trajectory: the motion.
         others_rad: position of every joint that is not in it [rad].
         from_s: where in it the robot is now [s].
@@ -374,7 +374,7 @@ class PathGoal:
     """What works in place of a path of the tip that cannot be followed to its end; each verified by a plan.
 
     Attributes:
-        end: an end to which the same path can be followed, and be planned anew; None when none was found.
+        end: an end to which the same path can be followed, and be planned again; None when none was found.
         fraction: share of the path's length up to there, 0 to 1.
         length_m: length of the path [m].
         end_by_other_way: whether the end of the whole path is reached by a motion that does not follow it.
@@ -388,7 +388,7 @@ class PathGoal:
 
 @dataclass(frozen=True)
 class NearestGoalAnswer:
-    """Goal near one that has no plan.
+    """Goal near a goal that has no plan.
 
     Attributes:
         goal: as near as was found, of the same kind, verified by a plan; None when none was found.
@@ -403,7 +403,7 @@ class StateAnswer:
 
     Attributes:
         valid: whether nothing is wrong with it.
-        problems: what is wrong, each with its code, sentence and data.
+        problems: flaws, each with its code, sentence and data.
     """
 
     valid: bool
@@ -412,7 +412,7 @@ class StateAnswer:
 
 @dataclass(frozen=True)
 class RecheckAnswer:
-    """Answer to a recheck of the rest of a motion: ``contact`` says what it would touch at ``contact_s``, else None."""
+    """Answer to a recheck of the rest of a motion: ``contact`` names the contact at ``contact_s``, else None."""
 
     contact: PlanningFailure | None
     contact_s: float | None = None

@@ -1,6 +1,6 @@
 """Planning scene: objects around the robot and attached to it, as plain data that crosses process boundaries.
 
-Poses are in the robot's root link unless said otherwise, in metres, orientations as unit quaternions x, y, z, w.
+Poses are in the robot's root link unless stated otherwise, in metres, orientations as unit quaternions x, y, z, w.
 This module imports none of the planning libraries.
 """
 
@@ -109,7 +109,7 @@ class AttachedObject:
 
 @dataclass(frozen=True)
 class Scene:
-    """All that the robot must not touch, and what it may.
+    """Surroundings of the robot, and the contacts that are allowed.
 
     Attributes:
         version: a number that no other scene has; workers tell scenes apart by it.
@@ -127,6 +127,10 @@ class Scene:
     allowed: Mapping[frozenset[str], bool] = field(default_factory=dict)
     link_padding_m: Mapping[str, float] = field(default_factory=dict)
     link_scale: Mapping[str, float] = field(default_factory=dict)
+
+    def all_objects(self) -> tuple[SceneObject, ...]:
+        """Return the objects around the robot and those attached to it."""
+        return (*self.objects, *(each.object for each in self.attached))
 
 
 EMPTY_SCENE = Scene()

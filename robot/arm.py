@@ -78,7 +78,7 @@ STATE_MAX_AGE_S = 1.0
 # Relaxing takes longest: braking 2 s at most, the ramp 1.5 s, checking that torque is off some tenths.
 ORDER_TIMEOUT_S = 6.0
 
-# Log lines of one kind on processes that end or cannot be started: the first ones, then one in ten minutes [1/s].
+# Log lines on processes that end or cannot be started: the first, then one in ten minutes [1/s].
 RESTART_LINES = 10
 RESTART_LINES_PER_S = 1.0 / 600.0
 
@@ -326,7 +326,7 @@ class Arm:
             _settle(answered, CommandDone(number, done=False, message=message))
 
     def keep_parking(self, plan: ParkingPlan | None) -> None:
-        """Have the process keep a way to the rest pose for its end, in place of the one before; None for none."""
+        """Give the process the way to the rest pose that it plays at its end; None when there is no way."""
         self._process.send(KeepParking(plan))
 
     async def close(self) -> None:

@@ -37,10 +37,10 @@ from robot.trajectory import Trajectory, Vector
 # Good ends of a motion.
 _GOOD = (Outcome.REACHED, Outcome.GRIPPED)
 
-# Modes of several arms: the one that most keeps them from moving comes first.
+# Modes of several arms, the mode that most keeps an arm from moving first.
 _MODES_BY_WEIGHT = (Mode.FAULT, Mode.DISCONNECTED, Mode.CONNECTED, Mode.MOVING, Mode.RELAXED, Mode.HOLDING)
 
-# Ends of one motion by several arms: the one with most about the failure comes first.
+# Ends of one motion by several arms, the end that explains most about a failure first.
 _OUTCOMES_BY_WEIGHT = (
     Outcome.FAULT,
     Outcome.TRACKING_LOST,
@@ -68,7 +68,7 @@ class ArmGroup:
         self._arm_of = {joint: name for name, (_, joints) in arms.items() for joint in joints}
         self._parts: dict[frozenset[str], ArmGroup] = {}
         self._joints = {name: joints for name, (_, joints) in arms.items()}
-        # The motion of each arm, by that of all.
+        # Motions of the arms that take part in a motion of several, by its future.
         self._together: dict[asyncio.Future[MotionEnded], Mapping[str, asyncio.Future[MotionEnded]]] = {}
         self._last_read: dict[str, ArmState] = {}
         self._joined: tuple[tuple[ArmState, ...], ArmState] | None = None
@@ -208,7 +208,7 @@ class ArmGroup:
             ended.set_result(_joined_end({each: one.result() for each, one in together.items()}))
 
     def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
-        """Return the progress of a motion: of several arms that of the last."""
+        """Return the progress of a motion; of several arms, the progress of the last."""
         together = self._together.get(motion)
         if together is None:
             return next((found for arm in self._arms.values() if (found := arm.progress(motion))), None)
@@ -250,7 +250,7 @@ class ArmGroup:
     def order(
         self, order: Order, calibration: Calibration | None = None, epoch: int | None = None
     ) -> asyncio.Future[CommandDone]:
-        """Send an order to every arm before returning; the answer is that of all of them."""
+        """Send an order to every arm before returning; the answer joins the answers of all."""
         asked = self._arms.keys() - (self._leaders if order is Order.ENABLE else frozenset())
         answers = {name: arm.order(order, calibration, epoch) for name, arm in self._arms.items() if name in asked}
         answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
@@ -355,7 +355,7 @@ def _joined(states: Sequence[ArmState], array_of: Callable[[ArmState], Vector | 
 
 
 def _named(name: str, fault: Fault | None) -> Fault | None:
-    """Return a fault whose sentence says which arm has it."""
+    """Return a fault whose sentence names its arm."""
     return None if fault is None else replace(fault, message=f"{name}: {fault.message}")
 
 

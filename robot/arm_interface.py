@@ -45,7 +45,7 @@ class ArmInterface(Protocol):
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Ids of its processes, of those that have been launched."""
+        """Ids of its launched processes."""
 
     def part(self, joint_names: Collection[str]) -> ArmInterface:
         """Return the arm, or the arms together, that have some joints: nothing else counts for their motions."""

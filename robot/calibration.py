@@ -206,7 +206,7 @@ def new_calibration_path(name_or_path: str, folders: Sequence[str], environment:
 
 
 def lerobot_directories(folders: Sequence[str], environment: Mapping[str, str]) -> tuple[Path, ...]:
-    """Return the directories in which lerobot keeps calibrations of such arms, the newest first."""
+    """Return the directories in which lerobot keeps calibrations of the arm, the newest first."""
     cache = environment.get("XDG_CACHE_HOME") or "~/.cache"
     huggingface = environment.get("HF_HOME") or f"{cache}/huggingface"
     home = environment.get("HF_LEROBOT_HOME") or f"{huggingface}/lerobot"

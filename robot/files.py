@@ -145,7 +145,7 @@ class FileSeries:
         Raises:
             OSError: the file cannot be written.
         """
-        # The lock of the directory is that of a file of this name in it.
+        # A file of this name in the directory stands for its lock.
         with locked(self._directory / self._prefix.rstrip("-")):
             path, number = self._directory / f"{self._prefix}{name}{self._suffix}", 0
             while path.exists():

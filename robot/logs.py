@@ -181,7 +181,7 @@ class LogLimiter:
 
 @dataclass(slots=True)
 class _Bucket:
-    """Lines of one key: those left now, and those suppressed since and before the latest due one."""
+    """Lines of one key: left now, and suppressed since and before the latest due line."""
 
     left: float
     counted_s: float
@@ -190,7 +190,7 @@ class _Bucket:
 
 
 def suppressed_note(count: int) -> str:
-    """Return the text to append to a line before which similar ones were suppressed; empty for none."""
+    """Return the note on lines that were suppressed before a line; empty without any."""
     return f" ({count} more lines like this were left out before)" if count else ""
 
 
@@ -204,7 +204,7 @@ class FloodFilter(logging.Filter):
         self._limiter = LogLimiter(BURST, LINES_PER_S, max_keys=None)
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return True for a record to write; it is marked with the number of those suppressed before it."""
+        """Return True for a record to write; it carries the number of records suppressed before it."""
         place = record.pathname, record.lineno
         if not self._limiter.due(place, self._clock()):
             return False

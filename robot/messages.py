@@ -143,7 +143,7 @@ class ParkingPlan:
 
 @dataclass(frozen=True)
 class KeepParking:
-    """Command to keep a parking trajectory for the arm's end, in place of the one before; None: that is invalid."""
+    """Command to keep a parking trajectory in place of the former; None when the former became invalid."""
 
     plan: ParkingPlan | None
 
@@ -232,7 +232,7 @@ class Command:
     number: int
     order: Order
     calibration: Calibration | None = None  # calibration to write into the servos, of WRITE_CALIBRATION only
-    epoch: int = 0  # stop epoch that an emergency stop begins; of other orders the one in which they were requested
+    epoch: int = 0  # stop epoch that an emergency stop begins, or in which another order was requested
 
 
 @dataclass(frozen=True)
@@ -321,7 +321,7 @@ class ArmState(Frequent):
     load: Vector | None = None  # share of full motor duty, signed, -1..1, shape (joints,)
     current_a: Vector | None = None  # motor current, signed, shape (joints,) [A]
     goal_rad: Vector | None = None  # commanded, shape (joints,)
-    motion_id: int | None = None  # motion in progress, of several the one with most joints; None at rest
+    motion_id: int | None = None  # motion in progress, of several the motion with most joints; None at rest
     fraction: float = 0.0  # share of the motion that is done, 0..1
     remaining_s: float = 0.0  # time left to the end of the motion [s]
     motions: tuple[MotionProgress, ...] = ()
@@ -352,7 +352,7 @@ class JointHealth:
     # Other errors since the bus was opened, by kind (ServoAlert).
     errors: Mapping[str, int] = field(default_factory=dict)
     registers: Mapping[str, int] = field(default_factory=dict)  # its settings as surveyed, by the name of the register
-    # Values that those of them should have which have another, likewise.
+    # Values that settings should have which have another, by the name of the register.
     expected: Mapping[str, int] = field(default_factory=dict)
 
 

@@ -108,8 +108,8 @@ class RestartDelay:
 class ForkedProcess:
     """Child of ``fork``: it shares the memory of what this process has loaded, until one of them writes there.
 
-    To be made before this process has threads or an event loop, of which a child would have dead halves. The child has
-    a session of its own, and is as one of :func:`start_module` but for its modules.
+    Fork before this process has threads or an event loop: the child would inherit them dead. The child has a session of
+    its own, as a child of :func:`start_module` has.
 
     Args:
         run: body of the child; its return, or an exception, ends the child.

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from planners.assistant.errors import AssistantError
+from planners.errors import AssistantError
 from robot.description.model import Joint
 
 # A joint of the wrist may carry a link called gripper_link: the hand, no finger.
@@ -26,7 +26,7 @@ MIN_ARM_JOINTS = 2
 
 @dataclass(frozen=True)
 class Structure:
-    """Groups that an arm's SRDF will have.
+    """Planning groups for an arm's SRDF.
 
     Attributes:
         base_link: first link of the arm.
@@ -46,12 +46,7 @@ class Structure:
 
 
 class Tree:
-    """Links and joints of a robot as a tree.
-
-    Args:
-        links: link names, root first.
-        joints: every joint by name.
-    """
+    """Links, root first, and joints of a robot as a tree."""
 
     def __init__(self, links: Sequence[str], joints: Mapping[str, Joint]) -> None:
         self.root = links[0]

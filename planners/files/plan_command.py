@@ -32,7 +32,7 @@ POINTS = 400
 # Inches of a row, wide and high.
 ROW_SIZE_IN = (12.0, 2.6)
 
-# Exit codes: every answer is one that its file takes as right; some are not; nothing was planned.
+# Exit codes: every answer is accepted by its file; some are not; nothing was planned.
 EXIT_EXPECTED = 0
 EXIT_UNEXPECTED = 3
 EXIT_USAGE = 2
@@ -46,7 +46,7 @@ _CLEAR_LINE = "\r\x1b[K"
 
 
 def check_available() -> None:
-    """Say so early when there is nothing to draw with.
+    """Check early that pictures can be drawn.
 
     Raises:
         PlottingError: matplotlib is not installed.
@@ -56,11 +56,7 @@ def check_available() -> None:
 
 
 def plot(path: Path, motions: Sequence[tuple[str, Trajectory]]) -> None:
-    """Draw motions into a file, the first :data:`MAX_MOTIONS` of them.
-
-    Args:
-        path: the picture; its ending says of what kind.
-        motions: name and motion.
+    """Draw the first :data:`MAX_MOTIONS` motions, each with its name, into a picture of the kind of its ending.
 
     Raises:
         PlottingError: there is no motion to draw, or no picture of this ending can be drawn.
@@ -198,11 +194,7 @@ def plan_all(file: ProblemFile, problems: Sequence[FileProblem]) -> Iterator[Out
 
 
 def _tasks(options: Options, robot: RobotModel) -> list[Task]:
-    """Read the files, and choose what is planned.
-
-    Raises:
-        ProblemFileError: a file cannot be used, or none has a problem of an id that was named.
-    """
+    """Read the files, and choose the problems."""
     files = [problem_file.read(path, robot) for path in options.paths]
     known = {problem.id for file in files for problem in file.problems}
     for name in options.ids:

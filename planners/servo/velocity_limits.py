@@ -94,8 +94,8 @@ def velocity_bounds(
     kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
     watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
     left_m = np.array([pair.distance_m - kept_m - CURVATURE_M for pair, kept_m in watched])
-    slopes = np.array([pair.slope_m_per_rad[columns] for pair, _ in watched]).reshape(-1, len(q))
-    gradients = np.vstack((-np.eye(len(q)), np.eye(len(q)), slopes))
+    distance_gradients = np.array([pair.distance_gradient[columns] for pair, _ in watched]).reshape(-1, len(q))
+    gradients = np.vstack((-np.eye(len(q)), np.eye(len(q)), distance_gradients))
     distances = np.concatenate((upper - q, q - lower, left_m))
     found = barrier(distances, gradients, BRAKING_SHARE * max_change, period_s, APPROACH_PER_S)
     return VelocityBounds(found.rows, found.bounds, [pair for pair, _ in watched])

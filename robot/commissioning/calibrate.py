@@ -36,9 +36,6 @@ def calibrate(servos: Sequence[ServoSpec], swept: Swept, *, recentre: bool) -> C
 
     Args:
         recentre: True for new homing offsets, which must then be written to the servos; False to keep theirs.
-
-    Raises:
-        CalibrationError: a joint was not swept, or its range would cross the seam.
     """
     return Calibration(tuple(_joint(servo, swept, recentre=recentre) for servo in servos))
 

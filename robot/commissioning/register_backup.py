@@ -105,7 +105,7 @@ def read_backup(path: Path) -> tuple[SavedServo, ...]:
 
 
 def match_saved(saved: Sequence[SavedServo], ids: Collection[int]) -> dict[int, SavedServo]:
-    """Return the backup of each servo on the bus, by its present id; without those that cannot be told.
+    """Return the backup of each servo on the bus, by its present id; without servos whose backup is uncertain.
 
     A servo usually has the id that it was to get. One whose setup was broken off has the id from before, which every
     new servo has: it counts only if the servo with the new id is missing, and no other servo may be meant.

@@ -6,26 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import (
-    CONTROL_ADDRESS,
-    CONTROL_BYTES,
-    LAYOUT,
-    TELEMETRY_ADDRESS,
-    TELEMETRY_BYTES,
-    VOLT_PER_UNIT,
-    Register,
-    decode,
-)
-from robot.hardware.feetech.settings import SETTINGS, SETTINGS_ADDRESS, SETTINGS_BYTES, ServoSettings
+from robot.hardware.feetech.registers import CONTROL, TABLE, VOLT_PER_UNIT, Register
+from robot.hardware.feetech.settings import SETTINGS, SETTINGS_BLOCK, ServoSettings
 from robot.hardware.interface import Steps
-from robot.hardware.servos.bus import read_block
+from robot.hardware.servos import bus as servo_bus
 
 # All documented registers, in blocks that the bus reads elsewhere too: a servo need not answer any longer read.
-BLOCKS = (
-    (SETTINGS_ADDRESS, SETTINGS_BYTES),
-    (CONTROL_ADDRESS, CONTROL_BYTES),
-    (TELEMETRY_ADDRESS, TELEMETRY_BYTES),
-)
+BLOCKS = (SETTINGS_BLOCK, CONTROL, TABLE.block(Register.PRESENT_POSITION, Register.PRESENT_CURRENT))
 
 
 @dataclass(frozen=True)
@@ -62,9 +49,6 @@ class ServoRegisters:
 def read_registers(bus: Bus, servo_id: int) -> Steps[dict[Register, int]]:
     """Read every register of a servo, as a sequence."""
     values: dict[Register, int] = {}
-    for address, length in BLOCKS:
-        data = (yield from read_block(bus, servo_id, address, length)).data
-        for register, layout in LAYOUT.items():
-            if address <= register < address + length:
-                values[register] = decode(register, data[register - address : register - address + layout.size])
+    for block in BLOCKS:
+        values |= yield from servo_bus.read_registers(bus, servo_id, block)
     return values

@@ -18,7 +18,7 @@ from robot.commissioning.sweep import MIDDLE_TICK, Sweep, expected_width, met_bo
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError
 
-# Names of steps; those of directions and middles end with the joint's name.
+# Names of steps; for directions and middles, the joint's name follows.
 HOLD, SWEEP, WRITE = "hold", "sweep", "write"
 DIRECTION, MIDDLE = "direction of ", "middle of "
 
@@ -203,7 +203,7 @@ class CalibrationSession:
         self._next()
 
     def _measured(self, *, assumed: bool = False) -> Swept:
-        """Return what was measured; assumed middles are those that a free joint may have."""
+        """Return the measurements; assumed middles are possible for a free joint."""
         middles = dict(self._middles)
         if assumed and self.recentre:
             middles = {**self._swept.present, **middles}

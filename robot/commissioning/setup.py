@@ -35,7 +35,7 @@ from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verif
 BAUDRATE = BAUDRATES[0]
 BAUDRATE_CODE = 0
 
-# Baud rates by register BAUD_RATE, those that the port supports.
+# Baud rates that the port supports, by register BAUD_RATE.
 BAUDRATE_BY_CODE: Mapping[int, int] = MappingProxyType(dict(zip((0, 1, 2, 3, 4, 6, 7), BAUDRATES, strict=True)))
 
 # Time for the last bytes to leave the adapter, and for the servo to store its new rate, before the port is reopened.
@@ -326,7 +326,7 @@ class _Writer:
 
 
 def _candidates(found: Sequence[FoundServo], joint: ServoSpec, arm: Sequence[ServoSpec]) -> list[FoundServo]:
-    """Return the servos that may be meant to turn a joint: the one with its id, else those with none of the arm's."""
+    """Return the candidates for a joint: the servo with its id, else the servos without an id of the arm."""
     own = [servo for servo in found if servo.servo_id == joint.servo_id]
     others = {servo.servo_id for servo in arm} - {FACTORY_ID}
     return own or [servo for servo in found if servo.servo_id not in others]
@@ -359,7 +359,7 @@ def _check_single(bus: Bus, servo_id: int) -> Steps[None]:
 
 
 def _changes(held: Mapping[Register, int], wanted: Mapping[Register, int]) -> tuple[Change, ...]:
-    """Return the registers that differ, those last by which the servo is reached."""
+    """Return the registers that differ; id and baud rate, by which the servo is reached, come last."""
     last = (Register.ID, Register.BAUD_RATE)
     ordered = [*(register for register in wanted if register not in last), *last]
     return tuple(

@@ -61,7 +61,7 @@ def expected_width(servo: ServoSpec) -> int:
 
 
 def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
-    """Return True when a joint that covered such a range has met both of its stops.
+    """Return True when a joint that covered a range of this width has met both of its stops.
 
     A joint that the robot's folder calls free may have stops all the same, as the SO-101's wrist has; one that covered
     nearly a whole turn has none.
@@ -85,9 +85,6 @@ def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Pla
 
     Args:
         offset: register HOMING_OFFSET during the sweep [ticks].
-
-    Raises:
-        CalibrationError: the joint was hardly moved, turned by a whole turn, or its range crosses the seam.
     """
     lowest, highest, width = sweep.lowest[servo.servo_id], sweep.highest[servo.servo_id], sweep.width(servo.servo_id)
     if width < LEAST_SWEEP_TICKS:
@@ -121,9 +118,6 @@ def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) ->
     Args:
         middle: position at which the joint is in its middle [ticks].
         offset: register HOMING_OFFSET at that time [ticks].
-
-    Raises:
-        CalibrationError: the middle is elsewhere, and the servo keeps its offset.
     """
     if recentre:
         return Placed(_centred(middle, offset)[0], 0, MAX_TICK)

@@ -54,7 +54,7 @@ def measure_cycles(
 def measure_reads(
     bus: Bus, servo_id: int, address: int, length: int, count: int, clock: Callable[[], float] = time.monotonic
 ) -> list[float]:
-    """Measure round trips of reads of one servo; return those of the valid replies, sorted [s]."""
+    """Measure round trips of reads of one servo; return the times of the valid replies, sorted [s]."""
     taken = []
     for _ in range(count):
         start_s = clock()

@@ -45,7 +45,7 @@ GUARD_RANGES: Ranges = {
     "stall_time_s": (0.1, 1.5),
     # Single packets get lost, and nothing is known of a joint that does not answer.
     "silent_after_s": (0.05, 1.0),
-    # Servos of 7.4 V need 4 V, those of 12 V run from 9 V on.
+    # Servos of 7.4 V need 4 V; servos of 12 V run from 9 V on.
     "min_voltage_v": (4.0, 11.0),
     # Backlash keeps a joint from coming any nearer.
     "goal_tolerance_rad": (0.02, 0.3),

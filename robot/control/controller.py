@@ -141,7 +141,7 @@ class ArmController:
 
     @property
     def motion(self) -> Motion | Streaming | None:
-        """Motion in progress; of several the one with most joints."""
+        """Motion in progress; of several, the motion with most joints."""
         return max(self._motions, key=lambda motion: len(motion.columns), default=None)
 
     @property

@@ -205,7 +205,7 @@ class Guards:
         return np.asarray(measured.age_s > self.limits.silent_after_s)
 
     def _check_errors(self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> None:
-        """Find the joints that are stalled, and those too far behind their goals."""
+        """Find the joints that are stalled, and the joints too far behind their goals."""
         error = np.abs(measured.position_rad - goal_rad)
         self.stalled = self._stalling(error, measured, torque_limit, now_s)
         lost_s = self._behind.lasting(error > self.limits.tracking_error_rad, now_s)

@@ -290,7 +290,7 @@ def splice_refusal(
 
 
 def splice(motions: MutableSequence[Motion | Streaming], motion: Motion) -> MotionEnded | None:
-    """Put an accepted motion in the place of the one that it continues; return the end of that one, if there is one."""
+    """Put an accepted motion in the place of the motion that it continues; return the end of the latter, if any."""
     former, continues = _former(motions, motion.command), motion.command.continues
     if former is None or continues is None:
         return None

@@ -54,7 +54,7 @@ class Orders:
         return self._early_fault if self._arm.controller is None else self._arm.controller.fault
 
     def connect(self, *, may_enable: bool) -> Steps[str]:
-        """Survey the actuators, take over those that hold, and enable the arm where permitted."""
+        """Survey the actuators, take over the holding ones, and enable the arm where permitted."""
         hardware = self._arm.hardware
         found = yield from hardware.survey()
         measured = yield from self._first_readings()

@@ -23,7 +23,7 @@ log = logging.getLogger("armbridge.arm")
 # differ by rounding alone.
 START_TOLERANCE_RAD = 0.01
 
-# Number of the parking motion; those of the server begin at 1.
+# Number of the parking motion; the server numbers its motions from 1.
 PARKING_MOTION = 0
 
 
@@ -59,7 +59,7 @@ class Parking:
         return self._stage is Stage.OVER
 
     def keep(self, plan: ParkingPlan | None) -> None:
-        """Keep a trajectory in place of the one before; None when that became invalid."""
+        """Keep a trajectory in place of the former; None when the former became invalid."""
         self._plan = plan
 
     def reset(self, controller: ArmController) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from robot.control.cycle import ControlCycle
 from robot.control.pacing import Pacer, Scheduling, percentiles
 from robot.faults import Fault
 from robot.hardware.clock import LoopClock
-from robot.messages import ArmHealth, ArmState, JointHealth, Mode
+from robot.messages import ArmHealth, ArmState, JointHealth, Mode, Pace
 
 
 def disconnected(joint_names: tuple[str, ...], reason: str, fault: Fault | None, clock_s: float) -> ArmState:
@@ -30,32 +30,39 @@ def arm_state(
         reason: sentence on an arm that is connected but not ready.
         lateness_s: lateness of the ticks since the last state [s].
     """
-    measured, controller, names = arm.measured, arm.controller, arm.hardware.joint_names
-    state = ArmState(time.time(), mode, names, reason=reason, fault=fault, lateness_s=lateness_s, clock_s=clock_s)
+    measured, controller = arm.measured, arm.controller
     if measured is None:
-        return state
-    state = replace(
-        state,
-        stamp_s=measured.stamp_s,
+        return ArmState(
+            time.time(),
+            mode,
+            arm.hardware.joint_names,
+            reason=reason,
+            fault=fault,
+            lateness_s=lateness_s,
+            clock_s=clock_s,
+        )
+    motion = None if controller is None else controller.motion
+    torque_enabled = controller is not None and controller.torque_enabled
+    return ArmState(
+        measured.stamp_s,
+        mode,
+        arm.hardware.joint_names,
+        reason=reason,
         position_rad=measured.position_rad,
         velocity_rad_s=measured.velocity_rad_s,
         age_s=measured.age_s,
         load=measured.load,
         current_a=measured.current_a,
-        goal_rad=measured.position_rad,
-    )
-    if controller is None:
-        return state
-    motion = controller.motion
-    return replace(
-        state,
-        goal_rad=controller.goal_rad if controller.torque_enabled else measured.position_rad,
-        motion_id=motion.motion_id if motion is not None else None,
-        fraction=motion.fraction if motion is not None else 0.0,
-        remaining_s=motion.remaining_s if motion is not None else 0.0,
-        motions=controller.progress,
-        pace=controller.pace,
-        torque_enabled=controller.torque_enabled,
+        goal_rad=controller.goal_rad if controller is not None and torque_enabled else measured.position_rad,
+        motion_id=None if motion is None else motion.motion_id,
+        fraction=0.0 if motion is None else motion.fraction,
+        remaining_s=0.0 if motion is None else motion.remaining_s,
+        motions=() if controller is None else controller.progress,
+        pace=Pace() if controller is None else controller.pace,
+        lateness_s=lateness_s,
+        fault=fault,
+        clock_s=clock_s,
+        torque_enabled=torque_enabled,
     )
 
 
@@ -83,28 +90,27 @@ def arm_health(
 
 def _joint_health(arm: ControlCycle, joint: int) -> JointHealth:
     condition, measured, controller = arm.hardware.condition(joint), arm.measured, arm.controller
-    never_heard = math.isinf(condition.age_s)
-    health = JointHealth(
+    readings: dict[str, Any] = {"age_s": condition.age_s}
+    if measured is not None and controller is not None:
+        readings |= {
+            "position_rad": float(measured.position_rad[joint]),
+            "temperature_c": float(measured.temperature_c[joint]),
+            "voltage_v": float(measured.voltage_v[joint]),
+            "current_a": float(measured.current_a[joint]),
+            "load": float(measured.load[joint]),
+            "torque_enabled": condition.torque_enabled,
+            "status": int(measured.status[joint]),
+            "age_s": float(measured.age_s[joint]),
+            "warnings": condition.warnings + controller.guards.warnings(measured, joint),
+        }
+    elif math.isinf(condition.age_s):
+        readings["warnings"] = (ServoWarning(ServoAlert.NO_ANSWER, "it has not answered yet"),)
+    return JointHealth(
         joint=arm.hardware.joint_names[joint],
         hardware_id=condition.hardware_id,
-        age_s=condition.age_s,
         silent_cycles=condition.silent_cycles,
         errors=arm.errors.of(joint),
-        warnings=(ServoWarning(ServoAlert.NO_ANSWER, "it has not answered yet"),) if never_heard else (),
         registers=condition.registers,
         expected=condition.expected,
-    )
-    if measured is None or controller is None:
-        return health
-    return replace(
-        health,
-        position_rad=float(measured.position_rad[joint]),
-        temperature_c=float(measured.temperature_c[joint]),
-        voltage_v=float(measured.voltage_v[joint]),
-        current_a=float(measured.current_a[joint]),
-        load=float(measured.load[joint]),
-        torque_enabled=condition.torque_enabled,
-        status=int(measured.status[joint]),
-        age_s=float(measured.age_s[joint]),
-        warnings=condition.warnings + controller.guards.warnings(measured, joint),
+        **readings,
     )

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot.control.controller import RELAXING
+from robot.control.controller import RELAXING, ArmController
 from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
 from robot.control.pacing import PERIOD_S, Pacer, Scheduling
@@ -149,6 +149,10 @@ class Supervisor:
         return self._fault if self._orders is None else self._orders.fault
 
     @property
+    def _controller(self) -> ArmController | None:
+        return None if self.arm is None else self.arm.controller
+
+    @property
     def mode(self) -> Mode:
         """State of the arm's state machine."""
         if self.arm is None:
@@ -169,9 +173,9 @@ class Supervisor:
 
     def disconnect(self, reason: str) -> None:
         """End motions and orders in progress: the hardware is gone, or could not be opened."""
-        if self.arm is not None and self.arm.controller is not None:
+        if self._controller is not None:
             lost = Fault(FaultCode.BUS_LOST, reason, simulated=self._config.hardware.simulated)
-            self._report(self.arm.controller.abandon(Outcome.BUS_LOST, str(lost)))
+            self._report(self._controller.abandon(Outcome.BUS_LOST, str(lost)))
         self._fault = self.fault
         self._interrupt(reason)
         self.arm = self._orders = None
@@ -183,7 +187,7 @@ class Supervisor:
         self._watchdog.feed(self._clock())
         if isinstance(message, Stop):
             self._last_stop = max(self._last_stop, message.epoch)
-        controller = self.arm.controller if self.arm is not None else None
+        controller = self._controller
         if isinstance(message, Execute | Stream):
             self._move(message)
         elif isinstance(message, Setpoint) and controller is not None:
@@ -201,7 +205,7 @@ class Supervisor:
         elif isinstance(message, Shutdown):
             self._end = self._config.on_exit
             if message.hurry and self._end is EndState.PARK and controller is not None:
-                self._parking.give_up(controller, "the server is told not to wait")
+                self._parking.give_up(controller, "the server must not wait")
         elif isinstance(message, KeepParking):
             self._parking.keep(message.plan)
 
@@ -212,9 +216,8 @@ class Supervisor:
         A simulated arm at rest needs no more ticks than it reports states, and its machine has other work; the guards
         of a real arm need every tick.
         """
-        if not self._config.hardware.simulated or self.arm is None or self.arm.controller is None or self._task:
-            return 0
-        if not self.arm.controller.resting:
+        controller = self._controller
+        if not self._config.hardware.simulated or controller is None or self._task or not controller.resting:
             return 0
         if not self._observed and self._rested_ticks >= SETTLED_TICKS and self._undisturbed:
             return IDLE_SPARE_TICKS
@@ -233,11 +236,7 @@ class Supervisor:
             self._send(each, True)
         self._check_server(now_s, server_gone=server_gone)
         self._check_fault()
-        if arm.controller is None and self._task is None and now_s >= self._check_at_s and self._orders is not None:
-            self._begin(_Task(CONNECTING, self._orders.connect(may_enable=self._may_enable), None, now_s))
-        survey_due = self._orders is not None and self._orders.survey_due and self._end is None
-        if survey_due and self._task is None and now_s >= self._check_at_s and self._orders is not None:
-            self._begin(_Task(CHECKING_AGAIN, self._orders.survey(), None, now_s))
+        self._check_servos(now_s)
         resting = arm.controller is not None and arm.controller.resting
         self._rested_ticks = self._rested_ticks + ticks if resting else 0
         self._state_due -= ticks
@@ -275,7 +274,7 @@ class Supervisor:
         """Return True when the process may end: the server has ended, and the arm is in its end state."""
         if self._end is None:
             return False
-        controller, now_s = self.arm.controller if self.arm is not None else None, self._clock()
+        controller, now_s = self._controller, self._clock()
         if controller is None:
             self._interrupt("the server is ending")
             return True
@@ -296,6 +295,16 @@ class Supervisor:
             self._torque_left(),
         )
         return True
+
+    def _check_servos(self, now_s: float) -> None:
+        """Begin to check the servos, where that is due and nothing else is in progress."""
+        orders = self._orders
+        if orders is None or self._task is not None or now_s < self._check_at_s:
+            return
+        if self._controller is None:
+            self._begin(_Task(CONNECTING, orders.connect(may_enable=self._may_enable), None, now_s))
+        elif orders.survey_due and self._end is None:
+            self._begin(_Task(CHECKING_AGAIN, orders.survey(), None, now_s))
 
     def _torque_left(self) -> str:
         """Describe where torque is on, with the remedy."""
@@ -321,7 +330,7 @@ class Supervisor:
 
     def _move(self, command: Execute | Stream) -> None:
         refused, reason = Outcome.REFUSED, ""
-        controller = self.arm.controller if self.arm is not None else None
+        controller = self._controller
         if command.epoch < self._last_stop:
             refused, reason = Outcome.STOPPED, STOPPED_SINCE
         elif self.arm is None:
@@ -363,7 +372,7 @@ class Supervisor:
         self._begin(_Task(_NAMES[order], steps, command.number, now_s, urgent))
 
     def _begin(self, task: _Task) -> None:
-        """Begin a sequence in place of the one in progress, an urgent one before that one tidies up."""
+        """Begin a sequence and give up the present one; an urgent sequence begins before the present one tidies up."""
         given_up, self._task = self._task, task
         try:
             if task.urgent:
@@ -389,7 +398,7 @@ class Supervisor:
             log.log(logging.INFO if done else logging.WARNING, "%s: %s", task.name, sentence)
         if task.name not in (CONNECTING, CHECKING_AGAIN):
             return
-        if task.name == CONNECTING and self.arm is not None and self.arm.controller is not None:
+        if task.name == CONNECTING and self._controller is not None:
             self._reason, self._may_enable = "", False
             return
         if task.name == CONNECTING:
@@ -415,7 +424,7 @@ class Supervisor:
             self._reported_fault = fault
             if fault is not None:
                 log.error("%s", fault)
-        controller = self.arm.controller if self.arm is not None else None
+        controller = self._controller
         if fault is not None and fault.code in RELAXING and controller is not None and controller.torque_enabled:
             self._relax()
 
@@ -428,7 +437,7 @@ class Supervisor:
             self._log_silence(now_s)
         self._server_lost = lost
         end = self._config.on_server_lost if lost and self._end is None else self._end
-        controller = self.arm.controller if self.arm is not None else None
+        controller = self._controller
         if controller is None:
             return
         if self._parking.begun and end is not EndState.PARK:
@@ -451,7 +460,7 @@ class Supervisor:
 
     def _consequence(self, end: EndState) -> str:
         """Describe the arm's reaction to the loss of the server, for the log."""
-        controller = self.arm.controller if self.arm is not None else None
+        controller = self._controller
         if controller is not None and controller.moving:
             return "stopping"
         if controller is not None and controller.torque_enabled and end is not EndState.HOLD:

@@ -71,7 +71,7 @@ def joint_motion(element: ET.Element, position: float) -> Vector:
 
 
 def shift_origin(element: ET.Element, position: float) -> None:
-    """Move the origin of a URDF <joint> to where its position is the one given [rad, or m of a prismatic joint]."""
+    """Move the origin of a URDF <joint> by a position [rad, or m of a prismatic joint], which becomes its zero."""
     transform = origin_transform(element) @ joint_motion(element, position)
     origin = element.find("origin")
     if origin is None:

@@ -55,7 +55,7 @@ def find_mesh(name: str, directory: Path | None, packages: Sequence[Path]) -> Pa
 
 
 def check_meshes(urdf: str, source: str, directory: Path, packages: Sequence[Path]) -> None:
-    """Check that the meshes of collisions are there; those that are only seen are missed in the log."""
+    """Check that the meshes of collisions are there; missing visual meshes are logged."""
     unseen = []
     for link in ET.fromstring(urdf).iterfind("link"):  # noqa: S314 - already parsed by robot.description.urdf
         for use in ("collision", "visual"):

@@ -30,7 +30,7 @@ CLOSED_STATES = ("closed", "close")
 # State in which an arm is parked that names none.
 PARK_STATE = "rest"
 
-# Groups that are the gripper where no end effector says so, as Panda's.
+# Names of a gripper's group in an SRDF without end effector, as Panda's.
 GRIPPER_GROUPS = ("gripper", "hand")
 
 
@@ -78,7 +78,7 @@ class RobotModel:
     # Link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in the link's
     # frame; for the cases in which a hull is too wide.
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
-    # Link name -> its surface; for the cases in which its parts are too wide.
+    # Link name -> its surface, which decides what is inside the link.
     surfaces: Mapping[str, LinkSurface] = field(default_factory=dict)
     # Name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
     planning_frame: str = ""
@@ -106,18 +106,13 @@ def load(
     limits: Mapping[str, JointLimits] = NO_LIMITS,
     *,
     held: Mapping[str, float] = NONE_HELD,
-    hulls: Mapping[str, Hull] | None = None,
-    parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
-    surfaces: Mapping[str, LinkSurface] | None = None,
+    needs_meshes: bool = True,
 ) -> RobotModel:
     """Read a robot from files.
 
     Args:
         package_directories: folders for ``package://``, beside those of the ROS environment and around the URDF.
-        hulls: see :class:`RobotModel`; with them the meshes need not be there.
-
-    Raises:
-        DescriptionError: a file cannot be read or does not describe an arm, or a mesh is not there.
+        needs_meshes: False for a robot that gets hulls, so that its meshes need not be there.
     """
     return parse(
         _text(urdf_path),
@@ -126,9 +121,7 @@ def load(
         package_directories=(*package_directories, *package_path(os.environ)),
         limits=limits,
         held=held,
-        hulls=hulls,
-        parts=parts,
-        surfaces=surfaces,
+        needs_meshes=needs_meshes,
         sources=(f"URDF {urdf_path}", f"SRDF {srdf_path}"),
     )
 
@@ -139,11 +132,9 @@ def parse(
     *,
     mesh_directory: Path | None = None,
     package_directories: tuple[Path, ...] = (),
-    hulls: Mapping[str, Hull] | None = None,
-    parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
-    surfaces: Mapping[str, LinkSurface] | None = None,
     limits: Mapping[str, JointLimits] = NO_LIMITS,
     held: Mapping[str, float] = NONE_HELD,
+    needs_meshes: bool = True,
     sources: tuple[str, str] = ("URDF", "SRDF"),
 ) -> RobotModel:
     """Read a robot from the texts of its URDF and SRDF.
@@ -151,11 +142,8 @@ def parse(
     Args:
         limits: limits by joint that replace those of the URDF.
         held: joints that are not driven, and the positions at which they stay; they become fixed [rad or m].
+        needs_meshes: True to check that the meshes are there, where they have a directory.
         sources: names of the URDF and of the SRDF, for errors.
-
-    Raises:
-        DescriptionError: a text does not parse, or misses what planning needs; with a mesh directory and without
-            hulls, a mesh is not there.
     """
     tree = read_urdf(urdf, sources[0], limits)
     semantics = read_srdf(srdf, sources[1], tree)
@@ -163,7 +151,7 @@ def parse(
         urdf = with_fixed_joints(urdf, {**still, **_following_positions(tree, still)})
         tree = read_urdf(urdf, sources[0], limits)
         semantics = read_srdf(srdf, sources[1], tree)
-    if mesh_directory is not None and not hulls:
+    if mesh_directory is not None and needs_meshes:
         check_meshes(urdf, sources[0], mesh_directory, package_directories)
     default_group = _default_group(semantics)
     return RobotModel(
@@ -177,9 +165,6 @@ def parse(
         disabled_pairs=semantics.disabled_pairs,
         mesh_directory=mesh_directory,
         package_directories=package_directories,
-        hulls=hulls or {},
-        parts=parts or {},
-        surfaces=surfaces or {},
         planning_frame=semantics.planning_frame,
         gripper=_gripper(semantics, tree.joints, default_group),
         default_group=default_group,

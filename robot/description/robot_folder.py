@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -123,33 +124,27 @@ def load(
     urdf = urdf or found.of(lambda: _description_file(folder, file.robot.urdf, "urdf"), None)
     srdf = srdf or found.of(lambda: _description_file(folder, file.robot.srdf, "srdf"), None)
     packages = (*package_directories, *((folder / package).resolve() for package in file.robot.packages))
-    hulls: dict[str, Hull] = {}
-    parts: dict[str, tuple[NDArray[np.float64], ...]] = {}
-    surfaces: dict[str, LinkSurface] = {}
-    if own and (hulls_file := file.robot.hulls) is not None:
-        hulls = found.of(lambda: _hulls(folder / hulls_file), hulls)
-    if own and (parts_file := file.robot.parts) is not None:
-        parts = found.of(lambda: _parts(folder / parts_file), parts)
-    if own and (surfaces_file := file.robot.surfaces) is not None:
-        surfaces = found.of(lambda: _surfaces((folder / surfaces_file).resolve()), surfaces)
-    arm = None
-    if urdf is not None and srdf is not None:
-        described = urdf, srdf
-        arm = found.of(
-            lambda: model.load(*described, packages, limits, hulls=hulls, parts=parts, surfaces=surfaces), None
-        )
+    shapes: dict[str, Any] = {}
+    readers: dict[str, Callable[[Path], Any]] = {"hulls": _hulls, "parts": _parts, "surfaces": _surfaces}
+    for key, read in readers.items():
+        named: Path | None = getattr(file.robot, key)
+        if own and named is not None:
+            shapes[key] = found.of(partial(read, (folder / named).resolve()), {})
+    if urdf is None or srdf is None:
+        raise found.error()
+    describe = partial(model.load, urdf, srdf, packages, limits, needs_meshes=not shapes.get("hulls"))
+    arm = found.of(describe, None)
     if arm is None:
         raise found.error()
-    found.add(_unknown_names(file, arm))
+    found.add(_unknown_names(file, replace(arm, **shapes)))
     if found:
         raise found.error()
     if file.held_joints:
-        arm = model.load(
-            *described, packages, limits, held=file.held_joints, hulls=hulls, parts=parts, surfaces=surfaces
-        )
+        arm = describe(held=file.held_joints)
     group = file.planning.group or arm.default_group
     arm = replace(
         arm,
+        **shapes,
         gripper=arm.gripper if file.gripper is None else _gripper(file.gripper),
         default_group=group,
         tip_link=file.planning.tip or arm.groups[group].tip_link,
@@ -212,7 +207,7 @@ def _limits(folder: Path, file: RobotFile) -> dict[str, JointLimits]:
 
 def moveit_limits(path: Path) -> dict[str, JointLimits]:
     """Read MoveIt's joint_limits.yaml (MoveIt's tutorial on the RobotModel's limits and joint_limits_aggregator)."""
-    # Imported when it is needed: most arms have no such file.
+    # Imported where it is needed: most arms have no joint_limits.yaml.
     import yaml
 
     try:

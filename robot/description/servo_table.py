@@ -58,9 +58,9 @@ class HardwareTable:
     """Hardware of an arm."""
 
     kind: HardwareKind = "ideal"  # kind of its servos; `ideal` for joints without servos
-    servos: tuple[ServoSpec, ...] = ()  # its servos, whose order is that of every array; empty for ideal joints
+    servos: tuple[ServoSpec, ...] = ()  # its servos, in the order of every array; empty for ideal joints
     baud: int = 1_000_000
-    # Folders in which lerobot keeps calibrations of such arms, the newest name first.
+    # Folders in which lerobot keeps calibrations of the arm, the newest name first.
     calibrations: tuple[str, ...] = ()
-    # Settings of its servos; None for those of the factory or of lerobot, whichever are nearer.
+    # Settings of its servos; None for the factory's or lerobot's, whichever are nearer.
     profile: ProfileSpec | None = None

@@ -17,7 +17,7 @@ class Group:
 
     name: str
     joints: tuple[str, ...]  # joints with a position of their own, from the root outwards
-    base_link: str  # link from which the joints' chain starts; that of the first joint where they are not a chain
+    base_link: str  # link from which the chain starts; without a chain, the parent of the first joint
     tip_link: str  # link to which the chain leads; empty where the joints are not one chain
 
 

@@ -21,7 +21,7 @@ DEFAULT_TIME_TO_FULL_SPEED_S = 0.4
 
 @dataclass(frozen=True)
 class Mimic:
-    """Joint that follows another one: its position is ``multiplier`` times that of ``joint``, plus ``offset``."""
+    """Joint that follows ``joint``: at ``multiplier`` times its position, plus ``offset``."""
 
     joint: str
     multiplier: float
@@ -69,7 +69,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of a joint from beside the URDF, whose own they replace; None for those that stay."""
+    """Limits of a joint that replace the URDF's, in the units of :class:`Joint`; None for a limit that stays."""
 
     lower: float | None = None
     upper: float | None = None

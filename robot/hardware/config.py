@@ -47,12 +47,7 @@ class _SimulatedConfig:
     driven: bool = False  # True if the joints start with torque on, as an arm process leaves them
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
-        """Return the joints as an arm process that has ended left them: real ones would have stayed.
-
-        Args:
-            position_rad: joint -> position that the process reported last [rad]; other joints keep their start.
-            driven: True if their torque was on.
-        """
+        """Return the joints at the positions that an arm process reported last [rad]: real ones would have stayed."""
         return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven)
 
 

@@ -138,24 +138,17 @@ class HardwareInterface(ABC):
 
     Args:
         joint_names: order of every array.
-        full_torque: share of full duty that each joint may use at most, shape (joints,).
-
-    Attributes:
-        joint_names: as given.
-        full_torque: as given; a survey lowers it to what the actuators are set to give.
-        needs_survey: True from the first write of a calibration until the next survey; :meth:`enable` is refused.
-        latched_status: status flags that last until :meth:`clear_overloads` clears them.
-        counters: events on the bus; None for hardware without one.
-        round_trips_s: durations of the latest reads [s].
+        full_torque: share of full duty that each joint may use at most, shape (joints,); a survey lowers it to what the
+            actuators are set to give.
     """
 
     def __init__(self, joint_names: tuple[str, ...], full_torque: Vector) -> None:
         self.joint_names = joint_names
         self.full_torque = full_torque
-        self.needs_survey = False
-        self.latched_status = StatusFlag.OVERLOAD
-        self.counters: BusCounters | None = None
-        self.round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS_KEPT)
+        self.needs_survey = False  # from the first write of a calibration until the next survey; enabling is refused
+        self.latched_status = StatusFlag.OVERLOAD  # status flags that last until they are cleared
+        self.counters: BusCounters | None = None  # events on the bus; None for hardware without one
+        self.round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS_KEPT)  # durations of the latest reads
 
     @abstractmethod
     def survey(self) -> Steps[Survey]:
@@ -177,34 +170,22 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def write_torque_shares(self, torque_share: Vector) -> None:
-        """Write the joints' torque limits where they have changed.
-
-        Args:
-            torque_share: shares of full motor duty, 0 to 1, shape (joints,).
-        """
+        """Write the joints' torque limits where they have changed: shares of full duty, 0 to 1, shape (joints,)."""
 
     @abstractmethod
     def check(self, stamp_s: float) -> Fault | None:
         """Check one joint's actuator, in turn, against what was written to it; None when it agrees or none is due.
 
-        Args:
-            stamp_s: wall-clock time for the fault [s since the epoch].
+        The fault has the wall-clock time ``stamp_s`` [s since the epoch].
         """
 
     @abstractmethod
     def driven(self) -> Steps[Flags]:
-        """Read the joints whose torque is on, shape (joints,).
-
-        Raises:
-            NoReply: a joint does not answer.
-        """
+        """Read the joints whose torque is on, shape (joints,); raises NoReply."""
 
     @abstractmethod
     def enable(self, joints: Sequence[int]) -> Steps[Vector]:
-        """Switch torque on without a jump; joints that hold already keep their goals.
-
-        Args:
-            joints: indices in the arrays; the others are only read.
+        """Switch torque on at some indices without a jump; joints that hold already keep their goals.
 
         Returns:
             Goals of all joints, positions for those that do not hold, shape (joints,) [rad].
@@ -217,24 +198,16 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def relax(self, torque_share: Vector) -> Steps[list[str]]:
-        """Lower the torque, then switch it off and verify that.
+        """Lower the torque from some shares on, shape (joints,), then switch it off and verify that.
 
-        Args:
-            torque_share: shares to begin with, shape (joints,).
-
-        Returns:
-            Labels of the joints that may still be driven.
+        Return the labels of joints that may still be driven.
         """
 
     @abstractmethod
     def switch_off(self, joints: Sequence[int] | None = None) -> Steps[list[str]]:
-        """Switch torque off and verify that.
+        """Switch torque off at some indices, or everywhere, and verify that.
 
-        Args:
-            joints: indices in the arrays; None for all.
-
-        Returns:
-            Labels of the joints that may still be driven.
+        Return the labels of joints that may still be driven.
         """
 
     @abstractmethod
@@ -243,11 +216,7 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:
-        """Clear latched overloads, and what else is latched: torque off, and on again at the present position.
-
-        Args:
-            joints: indices of the joints with a status of :attr:`latched_status`.
-            hold: True if the arm holds; otherwise torque is off at the end.
+        """Clear the status flags of :attr:`latched_status` at some indices, where the joints are.
 
         Returns:
             Goals of all joints, shape (joints,) [rad]; None when nothing holds.
@@ -260,11 +229,7 @@ class HardwareInterface(ABC):
     def write_calibration(self, calibration: Calibration) -> Steps[str]:  # noqa: ARG002 - for those who can
         """Write a calibration into the actuators, whose torque is off; positions keep the old one until a restart.
 
-        Args:
-            calibration: calibration of the same actuators.
-
-        Returns:
-            Sentence on what was written.
+        Return a sentence on what was written.
 
         Raises:
             OrderRefused: these actuators keep no calibration of this kind.
@@ -288,14 +253,9 @@ class HardwareInterface(ABC):
 
 
 def run_to_end(steps: Steps[Result], wait: Callable[[float], None] = time.sleep) -> Result:
-    """Run a sequence to its end, on hardware without a control loop, as the command line does.
+    """Run a sequence to its end and return its result, on hardware without a control loop, as the command line does.
 
-    Args:
-        steps: the sequence; its exceptions propagate.
-        wait: waits for a time [s].
-
-    Returns:
-        Result of the sequence.
+    Exceptions of the sequence propagate; ``wait`` waits for a time [s].
     """
     while True:
         try:

@@ -17,8 +17,7 @@ from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import Register
-from robot.hardware.feetech.settings import PERMILLE
+from robot.hardware.feetech.registers import PERMILLE, Register
 from robot.hardware.interface import run_to_end, status_names
 from robot.hardware.port import resolve_port
 from robot.hardware.servos.family import Limit

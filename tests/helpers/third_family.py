@@ -9,8 +9,9 @@ from robot.errors import StartupError
 from robot.hardware.interface import Steps
 from robot.hardware.port import BusPort
 from robot.hardware.servos.bus import BROADCAST_ID, Sdk, ServoBus, StatusFrame, write_verified
-from robot.hardware.servos.family import Limit, Reading, ServoFamily, ServoFound, Values, label
+from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, label
 from robot.hardware.servos.registers import TWOS_COMPLEMENT, Area, Block, RegisterEnum, RegisterTable
+from robot.hardware.servos.telemetry import Telemetry
 
 
 class Register(RegisterEnum):
@@ -118,9 +119,9 @@ class Third(ServoFamily):
     def max_voltage_v(self, values: Values) -> float:
         return 8.4
 
-    def parse_reading(self, frame: StatusFrame, joint: JointCalibration) -> Reading:
+    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
         values = TABLE.parse(self.motion, frame.data)
-        return Reading(
+        return Telemetry(
             position_ticks=values[Register.PRESENT_POSITION],
             velocity_ticks_s=values[Register.PRESENT_SPEED],
             load=values[Register.PRESENT_DUTY] / FULL_PERCENT,

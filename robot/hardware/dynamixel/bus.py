@@ -77,7 +77,6 @@ class Bus(ServoBus):
 def reboot(bus: ServoBus, servo_id: int) -> None:
     """Reboot a servo: torque off, RAM as after power-up, latched errors cleared; it answers again a while later.
 
-    Raises:
-        NoReply: the servo did not acknowledge; it may reboot nevertheless.
+    NoReply: the servo did not acknowledge, but may reboot nevertheless.
     """
     bus.ask(servo_id, instruction_packet(servo_id, INST_REBOOT), attempts=1)

@@ -39,9 +39,10 @@ from robot.hardware.dynamixel.registers import (
 )
 from robot.hardware.interface import StatusFlag, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame, read, write_verified
-from robot.hardware.servos.family import Limit, Reading, ServoFamily, ServoFound, Values, Watchdog, label
+from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, Watchdog, label
 from robot.hardware.servos.registers import Block
 from robot.hardware.servos.survey import limits_warnings
+from robot.hardware.servos.telemetry import Telemetry
 
 # Register PROFILE_ACCELERATION, 39 rad/s^2: smoothness comes from the trajectory, and any less adds lag.
 PROFILE_ACCELERATION = round(25400 / TICKS_S2_PER_ACCELERATION_UNIT)
@@ -159,18 +160,18 @@ class Dynamixel(ServoFamily):
         """Return True for a firmware that has the bus watchdog."""
         return values[Register.FIRMWARE_VERSION] >= model_of(joint).watchdog_firmware
 
-    def parse_reading(self, frame: StatusFrame, joint: JointCalibration) -> Reading:
+    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
         """Parse registers 124 to 135, or to 146 with supply and temperature."""
         pwm, current, velocity, position = _MOTION.unpack_from(frame.data)
-        volts, temperature_c = None, None
+        volts, temperature_c = math.nan, math.nan
         if len(frame.data) == TELEMETRY.length:
             volts, temperature_c = _SUPPLY.unpack_from(frame.data, _SUPPLY_AT)
-        return Reading(
+        return Telemetry(
             position_ticks=position,
             velocity_ticks_s=velocity * TICKS_S_PER_VELOCITY_UNIT,
             load=pwm / FULL_PWM,
             current_a=current * AMPERE_PER_UNIT if model_of(joint).has_current else math.nan,
-            voltage_v=None if volts is None else volts * VOLT_PER_UNIT,
+            voltage_v=volts * VOLT_PER_UNIT,
             temperature_c=temperature_c,
             reports_error=bool(frame.error & ALERT),
         )

@@ -1,4 +1,4 @@
-"""Feetech's bus: packets of ``scservo_sdk``, and replies that are told apart by their length.
+"""Feetech's bus: packets of ``scservo_sdk``, and replies that are distinguished by their length.
 
 Nothing in a reply identifies the instruction that it answers. So instructions are distinguished by the number of bytes
 that they ask for:
@@ -65,12 +65,9 @@ class Bus(ServoBus):
         self._padding_is_safe = True
 
     def broadcast_ping(self) -> dict[int, int]:
-        """Ping all servos; takes 0.8 s.
+        """Ping all servos, which takes 0.8 s; return the error byte of each servo with a valid reply, by id.
 
         Two servos with the same id reply at once: their bytes count as ``discarded_bytes``.
-
-        Returns:
-            Error byte of each servo with a valid reply, by its id.
         """
         self._await_quiet()
         self._send(instruction_packet(BROADCAST_ID, INST_PING))

@@ -37,18 +37,10 @@ def read_differences(bus: ServoBus, calibration: Calibration) -> Steps[list[Diff
 
 
 def write_to_servos(bus: ServoBus, changes: Sequence[Difference]) -> Steps[None]:
-    """Write a calibration to the servos, as a sequence; EPROM wears, so only what differs is written.
+    """Write a calibration to servos without torque, as a sequence; EPROM wears, so only what differs is written.
 
     A servo takes all of its changes or, after an error or when the sequence is given up, none, as far as it answers.
-    Its EPROM is locked again in either case.
-
-    Args:
-        bus: an open bus; the servos' torque must be off, since a new homing offset moves their goal.
-        changes: result of :func:`read_differences`.
-
-    Raises:
-        StartupError: a servo keeps another value.
-        NoReply: a servo gave no valid reply.
+    Its EPROM is locked again in either case. Raises StartupError for a servo that keeps another value, and NoReply.
     """
     for servo_id in dict.fromkeys(change.servo_id for change in changes):
         own = [change for change in changes if change.servo_id == servo_id]

@@ -22,18 +22,20 @@ from robot.hardware.feetech.registers import (
     CONTROL,
     GOAL_ADDRESS,
     MODELS,
+    PERMILLE,
     STALL_CURRENT_A,
     TABLE,
     Register,
     goal_block,
     parse_telemetry,
 )
-from robot.hardware.feetech.settings import PERMILLE, SETTINGS, SETTINGS_BLOCK, ServoSettings
+from robot.hardware.feetech.settings import SETTINGS, SETTINGS_BLOCK, ServoSettings
 from robot.hardware.interface import FREE_SPEED_RAD_S, Actuation, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame, write_verified
-from robot.hardware.servos.family import Difference, Limit, Reading, ServoFamily, ServoFound, Values, label
+from robot.hardware.servos.family import Difference, Limit, ServoFamily, ServoFound, Values, label
 from robot.hardware.servos.registers import Block
 from robot.hardware.servos.survey import limits_warnings
+from robot.hardware.servos.telemetry import Telemetry
 
 # Register ACCELERATION: its largest value, 39 rad/s^2. Smoothness comes from the trajectory, and any less adds lag.
 ACCELERATION = 254
@@ -52,11 +54,7 @@ _GOAL_END = _GOAL_AT + TABLE.layout[Register.GOAL_POSITION].size
 
 
 class Feetech(ServoFamily):
-    """Servos of one arm.
-
-    Args:
-        profile: settings that the servos should have; None for those of the known profile that is nearest.
-    """
+    """Servos of one arm, with the settings that they should have; by default the nearest known profile's."""
 
     bus = Bus
     registers = TABLE
@@ -69,7 +67,7 @@ class Feetech(ServoFamily):
         "calibrate the arm (armbridge calibrate NAME) and name the calibration (arm.calibration, --calibration NAME)"
     )
     recalibrate_advice = (
-        "Either calibrate the arm anew (armbridge calibrate NAME --write-servos), or write the calibrated offsets and "
+        "Either calibrate the arm again (armbridge calibrate NAME --write-servos), or write the calibrated offsets and "
         "limits back (armbridge calibrate NAME --write-back)"
     )
 
@@ -146,18 +144,11 @@ class Feetech(ServoFamily):
         """Return identity and EPROM."""
         return {register.name: values[register] for register in SETTINGS}
 
-    def parse_reading(self, frame: StatusFrame, joint: JointCalibration) -> Reading:  # noqa: ARG002 - the same for all
+    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:  # noqa: ARG002 - the same for all
         """Parse registers 56 to 70; the error byte of the reply has status flags too."""
-        told = parse_telemetry(frame.data)
-        return Reading(
-            position_ticks=told.position_ticks,
-            velocity_ticks_s=told.velocity_ticks_s,
-            load=told.load_permille / PERMILLE,
-            current_a=told.current_a,
-            voltage_v=told.voltage_v,
-            temperature_c=told.temperature_c,
-            status=told.status | frame.error,
-        )
+        telemetry = parse_telemetry(frame.data)
+        telemetry.status |= frame.error
+        return telemetry
 
     def around_goal(self, speed_ticks_s: float) -> tuple[bytes, bytes]:
         """Return acceleration, and time and velocity cap."""

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 from robot.hardware.servos.registers import Area as Area
 from robot.hardware.servos.registers import RegisterEnum, RegisterTable
+from robot.hardware.servos.telemetry import Telemetry as Telemetry
 
 READ_ONLY, EEPROM, RAM = Area.READ_ONLY, Area.EEPROM, Area.RAM
 
@@ -79,6 +79,7 @@ GOAL_ADDRESS = Register.ACCELERATION
 
 
 VOLT_PER_UNIT = 0.1
+PERMILLE = 1000.0
 AMPERE_PER_UNIT = 0.0065
 
 # Current of a stalled STS3215 C001 at full duty (Feetech's data sheet: 2.4 A at 6 V, 2.7 A at 7.4 V).
@@ -95,62 +96,36 @@ value_range, encode, decode = TABLE.value_range, TABLE.encode, TABLE.decode
 CONTROL = TABLE.block(Register.TORQUE_ENABLE, Register.LOCK)
 CONTROL_ADDRESS, CONTROL_BYTES = CONTROL.address, CONTROL.length
 
-# The telemetry block as one struct, parsed hundreds of times a second; the byte without a name is the async flag.
-_TELEMETRY = struct.Struct("<HHHBBBBBHH")
+# The telemetry block as one struct, parsed hundreds of times a second, without the async flag, MOVING and the
+# echo of the goal.
+_TELEMETRY = struct.Struct("<HHHBBxBxxxH")
 _SIGN_10, _SIGN_15 = 1 << 10, 1 << 15
 
 
-# Six hundred are created a second, and a frozen one takes three times as long.
-@dataclass(slots=True)
-class Telemetry:
-    """Measurements of a servo, registers 56 to 70."""
-
-    position_ticks: int  # present position, 4096 ticks per turn
-    velocity_ticks_s: int  # present velocity [ticks/s]
-    load_permille: int  # motor duty, signed [0.1 %]
-    voltage_v: float  # supply [V]
-    temperature_c: int  # temperature of the motor's housing [degC]
-    status: int  # bits of :class:`robot.hardware.interface.StatusFlag`
-    moving: bool  # True while the servo is on its way to a goal
-    goal_ticks_echo: int  # goal that it follows
-    current_a: float  # motor current, signed [A]
-
-
 def parse_telemetry(data: bytes) -> Telemetry:
-    """Parse the telemetry block, ``TELEMETRY_BYTES`` from ``TELEMETRY_ADDRESS`` on.
-
-    Raises:
-        ValueError: ``data`` has another length.
-    """
+    """Parse the telemetry block, ``TELEMETRY_BYTES`` from ``TELEMETRY_ADDRESS`` on."""
     if len(data) != TELEMETRY_BYTES:
         raise ValueError(f"the telemetry block has {TELEMETRY_BYTES} bytes, not {len(data)}")
 
-    position, velocity, load, volts, temperature, _, status, moving, echo, current = _TELEMETRY.unpack(data)
+    position, velocity, load, volts, temperature, status, current = _TELEMETRY.unpack(data)
     # Sign and magnitude; bits above the sign are ignored.
-    magnitude = load & (_SIGN_10 - 1)
+    duty = (load & (_SIGN_10 - 1)) / PERMILLE
     return Telemetry(
         position_ticks=position if position < _SIGN_15 else _SIGN_15 - position,
         velocity_ticks_s=velocity if velocity < _SIGN_15 else _SIGN_15 - velocity,
-        load_permille=-magnitude if load & _SIGN_10 else magnitude,
+        load=-duty if load & _SIGN_10 else duty,
+        current_a=(current if current < _SIGN_15 else _SIGN_15 - current) * AMPERE_PER_UNIT,
         voltage_v=volts * VOLT_PER_UNIT,
         temperature_c=temperature,
         status=status,
-        moving=moving != 0,
-        goal_ticks_echo=echo if echo < _SIGN_15 else _SIGN_15 - echo,
-        current_a=(current if current < _SIGN_15 else _SIGN_15 - current) * AMPERE_PER_UNIT,
     )
 
 
 def goal_block(goal_ticks: int, velocity_ticks_s: int, acceleration: int = 254) -> bytes:
     """Build registers 41 to 47: goal, velocity cap and acceleration.
 
-    Args:
-        goal_ticks: goal position.
-        velocity_ticks_s: velocity cap [ticks/s]; 0 means as fast as the servo can.
-        acceleration: in 100 ticks/s^2, at most 254; the default lags least behind a streamed goal.
-
-    Raises:
-        ValueError: a register cannot hold its value.
+    A velocity of 0 means as fast as the servo can; the default acceleration [100 ticks/s^2] lags least behind a
+    streamed goal.
     """
     return (
         encode(Register.ACCELERATION, acceleration)

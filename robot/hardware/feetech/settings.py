@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
     LAYOUT,
+    PERMILLE,
     VOLT_PER_UNIT,
     Area,
     Register,
@@ -28,7 +29,6 @@ EPROM = tuple(register for register in SETTINGS if LAYOUT[register].area is Area
 # All settings in one transaction. Its even length keeps it apart from the telemetry's.
 SETTINGS_BLOCK = Block(SETTINGS_ADDRESS, SETTINGS_BYTES, SETTINGS)
 
-PERMILLE = 1000.0
 PERCENT = 100.0
 
 # Unit of register PROTECTION_TIME.

@@ -62,17 +62,9 @@ class Sdk(Protocol):
 
 
 class ServoBus(ABC):
-    """Bus of any number of servos on one port.
+    """Bus of any number of servos on an open port, which it closes; the clock is the port's [s].
 
-    Every method raises PortLost when the port is gone.
-
-    Args:
-        port: an open port, which the bus closes.
-        clock: monotonic time of the port [s].
-
-    Attributes:
-        registers: registers of the servos.
-        counters: events since the bus was opened.
+    Every method raises PortLost when the port is gone, and NoReply when a servo gives no valid reply.
     """
 
     registers: ClassVar[RegisterTable[Any]]
@@ -84,7 +76,7 @@ class ServoBus(ABC):
         self._sdk = self._make_sdk()
         self._disturbed = True  # an earlier process may have left replies on the line
         self._line_free_s = self._last_byte_s = clock()
-        # The latest replies and their frames: those of an arm at rest repeat.
+        # The latest replies and their frames: the replies of an arm at rest repeat.
         self._replied: tuple[bytes, tuple[int, ...], int] = (b"", (), 0)
         self._replied_frames: dict[int, StatusFrame] = {}
         self._written: dict[int, bytes] = {}
@@ -156,16 +148,7 @@ class ServoBus(ABC):
         return self.read(servo_id, self.registers.model_number, attempts)
 
     def read(self, servo_id: int, register: IntEnum, attempts: int = ATTEMPTS) -> int:
-        """Read one register.
-
-        Args:
-            servo_id: id of the servo.
-            register: register to read.
-            attempts: number of attempts; a silent servo costs up to 9 ms each time.
-
-        Raises:
-            NoReply: the servo gave no valid reply.
-        """
+        """Read one register; a silent servo costs up to 9 ms an attempt."""
         size = self.registers.layout[register].size
         for attempt in range(attempts):
             self._await_quiet()
@@ -178,30 +161,18 @@ class ServoBus(ABC):
         raise NoReply(servo_id, attempts)
 
     def write(self, servo_id: int, register: IntEnum, value: int, attempts: int = ATTEMPTS) -> int:
-        """Write one register and wait for the acknowledgement.
+        """Write one register and return the number of the error that the servo reports, 0 for none.
 
-        An acknowledgement does not repeat the value: values that matter for safety must be read back.
-
-        Returns:
-            Number of the error that the servo reports, 0 for none.
-
-        Raises:
-            NoReply: the servo did not acknowledge; it may have taken the value.
-            ValueError: the register cannot hold the value.
+        An acknowledgement does not repeat the value: values that matter for safety must be read back. Without one the
+        servo may have taken the value. Raises ValueError for a value that the register cannot hold.
         """
         packet = self._write_packet(servo_id, register, self.registers.encode(register, value))
         return self._instruction_error(self.ask(servo_id, packet, attempts).error)
 
     def sync_read(self, ids: Sequence[int], address: int, length: int) -> dict[int, StatusFrame]:
-        """Read the same block of several servos in one transaction.
+        """Read the same block of several servos in one transaction, in the order of the ids.
 
-        Args:
-            ids: in the order of the replies.
-            address: first register of the block.
-            length: bytes of the block.
-
-        Returns:
-            Valid replies that came in time, by id.
+        Return the valid replies that came in time, by id.
         """
         self._await_quiet()
         return self._exchange(self._sync_read_packet(ids, address, length), ids, length)
@@ -214,12 +185,7 @@ class ServoBus(ABC):
     def sync_write(self, address: int, data_by_id: dict[int, bytes]) -> None:
         """Write the same block of several servos in one packet, which none of them acknowledges.
 
-        Args:
-            address: first register of the block.
-            data_by_id: bytes for each servo, all of one length; the dict must not be changed afterwards.
-
-        Raises:
-            ValueError: the data differ in length, or cannot be sent.
+        The bytes by id are all of one length; the dict must not be changed afterwards.
         """
         if data_by_id is not self._written or address != self._written_address:
             self._written_packet = self._sync_write_packet(address, data_by_id)
@@ -346,9 +312,7 @@ def read_registers(bus: ServoBus, servo_id: int, block: Block[Any]) -> Steps[dic
 def write_verified(bus: ServoBus, servo_id: int, register: IntEnum, value: int) -> Steps[None]:
     """Write a register until it reads back, as a sequence: the reply to a write that worked may be lost.
 
-    Raises:
-        StartupError: the servo keeps another value.
-        NoReply: the servo gave no valid reply.
+    Raises StartupError for a servo that keeps another value, and NoReply.
     """
     error = 0
     for attempt in range(STEP_ATTEMPTS):

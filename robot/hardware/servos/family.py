@@ -18,6 +18,7 @@ from robot.errors import OrderRefused
 from robot.hardware.interface import CALIBRATION_NOT_KEPT, Actuation, StatusFlag, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame
 from robot.hardware.servos.registers import Block, RegisterTable
+from robot.hardware.servos.telemetry import Telemetry
 
 Values: TypeAlias = Mapping[Any, int]
 """Values of registers."""
@@ -37,22 +38,6 @@ class Watchdog(NamedTuple):
     armed: int  # value that arms it
     tripped: int  # value that it has after it has stopped the servo
     silence_s: float  # time without an instruction that trips it [s]
-
-
-# Six hundred are created a second, and a frozen one takes three times as long.
-@dataclass(slots=True)
-class Reading:
-    """Measurements of one servo; signs are of the servo's rotation."""
-
-    position_ticks: int  # present position, with the turns that the servo has counted
-    velocity_ticks_s: float  # present velocity [ticks/s]
-    load: float  # share of full motor duty
-    current_a: float  # motor current; NaN for a servo that does not measure it [A]
-    voltage_v: float | None  # supply; None in a reply without it [V]
-    temperature_c: float | None  # temperature of the motor; None in a reply without it [degC]
-    status: int = 0  # bits of :class:`robot.hardware.interface.StatusFlag`
-    reports_error: bool = False  # True for a servo whose error register must be read
-    turns_ticks: int = 0  # whole turns to add to the position for the calibrated one
 
 
 @dataclass(frozen=True)
@@ -101,7 +86,7 @@ class ServoFamily(ABC):
     none_answers_advice: ClassVar[str] = ": is the arm powered?"  # likely cause when no servo answers
     # What to do with an arm without calibration, and with one whose servos have another calibration.
     calibrate_advice: ClassVar[str] = "name a calibration (arm.calibration, --calibration NAME)"
-    recalibrate_advice: ClassVar[str] = "Write the calibration to the servos, or calibrate the arm anew"
+    recalibrate_advice: ClassVar[str] = "Write the calibration to the servos, or calibrate the arm again"
 
     # Survey.
 
@@ -137,12 +122,7 @@ class ServoFamily(ABC):
         values: Values,
         certain_ticks: tuple[int, int],  # noqa: ARG002 - for families that count turns
     ) -> tuple[int, int]:
-        """Return the lowest and highest goal that a servo takes [ticks].
-
-        Args:
-            values: its registers.
-            certain_ticks: positions between which its turns are certain.
-        """
+        """Return the lowest and highest goal that a servo takes, where its turns are certain [ticks]."""
         return self.position_limits_ticks(values)
 
     @abstractmethod
@@ -164,7 +144,7 @@ class ServoFamily(ABC):
     # Driving.
 
     @abstractmethod
-    def parse_reading(self, frame: StatusFrame, joint: JointCalibration) -> Reading:
+    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
         """Parse the reply to a read of :attr:`motion` or :attr:`telemetry`."""
 
     def status_of(self, error: int) -> StatusFlag:
@@ -172,11 +152,7 @@ class ServoFamily(ABC):
         return StatusFlag(error)
 
     def around_goal(self, speed_ticks_s: float) -> tuple[bytes, bytes]:  # noqa: ARG002 - for families with caps
-        """Return the bytes before and after a goal in the block at :attr:`goal_address`.
-
-        Args:
-            speed_ticks_s: speed with which the servo may follow [ticks/s].
-        """
+        """Return the bytes before and after a goal in the block at :attr:`goal_address`, for a speed [ticks/s]."""
         return b"", b""
 
     def profile(self, speed_ticks_s: float) -> Values:  # noqa: ARG002 - for families with profiles
@@ -196,19 +172,14 @@ class ServoFamily(ABC):
     def clear_error(self, bus: ServoBus, joint: JointCalibration) -> Steps[None]:
         """Clear a latched error; torque is off at the end.
 
-        Raises:
-            StartupError: the servo keeps it.
-            NoReply: the servo gave no valid reply.
+        Raises StartupError for a servo that keeps it, and NoReply.
         """
 
     @abstractmethod
     def has_restarted(self, found: ServoFound, values: Values, limit: Limit) -> bool:
-        """Return True for a driven servo whose registers are as after power-up.
+        """Return True for a driven servo whose registers are as after power-up, and not the limit that was written.
 
-        Args:
-            found: servo as surveyed.
-            values: registers of a block of :attr:`read_back`.
-            limit: limit that was written.
+        The values are of a block of :attr:`read_back`.
         """
 
     # Calibration.
@@ -216,8 +187,7 @@ class ServoFamily(ABC):
     def read_differences(self, bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:  # noqa: ARG002 - likewise
         """Compare a calibration with the servos' registers.
 
-        Raises:
-            OrderRefused: the servos keep no calibration of this kind.
+        Raises OrderRefused for servos that keep no calibration of this kind.
         """
         yield 0.0
         raise OrderRefused(CALIBRATION_NOT_KEPT)

@@ -38,15 +38,7 @@ TELEMETRY_EVERY = 10
 
 
 class SerialServos:
-    """Servos of an arm on a serial port, as a hardware source.
-
-    Args:
-        family: family of the servos.
-        config: port and calibration.
-        bounds: soft limits of the joints.
-        guard_limits: torque limits.
-        clock: time of the control loop [s].
-    """
+    """Servos of an arm on a serial port, as a hardware source."""
 
     def __init__(
         self,
@@ -69,20 +61,9 @@ class SerialServos:
 
 
 class ServoHardware(HardwareInterface):
-    """Servos of one arm on an open bus.
+    """Servos of one arm on an open bus, which it closes; emulated ones have no cable and supply to check.
 
-    Args:
-        family: family of the servos.
-        bus: the bus, which this closes.
-        calibration: joints, whose order is that of every array, and their servos.
-        bounds: soft limits of the joints.
-        guard_limits: torque limits.
-        clock: time of the control loop [s].
-        simulated: True for emulated servos, without cable and supply to check.
-
-    Attributes:
-        bus: as given.
-        servos: conversion between joints and servos.
+    The order of every array is that of the calibration's joints; the clock is the control loop's [s].
     """
 
     def __init__(
@@ -114,8 +95,9 @@ class ServoHardware(HardwareInterface):
         self._checks = RegisterChecks(family, self.servos, self._found)
         self._torque = ServoTorque(family, bus, self.servos, self._found, self._soft_ticks)
         self._was_enabled = False
-        # The latest goals with the turns of their servos, and their blocks.
+        # The latest goals and the turns of their servos, and their blocks.
         self._goals: list[float] = []
+        self._goal_turns_ticks: dict[int, int] = {}
         self._goal_blocks: dict[int, bytes] = {}
         self._shares: list[float] = []
         self._limits: dict[int, Limit] = {}
@@ -166,19 +148,17 @@ class ServoHardware(HardwareInterface):
     def write_goals(self, goal_rad: Vector) -> None:
         """Write the goals, also unchanged ones: a servo may have missed them, and its watchdog waits for them."""
         goals = goal_rad.tolist()
-        if self._family.counts_turns:
-            goals += map(self._tracker.turns_ticks, self.servos.ids)
-        if goals != self._goals:
-            self._goals = goals
-            self._goal_blocks = {
-                servo: self.servos.goal_block(servo, ticks - self._tracker.turns_ticks(servo))
-                for servo, ticks in self.servos.goals_ticks(goal_rad).items()
-            }
+        turns_ticks = self._tracker.turns_ticks()
+        if goals != self._goals or turns_ticks != self._goal_turns_ticks:
+            self._goals, self._goal_turns_ticks = goals, turns_ticks
+            self._goal_blocks = self.servos.goal_blocks(goal_rad, turns_ticks)
         self.bus.sync_write(self._family.goal_address, self._goal_blocks)
 
     def write_torque_shares(self, torque_share: Vector) -> None:
         """Write the torque limits that have changed."""
-        torque.write_limits(self.bus, self._checks.limits_to_write(self._limits_of(torque_share)))
+        changed = self._checks.limits_to_write(self._limits_of(torque_share))
+        if changed:
+            torque.write_limits(self.bus, changed)
 
     def check(self, stamp_s: float) -> Fault | None:
         """Read back registers of one servo, in turn."""

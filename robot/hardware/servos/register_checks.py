@@ -1,7 +1,7 @@
 """Comparison of driven servos' registers with what was written to them.
 
-A servo whose supply dips reboots, with torque off and its torque limit at the maximum, and one that its watchdog has
-stopped ignores its goals: telemetry shows neither. So the registers of one servo at a time are read back, in turn.
+A servo whose supply dips reboots, with torque off and its torque limit at the maximum. A servo that its watchdog has
+stopped ignores its goals. Telemetry shows neither, so the registers of one servo at a time are read back, in turn.
 """
 
 from __future__ import annotations
@@ -20,16 +20,7 @@ CYCLES_BETWEEN = 16
 
 
 class RegisterChecks:
-    """Register checks of an arm's servos.
-
-    Args:
-        family: family of the servos.
-        servos: servos of the arm.
-        found: servos as surveyed, by id; may be filled later.
-
-    Attributes:
-        torque_on: register TORQUE_ENABLE of each servo when it was last read back, by id.
-    """
+    """Register checks of an arm's servos, which are surveyed later."""
 
     def __init__(self, family: ServoFamily, servos: ServoMap, found: Mapping[int, ServoFound]) -> None:
         self._family = family
@@ -61,13 +52,8 @@ class RegisterChecks:
     def check(self, servo_id: int, values: Values, stamp_s: float) -> Fault | None:
         """Compare registers of a driven servo with what was written to it.
 
-        Args:
-            servo_id: id of the servo.
-            values: its registers of a block to read back.
-            stamp_s: wall-clock time [s since the epoch].
-
-        Returns:
-            Fault of a servo that has rebooted, was relaxed, or was stopped by its watchdog; None otherwise.
+        Return the fault, at a wall-clock time [s since the epoch], of a servo that has rebooted, was relaxed, or was
+        stopped by its watchdog.
         """
         limit, joint = self._expected.get(servo_id), self._servos.by_id[servo_id].joint
         torque_on = values.get(self._family.registers.torque_enable)
@@ -83,7 +69,7 @@ class RegisterChecks:
             if restarted or values.get(limit.register, limit.value) != limit.value:
                 self._expected.pop(servo_id)
             if restarted:
-                return Fault(FaultCode.SERVO_REBOOTED, f"the servo of joint {joint} has started anew", joint, stamp_s)
+                return Fault(FaultCode.SERVO_REBOOTED, f"the servo of joint {joint} has restarted", joint, stamp_s)
         if torque_on not in (None, 1):
             return Fault(FaultCode.TORQUE_LOST, f"the servo of joint {joint} was found relaxed", joint, stamp_s)
         return None

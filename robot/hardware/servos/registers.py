@@ -65,13 +65,10 @@ class Block(Generic[RegisterT]):
 
 
 class RegisterTable(Generic[RegisterT]):
-    """Registers of a family.
+    """Registers of a family, in the order of their addresses.
 
     The driver finds the registers that every servo has by their names: MODEL_NUMBER, TORQUE_ENABLE, GOAL_POSITION,
     PRESENT_POSITION and HOMING_OFFSET.
-
-    Args:
-        registers: the registers, in the order of their addresses.
     """
 
     def __init__(self, registers: type[RegisterT]) -> None:
@@ -88,11 +85,7 @@ class RegisterTable(Generic[RegisterT]):
         return self._ranges[register]
 
     def encode(self, register: RegisterT, value: int) -> bytes:
-        """Encode a value as the bytes of its register.
-
-        Raises:
-            ValueError: the register cannot hold the value.
-        """
+        """Encode a value as the bytes of its register; raises ValueError for one that it cannot hold."""
         layout, (lowest, highest) = self.layout[register], self._ranges[register]
         if not lowest <= value <= highest:
             raise ValueError(f"{register.name} holds {lowest} to {highest}, not {value}")
@@ -102,11 +95,7 @@ class RegisterTable(Generic[RegisterT]):
         return raw.to_bytes(layout.size, "little")
 
     def decode(self, register: RegisterT, data: bytes) -> int:
-        """Decode the bytes of a register.
-
-        Raises:
-            ValueError: ``data`` is not as long as the register.
-        """
+        """Decode the bytes of a register; raises ValueError for another number of them."""
         layout = self.layout[register]
         if len(data) != layout.size:
             raise ValueError(f"{register.name} has {layout.size} bytes, not {len(data)}")
@@ -123,11 +112,7 @@ class RegisterTable(Generic[RegisterT]):
         return Block(int(first), last + self.layout[last].size - first, within)
 
     def parse(self, block: Block[RegisterT], data: bytes) -> dict[RegisterT, int]:
-        """Decode the registers of a block.
-
-        Raises:
-            ValueError: ``data`` is not as long as the block.
-        """
+        """Decode the registers of a block; raises ValueError for another number of bytes."""
         if len(data) != block.length:
             raise ValueError(f"the block from {block.registers[0].name} has {block.length} bytes, not {len(data)}")
         starts = {register: register - block.address for register in block.registers}

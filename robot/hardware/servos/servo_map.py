@@ -26,21 +26,9 @@ SEAM_TICKS = 200
 
 
 class ServoMap:
-    """Servos of an arm, by joint.
+    """Servos of an arm, in the order of the calibration's joints.
 
-    Args:
-        family: family of the servos.
-        calibration: joints, whose order is that of every array, and their servos.
-        bounds: limits of the joints, of which the velocities become the servos' velocity caps.
-        limits: torque limits; None for the defaults.
-
-    Attributes:
-        joints: calibration of each joint.
-        names: name of each joint.
-        ids: servo id of each joint.
-        by_id: calibration by servo id.
-        speed_ticks_s: velocity cap by servo id [ticks/s].
-        full_torque: share of full duty that each joint may use at most, shape (joints,).
+    The joints' greatest velocities become the servos' velocity caps.
     """
 
     def __init__(
@@ -54,7 +42,7 @@ class ServoMap:
             joint.servo_id: min(FASTEST_TICKS_S, abs(joint.ticks_s_from_rad_s(float(speed))) * VELOCITY_CAP_FACTOR)
             for joint, speed in zip(self.joints, bounds.max_velocity, strict=True)
         }
-        self.full_torque = full_torque(calibration, limits or GuardLimits())
+        self.full_torque = full_torque(calibration, limits or GuardLimits())  # shares of full duty, shape (joints,)
         self._encode, self._goal = family.registers.encode, family.registers.goal_position
         self._around_goal = {servo: family.around_goal(speed) for servo, speed in self.speed_ticks_s.items()}
         self._counts_turns = family.counts_turns
@@ -76,12 +64,7 @@ class ServoMap:
         return label(self.by_id[servo_id])
 
     def turns_ticks(self, servo_id: int, present_ticks: int) -> int:
-        """Return the whole turns to add to a servo's positions for the calibrated ones [ticks].
-
-        Args:
-            servo_id: id of the servo.
-            present_ticks: register PRESENT_POSITION.
-        """
+        """Return the whole turns that bring a servo's present position into its calibrated range [ticks]."""
         if not self._counts_turns:
             return 0
         return round((self._middle_ticks[servo_id] - present_ticks) / TICKS_PER_TURN) * TICKS_PER_TURN
@@ -95,6 +78,14 @@ class ServoMap:
         """Build the block at the family's ``goal_address`` for a goal in the servo's own turns [ticks]."""
         head, tail = self._around_goal[servo_id]
         return head + self._encode(self._goal, goal_ticks) + tail
+
+    def goal_blocks(self, goal_rad: Vector, turns_ticks: Mapping[int, int]) -> dict[int, bytes]:
+        """Build the blocks of all servos for goals, shape (joints,) [rad].
+
+        The servos' turns are by id [ticks], as :meth:`turns_ticks` gives them; 0 without an entry.
+        """
+        goals = self.goals_ticks(goal_rad)
+        return {servo: self.goal_block(servo, ticks - turns_ticks.get(servo, 0)) for servo, ticks in goals.items()}
 
     def goals_ticks(self, goal_rad: Vector) -> dict[int, int]:
         """Convert goals, shape (joints,) [rad], to calibrated positions by servo id [ticks]."""

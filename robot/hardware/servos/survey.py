@@ -30,16 +30,7 @@ MOST_TURNS = 16
 def survey(
     family: ServoFamily, bus: ServoBus, servos: ServoMap, *, simulated: bool = False
 ) -> Steps[dict[int, ServoFound]]:
-    """Survey every servo of the arm, without writing.
-
-    Args:
-        family: family of the servos.
-        bus: an open bus.
-        servos: servos of the arm.
-        simulated: True for emulated servos, without cable and supply to check.
-
-    Returns:
-        Servos by id.
+    """Survey every servo of the arm, by id, without writing; emulated ones have no cable and supply to check.
 
     Raises:
         StartupError: a servo is missing, of an unknown model, or set so that its position is uncertain.
@@ -97,12 +88,7 @@ def change_refusal(
 ) -> str:
     """Return the reason not to drive servos whose calibration has changed since the arm was connected, empty for none.
 
-    Args:
-        family: family of the servos.
-        servos: servos of the arm.
-        before: servos as first surveyed, by id.
-        found: servos as surveyed last, by id.
-        offsets_known: True if the calibration has the servos' homing offsets: servos that agree with it may be driven.
+    If the calibration has the servos' homing offsets, servos that agree with it may be driven.
     """
     changed = []
     for joint in servos.joints:

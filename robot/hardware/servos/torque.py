@@ -50,16 +50,10 @@ OFF_INTERVAL_S = 0.05
 
 
 def relax(bus: ServoBus, ids: Sequence[int], start: Mapping[int, Limit], full: Mapping[int, Limit]) -> Steps[list[int]]:
-    """Lower the torque limits, then switch torque off and verify that.
+    """Lower the torque limits from a start, by id, then switch torque off and verify that.
 
-    Args:
-        bus: an open bus.
-        ids: servos of the arm.
-        start: torque limits to begin with, by servo id.
-        full: torque limits to leave: the next program that switches torque on finds an arm that can hold itself.
-
-    Returns:
-        Servos that may still be driven: torque off could not be verified.
+    The full limits are left: the next program that switches torque on finds an arm that can hold itself. Return the
+    servos that may still be driven.
     """
     for left in reversed(range(LOWER_STEPS)):
         yield LOWER_S / LOWER_STEPS
@@ -72,12 +66,9 @@ def relax(bus: ServoBus, ids: Sequence[int], start: Mapping[int, Limit], full: M
 
 
 def emergency_stop(bus: ServoBus, ids: Sequence[int]) -> Steps[list[int]]:
-    """Switch torque off everywhere at once, then verify it servo by servo.
+    """Switch torque off everywhere with the first step, then verify it servo by servo.
 
-    The first broadcast is sent with the first step, without a wait.
-
-    Returns:
-        Servos that may still be driven.
+    Return the servos that may still be driven.
     """
     for _ in range(BROADCASTS):
         bus.broadcast_torque_off()
@@ -86,11 +77,7 @@ def emergency_stop(bus: ServoBus, ids: Sequence[int]) -> Steps[list[int]]:
 
 
 def switch_off(bus: ServoBus, ids: Sequence[int]) -> Steps[list[int]]:
-    """Switch torque off servo by servo, and verify that.
-
-    Returns:
-        Servos that may still be driven.
-    """
+    """Switch torque off servo by servo, and verify that; return the servos that may still be driven."""
     driven = yield from _switch_off_once(bus, ids)
     for _ in range(OFF_ROUNDS - 1):
         if not driven:
@@ -110,14 +97,9 @@ def write_limits(bus: ServoBus, limits: Mapping[int, Limit]) -> None:
 
 
 class ServoTorque:
-    """Torque of an arm's servos, which were surveyed.
+    """Torque of an arm's servos, which are surveyed later; a servo's registers change when its mode is changed.
 
-    Args:
-        family: family of the servos.
-        bus: an open bus.
-        servos: servos of the arm.
-        found: servos as surveyed, by id; may be filled later, and is updated when a servo's mode is changed.
-        soft_limits_ticks: lowest and highest calibrated position within the soft limits, by id; may be filled later.
+    Soft limits are the lowest and highest calibrated position, by id [ticks].
     """
 
     def __init__(
@@ -135,13 +117,9 @@ class ServoTorque:
         self._soft = soft_limits_ticks
 
     def enable(self, ids: Sequence[int]) -> Steps[dict[int, int]]:
-        """Switch servos on at their positions.
+        """Switch servos on at their positions; the others are only read.
 
-        Args:
-            ids: servos to switch on; the others are only read.
-
-        Returns:
-            Goals of all servos, positions for those that do not hold, by id [ticks].
+        Return the goals of all servos, positions for those that do not hold, by id [ticks].
 
         Raises:
             StartupError: the arm moves, stands outside its limits, or does not take a value; servos relaxed before are
@@ -176,15 +154,9 @@ class ServoTorque:
         return goals
 
     def clear_error(self, servo_id: int, *, hold: bool) -> Steps[None]:
-        """Clear the error with which a servo has protected itself.
+        """Clear the error with which a servo has protected itself; then it holds its position, or its torque is off.
 
-        Args:
-            servo_id: id of the servo.
-            hold: True to switch it on at its position afterwards; otherwise its torque is off.
-
-        Raises:
-            StartupError: it does not take a value, or moves.
-            NoReply: the servo gave no valid reply.
+        Raises StartupError for a servo that does not take a value, or moves, and NoReply.
         """
         yield from self._family.clear_error(self._bus, self._servos.by_id[servo_id])
         if hold or self._family.torque_on_clears_errors:

@@ -6,6 +6,7 @@ last, since servos wait for the reply before theirs, and one that stays silent i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -13,8 +14,9 @@ import numpy as np
 from robot.calibration import RAD_PER_TICK
 from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Measured
 from robot.hardware.servos.bus import StatusFrame
-from robot.hardware.servos.family import Reading, ServoFamily
+from robot.hardware.servos.family import ServoFamily
 from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.telemetry import Telemetry
 
 # Misses in a row after which a servo is asked behind the others.
 MISSES_UNTIL_LAST = 2
@@ -33,20 +35,12 @@ ASK_ALL_EVERY = 3
 
 
 class ServoTracker:
-    """Latest readings of an arm's servos.
-
-    Args:
-        family: family of the servos.
-        servos: servos of the arm.
-
-    Attributes:
-        silent_cycles: cycles without a reading, by servo id.
-    """
+    """Latest readings of an arm's servos."""
 
     def __init__(self, family: ServoFamily, servos: ServoMap) -> None:
         self._family = family
         self._servos = servos
-        self._seen: dict[int, Reading] = {}
+        self._seen: dict[int, Telemetry] = {}
         self._error_status: dict[int, int] = {}
         self._error_known: set[int] = set()
         self._read_at_s: dict[int, float] = {}
@@ -63,8 +57,8 @@ class ServoTracker:
     def complete(self) -> bool:
         """True when every servo has answered at least once, with its supply and temperature."""
         if not self._complete:
-            told = [reading for reading in self._seen.values() if reading.voltage_v is not None]
-            self._complete = len(told) == len(self._servos.ids)
+            supplied = [reading for reading in self._seen.values() if not math.isnan(reading.voltage_v)]
+            self._complete = len(supplied) == len(self._servos.ids)
         return self._complete
 
     def ids_to_ask(self) -> list[int]:
@@ -98,22 +92,18 @@ class ServoTracker:
         self._error_known.add(servo_id)
         self._measured = None
 
-    def turns_ticks(self, servo_id: int) -> int:
-        """Return the whole turns to add to a servo's positions for the calibrated ones, at its latest reading."""
-        seen = self._seen.get(servo_id)
-        return 0 if seen is None else seen.turns_ticks
+    def turns_ticks(self) -> dict[int, int]:
+        """Return the turns to add to positions for the calibrated ones, by id; empty for servos without turns."""
+        if not self._family.counts_turns:
+            return {}
+        return {servo: seen.turns_ticks for servo, seen in self._seen.items()}
 
     def take(self, asked: Sequence[int], frames: Mapping[int, StatusFrame], now_s: float) -> None:
-        """Take the replies to one block read.
+        """Take the replies to one block read of servos in this order, which were asked at a monotonic time [s].
 
         A reading with a jump that no joint can make may be another servo's with a disturbed id: the first one is
         ignored, a second one in a row is believed. When all servos behind a missing one are missing too, they may have
         waited for it, so that it alone has missed its turn.
-
-        Args:
-            asked: servos that were asked, in this order.
-            frames: valid replies, each with a block of measurements.
-            now_s: monotonic time at which they were asked, so that no reading is older than its age [s].
         """
         if frames is self._frames and len(frames) == len(self._servos.ids) and not self._suspect_ids:
             # The same bytes as in the last cycle, whose readings were believed.
@@ -151,8 +141,8 @@ class ServoTracker:
             velocity_rad_s=np.array(servos.velocities_rad_s([each.velocity_ticks_s for each in seen])),
             load=np.array(servos.signed([each.load for each in seen])),
             current_a=np.array(servos.signed([each.current_a for each in seen])),
-            voltage_v=np.array([each.voltage_v for each in seen], dtype=float),
-            temperature_c=np.array([each.temperature_c for each in seen], dtype=float),
+            voltage_v=np.array([each.voltage_v for each in seen]),
+            temperature_c=np.array([float(each.temperature_c) for each in seen]),
             status=np.array(
                 [each.status | self._error_status.get(servo, 0) for servo, each in zip(ids, seen, strict=True)]
             ),
@@ -161,14 +151,15 @@ class ServoTracker:
         )
         return self._measured
 
-    def _reading(self, servo_id: int, frame: StatusFrame) -> Reading:
-        reading = self._family.parse_reading(frame, self._servos.by_id[servo_id])
-        reading.turns_ticks = self._servos.turns_ticks(servo_id, reading.position_ticks)
+    def _reading(self, servo_id: int, frame: StatusFrame) -> Telemetry:
+        reading = self._family.parse_telemetry(frame, self._servos.by_id[servo_id])
+        if self._family.counts_turns:
+            reading.turns_ticks = self._servos.turns_ticks(servo_id, reading.position_ticks)
         return reading
 
-    def _believe(self, servo_id: int, reading: Reading, now_s: float) -> None:
+    def _believe(self, servo_id: int, reading: Telemetry, now_s: float) -> None:
         before = self._seen.get(servo_id)
-        if reading.voltage_v is not None:
+        if not math.isnan(reading.voltage_v):
             self._error_known.discard(servo_id)
         elif before is not None:
             reading.voltage_v, reading.temperature_c = before.voltage_v, before.temperature_c
@@ -186,7 +177,7 @@ class ServoTracker:
                 self._misses_in_row[servo] += servo in asked and servo not in behind_first
                 self.silent_cycles[servo] += 1
 
-    def _jumps(self, servo_id: int, reading: Reading, now_s: float) -> bool:
+    def _jumps(self, servo_id: int, reading: Telemetry, now_s: float) -> bool:
         """Return True when a servo cannot have turned from its last reading to this one."""
         before = self._seen.get(servo_id)
         if before is None:

@@ -142,7 +142,7 @@ def test_an_arm_that_cannot_be_parked_is_relaxed_with_the_reason(
     ("message", "words"),
     [
         (KeepParking(None), "the scene has changed"),
-        (Shutdown(hurry=True), "told not to wait"),
+        (Shutdown(hurry=True), "must not wait"),
         (Stop(), ""),
     ],
     ids=["another scene", "a hurry", "a stop"],

@@ -60,6 +60,12 @@ def test_a_state_is_published_when_it_says_something_new(heard: Heard) -> None:
     assert [values_of(state)["mode"] for state in heard.states] == ["holding", "moving"]
 
 
+def test_every_stop_is_told_by_its_number(heard: Heard) -> None:
+    for last_stop in (3, 3, 4):
+        heard.topics.take_state(ArmState(0.0, Mode.HOLDING, ("a",)), last_stop)
+    assert [values_of(state)["last_stop"] for state in heard.states] == ["3", "4"]
+
+
 def test_a_fault_is_told_with_code_sentence_remedy_and_service(heard: Heard) -> None:
     heard.topics.take_state(ArmState(0.0, Mode.FAULT, ("a",), fault=STALLED))
     (state,) = heard.states

@@ -27,8 +27,8 @@ export class ArmCommands {
   async savePose(name: string): Promise<boolean> {
     return this.attempt(async () => {
       const request = { name, robot: "", state: {} };
-      const { success } = await this.connection.call<{ success: boolean }>("/save_robot_state", request);
-      setNotice(this.store, "save", t(success ? "answer.saved" : "answer.not_saved", { name }));
+      const { success, refusal } = await this.connection.call<{ success: boolean }>("/save_robot_state", request);
+      setNotice(this.store, "save", t(success ? "answer.saved" : "answer.not_saved", { name, reason: refusal }));
       return success;
     });
   }
@@ -86,6 +86,11 @@ export class ArmCommands {
   /** Cancel the last motion of the gripper that this page has asked for. */
   cancelGripper(): void {
     this.gripper_goal?.cancel();
+  }
+
+  /** Execute the plan that waits to be confirmed, or discard it. */
+  confirmGoal(execute: boolean): void {
+    this.attempt(() => this.connection.publish("/moveit_goal_confirm", "std_msgs/Bool", { data: execute }));
   }
 
   /** Cancel one goal, executing or queued, of any client. */

@@ -1,4 +1,4 @@
-import { armGripper, armJoints, armNamespace, currentPositions } from "../logic/joints";
+import { armGripper, armJoints, armNamespace, currentPositions, hasTip } from "../logic/joints";
 import { summed, type JogCommand, type JogStep } from "../logic/jog";
 import { denialReason } from "../logic/permissions";
 import { planningGroup } from "../logic/robot-info";
@@ -189,7 +189,7 @@ export class JogSender {
 
   private isAllowed(): boolean {
     const { state } = this.store;
-    return state.link.connected && denialReason("drive", state) === "";
+    return state.link.connected && denialReason("drive", state) === "" && hasTip(state);
   }
 
   private send(): void {

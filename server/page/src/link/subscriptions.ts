@@ -1,5 +1,5 @@
 import { withStatus } from "../logic/goal-history";
-import { noGoal, type ActiveGoal, type GoalState, type State } from "../state/state";
+import { noGoal, noPlan, type ActiveGoal, type GoalState, type State } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import {
@@ -31,8 +31,6 @@ import { applyColors, applyPlanningScene, drawableObjects } from "./planning-sce
 
 /** Least time between two messages that are drawn [ms]: 30 per second look smooth. */
 const REDRAW_PERIOD_MS = 33;
-
-const NO_PLAN: State["plan"] = { trajectory: null, tool_path: [], scrub_s: null };
 
 /** Number of log entries that are kept. */
 const MAX_LOG_ENTRIES = 500;
@@ -112,7 +110,9 @@ export async function fetchActions(connection: Connection, store: PageStore): Pr
 /** Forget goals and commands that may have ended while the page was disconnected. */
 export function resetAfterReconnect(store: PageStore): void {
   const in_progress = ["queued", "planning", "executing"].includes(store.state.goal.state);
-  store.set({ active_goals: [], commanded_rad: {}, goal: in_progress ? noGoal() : store.state.goal });
+  const goal = in_progress ? noGoal() : store.state.goal;
+  // Another server knows nothing of the plan; the same one sends its last plan again.
+  store.set({ active_goals: [], commanded_rad: {}, goal, plan: noPlan() });
   setNotice(store, "link", "");
 }
 
@@ -130,7 +130,7 @@ export function applyGoalStatus(state: State, goal: GoalState): Partial<State> {
   if (goal.code === SUCCESS) return { active_goals, goal, ...clearSelection(state) };
   // The arm stands somewhere on the path, and the plan does not start there.
   const stopped_on_path = state.goal.id === goal.id && state.goal.state === "executing";
-  return stopped_on_path ? { active_goals, goal, plan: NO_PLAN } : { active_goals, goal };
+  return stopped_on_path ? { active_goals, goal, plan: noPlan() } : { active_goals, goal };
 }
 
 /** Return the active goals after a status of one, each in its place; the same list when nothing of it has changed. */
@@ -144,7 +144,7 @@ function withActiveGoal(goals: ActiveGoal[], { id, source: name, state }: GoalSt
 /** Clear the selection that a motion has reached; one that the user has made meanwhile stays. */
 function clearSelection(state: State): Partial<State> {
   if (state.target.dragging || state.selection !== state.executing_selection) return {};
-  return { selection: { kind: "none", joints_rad: null }, plan: NO_PLAN };
+  return { selection: { kind: "none", joints_rad: null }, plan: noPlan() };
 }
 
 /** Subscribe to the control of the arm, and fetch this page's identity after every connection. */

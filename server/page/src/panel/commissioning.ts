@@ -43,7 +43,7 @@ export function commissioningSection(context: PanelContext): HTMLElement {
   const show = (state: State): void => {
     const { commissioning } = state;
     box.hidden = commissioning === null;
-    const denied = denialReason("configure", state);
+    const denied = denialReason("commission", state);
     setText(reason, denied);
     reason.hidden = denied === "";
     if (commissioning === null) return;
@@ -61,7 +61,7 @@ export function commissioningSection(context: PanelContext): HTMLElement {
     joints.show(commissioning.joints);
     before = commissioning;
   };
-  store.watch(["commissioning", "identity", "joint_in_hand"], show);
+  store.watch(["commissioning", "identity", "control", "joint_in_hand"], show);
   return box;
 }
 
@@ -88,7 +88,7 @@ function idlePart(context: PanelContext): HTMLElement {
   store.subscribe((state) => state.link.connected, enable);
   const line = el("label", { class: "line" }, `${t("commissioning.calibration")} `, name);
   const hint = el("p", { class: "hint", text: t("commissioning.hint") });
-  return permissionFieldset(context, "configure", hint, line, el("div", { class: "buttons" }, ...buttons));
+  return permissionFieldset(context, "commission", hint, line, el("div", { class: "buttons" }, ...buttons));
 }
 
 function activePart(context: PanelContext): HTMLElement {
@@ -97,7 +97,7 @@ function activePart(context: PanelContext): HTMLElement {
   const attributes = { tabindex: "-1", "aria-live": "assertive" };
   const instruction = el("p", { class: "instruction", testid: "instruction", attributes });
   const answers = el("div", { class: "buttons", testid: "answers", role: "group", label: t("commissioning.answers") });
-  const box = el("div", { class: "step" }, instruction, permissionFieldset(context, "configure", answers));
+  const box = el("div", { class: "step" }, instruction, permissionFieldset(context, "commission", answers));
   let is_armed = false;
   let timer: ReturnType<typeof setTimeout> | undefined;
   let before: Commissioning | null = null;
@@ -124,7 +124,7 @@ function activePart(context: PanelContext): HTMLElement {
     answers.replaceChildren(...buttons);
     if (had_focus) instruction.focus();
     // Not for those who only look on. The frame after this has the section open.
-    if (!denialReason("configure", store.state)) requestAnimationFrame(() => box.scrollIntoView({ block: "nearest" }));
+    if (!denialReason("commission", store.state)) requestAnimationFrame(() => box.scrollIntoView({ block: "nearest" }));
     is_armed = false;
     clearTimeout(timer);
     timer = setTimeout(() => {

@@ -121,12 +121,13 @@ export function loadPreference(key: string, fallback: string): string {
   }
 }
 
-/** Store a preference in the browser. */
-export function storePreference(key: string, value: string): void {
+/** Store a preference in the browser; false where the browser refuses, and it lasts until the page is loaded again. */
+export function storePreference(key: string, value: string): boolean {
   try {
     localStorage.setItem(`armbridge-${key}`, value);
+    return true;
   } catch {
-    // A browser without storage: the preference lasts until the page is loaded again.
+    return false;
   }
 }
 

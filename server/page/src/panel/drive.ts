@@ -1,5 +1,5 @@
 import "./drive.css";
-import { armGripper, armJoints, jointKind } from "../logic/joints";
+import { armGripper, armJoints, hasTip, jointKind } from "../logic/joints";
 import { GRIPPER_RANGE_S } from "../link/servo-node";
 import { isRotation, JogStep, scaled, tipAxes, type JogCommand, type TipAxis } from "../logic/jog";
 import type { State } from "../state/state";
@@ -33,7 +33,9 @@ export function driveSection(context: PanelContext): HTMLElement {
   const pads = padsSection(context, controls);
   // On a touch screen the pads come first, where the thumbs are.
   const others = [keyboardSection(context, controls), gamepadSection(context, controls)];
-  return el("div", { class: "drive", testid: "section-drive" }, statusLine(context), ...(isTouch() ? [pads, settings, buttons] : [settings, buttons, pads]), ...others);
+  const inputs = el("div", {}, ...(isTouch() ? [pads, settings, buttons] : [settings, buttons, pads]), ...others);
+  context.store.watch(DESCRIPTION, (state) => (inputs.hidden = !hasTip(state)));
+  return el("div", { class: "drive", testid: "section-drive" }, statusLine(context), inputs);
 }
 
 /** A key or finger that is released elsewhere is not reported to this page. */
@@ -98,18 +100,21 @@ function degrees(angle_rad: number): number {
   return Math.round((angle_rad * 180) / Math.PI);
 }
 
+/** Return what limits the arm in words; a message without a code is what of the command was given up. */
+function statusText(code: number, message: string): string {
+  if (code === 0) return message || t("drive.hint");
+  const words = code >= -1 && code <= 6 ? t(`drive.status.${code}` as TextKey) : "";
+  return `${words} ${message}`.trim();
+}
+
 /** Create the line that says what limits the arm. */
 function statusLine({ store }: PanelContext): HTMLElement {
   const line = el("p", { class: "drive-status", testid: "drive-status", role: "status" });
-  store.subscribe(
-    (state) => state.servo_node,
-    ({ code, message }) => {
-      const key = `drive.status.${code}` as TextKey;
-      const words = code === 0 && message === "" ? t("drive.hint") : t(key);
-      setText(line, message === "" ? words : `${words} ${message}`);
-      line.dataset["code"] = String(code);
-    },
-  );
+  store.watch(["servo_node", ...DESCRIPTION], (state) => {
+    const { code, message } = state.servo_node;
+    setText(line, hasTip(state) ? statusText(code, message) : t("drive.one_arm"));
+    line.dataset["code"] = String(code);
+  });
   return line;
 }
 

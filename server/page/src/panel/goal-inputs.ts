@@ -3,6 +3,7 @@ import {
   armJoints,
   currentPositions,
   displayedPositions,
+  hasTip,
   jointKind,
   jointLimits,
   shownPosition,
@@ -77,12 +78,15 @@ export function targetSection(context: PanelContext): HTMLElement {
   const places_line = unitFields(AXES, places);
   const rotation_line = unitFields(ROTATIONS.map(([name]) => name), rotations);
   const reachability = el("p", { class: "hint", testid: "target-state", role: "status" });
+  const problems = [...places, ...rotations].map(({ problem }) => problem);
+  const box = section("target", t("target.title"), true, places_line.element, rotation_line.element, ...problems, reachability);
   const show = throttle<State>(UPDATE_PERIOD_MS, (state) => {
     const texts = targetPosition(state).map((value) => (Number.isFinite(value) ? positionText(value, length()) : ""));
     places.forEach((field, index) => field.show(texts[index] ?? ""));
     places_line.showUnit(length(), t("target.axis.unit"));
     rotation_line.showUnit(angle(), t("target.axis.unit"));
     rotation_line.element.hidden = !takesOrientation(state);
+    box.hidden = !hasTip(state);
     const angles = rollPitchYawOf(targetOrientation(state));
     rotations.forEach((field, index) => field.show(positionText(angles[index] ?? 0, angle())));
     const selected = state.selection.kind === "target";
@@ -90,8 +94,7 @@ export function targetSection(context: PanelContext): HTMLElement {
     reachability.dataset["off"] = String(selected && state.target.reachable === false);
   });
   store.watch(["target", "selection", "tool_m", "tool_orientation", "settings", ...DESCRIPTION], show);
-  const problems = [...places, ...rotations].map(({ problem }) => problem);
-  return section("target", t("target.title"), true, places_line.element, rotation_line.element, ...problems, reachability);
+  return box;
 }
 
 /** Return the range of a field within a limit to either side [m or rad]. */

@@ -2,13 +2,12 @@ import "./goals.css";
 import type { GoalRecord } from "../link/goal-history";
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
 import { goalKind, readAsked, type GoalEntry } from "../logic/goal-history";
-import type { ActiveGoal, GoalState } from "../state/state";
+import { noPlan, type ActiveGoal, type GoalState } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
 import { isShown, whenShown } from "./dock";
 import { button, el, keyedList, section, setText, throttle, type ListItem } from "./dom";
 import { saveFile } from "./files";
-import { PlanReplay } from "./motion";
 
 /** Time between two updates [ms]; a goal in progress has several statuses a second. */
 const UPDATE_PERIOD_MS = 250;
@@ -122,8 +121,8 @@ class GoalItem implements ListItem<GoalEntry> {
     const plan = record?.plan;
     if (plan) {
       const ghost = button(t("goals.ghost"), `goal-ghost-${goal.id}`, () => {
-        store.set({ plan: { trajectory: plan, tool_path: [], scrub_s: 0 } });
-        new PlanReplay(store, () => undefined).toggle();
+        store.set({ plan: { ...noPlan(), trajectory: plan, scrub_s: 0 } });
+        store.patch("plan", { replaying: true });
       });
       tools.push(ghost);
     }

@@ -48,6 +48,7 @@ export function createPanel(context: PanelContext): void {
   const language = chosenLanguage(loadPreference("language", ""), navigator.languages);
   document.documentElement.lang = language;
   useLanguage(language);
+  document.querySelector("#view")?.setAttribute("aria-label", t("picture.label"));
   document.body.append(stopButton(context));
   const bar = document.querySelector("#bar") ?? document.body.appendChild(el("header", { id: "bar" }));
   bar.append(...statusBar(context), motionBar(context), controlBar(context), connectionPill(context));

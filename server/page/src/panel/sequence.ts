@@ -171,8 +171,9 @@ function checkText(check: LegCheck | undefined): string {
 function gripperPosition(state: State, choice: string): number | null {
   const gripper = armGripper(state);
   if (gripper === null || choice === "leave") return null;
-  const present = currentPositions(state)[gripper.joints[0] ?? ""];
-  return { open: gripper.open, closed: gripper.closed, present }[choice] ?? Number(choice);
+  // Before the first joint state the gripper's position is not known.
+  if (choice === "present") return currentPositions(state)[gripper.joints[0] ?? ""] ?? null;
+  return { open: gripper.open, closed: gripper.closed }[choice] ?? Number(choice);
 }
 
 function showGripper(choice: HTMLSelectElement, position: number | null, state: State): void {
@@ -252,10 +253,11 @@ function loadSaved(): Record<string, readonly Waypoint[]> {
   }
 }
 
-function keep(store: PageStore, saved: Record<string, readonly Waypoint[]>): void {
+/** Keep the saved sequences; false where the browser stores nothing, and they last until the page is loaded again. */
+function keep(store: PageStore, saved: Record<string, readonly Waypoint[]>): boolean {
   const texts = Object.entries(saved).map(([name, waypoints]) => [name, sequenceText(waypoints)] as const);
-  storePreference(SAVED, JSON.stringify(Object.fromEntries(texts)));
   store.patch("sequence", { saved });
+  return storePreference(SAVED, JSON.stringify(Object.fromEntries(texts)));
 }
 
 function saveForm(store: PageStore): HTMLElement {
@@ -266,8 +268,8 @@ function saveForm(store: PageStore): HTMLElement {
     if (waypoints.length === 0 || wanted === "") return tell(store, t("sequence.saved.needs"));
     const names = Object.keys(saved);
     if (!names.includes(wanted) && names.length >= MAX_SAVED) return tell(store, t("sequence.saved.full", { limit: MAX_SAVED }));
-    keep(store, { ...saved, [wanted]: waypoints });
-    tell(store, t("sequence.saved.done", { name: wanted }));
+    const is_kept = keep(store, { ...saved, [wanted]: waypoints });
+    tell(store, t(is_kept ? "sequence.saved.done" : "sequence.saved.refused", { name: wanted }));
     name.value = "";
   };
   name.addEventListener("keydown", (event) => event.key === "Enter" && submit());

@@ -26,10 +26,16 @@ function stateName({ link, arm, goal, pending_request }: StatusInput): [string, 
   if (arm.mode === "fault") return ["fault", "fault"];
   if (arm.mode === "disconnected") return ["no_arm", "fault"];
   if (goal.state === "executing" || arm.mode === "moving") return [courseName(arm.course), "busy"];
+  if (isAwaitingConfirmation(goal)) return ["waiting", "busy"];
   if (goal.state === "planning" || pending_request === "plan") return ["planning", "busy"];
   if (arm.mode === "relaxed") return ["relaxed", "off"];
   if (goal.state === "done" && goal.code === PREEMPTED) return ["stopped", "stopped"];
   return ["idle", "idle"];
+}
+
+/** Return true for a goal of confirm mode, which is planned and waits for a person; a plan of this page has no id. */
+export function isAwaitingConfirmation({ id, state }: GoalState): boolean {
+  return state === "planned" && id !== "";
 }
 
 /** Return true before the server has told the arm's mode, and while it starts and checks the arm, which is no fault. */
@@ -84,11 +90,14 @@ export function statusBar(context: PanelContext): HTMLElement[] {
   const trigger = (service: string) => (): void => void commands.trigger(service);
   const reset = button(t("bar.reset_fault"), "reset-fault", trigger("/arm/reset_fault"), t("bar.reset_fault.title"));
   const hold = button(t("bar.hold"), "hold", trigger("/arm/enable"), t("bar.hold.title"));
-  for (const helping of [reset, hold]) helping.classList.add("primary");
+  const confirm = button(t("bar.confirm"), "confirm", () => commands.confirmGoal(true), t("bar.confirm.title"));
+  const discard = button(t("bar.discard"), "discard", () => commands.confirmGoal(false), t("bar.discard.title"));
+  for (const helping of [reset, hold, confirm]) helping.classList.add("primary");
   const show = (state: State): void => {
     const { arm, link, goal } = state;
     reset.hidden = arm.mode !== "fault" || !link.connected;
     hold.hidden = arm.mode !== "relaxed" || !link.connected;
+    confirm.hidden = discard.hidden = !isAwaitingConfirmation(goal) || !link.connected;
     const { label, kind } = statePill(state);
     setText(state_pill, label);
     state_pill.dataset["kind"] = kind;
@@ -101,7 +110,8 @@ export function statusBar(context: PanelContext): HTMLElement[] {
     setText(suggestion, t("bar.suggestion", { place: suggestionText(goal) }));
   };
   store.watch(["link", "arm", "goal", "pending_request"], show);
-  return [state_pill, message, permissionFieldset(context, "drive", suggestion, reset, hold)];
+  const confirmation = permissionFieldset(context, "work", confirm, discard);
+  return [state_pill, message, permissionFieldset(context, "drive", suggestion, reset, hold), confirmation];
 }
 
 /** Create the pill of the connection with its round-trip time. */

@@ -137,6 +137,9 @@ export interface PlanState {
   tool_path: Point[];
   /** Time on the plan at which the ghost is shown; null means the end. */
   scrub_s: number | null;
+  /** False for the plan of a goal of the past, which is shown alone. */
+  executable: boolean;
+  replaying: boolean;
 }
 
 /** Target of the tool, which the user drags or types. */
@@ -453,7 +456,7 @@ export function emptyState(url: string): State {
     limits: {},
     arm: noArm(),
     goal: noGoal(),
-    plan: { trajectory: null, tool_path: [], scrub_s: null },
+    plan: noPlan(),
     target: { position_m: null, orientation: null, dragging: false, reachable: null, distance_m: 0, joints_rad: null },
     selection: { kind: "none", joints_rad: null },
     executing_selection: null,
@@ -492,6 +495,11 @@ export function emptyState(url: string): State {
     sequence: noSequence(),
     teaching: { recording: null, motions: null, edited: null, replaying: null, told: "" },
   };
+}
+
+/** Return the plan state without a plan. */
+export function noPlan(): PlanState {
+  return { trajectory: null, tool_path: [], scrub_s: null, executable: false, replaying: false };
 }
 
 /** Return the sequence before the first waypoint. */

@@ -1,4 +1,4 @@
-import type { GoalSelection, JointValues, Orientation, Point, State } from "./state";
+import { noPlan, type GoalSelection, type JointValues, type Orientation, type Point, type State } from "./state";
 
 /** Callback with the new value of the selected part, and with the whole state. */
 type Listener<State, Value> = (value: Value, state: State) => void;
@@ -93,8 +93,6 @@ export function clearNotices(store: PageStore, prefix: string): void {
   if (others.length < notices.length) store.set({ notices: others });
 }
 
-const NO_PLAN: State["plan"] = { trajectory: null, tool_path: [], scrub_s: null };
-
 /** Select a goal, and remove the plan, which was made for another one. */
 export function selectGoal(
   store: PageStore,
@@ -102,7 +100,7 @@ export function selectGoal(
   joints_rad: JointValues | null,
   name = "",
 ): void {
-  store.set({ selection: { kind, joints_rad, name }, plan: NO_PLAN });
+  store.set({ selection: { kind, joints_rad, name }, plan: noPlan() });
 }
 
 /**
@@ -115,12 +113,12 @@ export function selectTarget(store: PageStore, position_m: Point, orientation: O
   store.set({
     selection: { kind: "target", joints_rad: null },
     target: { ...target, position_m: [...position_m], orientation },
-    plan: NO_PLAN,
+    plan: noPlan(),
   });
 }
 
 /** Select the joint group that goals are for, and remove the goal of the group before. */
 export function selectGroup(store: PageStore, group: string): void {
   if (group === store.state.group) return;
-  store.set({ group, selection: { kind: "none", joints_rad: null }, plan: NO_PLAN });
+  store.set({ group, selection: { kind: "none", joints_rad: null }, plan: noPlan() });
 }

@@ -44,20 +44,16 @@ def test_telemetry_has_the_units_of_the_memory_table():
         Register.PRESENT_VOLTAGE: 74,
         Register.PRESENT_TEMPERATURE: 41,
         Register.STATUS: 32,
-        Register.MOVING: 1,
-        Register.GOAL_POSITION_ECHO: 2100,
         Register.PRESENT_CURRENT: -100,
     }
     for register, value in values.items():
         at = register - TELEMETRY_ADDRESS
         data[at : at + LAYOUT[register].size] = encode(register, value)
     telemetry = parse_telemetry(bytes(data))
-    assert (telemetry.position_ticks, telemetry.velocity_ticks_s, telemetry.load_permille) == (2050, -300, -120)
+    assert (telemetry.position_ticks, telemetry.velocity_ticks_s, telemetry.load) == (2050, -300, -0.12)
     assert telemetry.voltage_v == pytest.approx(7.4)
     assert telemetry.temperature_c == 41
     assert status_names(telemetry.status) == ["overload"]
-    assert telemetry.moving
-    assert telemetry.goal_ticks_echo == 2100
     assert telemetry.current_a == pytest.approx(-0.65)
 
 
@@ -72,9 +68,8 @@ def test_telemetry_is_read_as_its_registers_are(block):
     values = {
         Register.PRESENT_POSITION: parsed.position_ticks,
         Register.PRESENT_VELOCITY: parsed.velocity_ticks_s,
-        Register.PRESENT_LOAD: parsed.load_permille,
+        Register.PRESENT_LOAD: round(1000.0 * parsed.load),
         Register.STATUS: parsed.status,
-        Register.GOAL_POSITION_ECHO: parsed.goal_ticks_echo,
         Register.PRESENT_TEMPERATURE: parsed.temperature_c,
     }
     for register, value in values.items():

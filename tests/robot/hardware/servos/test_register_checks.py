@@ -67,7 +67,7 @@ def test_a_servo_that_is_as_after_power_up_has_restarted(checked: Checked, torqu
     fault = checked.check({**checked.restarted, checked.register("TORQUE_ENABLE"): torque_on})
     assert fault is not None
     assert (fault.code, fault.joint, fault.stamp_s) == (FaultCode.SERVO_REBOOTED, "shoulder_lift", 5.0)
-    assert "started anew" in fault.message
+    assert "has restarted" in fault.message
     # It is told once, and its torque limit is written again.
     assert checked.check({**checked.restarted, checked.register("TORQUE_ENABLE"): 1}) is None
     assert checked.checks.limits_to_write(checked.limits) == {2: checked.limits[2]}

@@ -73,7 +73,7 @@ def test_a_homing_offset_that_another_program_wrote_is_refused_with_the_remedy(f
     family.put(emulator, 3, "HOMING_OFFSET", calibrated - 85)
     reason = calibration_refusal(family.driver, family.servo_map, surveyed(family, emulator))
     assert f"elbow_flex (id 3) by 7.5 deg ({calibrated - 85} instead of {calibrated} ticks)" in reason
-    assert "calibrate the arm anew" in reason
+    assert "calibrate the arm again" in reason
     assert family.driver.recalibrate_advice in reason
 
 

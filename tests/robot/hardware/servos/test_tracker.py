@@ -221,7 +221,7 @@ def test_the_turns_that_a_servo_has_counted_do_not_show(dynamixels: ServoTracker
     dynamixels.take(IDS, {**dynamixel_replies(), 3: dynamixel_replies(2048 - 4096)[3]}, 0.01)
     at_rad = dynamixels.measured(0.01, 0.0).position_rad[2]
     assert at_rad == pytest.approx(DYNAMIXEL.calibration.joints[2].rad_from_ticks(2048))
-    assert (dynamixels.turns_ticks(3), dynamixels.turns_ticks(4)) == (4096, 0)
+    assert dynamixels.turns_ticks() == {**dict.fromkeys(IDS, 0), 3: 4096}
 
 
 def test_an_alert_is_asked_about_until_it_is_known_and_again_later(dynamixels: ServoTracker) -> None:

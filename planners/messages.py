@@ -67,15 +67,10 @@ class Cancel:
 
 @dataclass(frozen=True)
 class StillSearching:
-    """A planning problem exceeds the typical planning time; sent again each time that its own has doubled.
-
-    Attributes:
-        number: number of the request.
-        spent_s: allowed time that is spent on it [s].
-    """
+    """A planning problem exceeds the typical planning time; sent again each time that its own has doubled."""
 
     number: int
-    spent_s: float
+    spent_s: float  # allowed time that is spent on it [s]
 
 
 @dataclass(frozen=True)

@@ -74,20 +74,13 @@ MIN_SLICE_M = 0.001
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds of a decomposition.
+    """Bounds of a decomposition."""
 
-    Attributes:
-        tolerance_m: deviation to reach [m].
-        max_parts: parts of a mesh.
-        max_time_s: CPU time for a mesh [s].
-        seed: of the samples.
-        clock: CPU time [s]: a busy machine makes the same parts, later.
-    """
-
-    tolerance_m: float = TOLERANCE_M
-    max_parts: int = MAX_PARTS
-    max_time_s: float = MAX_TIME_S
-    seed: int = 0
+    tolerance_m: float = TOLERANCE_M  # deviation to reach [m]
+    max_parts: int = MAX_PARTS  # parts of a mesh
+    max_time_s: float = MAX_TIME_S  # CPU time for a mesh [s]
+    seed: int = 0  # of the samples
+    # CPU time [s]: a busy machine makes the same parts, later.
     clock: Callable[[], float] = field(default=time.process_time)
 
 

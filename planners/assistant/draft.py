@@ -20,23 +20,14 @@ PLACEHOLDER_RAD_S = 20.0
 
 @dataclass(frozen=True)
 class Draft:
-    """Description of an arm for a robot folder.
+    """Description of an arm for a robot folder."""
 
-    Attributes:
-        robot: the robot with joints and links; its SRDF does not count.
-        structure: its groups.
-        gripper: its gripper; None without one.
-        home: joint -> position of the named state home [rad or m].
-        unchecked: pairs of links that are not checked.
-        samples: states that these were found in.
-    """
-
-    robot: RobotModel
+    robot: RobotModel  # the robot with joints and links; its SRDF does not count
     structure: Structure
-    gripper: GripperDraft | None
-    home: Mapping[str, float]
-    unchecked: Sequence[UncheckedPair]
-    samples: int
+    gripper: GripperDraft | None  # None without one
+    home: Mapping[str, float]  # joint -> position of the named state home [rad or m]
+    unchecked: Sequence[UncheckedPair]  # pairs of links that are not checked
+    samples: int  # states that these were found in
 
 
 def srdf(draft: Draft) -> str:

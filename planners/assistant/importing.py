@@ -58,29 +58,17 @@ PICTURE = "parts.png"
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of an import.
-
-    Attributes:
-        urdf: the URDF.
-        out: folder to make.
-        packages: folders for ``package://``.
-        base: first link of the arm; None for the root.
-        tip: last link of the arm; None to find it.
-        samples: states drawn for the pairs.
-        seed: of all draws: same files and options, same folder.
-        convex: whether convex parts are made; else the meshes are checked themselves.
-        overwrite: whether a robot folder that is there is replaced.
-    """
+    """Options of an import."""
 
     urdf: Path
-    out: Path
-    packages: tuple[Path, ...] = ()
-    base: str | None = None
-    tip: str | None = None
-    samples: int = SAMPLES
-    seed: int = 0
-    convex: bool = True
-    overwrite: bool = False
+    out: Path  # folder to make
+    packages: tuple[Path, ...] = ()  # folders for `package://`
+    base: str | None = None  # first link of the arm; None for the root
+    tip: str | None = None  # last link of the arm; None to find it
+    samples: int = SAMPLES  # states drawn for the pairs
+    seed: int = 0  # of all draws: same files and options, same folder
+    convex: bool = True  # whether convex parts are made; else the meshes are checked themselves
+    overwrite: bool = False  # whether a robot folder that is there is replaced
 
 
 def default_folder(urdf: Path) -> Path:

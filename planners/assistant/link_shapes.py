@@ -28,15 +28,10 @@ SPHERE_POINTS, SPHERE_DIRECTIONS = 2000, 92
 
 @dataclass(frozen=True)
 class LinkShape:
-    """One <collision> of a link.
-
-    Attributes:
-        geometry: its shape.
-        placement: where it is in the link's frame.
-    """
+    """One <collision> of a link."""
 
     geometry: coal.CollisionGeometry
-    placement: pin.SE3
+    placement: pin.SE3  # pose in the link's frame
 
     @property
     def mesh(self) -> coal.BVHModelBase | None:
@@ -46,17 +41,11 @@ class LinkShape:
 
 @dataclass(frozen=True)
 class LinkParts:
-    """Convex parts of a link.
+    """Convex parts of a link."""
 
-    Attributes:
-        parts: in the link's frame.
-        deviation: greatest deviation from the link's meshes; zero for a link without meshes.
-        meshes: number of its meshes.
-    """
-
-    parts: tuple[ConvexPart, ...]
-    deviation: Deviation
-    meshes: int
+    parts: tuple[ConvexPart, ...]  # in the link's frame
+    deviation: Deviation  # greatest deviation from the link's meshes; zero for a link without meshes
+    meshes: int  # number of its meshes
 
 
 def link_shapes(robot: RobotModel) -> dict[str, list[LinkShape]]:

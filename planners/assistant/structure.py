@@ -26,23 +26,15 @@ MIN_ARM_JOINTS = 2
 
 @dataclass(frozen=True)
 class Structure:
-    """Planning groups for an arm's SRDF.
+    """Planning groups for an arm's SRDF."""
 
-    Attributes:
-        base_link: first link of the arm.
-        tip_link: last link of the arm: the frame of goals.
-        hand_link: link of the arm that carries the gripper.
-        arm_joints: movable joints from base to tip.
-        gripper_joints: movable joints behind the hand, those that mimic others left out; empty without a gripper.
-        held_joints: movable joints of neither.
-    """
-
-    base_link: str
-    tip_link: str
-    hand_link: str
-    arm_joints: tuple[str, ...]
+    base_link: str  # first link of the arm
+    tip_link: str  # last link of the arm: the frame of goals
+    hand_link: str  # link of the arm that carries the gripper
+    arm_joints: tuple[str, ...]  # movable joints from base to tip
+    # Movable joints behind the hand, those that mimic others left out; empty without a gripper.
     gripper_joints: tuple[str, ...]
-    held_joints: tuple[str, ...]
+    held_joints: tuple[str, ...]  # movable joints of neither
 
 
 class Tree:

@@ -37,15 +37,10 @@ TEST_POINTS = 4_000
 
 @dataclass(frozen=True)
 class Surface:
-    """Triangles of a mesh.
+    """Triangles of a mesh."""
 
-    Attributes:
-        vertices_m: shape (n, 3) [m].
-        triangles: shape (m, 3), indices into ``vertices_m``.
-    """
-
-    vertices_m: Vector
-    triangles: NDArray[np.int64]
+    vertices_m: Vector  # shape (n, 3) [m]
+    triangles: NDArray[np.int64]  # shape (m, 3), indices into `vertices_m`
 
     @property
     def corners_m(self) -> Vector:
@@ -62,15 +57,10 @@ class Surface:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Greatest distances between a surface and the union of its parts.
+    """Greatest distances between a surface and the union of its parts."""
 
-    Attributes:
-        outside_m: how far the parts stand out of the surface [m].
-        uncovered_m: how far points of the surface are outside of every part [m].
-    """
-
-    outside_m: float = 0.0
-    uncovered_m: float = 0.0
+    outside_m: float = 0.0  # how far the parts stand out of the surface [m]
+    uncovered_m: float = 0.0  # how far points of the surface are outside of every part [m]
 
     @property
     def greatest_m(self) -> float:

@@ -43,16 +43,10 @@ _SOURCES = (("planners", "**/*.py"), ("robot", "model.py"), ("robot", "trajector
 
 @dataclass(frozen=True)
 class Setup:
-    """All that the problems of a file share.
+    """All that the problems of a file share."""
 
-    Attributes:
-        digest: of robot and scene, by which setups are distinguished.
-        robot: the arm to plan for.
-        scene: what stands around.
-    """
-
-    digest: str
-    robot: RobotModel = field(compare=False)
+    digest: str  # of robot and scene, by which setups are distinguished
+    robot: RobotModel = field(compare=False)  # the arm to plan for
     scene: Scene = field(compare=False)
 
 

@@ -86,39 +86,23 @@ def plot(path: Path, motions: Sequence[tuple[str, Trajectory]]) -> None:
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command.
+    """Options of the command."""
 
-    Attributes:
-        paths: the problem files.
-        every: whether the infeasible problems are planned as well.
-        ids: the problems to plan, whatever file and list they are in; empty for all feasible ones.
-        json_path: where the answers go as JSON, or None.
-        plot_path: where the plot of the motions goes, or None.
-        settings: fields of :class:`PlanningProblem` that hold for every problem, whatever the files say.
-        scheduler: address of the Dask scheduler whose workers plan; None to plan here.
-    """
-
-    paths: Sequence[Path]
-    every: bool = False
-    ids: tuple[str, ...] = ()
-    json_path: Path | None = None
-    plot_path: Path | None = None
+    paths: Sequence[Path]  # the problem files
+    every: bool = False  # whether the infeasible problems are planned as well
+    ids: tuple[str, ...] = ()  # the problems to plan, whatever file and list they are in; empty for all feasible ones
+    json_path: Path | None = None  # where the answers go as JSON, or None
+    plot_path: Path | None = None  # where the plot of the motions goes, or None
+    # Fields of PlanningProblem that hold for every problem, whatever the files say.
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
-    scheduler: str | None = None
+    scheduler: str | None = None  # address of the Dask scheduler whose workers plan; None to plan here
 
 
 @dataclass(frozen=True)
 class Task:
-    """One problem to plan.
+    """One problem to plan."""
 
-    Attributes:
-        name: its id, after the path of its file when there are several.
-        path: of its file.
-        file: its file.
-        file_problem: the problem.
-    """
-
-    name: str
+    name: str  # its id, after the path of its file when there are several
     path: Path
     file: ProblemFile
     file_problem: FileProblem
@@ -126,17 +110,11 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of one problem.
-
-    Attributes:
-        file_problem: the problem.
-        answer: its plan, or why there is none.
-        cpu_s: CPU time spent on it [s].
-    """
+    """Outcome of one problem."""
 
     file_problem: FileProblem
     answer: Plan | PlanningFailure
-    cpu_s: float
+    cpu_s: float  # CPU time spent on it [s]
 
     @property
     def code(self) -> MoveItErrorCode:

@@ -197,17 +197,11 @@ _ADAPTERS: Mapping[type[Any], TypeAdapter[Any]] = {
 
 @dataclass(frozen=True)
 class FileProblem:
-    """One motion of a file.
+    """One motion of a file."""
 
-    Attributes:
-        id: its name in the file.
-        problem: what to plan.
-        accept_codes: values of moveit_msgs/MoveItErrorCodes that are right answers.
-    """
-
-    id: str
+    id: str  # its name in the file
     problem: PlanningProblem
-    accept_codes: tuple[int, ...]
+    accept_codes: tuple[int, ...]  # values of moveit_msgs/MoveItErrorCodes that are right answers
 
     @property
     def feasible(self) -> bool:
@@ -217,20 +211,13 @@ class FileProblem:
 
 @dataclass(frozen=True)
 class ProblemFile:
-    """Content of a problem file.
-
-    Attributes:
-        robot: the robot that was given, with the file's limits.
-        joint_names: the joints of its problems, in the file's order.
-        scene: what stands around; its version is a checksum of the file.
-        problems: in the file's order.
-    """
+    """Content of a problem file."""
 
     name: str
-    robot: RobotModel
-    joint_names: tuple[str, ...]
-    scene: Scene
-    problems: tuple[FileProblem, ...]
+    robot: RobotModel  # the robot that was given, with the file's limits
+    joint_names: tuple[str, ...]  # the joints of its problems, in the file's order
+    scene: Scene  # its version is a checksum of the file
+    problems: tuple[FileProblem, ...]  # in the file's order
 
 
 class _Limits(BaseModel):

@@ -22,15 +22,10 @@ for _x, _y, _z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
 
 @dataclass(frozen=True)
 class Boxes:
-    """Boxes along the axes of one joint.
+    """Boxes along the axes of one joint."""
 
-    Attributes:
-        middles_m: shape (3, n), in the joint's frame [m].
-        halves_m: shape (3, n), half the edges [m].
-    """
-
-    middles_m: Vector
-    halves_m: Vector
+    middles_m: Vector  # shape (3, n), in the joint's frame [m]
+    halves_m: Vector  # shape (3, n), half the edges [m]
 
     @classmethod
     def between(cls, lower_m: Vector, upper_m: Vector) -> Boxes:

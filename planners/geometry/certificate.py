@@ -14,14 +14,10 @@ from robot.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Contact:
-    """Something touches on a motion.
+    """Something touches on a motion."""
 
-    Attributes:
-        time_s: time of the first contact [s].
-        pairs: pairs in contact, deepest first; empty where a condition of the space does not hold.
-    """
-
-    time_s: float
+    time_s: float  # time of the first contact [s]
+    # Pairs in contact, deepest first; empty where a condition of the space does not hold.
     pairs: tuple[CollidingPair, ...]
 
 

@@ -47,25 +47,15 @@ NONE_REFINED: RefinedPairs = frozenset()
 
 @dataclass(frozen=True)
 class Body:
-    """One shape of a link or an object.
+    """One shape of a link or an object."""
 
-    Attributes:
-        name: of the link or the object.
-        shape: where it is and what carries it.
-        is_link: whether it belongs to the robot itself.
-        meets_links: whether it is checked against links.
-        meets_objects: whether it is checked against objects.
-        may_touch: names of links that it may touch.
-        padding_m: how much thicker it is when it meets objects [m].
-    """
-
-    name: str
-    shape: pin.GeometryObject
-    is_link: bool
-    meets_links: bool = True
-    meets_objects: bool = True
-    may_touch: frozenset[str] = frozenset()
-    padding_m: float = 0.0
+    name: str  # name of the link or the object
+    shape: pin.GeometryObject  # where it is and what carries it
+    is_link: bool  # whether it belongs to the robot itself
+    meets_links: bool = True  # whether it is checked against links
+    meets_objects: bool = True  # whether it is checked against objects
+    may_touch: frozenset[str] = frozenset()  # names of links that it may touch
+    padding_m: float = 0.0  # how much thicker it is when it meets objects [m]
 
 
 def link_bodies(model: pin.Model, shapes: Sequence[pin.GeometryObject], scene: Scene) -> list[Body]:
@@ -155,21 +145,13 @@ def padding(bodies: Sequence[Body], pairs: NDArray[np.int64]) -> NDArray[np.floa
 
 @dataclass(frozen=True)
 class CollidingPair:
-    """Two links, or a link and an object, that overlap.
-
-    Attributes:
-        first: one of them.
-        second: the other.
-        depth_m: how deep [m].
-        point_m: the middle of the overlap, in the robot's root link [m].
-        normal: unit vector there, the way that the second one would have to give.
-    """
+    """Two links, or a link and an object, that overlap."""
 
     first: str
     second: str
     depth_m: float
-    point_m: Point = ZERO
-    normal: Point = ZERO
+    point_m: Point = ZERO  # the middle of the overlap, in the robot's root link [m]
+    normal: Point = ZERO  # unit vector there, the way that the second one would have to give
 
     @property
     def links(self) -> frozenset[str]:

@@ -26,17 +26,11 @@ MAX_PARTS = 4000
 
 @dataclass(frozen=True)
 class Encounter:
-    """Two motions that may touch each other.
+    """Two motions that may touch each other."""
 
-    Attributes:
-        first_s: time on the first one [s].
-        second_s: time on the second one [s].
-        pairs: shapes in contact there, deepest first; empty where they only come near.
-    """
-
-    first_s: float
-    second_s: float
-    pairs: tuple[CollidingPair, ...]
+    first_s: float  # time on the first one [s]
+    second_s: float  # time on the second one [s]
+    pairs: tuple[CollidingPair, ...]  # shapes in contact there, deepest first; empty where they only come near
 
 
 class _Way:

@@ -71,7 +71,7 @@ class Broadphase:
             self._geometry.addGeometryObject(shape)
         checked = np.zeros((len(shapes), len(shapes)), dtype=bool)
         checked[pairs[:, 0], pairs[:, 1]] = True
-        # They come out in the order of ``pairs``: row by row.
+        # They come out in the order of `pairs`: row by row.
         self._geometry.setCollisionPairs(checked, True)
         self._pairs, self._apart_m = pairs, apart_m
         self._carriers = [shape.parentJoint for shape in shapes]
@@ -203,20 +203,14 @@ def _taken(results: Sequence[coal.CollisionResult]) -> list[int]:
 
 @dataclass(frozen=True)
 class Parts:
-    """Shapes that are carried together, each within a box along the axes of the joint that carries them.
-
-    Attributes:
-        shapes: the shapes.
-        boxes: the boxes.
-        places: where shapes are in the joint's frame, each place once: shapes of a link mostly share one.
-        place_of: index of each shape's place.
-        enclosed_by: surface of the whole, or its meshes, where these are known beside the shapes.
-    """
+    """Shapes that are carried together, each within a box along the axes of the joint that carries them."""
 
     shapes: Sequence[coal.CollisionGeometry]
     boxes: Boxes
+    # Where shapes are in the joint's frame, each place once: shapes of a link mostly share one.
     places: Sequence[pin.SE3]
-    place_of: Sequence[int]
+    place_of: Sequence[int]  # index of each shape's place
+    # Surface of the whole, or its meshes, where these are known beside the shapes.
     enclosed_by: TriangleSurface | Parts | None = None
 
     def outline(self) -> Vector:

@@ -68,15 +68,10 @@ class JointMap:
 
 @dataclass(frozen=True)
 class Placements:
-    """Poses of a link in many configurations.
+    """Poses of a link in many configurations."""
 
-    Attributes:
-        rotations: shape (m, 3, 3).
-        positions_m: shape (m, 3) [m].
-    """
-
-    rotations: Vector
-    positions_m: Vector
+    rotations: Vector  # shape (m, 3, 3)
+    positions_m: Vector  # shape (m, 3) [m]
 
 
 class ForwardKinematics:

@@ -14,17 +14,11 @@ from robot.trajectory import Vector
 
 @dataclass(frozen=True)
 class Nearest:
-    """Points at which two shapes are nearest to each other, or overlap deepest.
+    """Points at which two shapes are nearest to each other, or overlap deepest."""
 
-    Attributes:
-        distance_m: between them, below 0 how deep they overlap [m].
-        point_m: a point of the first one there, shape (3,) [m].
-        normal: unit vector from the first to the second, shape (3,).
-    """
-
-    distance_m: float
-    point_m: Vector
-    normal: Vector
+    distance_m: float  # below 0 the depth of the overlap [m]
+    point_m: Vector  # a point of the first one there, shape (3,) [m]
+    normal: Vector  # unit vector from the first to the second, shape (3,)
 
     def transformed(self, place: pin.SE3) -> Nearest:
         """Return the same points in the frame in which ``place`` is the present frame."""
@@ -33,21 +27,13 @@ class Nearest:
 
 @dataclass(frozen=True)
 class NearPair:
-    """Two links, or a link and an object, that are near each other.
-
-    Attributes:
-        first: name of the one.
-        second: name of the other.
-        by_object: whether one of them is no link.
-        distance_m: distance beyond their required clearance [m].
-        distance_gradient: gradient of the distance by each joint, shape (n,) [m/rad].
-    """
+    """Two links, or a link and an object, that are near each other."""
 
     first: str
     second: str
-    by_object: bool
-    distance_m: float
-    distance_gradient: Vector
+    by_object: bool  # whether an object is among the two
+    distance_m: float  # distance beyond their required clearance [m]
+    distance_gradient: Vector  # gradient of the distance by each joint, shape (n,) [m/rad]
 
 
 def distance_gradient(model: pin.Model, data: pin.Data, nearest: Nearest, first: int, second: int) -> Vector:

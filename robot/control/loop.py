@@ -52,17 +52,17 @@ def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
 
             return SerialServos(config.hardware, bounds, config.guard_limits, clock)
         case EmulatedConfig():
-            from robot.emulator.in_process import EmulatedServos
+            from robot.emulator.feetech_arm import EmulatedFeetechArm
 
-            return EmulatedServos(config.robot, config.hardware, bounds, config.guard_limits, clock)
+            return EmulatedFeetechArm(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case DynamixelConfig():
             from robot.hardware.dynamixel.hardware import SerialDynamixels
 
             return SerialDynamixels(config.hardware, bounds, config.guard_limits, clock)
         case EmulatedDynamixelConfig():
-            from robot.emulator.dynamixel.in_process import EmulatedDynamixels
+            from robot.emulator.dynamixel_arm import EmulatedDynamixelArm
 
-            return EmulatedDynamixels(config.robot, config.hardware, bounds, config.guard_limits, clock)
+            return EmulatedDynamixelArm(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case IdealConfig():
             from robot.hardware.ideal import IdealArm
 

@@ -19,8 +19,8 @@ from typing import Protocol
 
 from robot.calibration import MAX_TICK, Calibration, JointCalibration
 from robot.emulator.faults import PROBABILITIES
+from robot.emulator.feetech import FeetechServo
 from robot.emulator.plant import HAND_TICKS_S
-from robot.emulator.servo import Servo
 from robot.emulator.servo_bus import ServoBus
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import StatusFlag
@@ -116,9 +116,9 @@ class Adapter(Protocol):
 
 @dataclass(frozen=True)
 class Emulation:
-    """Servo bus and adapter, the targets of commands."""
+    """FeetechServo bus and adapter, the targets of commands."""
 
-    bus: ServoBus
+    bus: ServoBus[FeetechServo]
     adapter: Adapter
 
 
@@ -138,7 +138,7 @@ def answer(line: bytes, emulation: Emulation) -> bytes:
     return _line({"ok": True, "port": emulation.adapter.port} if "plugged" in command else {"ok": True})
 
 
-def check(command: Mapping[str, object], bus: ServoBus) -> list[Change]:
+def check(command: Mapping[str, object], bus: ServoBus[FeetechServo]) -> list[Change]:
     """Check a command and return the changes that carry it out; nothing is changed yet.
 
     Raises:
@@ -192,8 +192,8 @@ class Value:
 
     lowest: float
     highest: float
-    put: Callable[[Servo, float], None]
-    end: Callable[[Servo], None] | None = None
+    put: Callable[[FeetechServo, float], None]
+    end: Callable[[FeetechServo], None] | None = None
 
 
 def _probability(name: str) -> Number:
@@ -229,19 +229,19 @@ NUMBERS: Mapping[str, Number] = MappingProxyType(
 )
 
 
-def _torque_off(_emulation: Emulation, servo: Servo) -> None:
+def _torque_off(_emulation: Emulation, servo: FeetechServo) -> None:
     servo.write(Register.TORQUE_ENABLE, bytes([0]))
 
 
-def _powers_up_holding(_emulation: Emulation, servo: Servo) -> None:
+def _powers_up_holding(_emulation: Emulation, servo: FeetechServo) -> None:
     servo.powers_up_holding = True
 
 
-def _overload_latches(_emulation: Emulation, servo: Servo) -> None:
+def _overload_latches(_emulation: Emulation, servo: FeetechServo) -> None:
     servo.protection.latches = True
 
 
-FOR_SERVOS: Mapping[str, Callable[[Emulation, Servo], None]] = MappingProxyType(
+FOR_SERVOS: Mapping[str, Callable[[Emulation, FeetechServo], None]] = MappingProxyType(
     {
         "offline": lambda emulation, servo: emulation.bus.faults.offline.add(servo.servo_id),
         "online": lambda emulation, servo: emulation.bus.faults.offline.discard(servo.servo_id),
@@ -254,35 +254,35 @@ FOR_SERVOS: Mapping[str, Callable[[Emulation, Servo], None]] = MappingProxyType(
 )
 
 
-def _obstacle(servo: Servo, ticks: float) -> None:
+def _obstacle(servo: FeetechServo, ticks: float) -> None:
     servo.plant.block(servo.encoder_ticks(ticks))
 
 
-def _push(servo: Servo, push_permille: float) -> None:
+def _push(servo: FeetechServo, push_permille: float) -> None:
     servo.plant.push_permille = push_permille
 
 
-def _hand(servo: Servo, ticks: float) -> None:
+def _hand(servo: FeetechServo, ticks: float) -> None:
     servo.plant.hand_ticks = servo.encoder_ticks(ticks)
 
 
-def _let_go(servo: Servo) -> None:
+def _let_go(servo: FeetechServo) -> None:
     servo.plant.hand_ticks = None
 
 
-def _jump(servo: Servo, ticks: float) -> None:
+def _jump(servo: FeetechServo, ticks: float) -> None:
     servo.plant.position_ticks += ticks
 
 
-def _temperature(servo: Servo, temperature_c: float) -> None:
+def _temperature(servo: FeetechServo, temperature_c: float) -> None:
     servo.motor.temperature_c = temperature_c
 
 
-def _voltage(servo: Servo, voltage_v: float) -> None:
+def _voltage(servo: FeetechServo, voltage_v: float) -> None:
     servo.voltage_v = voltage_v
 
 
-def _status(servo: Servo, status: float) -> None:
+def _status(servo: FeetechServo, status: float) -> None:
     servo.protection.forced = StatusFlag(int(status))
 
 
@@ -299,7 +299,9 @@ VALUES: Mapping[str, Value] = MappingProxyType(
 )
 
 
-PLUGS: Mapping[str, Callable[[Servo], None]] = MappingProxyType({"plug": Servo.plug_in, "unplug": Servo.unplug})
+PLUGS: Mapping[str, Callable[[FeetechServo], None]] = MappingProxyType(
+    {"plug": FeetechServo.plug_in, "unplug": FeetechServo.unplug}
+)
 
 
 def _stall_behind_missing(emulation: Emulation, on: bool) -> None:
@@ -315,7 +317,7 @@ SWITCHES: Mapping[str, Callable[[Emulation, bool], None]] = MappingProxyType(
 )
 
 
-def _change(name: str, value: object, bus: ServoBus) -> Change:
+def _change(name: str, value: object, bus: ServoBus[FeetechServo]) -> Change:
     if name in NUMBERS:
         return _number(name, NUMBERS[name], value)
     if name in FOR_SERVOS:
@@ -337,8 +339,8 @@ def _number(name: str, number: Number, value: object) -> Change:
     return lambda emulation: number.put(emulation, checked)
 
 
-def _for_servos(name: str, value: object, bus: ServoBus) -> Change:
-    servos: dict[object, Servo] = {servo.servo_id: servo for servo in bus.servos}
+def _for_servos(name: str, value: object, bus: ServoBus[FeetechServo]) -> Change:
+    servos: dict[object, FeetechServo] = {servo.servo_id: servo for servo in bus.servos}
     listed = _listed(name, value, servos | _by_joint(bus), f"servo ids out of {list(servos)}")
 
     def carry_out(emulation: Emulation) -> None:
@@ -349,8 +351,8 @@ def _for_servos(name: str, value: object, bus: ServoBus) -> Change:
     return carry_out
 
 
-def _plugs(name: str, value: object, bus: ServoBus) -> Change:
-    chain: dict[object, Servo] = dict(enumerate(bus.servos, start=1))
+def _plugs(name: str, value: object, bus: ServoBus[FeetechServo]) -> Change:
+    chain: dict[object, FeetechServo] = dict(enumerate(bus.servos, start=1))
     listed = _listed(name, value, chain | _by_joint(bus), f"joints or their numbers in the chain, 1 to {len(chain)}")
 
     def carry_out(_emulation: Emulation) -> None:
@@ -361,18 +363,18 @@ def _plugs(name: str, value: object, bus: ServoBus) -> Change:
     return carry_out
 
 
-def _by_joint(bus: ServoBus) -> dict[object, Servo]:
+def _by_joint(bus: ServoBus[FeetechServo]) -> dict[object, FeetechServo]:
     return {servo.joint: servo for servo in bus.servos}
 
 
-def _listed(name: str, value: object, servos: Mapping[object, Servo], names: str) -> list[Servo]:
+def _listed(name: str, value: object, servos: Mapping[object, FeetechServo], names: str) -> list[FeetechServo]:
     if not isinstance(value, list) or any(one not in list(servos) for one in value):
         raise ValueError(f"{name} takes a list of {names}, not {value!r}")
     return [servos[one] for one in value]
 
 
-def _values(name: str, kind: Value, value: object, bus: ServoBus) -> Change:
-    ids: dict[object, Servo] = {str(servo.servo_id): servo for servo in bus.servos}
+def _values(name: str, kind: Value, value: object, bus: ServoBus[FeetechServo]) -> Change:
+    ids: dict[object, FeetechServo] = {str(servo.servo_id): servo for servo in bus.servos}
     servos = ids | _by_joint(bus)
     if not isinstance(value, dict) or any(named not in servos for named in value):
         raise ValueError(f"{name} takes an object with servo ids out of {list(ids)}, not {value!r}")
@@ -386,7 +388,7 @@ def _values(name: str, kind: Value, value: object, bus: ServoBus) -> Change:
     return carry_out
 
 
-def _value(name: str, kind: Value, servo: Servo, value: object) -> Change:
+def _value(name: str, kind: Value, servo: FeetechServo, value: object) -> Change:
     end = kind.end
     if value is None and end is not None:
         return lambda _emulation: end(servo)
@@ -497,7 +499,7 @@ class Rehearsal:
         return due
 
 
-def read_script(path: Path, bus: ServoBus) -> tuple[TimedCommand, ...]:
+def read_script(path: Path, bus: ServoBus[FeetechServo]) -> tuple[TimedCommand, ...]:
     """Read a script and check all of its commands.
 
     Args:
@@ -521,7 +523,7 @@ def read_script(path: Path, bus: ServoBus) -> tuple[TimedCommand, ...]:
     return tuple(commands)
 
 
-def _timed_command(line: bytes, previous_s: float | None, bus: ServoBus) -> TimedCommand:
+def _timed_command(line: bytes, previous_s: float | None, bus: ServoBus[FeetechServo]) -> TimedCommand:
     command = json_object(line)
     if "at_s" not in command:
         raise ValueError(f"at_s is missing, a number from 0 to {MAX_AT_S:g}")

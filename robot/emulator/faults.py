@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from robot.hardware.feetech.packets import HEADER, checksum
-
 # Random faults and their effects on a packet; each is a field of Faults, an option and a live command.
 PROBABILITIES: Mapping[str, str] = MappingProxyType(
     {
@@ -58,11 +56,6 @@ class Faults:
     stall_behind_missing: bool = False
     random: random.Random = field(default_factory=lambda: random.Random(0))  # noqa: S311 - repeatable faults, no secret
 
-    @property
-    def by_chance(self) -> bool:
-        """True while any probability is above 0."""
-        return any(getattr(self, name) > 0.0 for name in PROBABILITIES)
-
     def loses_instruction(self) -> bool:
         """Draw; return True when an instruction is lost."""
         return self._happens(self.lose_instruction)
@@ -71,12 +64,16 @@ class Faults:
         """Draw the delay of a reply [s]."""
         return self.delay_s if self._happens(self.delay) else 0.0
 
+    def id_of_reply(self, servo_id: int) -> int:
+        """Draw the id that a servo's reply bears."""
+        if not self._happens(self.wrong_id):
+            return servo_id
+        return self.random.choice([other for other in SERVO_IDS if other != servo_id])
+
     def apply(self, packet: bytes) -> bytes:
-        """Apply random faults to a reply; return the bytes that arrive."""
+        """Apply the other faults of replies to one; return the bytes that arrive."""
         if self._happens(self.drop):
             return b""
-        if self._happens(self.wrong_id):
-            packet = self._with_wrong_id(packet)
         if self._happens(self.corrupt):
             packet = self._with_wrong_byte(packet)
         if self._happens(self.truncate):
@@ -94,9 +91,3 @@ class Faults:
         at = self.random.randrange(len(packet))
         wrong = packet[at] ^ self.random.randrange(1, 256)
         return packet[:at] + bytes([wrong]) + packet[at + 1 :]
-
-    def _with_wrong_id(self, packet: bytes) -> bytes:
-        own = packet[len(HEADER)]
-        other = self.random.choice([servo_id for servo_id in SERVO_IDS if servo_id != own])
-        body = bytes([other]) + packet[len(HEADER) + 1 : -1]
-        return HEADER + body + bytes([checksum(body)])

@@ -28,7 +28,7 @@ from robot.calibration import Calibration
 from robot.control.pacing import take_priority
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
-from robot.emulator.arm import build_servos, weight_of
+from robot.emulator.arm import weight_of
 from robot.emulator.control import (
     MAX_COMMAND_BYTES,
     MAX_DELAY_S,
@@ -43,8 +43,9 @@ from robot.emulator.control import (
     read_script,
 )
 from robot.emulator.faults import DELAY_S, PROBABILITIES, Faults
+from robot.emulator.feetech import FEETECH, FeetechServo
+from robot.emulator.feetech_arm import build_servos
 from robot.emulator.populations import POPULATIONS
-from robot.emulator.servo import Servo
 from robot.emulator.servo_bus import Reply, ServoBus
 from robot.emulator.write_log import WriteLog
 from robot.errors import DescriptionError
@@ -273,7 +274,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--repeat", action="store_true", help="play the script again and again")
 
 
-def build_bus(options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True) -> ServoBus:
+def build_bus(
+    options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True
+) -> ServoBus[FeetechServo]:
     """Build the servo bus of the options.
 
     Args:
@@ -297,11 +300,17 @@ def build_bus(options: argparse.Namespace, resources: ExitStack, now_s: float, *
         log = WriteLog(options.write_log)
         resources.callback(log.close)
     return ServoBus(
-        servos, _faults(options), now_s, log, weight_of(options.robot.model, calibration, servos), wire_time=wire_time
+        servos,
+        FEETECH,
+        _faults(options),
+        now_s,
+        log,
+        weight_of(options.robot.model, calibration, servos),
+        wire_time=wire_time,
     )
 
 
-def build_rehearsal(options: argparse.Namespace, bus: ServoBus) -> Rehearsal:
+def build_rehearsal(options: argparse.Namespace, bus: ServoBus[FeetechServo]) -> Rehearsal:
     """Build the rehearsal of the options; it has no commands without one.
 
     Args:
@@ -347,7 +356,7 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
             serve(bus, adapter, Control(control_descriptor, control_descriptor, essential=True), rehearsal)
 
 
-def serve(bus: ServoBus, adapter: UsbAdapter, control: Control, rehearsal: Rehearsal) -> None:
+def serve(bus: ServoBus[FeetechServo], adapter: UsbAdapter, control: Control, rehearsal: Rehearsal) -> None:
     """Serve the bus for ever, or until an essential controller has ended and the bus is silent.
 
     Args:
@@ -460,7 +469,7 @@ def _faults(options: argparse.Namespace) -> Faults:
     return Faults(**probabilities, delay_s=options.delay_s, stall_behind_missing=stall, random=chance)
 
 
-def _configure(servo: Servo, options: argparse.Namespace) -> None:
+def _configure(servo: FeetechServo, options: argparse.Namespace) -> None:
     """Give a servo the properties of the options."""
     if options.supply is not None:
         servo.voltage_v = options.supply

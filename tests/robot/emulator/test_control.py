@@ -12,7 +12,6 @@ import pytest
 
 from robot.calibration import MAX_TICK, Calibration, save
 from robot.emulator import control
-from robot.emulator.arm import build_servos
 from robot.emulator.control import (
     FOR_SERVOS,
     LEAD_S,
@@ -32,9 +31,10 @@ from robot.emulator.control import (
     sweep,
 )
 from robot.emulator.faults import Faults
+from robot.emulator.feetech import FEETECH, FeetechServo
+from robot.emulator.feetech_arm import build_servos
 from robot.emulator.in_process import InProcessPort
 from robot.emulator.process import UsbAdapter, add_options, build_rehearsal
-from robot.emulator.servo import Servo
 from robot.emulator.servo_bus import ServoBus
 from robot.emulator.write_log import WriteLog
 from robot.hardware.feetech.registers import Register, encode
@@ -50,7 +50,7 @@ def log_path(tmp_path):
 @pytest.fixture
 def emulation(log_path):
     log, adapter = WriteLog(log_path), UsbAdapter()
-    yield Emulation(ServoBus(build_servos(nominal_calibration(), [0.0] * 6), Faults(), 0.0, log), adapter)
+    yield Emulation(ServoBus(build_servos(nominal_calibration(), [0.0] * 6), FEETECH, Faults(), 0.0, log), adapter)
     adapter.unplug()
     log.close()
 
@@ -224,13 +224,15 @@ LET_GO = TimedCommand(2.0, {"hand": {"3": None}})
 Build = Callable[..., Rehearsal]
 
 
-def bus_of(calibration: Calibration = NOMINAL) -> ServoBus:
-    return ServoBus(build_servos(calibration, [0.0] * len(calibration.joints)), Faults(), 0.0)
+def bus_of(calibration: Calibration = NOMINAL) -> ServoBus[FeetechServo]:
+    return ServoBus(build_servos(calibration, [0.0] * len(calibration.joints)), FEETECH, Faults(), 0.0)
 
 
 def played(
-    commands: Sequence[TimedCommand], calibration: Calibration, prepare: Callable[[ServoBus], None] = lambda bus: None
-) -> Iterator[tuple[float, tuple[Servo, ...]]]:
+    commands: Sequence[TimedCommand],
+    calibration: Calibration,
+    prepare: Callable[[ServoBus[FeetechServo]], None] = lambda bus: None,
+) -> Iterator[tuple[float, tuple[FeetechServo, ...]]]:
     """Play commands to servos in a time of their own; yields it, from the start on, with the servos."""
     bus = bus_of(calibration)
     emulation = Emulation(bus, InProcessPort(bus, lambda: 0.0))
@@ -245,8 +247,8 @@ def played(
         yield now_s, bus.servos
 
 
-def hold_the_elbow_at(goal_ticks: int) -> Callable[[ServoBus], None]:
-    def hold(bus: ServoBus) -> None:
+def hold_the_elbow_at(goal_ticks: int) -> Callable[[ServoBus[FeetechServo]], None]:
+    def hold(bus: ServoBus[FeetechServo]) -> None:
         elbow = bus.servos[ELBOW]
         elbow.write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, goal_ticks))
         elbow.write(Register.TORQUE_LIMIT, encode(Register.TORQUE_LIMIT, 800))

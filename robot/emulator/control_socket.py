@@ -1,0 +1,112 @@
+"""Live commands to the emulated servos inside the arm process, on a Unix socket."""
+
+from __future__ import annotations
+
+import contextlib
+import selectors
+import socket
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from robot.emulator.control import MAX_COMMAND_BYTES, Emulation, answer
+from robot.emulator.feetech import FeetechServo
+from robot.emulator.in_process import InProcessPort
+from robot.emulator.servo_bus import ServoBus
+
+# One is in use at a time; the rest allows for connections that were not closed.
+MAX_CONTROLLERS = 8
+
+READ_BYTES = 4096
+
+
+class CommandedPort(InProcessPort):
+    """Port that polls a socket for live commands, once at each time of the clock.
+
+    Args:
+        bus: the servo bus.
+        clock: time of bus and caller [s].
+        control: socket of the commands.
+    """
+
+    def __init__(self, bus: ServoBus[FeetechServo], clock: Callable[[], float], control: ControlSocket) -> None:
+        super().__init__(bus, clock)
+        self._emulation = Emulation(bus, self)
+        self._control = control
+        self._polled_s = clock()
+
+    def check(self) -> None:
+        """Carry out the commands that have arrived; raise PortError while the port is unplugged."""
+        self._poll()
+        super().check()
+
+    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
+        """Carry out the commands that have arrived, then pass a packet to the servos."""
+        if self._clock() != self._polled_s:
+            self._poll()
+        return super().writePort(packet)
+
+    def _poll(self) -> None:
+        """Bring the servos up to the present, then carry out the commands, which the log records with this time."""
+        self._polled_s = self._clock()
+        self._bus.advance(self._polled_s)
+        self._control.poll(self._emulation)
+
+
+class ControlSocket:
+    """Unix socket for live commands, one JSON object a line (:mod:`robot.emulator.control`).
+
+    Args:
+        path: path of the socket; one left by an ended process is replaced.
+
+    Raises:
+        OSError: something else is there, or the socket cannot be created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            if path.is_socket():
+                path.unlink()
+        self._listener = socket.socket(socket.AF_UNIX)
+        try:
+            self._listener.bind(str(path))
+        except OSError:
+            self._listener.close()
+            raise
+        self._listener.listen()
+        self._listener.setblocking(False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._buffers: dict[socket.socket, bytes] = {}
+
+    def poll(self, emulation: Emulation) -> None:
+        """Carry out and answer the commands that have arrived; never waits."""
+        for key, _ in self._selector.select(0.0):
+            if key.fileobj is self._listener:
+                self._accept()
+            elif isinstance(key.fileobj, socket.socket):
+                self._answer(key.fileobj, emulation)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            controller, _ = self._listener.accept()
+            if len(self._buffers) >= MAX_CONTROLLERS:
+                controller.close()
+                return
+            controller.setblocking(False)
+            self._buffers[controller] = b""
+            self._selector.register(controller, selectors.EVENT_READ)
+
+    def _answer(self, controller: socket.socket, emulation: Emulation) -> None:
+        try:
+            data = controller.recv(READ_BYTES)
+            *lines, rest = (self._buffers[controller] + data).split(b"\n")
+            for line in lines:
+                if line.strip():
+                    controller.sendall(answer(line, emulation))
+        except OSError:
+            data, rest = b"", b""
+        self._buffers[controller] = rest
+        if not data or len(rest) > MAX_COMMAND_BYTES:
+            self._selector.unregister(controller)
+            del self._buffers[controller]
+            controller.close()

@@ -1,0 +1,138 @@
+"""Emulated arm with Feetech servos: its servos at a pose, in the state of a population, and its hardware source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from robot.calibration import Calibration, JointCalibration
+from robot.description.limits import JointBounds
+from robot.description.model import RobotModel
+from robot.emulator.arm import EmulatedArm, hold, start_pose_rad
+from robot.emulator.feetech import FEETECH, FeetechServo
+from robot.emulator.plant import Plant
+from robot.emulator.populations import FACTORY, POPULATIONS, Population
+from robot.emulator.write_log import WriteLog
+from robot.hardware.config import EmulatedConfig
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.hardware import FeetechHardware
+from robot.hardware.feetech.registers import Register
+from robot.hardware.interface import HardwareInterface
+from robot.messages import GuardLimits
+
+
+class EmulatedFeetechArm(EmulatedArm[FeetechServo]):
+    """Emulated Feetech servos of an arm.
+
+    Args:
+        robot: description of the arm.
+        config: calibration, faults and start of the servos.
+        bounds: soft limits of the joints.
+        guard_limits: torque limits.
+        clock: time of the control loop [s].
+
+    Raises:
+        OSError: the log or the control socket cannot be created.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        config: EmulatedConfig,
+        bounds: JointBounds,
+        guard_limits: GuardLimits,
+        clock: Callable[[], float],
+    ) -> None:
+        self._config = config
+        self._bounds = bounds
+        self._guard_limits = guard_limits
+        self._clock = clock
+        population = POPULATIONS[config.population]
+        servos = build_servos(config.calibration, start_pose_rad(config), population, as_read=config.resumes)
+        if config.driven and (config.resumes or not population.has_shifted):
+            hold(servos, config.calibration, guard_limits)
+        log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
+        super().__init__(robot, config, servos, FEETECH, clock, log)
+        if config.control:
+            # Only here: most arms take no commands.
+            from robot.emulator.control_socket import CommandedPort, ControlSocket
+
+            self.port = CommandedPort(self.bus, clock, ControlSocket(config.control))
+
+    def _hardware(self) -> HardwareInterface:
+        return FeetechHardware(
+            Bus(self.port, self._clock),
+            # Emulated servos are built from the calibration: it tells their offsets, also where it was assumed.
+            replace(self._config.calibration, offsets_known=True),
+            self._bounds,
+            self._guard_limits,
+            self._clock,
+            profile=self._config.profile,
+            simulated=True,
+        )
+
+
+def build_servos(
+    calibration: Calibration, start_rad: Sequence[float], population: Population = FACTORY, *, as_read: bool = False
+) -> list[FeetechServo]:
+    """Build the arm's servos at a pose.
+
+    Args:
+        calibration: ids, angle limits and homing offsets; its ranges are the joints' mechanical stops.
+        start_rad: position of each joint, in the calibration's order [rad].
+        population: state of the servos.
+        as_read: True if the pose is the one that the calibration makes of the servos' readings, which may have another
+            zero.
+
+    Raises:
+        ValueError: the pose has another number of joints, or lies outside the ranges.
+    """
+    if len(start_rad) != len(calibration.joints):
+        raise ValueError(f"the start pose needs {len(calibration.joints)} positions, not {len(start_rad)}")
+    return [
+        _servo(place, joint, position, population, as_read=as_read)
+        for place, (joint, position) in enumerate(zip(calibration.joints, start_rad, strict=True))
+    ]
+
+
+def _servo(
+    place: int, joint: JointCalibration, start_rad: float, population: Population, *, as_read: bool
+) -> FeetechServo:
+    if not joint.lower_rad <= start_rad <= joint.upper_rad:
+        raise ValueError(
+            f"{joint.joint} cannot start at {start_rad:g} rad, outside its range of "
+            f"{joint.lower_rad:.3f} to {joint.upper_rad:.3f}"
+        )
+
+    def own(each: Sequence[int]) -> int:
+        """Return the value of this joint."""
+        return each[place % len(each)]
+
+    zero = joint.homing_offset + own(population.horn_ticks)
+    offset = (joint.homing_offset if population.has_offsets else 0) + own(population.offset_shift_ticks)
+    lower_stop, upper_stop = joint.range_min + zero, joint.range_max + zero
+    if joint.servo.turns_freely and population.free_joint_stops_ticks is not None:
+        lower_stop, upper_stop = (stop + zero for stop in population.free_joint_stops_ticks)
+    start = joint.ticks_from_rad(start_rad) + (offset if as_read else zero)
+    plant = Plant(max(lower_stop, min(upper_stop, start)), lower_stop, upper_stop)
+    lowest, highest = population.limits_ticks or (joint.range_min, joint.range_max)
+    eprom = {
+        Register.ID: joint.servo_id if population.servo_id is None else population.servo_id,
+        Register.MIN_ANGLE_LIMIT: lowest,
+        Register.MAX_ANGLE_LIMIT: highest,
+        Register.HOMING_OFFSET: offset,
+        Register.FIRMWARE_MINOR: own(population.firmware),
+        **population.registers,
+        **(population.gripper if joint.servo.gripper else {}),
+    }
+    servo = FeetechServo(plant, eprom, joint=joint.joint, zero_ticks=zero)
+    if joint.servo.gripper:
+        servo.motor.heating = population.gripper_heating
+    servo.voltage_v = population.supply_v
+    servo.protection.latches = population.overload_latches
+    servo.powers_up_holding = population.powers_up_holding
+    servo.powers_up_unlocked = population.powers_up_unlocked
+    servo.power_up()
+    if population.unlocked:
+        servo.set(Register.LOCK, 0)
+    return servo

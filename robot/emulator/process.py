@@ -35,17 +35,14 @@ from robot.emulator.control import (
     MAX_HEAT_RATE,
     MAX_USB_FRAME_MS,
     MAX_VOLTAGE_V,
-    REHEARSALS,
     Emulation,
-    Rehearsal,
-    TimedCommand,
     answer,
-    read_script,
 )
 from robot.emulator.faults import DELAY_S, PROBABILITIES, Faults
 from robot.emulator.feetech import FEETECH, FeetechServo
 from robot.emulator.feetech_arm import build_servos
 from robot.emulator.populations import POPULATIONS
+from robot.emulator.rehearsal import REHEARSALS, Rehearsal, TimedCommand, read_script
 from robot.emulator.servo_bus import Reply, ServoBus
 from robot.emulator.write_log import WriteLog
 from robot.errors import DescriptionError

@@ -104,7 +104,7 @@ def test_an_unplugged_servo_has_lost_its_power(kit):
 
 @pytest.mark.parametrize("place", [0, 7, "thumb", None])
 def test_a_servo_that_is_not_in_the_chain_cannot_be_unplugged(kit, place):
-    assert "joints or their numbers in the chain, 1 to 6" in kit.command(unplug=[place])["error"]
+    assert "must be a number out of 1, 2, 3, 4, 5, 6, or a joint's name" in kit.command(unplug=[place])["error"]
 
 
 NOMINAL = nominal_calibration()

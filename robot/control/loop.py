@@ -52,17 +52,17 @@ def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
 
             return SerialServos(config.hardware, bounds, config.guard_limits, clock)
         case EmulatedConfig():
-            from robot.emulator.feetech_arm import EmulatedFeetechArm
+            from robot.emulator.feetech_arm import emulated_feetech_arm
 
-            return EmulatedFeetechArm(config.robot, config.hardware, bounds, config.guard_limits, clock)
+            return emulated_feetech_arm(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case DynamixelConfig():
             from robot.hardware.dynamixel.hardware import SerialDynamixels
 
             return SerialDynamixels(config.hardware, bounds, config.guard_limits, clock)
         case EmulatedDynamixelConfig():
-            from robot.emulator.dynamixel_arm import EmulatedDynamixelArm
+            from robot.emulator.dynamixel_arm import emulated_dynamixel_arm
 
-            return EmulatedDynamixelArm(config.robot, config.hardware, bounds, config.guard_limits, clock)
+            return emulated_dynamixel_arm(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case IdealConfig():
             from robot.hardware.ideal import IdealArm
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import random
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, Generic
 
@@ -24,15 +23,16 @@ from robot.messages import GuardLimits
 WEIGHED_AGAIN_RAD = 0.005
 
 
-class EmulatedArm(ABC, Generic[S]):
+class EmulatedArm(Generic[S]):
     """Emulated servos of an arm as a hardware source; they keep running while the hardware is closed.
 
     Args:
         robot: description of the arm, for the weight of its links.
-        config: calibration, faults and start of the servos.
+        config: calibration and faults.
         servos: in the order of the calibration.
         codec: packets of the servos.
         clock: time of the control loop [s].
+        driver: makes the driver of the servos on a port.
         log: record of the writes; None for no record.
 
     Attributes:
@@ -47,6 +47,7 @@ class EmulatedArm(ABC, Generic[S]):
         servos: Sequence[S],
         codec: Codec,
         clock: Callable[[], float],
+        driver: Callable[[InProcessPort], HardwareInterface],
         log: WriteLog | None = None,
     ) -> None:
         chance = random.Random(config.seed)  # noqa: S311 - repeatable faults, no secret
@@ -54,6 +55,7 @@ class EmulatedArm(ABC, Generic[S]):
         weight = weight_of(robot, config.calibration, servos)
         self.bus = ServoBus(servos, codec, faults, clock(), log, weight, wire_time=False)
         self.port = InProcessPort(self.bus, clock)
+        self._driver = driver
 
     def open(self) -> HardwareInterface:
         """Open the servos' port.
@@ -62,11 +64,7 @@ class EmulatedArm(ABC, Generic[S]):
             PortError: it is unplugged.
         """
         self.port.check()
-        return self._hardware()
-
-    @abstractmethod
-    def _hardware(self) -> HardwareInterface:
-        """Return the driver of the servos on their port."""
+        return self._driver(self.port)
 
 
 def start_pose_rad(config: EmulatedConfig | EmulatedDynamixelConfig) -> list[float]:
@@ -82,13 +80,7 @@ def hold(servos: Sequence[EmulatedServo[Any]], calibration: Calibration, limits:
 
 
 def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[EmulatedServo[Any]]) -> Callable[[], None]:
-    """Return a function that loads the servos with the links' weight at the present pose.
-
-    Args:
-        robot: description of the arm.
-        calibration: joints of the servos.
-        servos: in the order of the calibration.
-    """
+    """Return a function that loads the servos, in the calibration's order, with the links' weight at their pose."""
     weights = LinkWeights(robot)
     joints = list(zip(calibration.joints, servos, strict=True))
     weighed: dict[str, float] = {}

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Protocol, TypeAlias, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 
 from robot.calibration import MAX_TICK
+from robot.emulator.adapter import Adapter
 from robot.emulator.feetech import FeetechServo
 from robot.emulator.servo_bus import ServoBus
 from robot.hardware.feetech.registers import Register
@@ -35,26 +36,6 @@ MAX_USB_FRAME_MS = 100
 MAX_HEAT_RATE = 3600
 
 
-class Adapter(Protocol):
-    """USB adapter, as far as commands change it.
-
-    Attributes:
-        port: name of the port.
-        frozen: True while it neither takes nor delivers bytes.
-        frame_s: interval at multiples of which replies are delivered [s]; 0 delivers them at once.
-    """
-
-    port: str
-    frozen: bool
-    frame_s: float
-
-    def plug_in(self, *, renamed: bool = False) -> None:
-        """Create the port, under another name if ``renamed``, unless it is there."""
-
-    def unplug(self) -> None:
-        """Remove the port."""
-
-
 @dataclass(frozen=True)
 class Emulation:
     """Servo bus and adapter, the targets of commands."""
@@ -63,16 +44,15 @@ class Emulation:
     adapter: Adapter
 
 
-def _servo_of(name: object, info: ValidationInfo[ServoBus[FeetechServo]]) -> FeetechServo:
-    """Return the servo of an id or a joint's name; validation has the bus as its context."""
-    servos = info.context.servos
-    return _named(name, {str(servo.servo_id): servo for servo in servos}, servos, "a servo id")
+def _servo_of(name: object, info: ValidationInfo[Sequence[FeetechServo]]) -> FeetechServo:
+    """Return the servo of an id or a joint's name; validation has the servos as its context."""
+    return _named(name, {str(servo.servo_id): servo for servo in info.context}, info.context, "a servo id")
 
 
-def _servo_in_chain(name: object, info: ValidationInfo[ServoBus[FeetechServo]]) -> FeetechServo:
+def _servo_in_chain(name: object, info: ValidationInfo[Sequence[FeetechServo]]) -> FeetechServo:
     """Return the servo of a number in the chain, as several may have the same id, or of a joint's name."""
-    servos = info.context.servos
-    return _named(name, {str(place): servo for place, servo in enumerate(servos, start=1)}, servos, "a number")
+    numbered = {str(place): servo for place, servo in enumerate(info.context, start=1)}
+    return _named(name, numbered, info.context, "a number")
 
 
 def _named(
@@ -101,13 +81,13 @@ class LiveCommand(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
     drop: Probability = _command(0.01, "probability that a reply is lost")
-    corrupt: Probability = _command(0.05, "... that one byte of a reply is wrong")
-    wrong_id: Probability = _command(0.01, "... that a reply bears another id, with a sound checksum")
-    truncate: Probability = _command(0.01, "... that a reply is cut short")
-    duplicate: Probability = _command(0.01, "... that a reply comes twice")
-    noise: Probability = _command(0.01, "... that noise comes before a reply")
-    delay: Probability = _command(0.01, "... that the host gets a reply, and those behind it, later")
-    delay_s: Annotated[float, Field(ge=0.0, le=MAX_DELAY_S)] = _command(0.02, "by how much later [s]")
+    corrupt: Probability = _command(0.05, "probability that one byte of a reply is wrong")
+    wrong_id: Probability = _command(0.01, "probability that a reply bears another id, with a sound checksum")
+    truncate: Probability = _command(0.01, "probability that a reply is cut short")
+    duplicate: Probability = _command(0.01, "probability that a reply comes twice")
+    noise: Probability = _command(0.01, "probability that noise comes before a reply")
+    delay: Probability = _command(0.01, "probability that the host gets a reply, and those behind it, later")
+    delay_s: Annotated[float, Field(ge=0.0, le=MAX_DELAY_S)] = _command(0.02, "delay of these replies [s]")
     lose_instruction: Probability = _command(0.01, "probability that no servo hears an instruction")
     offline: list[Servo] = _command([3], "these servos neither hear nor speak")
     online: list[Servo] = _command([3], "these do again")
@@ -117,12 +97,8 @@ class LiveCommand(BaseModel):
     plug: list[ServoInChain] = _command(["gripper"], "these are plugged in again, and start with torque off")
     power_cycle: list[Servo] = _command([3], "these lose power for a moment, and start with torque off and goal 0")
     torque_off: list[Servo] = _command([3], "torque goes off there, behind the driver's back")
-    powers_up_holding: list[Servo] = _command(
-        [3], "from now on these power up with torque on, at the position where they are"
-    )
-    overload_latches: list[Servo] = _command(
-        [3], "an overload of these is cleared by a power cycle only; until then torque stays on"
-    )
+    powers_up_holding: list[Servo] = _command([3], "power-ups leave torque on, at the present position")
+    overload_latches: list[Servo] = _command([3], "only a power cycle clears an overload; until then torque stays on")
     mirror: list[Servo] = _command(["gripper"], "the horns of these are mounted mirrored, or as before")
     obstacle: dict[Servo, Ticks | None] = _command(
         {"3": 2100}, "something in the way of the joint at this tick; null takes it away"
@@ -177,13 +153,29 @@ def answer(line: bytes, emulation: Emulation) -> bytes:
     """Carry out one line of commands and return the line that answers it."""
     try:
         values = json_object(line)
-        command = check(LiveCommand, values, emulation.bus)
+        command = check(LiveCommand, values, emulation.bus.servos)
     except ValueError as error:
         return _line({"error": str(error)})
-    for name in values:
-        _carry_out(emulation, name, getattr(command, name))
+    carry_out(command, values, emulation)
     emulation.bus.record_command(values)
     return _line({"ok": True, "port": emulation.adapter.port} if "plugged" in values else {"ok": True})
+
+
+class CommandStream:
+    """Lines of commands from one controller."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes, emulation: Emulation) -> list[bytes]:
+        """Carry out the lines completed by ``data``; return their answers."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        return [answer(line, emulation) for line in lines if line.strip()]
+
+    @property
+    def overlong(self) -> bool:
+        """True if the controller sends no line end."""
+        return len(self._rest) > MAX_COMMAND_BYTES
 
 
 def json_object(line: bytes) -> dict[str, object]:
@@ -204,14 +196,14 @@ def json_object(line: bytes) -> dict[str, object]:
 C = TypeVar("C", bound=LiveCommand)
 
 
-def check(model: type[C], values: Mapping[str, object], bus: ServoBus[FeetechServo]) -> C:
-    """Check commands for a bus; nothing is changed yet.
+def check(model: type[C], values: Mapping[str, object], servos: Sequence[FeetechServo]) -> C:
+    """Check commands for some servos; nothing is changed yet.
 
     Raises:
         ValueError: there is no such command, or not with this value; the text names field, limit and value.
     """
     try:
-        return model.model_validate(values, context=bus)
+        return model.model_validate(values, context=servos)
     except ValidationError as error:
         flaw = error.errors(include_url=False)[0]
     name = ".".join(str(part) for part in flaw["loc"] if part != "[key]")
@@ -223,15 +215,18 @@ def check(model: type[C], values: Mapping[str, object], bus: ServoBus[FeetechSer
     raise ValueError(f"{name}: {limit}, not {flaw['input']!r}")
 
 
-def _carry_out(emulation: Emulation, name: str, value: Any) -> None:
-    if isinstance(value, list):
-        for servo in value:
-            _change_servo(emulation, servo, name)
-    elif isinstance(value, dict):
-        for servo, one in value.items():
-            _load_servo(servo, name, one)
-    else:
-        _change_all(emulation, name, value)
+def carry_out(command: LiveCommand, names: Iterable[str], emulation: Emulation) -> None:
+    """Carry out some of the checked commands in their order."""
+    for name in names:
+        value = getattr(command, name)
+        if isinstance(value, list):
+            for servo in value:
+                _change_servo(emulation, servo, name)
+        elif isinstance(value, dict):
+            for servo, one in value.items():
+                _load_servo(servo, name, one)
+        else:
+            _change_all(emulation, name, value)
 
 
 def _change_servo(emulation: Emulation, servo: FeetechServo, name: str) -> None:

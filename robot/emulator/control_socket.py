@@ -8,7 +8,7 @@ import socket
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from robot.emulator.control import MAX_COMMAND_BYTES, Emulation, answer
+from robot.emulator.control import CommandStream, Emulation
 from robot.emulator.feetech import FeetechServo
 from robot.emulator.in_process import InProcessPort
 from robot.emulator.servo_bus import ServoBus
@@ -76,7 +76,7 @@ class ControlSocket:
         self._listener.setblocking(False)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
-        self._buffers: dict[socket.socket, bytes] = {}
+        self._streams: dict[socket.socket, CommandStream] = {}
 
     def poll(self, emulation: Emulation) -> None:
         """Carry out and answer the commands that have arrived; never waits."""
@@ -89,24 +89,21 @@ class ControlSocket:
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             controller, _ = self._listener.accept()
-            if len(self._buffers) >= MAX_CONTROLLERS:
+            if len(self._streams) >= MAX_CONTROLLERS:
                 controller.close()
                 return
             controller.setblocking(False)
-            self._buffers[controller] = b""
+            self._streams[controller] = CommandStream()
             self._selector.register(controller, selectors.EVENT_READ)
 
     def _answer(self, controller: socket.socket, emulation: Emulation) -> None:
+        stream = self._streams[controller]
         try:
             data = controller.recv(READ_BYTES)
-            *lines, rest = (self._buffers[controller] + data).split(b"\n")
-            for line in lines:
-                if line.strip():
-                    controller.sendall(answer(line, emulation))
+            controller.sendall(b"".join(stream.feed(data, emulation)))
         except OSError:
-            data, rest = b"", b""
-        self._buffers[controller] = rest
-        if not data or len(rest) > MAX_COMMAND_BYTES:
+            data = b""
+        if not data or stream.overlong:
             self._selector.unregister(controller)
-            del self._buffers[controller]
+            del self._streams[controller]
             controller.close()

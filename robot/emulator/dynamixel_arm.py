@@ -9,6 +9,7 @@ from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
 from robot.emulator.arm import EmulatedArm, hold, start_pose_rad
 from robot.emulator.dynamixel import DYNAMIXEL, DynamixelServo
+from robot.emulator.in_process import InProcessPort
 from robot.emulator.plant import Plant
 from robot.hardware.config import EmulatedDynamixelConfig
 from robot.hardware.dynamixel.bus import Bus
@@ -18,38 +19,24 @@ from robot.hardware.interface import HardwareInterface
 from robot.messages import GuardLimits
 
 
-class EmulatedDynamixelArm(EmulatedArm[DynamixelServo]):
-    """Emulated Dynamixel servos of an arm.
+def emulated_dynamixel_arm(
+    robot: RobotModel,
+    config: EmulatedDynamixelConfig,
+    bounds: JointBounds,
+    limits: GuardLimits,
+    clock: Callable[[], float],
+) -> EmulatedArm[DynamixelServo]:
+    """Build the emulated Dynamixel servos of an arm."""
+    joints = config.calibration.joints
+    servos = [_servo(joint, start_rad) for joint, start_rad in zip(joints, start_pose_rad(config), strict=True)]
+    if config.driven:
+        hold(servos, config.calibration, limits)
 
-    Args:
-        robot: description of the arm.
-        config: calibration, faults and start of the servos.
-        bounds: soft limits of the joints.
-        guard_limits: torque limits.
-        clock: time of the control loop [s].
-    """
+    def driver(port: InProcessPort) -> HardwareInterface:
+        """Make the driver of the servos on a port."""
+        return DynamixelHardware(Bus(port, clock), config, bounds, limits, clock)
 
-    def __init__(
-        self,
-        robot: RobotModel,
-        config: EmulatedDynamixelConfig,
-        bounds: JointBounds,
-        guard_limits: GuardLimits,
-        clock: Callable[[], float],
-    ) -> None:
-        self._config = config
-        self._bounds = bounds
-        self._guard_limits = guard_limits
-        self._clock = clock
-        joints = config.calibration.joints
-        servos = [_servo(joint, start) for joint, start in zip(joints, start_pose_rad(config), strict=True)]
-        if config.driven:
-            hold(servos, config.calibration, guard_limits)
-        super().__init__(robot, config, servos, DYNAMIXEL, clock)
-
-    def _hardware(self) -> HardwareInterface:
-        bus = Bus(self.port, self._clock)
-        return DynamixelHardware(bus, self._config, self._bounds, self._guard_limits, self._clock)
+    return EmulatedArm(robot, config, servos, DYNAMIXEL, clock, driver)
 
 
 def _servo(joint: JointCalibration, start_rad: float) -> DynamixelServo:

@@ -3,23 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
-
-# Random faults and their effects on a packet; each is a field of Faults, an option and a live command.
-PROBABILITIES: Mapping[str, str] = MappingProxyType(
-    {
-        "drop": "lose a reply",
-        "corrupt": "damage one byte of a reply",
-        "wrong_id": "let a reply bear another id, with a sound checksum",
-        "truncate": "cut a reply short",
-        "duplicate": "send a reply twice",
-        "noise": "send noise before a reply",
-        "delay": "hold up a reply and those behind it",
-        "lose_instruction": "let no servo hear an instruction",
-    }
-)
 
 # Longer than the host waits for a reply: a delayed one arrives after the next instruction.
 DELAY_S = 0.02
@@ -35,7 +19,14 @@ class Faults:
     """Probabilities of faults, and servos off the bus; may be changed while the bus runs.
 
     Attributes:
-        drop: see ``PROBABILITIES`` for this and the other probabilities.
+        drop: probability that a reply is lost.
+        corrupt: ... that one byte of a reply is wrong.
+        wrong_id: ... that a reply bears another id.
+        truncate: ... that a reply is cut short.
+        duplicate: ... that a reply comes twice.
+        noise: ... that noise comes before a reply.
+        delay: ... that a reply, and those behind it, are held up.
+        lose_instruction: ... that no servo hears an instruction.
         delay_s: delay of a delayed reply [s].
         offline: ids of servos that neither receive nor reply.
         stall_behind_missing: True if a sync read ends at the first servo that does not reply, as some firmware is said

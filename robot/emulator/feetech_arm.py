@@ -10,6 +10,7 @@ from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
 from robot.emulator.arm import EmulatedArm, hold, start_pose_rad
 from robot.emulator.feetech import FEETECH, FeetechServo
+from robot.emulator.in_process import InProcessPort
 from robot.emulator.plant import Plant
 from robot.emulator.populations import FACTORY, POPULATIONS, Population
 from robot.emulator.write_log import WriteLog
@@ -21,55 +22,34 @@ from robot.hardware.interface import HardwareInterface
 from robot.messages import GuardLimits
 
 
-class EmulatedFeetechArm(EmulatedArm[FeetechServo]):
-    """Emulated Feetech servos of an arm.
-
-    Args:
-        robot: description of the arm.
-        config: calibration, faults and start of the servos.
-        bounds: soft limits of the joints.
-        guard_limits: torque limits.
-        clock: time of the control loop [s].
+def emulated_feetech_arm(
+    robot: RobotModel, config: EmulatedConfig, bounds: JointBounds, limits: GuardLimits, clock: Callable[[], float]
+) -> EmulatedArm[FeetechServo]:
+    """Build the emulated Feetech servos of an arm.
 
     Raises:
         OSError: the log or the control socket cannot be created.
     """
+    population = POPULATIONS[config.population]
+    servos = build_servos(config.calibration, start_pose_rad(config), population, as_read=config.resumes)
+    if config.driven and (config.resumes or not population.has_shifted):
+        hold(servos, config.calibration, limits)
+    # Emulated servos are built from the calibration, which therefore has their offsets, also where it was assumed.
+    calibration = replace(config.calibration, offsets_known=True)
 
-    def __init__(
-        self,
-        robot: RobotModel,
-        config: EmulatedConfig,
-        bounds: JointBounds,
-        guard_limits: GuardLimits,
-        clock: Callable[[], float],
-    ) -> None:
-        self._config = config
-        self._bounds = bounds
-        self._guard_limits = guard_limits
-        self._clock = clock
-        population = POPULATIONS[config.population]
-        servos = build_servos(config.calibration, start_pose_rad(config), population, as_read=config.resumes)
-        if config.driven and (config.resumes or not population.has_shifted):
-            hold(servos, config.calibration, guard_limits)
-        log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
-        super().__init__(robot, config, servos, FEETECH, clock, log)
-        if config.control:
-            # Only here: most arms take no commands.
-            from robot.emulator.control_socket import CommandedPort, ControlSocket
+    def driver(port: InProcessPort) -> HardwareInterface:
+        """Make the driver of the servos on a port."""
+        bus = Bus(port, clock)
+        return FeetechHardware(bus, calibration, bounds, limits, clock, profile=config.profile, simulated=True)
 
-            self.port = CommandedPort(self.bus, clock, ControlSocket(config.control))
+    log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
+    arm = EmulatedArm(robot, config, servos, FEETECH, clock, driver, log)
+    if config.control:
+        # Only here: most arms take no commands, and pydantic takes its time.
+        from robot.emulator.control_socket import CommandedPort, ControlSocket
 
-    def _hardware(self) -> HardwareInterface:
-        return FeetechHardware(
-            Bus(self.port, self._clock),
-            # Emulated servos are built from the calibration: it tells their offsets, also where it was assumed.
-            replace(self._config.calibration, offsets_known=True),
-            self._bounds,
-            self._guard_limits,
-            self._clock,
-            profile=self._config.profile,
-            simulated=True,
-        )
+        arm.port = CommandedPort(arm.bus, clock, ControlSocket(config.control))
+    return arm
 
 
 def build_servos(

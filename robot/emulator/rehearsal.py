@@ -139,7 +139,7 @@ def read_script(path: Path, bus: ServoBus[FeetechServo]) -> tuple[TimedCommand, 
 
 def _timed_command(line: bytes, previous_s: float, bus: ServoBus[FeetechServo]) -> TimedCommand:
     values = json_object(line)
-    at_s = check(ScriptLine, values, bus).at_s
+    at_s = check(ScriptLine, values, bus.servos).at_s
     if at_s <= previous_s:
         raise ValueError(f"at_s: must be more than the {previous_s:g} of the line before, not {at_s:g}")
     del values["at_s"]

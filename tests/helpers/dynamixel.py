@@ -10,7 +10,7 @@ from robot.calibration import Calibration, JointCalibration
 from robot.description import robot_folder
 from robot.description.limits import JointBounds, within_calibration
 from robot.emulator.dynamixel import DynamixelServo
-from robot.emulator.dynamixel_arm import EmulatedDynamixelArm
+from robot.emulator.dynamixel_arm import emulated_dynamixel_arm
 from robot.hardware.config import DynamixelConfig, EmulatedDynamixelConfig
 from robot.hardware.dynamixel.bus import Bus
 from robot.hardware.dynamixel.hardware import DynamixelHardware
@@ -54,7 +54,7 @@ class SteppedDynamixels:
     def __init__(self, **settings: Any) -> None:
         self.clock = SteppedClock()
         self.config = EmulatedDynamixelConfig(**{"calibration": CALIBRATION, **settings})
-        self.source = EmulatedDynamixelArm(ROBOT, self.config, BOUNDS, GuardLimits(), self.clock)
+        self.source = emulated_dynamixel_arm(ROBOT, self.config, BOUNDS, GuardLimits(), self.clock)
         self.servo_bus = self.source.bus
         self.port = self.source.port
 

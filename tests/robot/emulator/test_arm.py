@@ -15,9 +15,9 @@ import pytest
 from robot.calibration import Calibration
 from robot.description.gravity import LinkWeights
 from robot.emulator.arm import EmulatedArm, weight_of
-from robot.emulator.dynamixel_arm import EmulatedDynamixelArm
+from robot.emulator.dynamixel_arm import emulated_dynamixel_arm
 from robot.emulator.feetech import DUTY_PERMILLE_PER_NM
-from robot.emulator.feetech_arm import EmulatedFeetechArm, build_servos
+from robot.emulator.feetech_arm import build_servos, emulated_feetech_arm
 from robot.errors import PortError, StartupError
 from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
 from robot.hardware.feetech.registers import Register
@@ -48,8 +48,8 @@ class Arm:
         return arm
 
 
-SO101 = Arm(so101(), arm_rig.CALIBRATION, arm_rig.BOUNDS, EmulatedFeetechArm, EmulatedConfig)
-KOCH = Arm(dynamixel.ROBOT, dynamixel.CALIBRATION, dynamixel.BOUNDS, EmulatedDynamixelArm, EmulatedDynamixelConfig)
+SO101 = Arm(so101(), arm_rig.CALIBRATION, arm_rig.BOUNDS, emulated_feetech_arm, EmulatedConfig)
+KOCH = Arm(dynamixel.ROBOT, dynamixel.CALIBRATION, dynamixel.BOUNDS, emulated_dynamixel_arm, EmulatedDynamixelConfig)
 OF_BOTH_FAMILIES = pytest.mark.parametrize("arm", [SO101, KOCH], ids=["Feetech", "Dynamixel"])
 
 

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from robot.emulator.arm import EmulatedArm
 from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.control_socket import MAX_CONTROLLERS, CommandedPort, ControlSocket
-from robot.emulator.feetech_arm import EmulatedFeetechArm
+from robot.emulator.feetech import FeetechServo
+from robot.emulator.feetech_arm import emulated_feetech_arm
 from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.interface import Measured
@@ -31,18 +33,18 @@ def clock() -> SteppedClock:
 def close(control: ControlSocket) -> None:
     control._selector.close()
     control._listener.close()
-    for controller in control._buffers:
+    for controller in control._streams:
         controller.close()
 
 
 @pytest.fixture
-def make(clock: SteppedClock) -> Iterator[Callable[..., EmulatedFeetechArm]]:
+def make(clock: SteppedClock) -> Iterator[Callable[..., EmulatedArm[FeetechServo]]]:
     """Makes emulated servos; a process would close at its end what is closed here."""
     with contextlib.ExitStack() as made:
 
-        def servos(**settings: object) -> EmulatedFeetechArm:
+        def servos(**settings: object) -> EmulatedArm[FeetechServo]:
             config = EmulatedConfig(CALIBRATION, **settings)  # type: ignore[arg-type]
-            one = EmulatedFeetechArm(so101(), config, BOUNDS, GuardLimits(), clock)
+            one = emulated_feetech_arm(so101(), config, BOUNDS, GuardLimits(), clock)
             if one.bus.log is not None:
                 made.callback(one.bus.log.close)
             assert isinstance(one.port, CommandedPort)
@@ -83,7 +85,7 @@ class Controller:
 class Controlled:
     """Servos with a control socket, read cycle by cycle."""
 
-    def __init__(self, servos: EmulatedFeetechArm, clock: SteppedClock, path: Path) -> None:
+    def __init__(self, servos: EmulatedArm[FeetechServo], clock: SteppedClock, path: Path) -> None:
         self.servos = servos
         self.hardware = servos.open()
         self.path = path

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.faults import PROBABILITIES, Faults
+from robot.emulator.faults import Faults
 from robot.emulator.feetech import FEETECH
 from robot.hardware.feetech.packets import parse_status_frames
 
 ID = 1
 SENT = FEETECH.status_packet(ID, 0, bytes(15))
-OF_REPLIES = sorted(set(PROBABILITIES) - {"delay", "lose_instruction"})
+OF_REPLIES = ["drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise"]
 
 
 def faults(seed=5, **probabilities):

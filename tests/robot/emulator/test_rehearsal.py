@@ -162,7 +162,7 @@ def test_a_script_without_commands_is_refused(tmp_path: Path) -> None:
 def test_the_commands_of_a_rehearsal_make_sense_and_have_increasing_times(name: str, calibration: Calibration) -> None:
     commands = REHEARSALS[name](calibration)
     for timed in commands:
-        check(LiveCommand, timed.command, bus_of(calibration))
+        check(LiveCommand, timed.command, bus_of(calibration).servos)
     assert all(before.at_s < after.at_s for before, after in pairwise(commands))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import selectors
 import socket
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,13 +19,7 @@ READ_BYTES = 4096
 
 
 class CommandedPort(InProcessPort):
-    """Port that polls a socket for live commands, once at each time of the clock.
-
-    Args:
-        bus: the servo bus.
-        clock: time of bus and caller [s].
-        control: socket of the commands.
-    """
+    """Port that polls a socket for live commands, once at each time of the clock."""
 
     def __init__(self, bus: ServoBus[FeetechServo], clock: Callable[[], float], control: ControlSocket) -> None:
         super().__init__(bus, clock)
@@ -74,36 +67,33 @@ class ControlSocket:
             raise
         self._listener.listen()
         self._listener.setblocking(False)
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listener, selectors.EVENT_READ)
         self._streams: dict[socket.socket, CommandStream] = {}
 
     def poll(self, emulation: Emulation) -> None:
         """Carry out and answer the commands that have arrived; never waits."""
-        for key, _ in self._selector.select(0.0):
-            if key.fileobj is self._listener:
-                self._accept()
-            elif isinstance(key.fileobj, socket.socket):
-                self._answer(key.fileobj, emulation)
-
-    def _accept(self) -> None:
         with contextlib.suppress(OSError):
             controller, _ = self._listener.accept()
-            if len(self._streams) >= MAX_CONTROLLERS:
+            if len(self._streams) < MAX_CONTROLLERS:
+                controller.setblocking(False)
+                self._streams[controller] = CommandStream()
+            else:
                 controller.close()
-                return
-            controller.setblocking(False)
-            self._streams[controller] = CommandStream()
-            self._selector.register(controller, selectors.EVENT_READ)
+        for controller, stream in list(self._streams.items()):
+            data = _received(controller)
+            if data is None:
+                continue
+            with contextlib.suppress(OSError):
+                controller.sendall(b"".join(stream.feed(data, emulation)))
+            if not data or stream.overlong:
+                del self._streams[controller]
+                controller.close()
 
-    def _answer(self, controller: socket.socket, emulation: Emulation) -> None:
-        stream = self._streams[controller]
-        try:
-            data = controller.recv(READ_BYTES)
-            controller.sendall(b"".join(stream.feed(data, emulation)))
-        except OSError:
-            data = b""
-        if not data or stream.overlong:
-            self._selector.unregister(controller)
-            del self._streams[controller]
-            controller.close()
+
+def _received(controller: socket.socket) -> bytes | None:
+    """Return the bytes that have arrived, None for none; no bytes at the end of the connection."""
+    try:
+        return controller.recv(READ_BYTES)
+    except BlockingIOError:
+        return None
+    except OSError:
+        return b""

@@ -9,7 +9,7 @@ is cleared goes on to its old goal.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
 from dynamixel_sdk import INST_PING, INST_READ, INST_REBOOT, INST_STATUS, INST_SYNC_READ
@@ -52,7 +52,16 @@ ACCESS_ERROR = 7
 MEMORY_BYTES = 256
 
 TABLE = RegisterTable(
-    Register, {register: layout.size for register, layout in LAYOUT.items()}, MEMORY_BYTES, value_range, encode, decode
+    registers=Register,
+    return_delay=Register.RETURN_DELAY_TIME,
+    torque_limit=Register.GOAL_PWM,
+    full_torque=FULL_PWM,
+    baudrates=(9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000),
+    sizes={register: layout.size for register, layout in LAYOUT.items()},
+    memory_bytes=MEMORY_BYTES,
+    value_range=value_range,
+    encode=encode,
+    decode=decode,
 )
 
 # Values of a new servo, whatever its model.
@@ -81,13 +90,6 @@ _DEFAULTS_OF_MODEL: Mapping[str, Mapping[Register, int]] = {
 
 # The Koch's supplies: 12 V for the XL430, 5 V for the XL330.
 SUPPLY_V: Mapping[str, float] = {"xl430-w250": 12.0, "xl330-m288": 5.0}
-
-# Register BAUD_RATE.
-BAUDRATES: Mapping[int, int] = dict(
-    enumerate((9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000))
-)
-
-RETURN_DELAY_UNIT_S = 2e-6
 
 # Registers of the XL330 alone.
 _CURRENT_REGISTERS = frozenset({Register.CURRENT_LIMIT, Register.GOAL_CURRENT})
@@ -214,7 +216,7 @@ class DynamixelServo(EmulatedServo[Register]):
             self._reset_limits()
             self._clear_profile()
             self._forget_turns()
-        self._follow_registers()
+        self._follow_write(address)
         return 0
 
     @property
@@ -246,13 +248,6 @@ class DynamixelServo(EmulatedServo[Register]):
             self.power_up()
             self._starts_in_s = REBOOT_S
         return code == INST_REBOOT
-
-    def hold(self, torque_share: float | None = None) -> None:
-        """Hold the present position, as an arm process leaves a servo."""
-        self._memory.set(Register.GOAL_POSITION, self.present_ticks)
-        if torque_share is not None:
-            self._memory.set(Register.GOAL_PWM, round(torque_share * FULL_PWM))
-        self.set(Register.TORQUE_ENABLE, 1)
 
     def fail(self, hardware_error: int) -> None:
         """Detect hardware errors, bits of HARDWARE_ERROR_STATUS, until the next reboot."""
@@ -325,25 +320,17 @@ class DynamixelServo(EmulatedServo[Register]):
         offset = self.value(Register.HOMING_OFFSET)
         return 0 if self._in_position_mode and abs(offset) > MAX_HOMING_OFFSET_IN_POSITION_MODE else offset
 
-    def _follow_registers(self) -> None:
-        value = self.value
-        self.servo_id = value(Register.ID)
-        self.baudrate = BAUDRATES.get(value(Register.BAUD_RATE), 0)
-        self.return_delay_s = value(Register.RETURN_DELAY_TIME) * RETURN_DELAY_UNIT_S
-        self.torque_limit_permille = round(abs(value(Register.GOAL_PWM)) / FULL_PWM * FULL_DUTY_PERMILLE)
-        self._thresholds = Thresholds(
-            voltage_v=(
-                (value(Register.MIN_VOLTAGE_LIMIT) - 0.5) * VOLT_PER_UNIT,
-                (value(Register.MAX_VOLTAGE_LIMIT) + 0.5) * VOLT_PER_UNIT,
-            ),
-            temperature_c=value(Register.TEMPERATURE_LIMIT),
+    def _thresholds_from_registers(self) -> Thresholds:
+        lowest, highest = self.value(Register.MIN_VOLTAGE_LIMIT), self.value(Register.MAX_VOLTAGE_LIMIT)
+        return Thresholds(
+            voltage_v=((lowest - 0.5) * VOLT_PER_UNIT, (highest + 0.5) * VOLT_PER_UNIT),
+            temperature_c=self.value(Register.TEMPERATURE_LIMIT),
             load_permille=OVERLOAD_PERMILLE,
             overload_s=OVERLOAD_S,
             current_a=math.inf,
             overcurrent_s=math.inf,
             latching=~StatusFlag(0),
         )
-        self._drive = self._drive_from_registers()
 
     def _drive_from_registers(self) -> Drive:
         stopped = self.value(Register.BUS_WATCHDOG) == WATCHDOG_TRIPPED
@@ -373,17 +360,17 @@ class DynamixelServo(EmulatedServo[Register]):
             self._memory.set(Register.TORQUE_ENABLE, 0)
         self._follow_registers()
 
-    def _measured(self) -> Mapping[Register, int]:
+    def _measured(self) -> Iterable[tuple[Register, int]]:
         plant = self.plant
-        return {
-            Register.MOVING: int(abs(plant.velocity_ticks_s) > MOVING_TICKS_S),
-            Register.PRESENT_PWM: round(plant.duty_permille / FULL_DUTY_PERMILLE * FULL_PWM),
-            Register.PRESENT_CURRENT: self._current_or_load(),
-            Register.PRESENT_VELOCITY: round(plant.velocity_ticks_s / TICKS_S_PER_VELOCITY_UNIT),
-            Register.PRESENT_POSITION: self.present_ticks,
-            Register.PRESENT_INPUT_VOLTAGE: round(self.voltage_v / VOLT_PER_UNIT),
-            Register.PRESENT_TEMPERATURE: round(self.motor.temperature_c),
-        }
+        return (
+            (Register.MOVING, int(abs(plant.velocity_ticks_s) > MOVING_TICKS_S)),
+            (Register.PRESENT_PWM, round(plant.duty_permille / FULL_DUTY_PERMILLE * FULL_PWM)),
+            (Register.PRESENT_CURRENT, self._current_or_load()),
+            (Register.PRESENT_VELOCITY, round(plant.velocity_ticks_s / TICKS_S_PER_VELOCITY_UNIT)),
+            (Register.PRESENT_POSITION, self.present_ticks),
+            (Register.PRESENT_INPUT_VOLTAGE, round(self.voltage_v / VOLT_PER_UNIT)),
+            (Register.PRESENT_TEMPERATURE, round(self.motor.temperature_c)),
+        )
 
     def _current_or_load(self) -> int:
         """Return address 126: the XL330's current [mA], the XL430's estimated load [0.1 %]."""

@@ -6,7 +6,7 @@ Registers and their units follow Feetech's STS3215 memory table V3.6, packets it
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 
 from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ
@@ -35,7 +35,16 @@ from robot.hardware.interface import StatusFlag
 MEMORY_BYTES = 87
 
 TABLE = RegisterTable(
-    Register, {register: layout.size for register, layout in LAYOUT.items()}, MEMORY_BYTES, value_range, encode, decode
+    registers=Register,
+    return_delay=Register.RETURN_DELAY,
+    torque_limit=Register.TORQUE_LIMIT,
+    full_torque=1000,
+    baudrates=(1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400),
+    sizes={register: layout.size for register, layout in LAYOUT.items()},
+    memory_bytes=MEMORY_BYTES,
+    value_range=value_range,
+    encode=encode,
+    decode=decode,
 )
 
 # Values of a new servo; angle limits and id are the arm's.
@@ -66,11 +75,6 @@ FACTORY_EPROM: Mapping[Register, int] = MappingProxyType(
     }
 )
 
-# Register BAUD_RATE.
-BAUDRATES: Mapping[int, int] = MappingProxyType(
-    dict(enumerate((1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)))
-)
-
 # Register ACCELERATION 0 means the greatest one; lerobot writes this value to the limit register.
 MAX_ACCELERATION = 254
 
@@ -86,7 +90,6 @@ MIDDLE_TICKS = 2048
 
 PERMILLE_PER_PERCENT = 10
 PROTECTION_TIME_UNIT_S = 0.01
-RETURN_DELAY_UNIT_S = 2e-6
 
 # Factory value of register 38, which is not emulated.
 OVERCURRENT_TIME_S = 2.0
@@ -172,7 +175,7 @@ class FeetechServo(EmulatedServo[Register]):
             if self.protection.refuses_torque_off:
                 self._memory.set(Register.TORQUE_ENABLE, torque)
             self.protection.torque_off()
-        self._follow_registers()
+        self._follow_write(address)
         return 0
 
     @property
@@ -193,13 +196,6 @@ class FeetechServo(EmulatedServo[Register]):
         if code in _MAINTENANCE:
             _MAINTENANCE[code](self)
         return code in _MAINTENANCE
-
-    def hold(self, torque_share: float | None = None) -> None:
-        """Hold the present position, as an arm process leaves a servo."""
-        if torque_share is not None:
-            self._memory.set(Register.TORQUE_LIMIT, round(torque_share * FULL_DUTY_PERMILLE))
-        self._memory.set(Register.GOAL_POSITION, self.present_ticks)
-        self.set(Register.TORQUE_ENABLE, 1)
 
     def make_middle(self) -> None:
         """Store the homing offset with which the present position reads 2048, or as near as the register allows."""
@@ -232,20 +228,20 @@ class FeetechServo(EmulatedServo[Register]):
             self._drive = self._drive_from_registers()
         super().step(duration_s)
 
-    def _measured(self) -> Mapping[Register, int]:
+    def _measured(self) -> Iterable[tuple[Register, int]]:
         plant = self.plant
         driven = self._drive.torque_permille > 0.0
-        return {
-            Register.PRESENT_POSITION: self.present_ticks,
-            Register.PRESENT_VELOCITY: round(plant.velocity_ticks_s),
-            Register.PRESENT_LOAD: round(plant.duty_permille),
-            Register.PRESENT_VOLTAGE: round(self.voltage_v / VOLT_PER_UNIT),
-            Register.PRESENT_TEMPERATURE: round(self.motor.temperature_c),
-            Register.STATUS: self.error,
-            Register.MOVING: int(driven and abs(plant.velocity_ticks_s) > STANDSTILL_TICKS_S),
-            Register.GOAL_POSITION_ECHO: self._reachable_goal_ticks,
-            Register.PRESENT_CURRENT: round(plant.current_a / AMPERE_PER_UNIT),
-        }
+        return (
+            (Register.PRESENT_POSITION, self.present_ticks),
+            (Register.PRESENT_VELOCITY, round(plant.velocity_ticks_s)),
+            (Register.PRESENT_LOAD, round(plant.duty_permille)),
+            (Register.PRESENT_VOLTAGE, round(self.voltage_v / VOLT_PER_UNIT)),
+            (Register.PRESENT_TEMPERATURE, round(self.motor.temperature_c)),
+            (Register.STATUS, self.error),
+            (Register.MOVING, int(driven and abs(plant.velocity_ticks_s) > STANDSTILL_TICKS_S)),
+            (Register.GOAL_POSITION_ECHO, self._reachable_goal_ticks),
+            (Register.PRESENT_CURRENT, round(plant.current_a / AMPERE_PER_UNIT)),
+        )
 
     @property
     def _present_eprom(self) -> bytes:
@@ -262,13 +258,9 @@ class FeetechServo(EmulatedServo[Register]):
         turn = 0 if self._counts_on else (round(self.plant.position_ticks) - offset) // TICKS_PER_TURN
         return offset + turn * TICKS_PER_TURN
 
-    def _follow_registers(self) -> None:
+    def _thresholds_from_registers(self) -> Thresholds:
         value = self.value
-        self.servo_id = value(Register.ID)
-        self.baudrate = BAUDRATES.get(value(Register.BAUD_RATE), 0)
-        self.return_delay_s = value(Register.RETURN_DELAY) * RETURN_DELAY_UNIT_S
-        self.torque_limit_permille = value(Register.TORQUE_LIMIT)
-        self._thresholds = Thresholds(
+        return Thresholds(
             voltage_v=(value(Register.MIN_VOLTAGE) * VOLT_PER_UNIT, value(Register.MAX_VOLTAGE) * VOLT_PER_UNIT),
             temperature_c=value(Register.MAX_TEMPERATURE),
             load_permille=value(Register.OVERLOAD_TORQUE) * PERMILLE_PER_PERCENT,
@@ -277,7 +269,6 @@ class FeetechServo(EmulatedServo[Register]):
             overcurrent_s=OVERCURRENT_TIME_S,
             latching=StatusFlag.OVERLOAD | StatusFlag.CURRENT,
         )
-        self._drive = self._drive_from_registers()
 
     def _drive_from_registers(self) -> Drive:
         lowest, highest = self.value(Register.MIN_ANGLE_LIMIT), self.value(Register.MAX_ANGLE_LIMIT)
@@ -294,7 +285,7 @@ class FeetechServo(EmulatedServo[Register]):
             goal_ticks=goal + zero,
             velocity_ticks_s=abs(self.value(Register.GOAL_VELOCITY)) or NO_LOAD_TICKS_S,
             acceleration_ticks_s2=acceleration * TICKS_S2_PER_ACCELERATION_UNIT,
-            torque_permille=min(self.torque_limit_permille, self._duty_left_permille()) if torque_on else 0.0,
+            torque_permille=min(self.value(Register.TORQUE_LIMIT), self._duty_left_permille()) if torque_on else 0.0,
             p_gain=self.value(Register.P_GAIN),
         )
 

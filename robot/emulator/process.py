@@ -232,18 +232,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def build_bus(
     options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True
 ) -> ServoBus[FeetechServo]:
-    """Build the servo bus of the options.
+    """Build the servo bus of the options, at a monotonic time [s]; raises as :func:`run` does.
 
     Args:
         options: as parsed.
         resources: takes over the files to close.
-        now_s: monotonic time at the start [s].
+        now_s: time at the start.
         wire_time: True to emulate the time of bytes on the wire.
-
-    Raises:
-        CalibrationError: the calibration cannot be used.
-        ValueError: the start pose is invalid.
-        OSError: the log cannot be written.
     """
     calibration = _calibration(options)
     start_rad = options.start or [0.0] * len(calibration.joints)
@@ -276,17 +271,7 @@ def configure(options: argparse.Namespace, emulation: Emulation) -> None:
 
 
 def build_rehearsal(options: argparse.Namespace, bus: ServoBus[FeetechServo]) -> Rehearsal:
-    """Build the rehearsal of the options; it has no commands without one.
-
-    Args:
-        options: as parsed.
-        bus: servo bus that its commands may change.
-
-    Raises:
-        CalibrationError: the calibration cannot be used.
-        ValueError: the script is invalid, or there is none to repeat.
-        OSError: the script cannot be read.
-    """
+    """Build the rehearsal of the options, without commands if they name none; raises as :func:`run` does."""
     if options.script:
         return Rehearsal(read_script(options.script, bus), repeats=options.repeat)
     if options.rehearse:
@@ -305,7 +290,7 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
 
     Raises:
         CalibrationError: the calibration cannot be used.
-        ValueError: the start pose or the script is invalid.
+        ValueError: the start pose or the script is invalid, or there is no script to repeat.
         OSError: a file cannot be read or written, or no pseudo terminal can be opened.
     """
     _end_on_signals(controlled=control_descriptor is not None)
@@ -316,20 +301,14 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
         resources.callback(adapter.unplug)
         configure(options, Emulation(bus, adapter))
         take_priority()  # servos do not wait for a busy computer
-        if control_descriptor is None:
-            serve(bus, adapter, Control(STDIN, STDOUT, essential=False), rehearsal)
-        else:
-            serve(bus, adapter, Control(control_descriptor, control_descriptor, essential=True), rehearsal)
+        ends = (STDIN, STDOUT) if control_descriptor is None else (control_descriptor, control_descriptor)
+        serve(bus, adapter, Control(*ends, essential=control_descriptor is not None), rehearsal)
 
 
 def serve(bus: ServoBus[FeetechServo], adapter: UsbAdapter, control: Control, rehearsal: Rehearsal) -> None:
     """Serve the bus for ever, or until an essential controller has ended and the bus is silent.
 
-    Args:
-        bus: the servo bus.
-        adapter: adapter between host and bus.
-        control: connection to the controller.
-        rehearsal: timed commands, which start with the first byte from a host.
+    The timed commands of the rehearsal start with the first byte from a host.
     """
     emulation = Emulation(bus, adapter)
     control.announce(adapter.port)

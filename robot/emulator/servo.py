@@ -7,9 +7,10 @@ A family adds a table of registers, and the rules by which they are written and 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Generic, TypeVar
 
 from robot.emulator.plant import Drive, Motor, Plant
@@ -19,12 +20,20 @@ R = TypeVar("R", bound=IntEnum)
 
 FULL_DUTY_PERMILLE = 1000.0
 
+# Unit of the registers of return delay in both families' memory tables.
+RETURN_DELAY_UNIT_S = 2e-6
 
+
+@dataclass(frozen=True)
 class RegisterTable(Generic[R]):
     """Registers of a family of servos.
 
-    Args:
-        registers: addresses by name.
+    Attributes:
+        registers: addresses by name; every family has ID, BAUD_RATE, TORQUE_ENABLE and GOAL_POSITION.
+        return_delay: register of the time before a reply.
+        torque_limit: register of the limit of the motor's duty.
+        full_torque: value of that register for full duty.
+        baudrates: bits per second of each value of BAUD_RATE.
         sizes: bytes of each register.
         memory_bytes: first address that no register has.
         value_range: lowest and highest value of a register.
@@ -32,22 +41,21 @@ class RegisterTable(Generic[R]):
         decode: value of a register's bytes.
     """
 
-    def __init__(
-        self,
-        registers: type[R],
-        sizes: Mapping[R, int],
-        memory_bytes: int,
-        value_range: Callable[[R], tuple[int, int]],
-        encode: Callable[[R, int], bytes],
-        decode: Callable[[R, bytes], int],
-    ) -> None:
-        self.registers = registers
-        self.sizes = sizes
-        self.memory_bytes = memory_bytes
-        self.value_range = value_range
-        self.encode = encode
-        self.decode = decode
-        self.register_at = {register + offset: register for register, size in sizes.items() for offset in range(size)}
+    registers: type[R]
+    return_delay: R
+    torque_limit: R
+    full_torque: int
+    baudrates: Sequence[int]
+    sizes: Mapping[R, int]
+    memory_bytes: int
+    value_range: Callable[[R], tuple[int, int]]
+    encode: Callable[[R, int], bytes]
+    decode: Callable[[R, bytes], int]
+
+    @cached_property
+    def register_at(self) -> Mapping[int, R]:
+        """Register of each address that has one."""
+        return {register + offset: register for register, size in self.sizes.items() for offset in range(size)}
 
     def decode_block(self, address: int, data: bytes) -> dict[R, int]:
         """Return the values of the registers that lie wholly inside the bytes of a block."""
@@ -60,20 +68,17 @@ class RegisterTable(Generic[R]):
 
 
 class Memory(Generic[R]):
-    """Bytes of a servo's registers; all are 0 at first.
-
-    Args:
-        table: the registers.
-    """
+    """Bytes of a servo's registers; all are 0 at first."""
 
     def __init__(self, table: RegisterTable[R]) -> None:
         self._table = table
         self._bytes = bytearray(table.memory_bytes)
-        self._values: dict[R, int] = {}  # decoded once: the bus asks for them at every packet
+        # Decoded once, by address: the bus asks for them at every packet.
+        self._values: list[int | None] = [None] * table.memory_bytes
 
     def value(self, register: R) -> int:
         """Return the value of a register."""
-        value = self._values.get(register)
+        value = self._values[register]
         if value is None:
             value = self._table.decode(register, self.read(register, self._table.sizes[register]))
             self._values[register] = value
@@ -81,7 +86,7 @@ class Memory(Generic[R]):
 
     def set(self, register: R, value: int) -> None:
         """Set a register; a value beyond its range saturates."""
-        if self._values.get(register) == value:
+        if self._values[register] == value:
             return
         lowest, highest = self._table.value_range(register)
         value = max(lowest, min(highest, value))
@@ -97,7 +102,7 @@ class Memory(Generic[R]):
         for at, byte in enumerate(data[: max(0, len(self._bytes) - address)], start=address):
             self._bytes[at] = byte
             if at in self._table.register_at:
-                self._values.pop(self._table.register_at[at], None)
+                self._values[self._table.register_at[at]] = None
 
 
 @dataclass(frozen=True)
@@ -187,16 +192,11 @@ class Protection:
 class EmulatedServo(ABC, Generic[R]):
     """Servo on the bus.
 
-    Args:
+    Attributes:
         table: its registers.
         plant: joint that it moves, in encoder ticks.
         joint: name of the joint.
         zero_ticks: position of the encoder where the calibration has its tick 0.
-
-    Attributes:
-        plant: as given.
-        joint: as given.
-        zero_ticks: as given.
         mirrored: True if the horn is mounted mirrored, which no register shows; see :meth:`mirror`.
         connected: False while its cable is unplugged: it has no power, and is not on the wire.
         motor: temperature of the motor, which may be set.
@@ -206,14 +206,12 @@ class EmulatedServo(ABC, Generic[R]):
         servo_id: register ID.
         baudrate: bits per second, 0 for a rate that no host has.
         return_delay_s: time that it waits before a reply [s].
-        torque_limit_permille: limit of the motor's duty [0.1 %].
         duty_permille_per_nm: duty that a torque at the joint calls for [0.1 % per Nm].
     """
 
     servo_id: int
     baudrate: int
     return_delay_s: float
-    torque_limit_permille: int
     duty_permille_per_nm: float
     _drive: Drive
     _thresholds: Thresholds
@@ -253,25 +251,24 @@ class EmulatedServo(ABC, Generic[R]):
         """Carry out an instruction of this family alone; return False if there is no such one."""
 
     @abstractmethod
-    def hold(self, torque_share: float | None = None) -> None:
-        """Hold the present position, as an arm process leaves a servo.
-
-        Args:
-            torque_share: limit of the motor's duty as a share of its full one; None for the present limit.
-        """
+    def _measured(self) -> Iterable[tuple[R, int]]:
+        """Return the measured registers and their values."""
 
     @abstractmethod
-    def _measured(self) -> Mapping[R, int]:
-        """Return the values of the measured registers."""
+    def _thresholds_from_registers(self) -> Thresholds: ...
 
     @abstractmethod
-    def _follow_registers(self) -> None:
-        """Bring everything that depends on registers up to date."""
+    def _drive_from_registers(self) -> Drive: ...
 
     @property
     def error(self) -> int:
         """ERR byte of its replies, without an error of the instruction."""
         return self.protection.status
+
+    @property
+    def torque_limit_permille(self) -> int:
+        """Limit of the motor's duty [0.1 %]."""
+        return round(abs(self.value(self.table.torque_limit)) / self.table.full_torque * FULL_DUTY_PERMILLE)
 
     def ping(self) -> bytes:
         """Return the data of its reply to a ping."""
@@ -315,6 +312,17 @@ class EmulatedServo(ABC, Generic[R]):
         """Return the value of a register other than the measured ones."""
         return self._memory.value(register)
 
+    def hold(self, torque_share: float | None = None) -> None:
+        """Hold the present position, as an arm process leaves a servo.
+
+        Args:
+            torque_share: limit of the motor's duty as a share of its full one; None for the present limit.
+        """
+        if torque_share is not None:
+            self._memory.set(self.table.torque_limit, round(torque_share * self.table.full_torque))
+        self._memory.set(self.table.registers["GOAL_POSITION"], self.present_ticks)
+        self.set(self.table.registers["TORQUE_ENABLE"], 1)
+
     def named(self, name: str) -> int:
         """Return the value of a register by its name, such as TORQUE_ENABLE and GOAL_POSITION of every family."""
         return self.value(self.table.registers[name])
@@ -326,7 +334,7 @@ class EmulatedServo(ABC, Generic[R]):
 
     def read(self, address: int, length: int) -> bytes:
         """Read memory; addresses without a register are zero."""
-        for register, value in self._measured().items():
+        for register, value in self._measured():
             self._memory.set(register, value)
         return self._memory.read(address, length)
 
@@ -354,6 +362,22 @@ class EmulatedServo(ABC, Generic[R]):
     def _load_permille(self) -> float:
         """Load that counts for the overload timer [0.1 %]."""
         return self.plant.duty_permille
+
+    def _follow_registers(self) -> None:
+        """Bring everything that depends on registers up to date."""
+        table = self.table
+        self.servo_id, baud_rate = self.named("ID"), self.named("BAUD_RATE")
+        self.baudrate = table.baudrates[baud_rate] if baud_rate < len(table.baudrates) else 0
+        self.return_delay_s = self.value(table.return_delay) * RETURN_DELAY_UNIT_S
+        self._thresholds = self._thresholds_from_registers()
+        self._drive = self._drive_from_registers()
+
+    def _follow_write(self, address: int) -> None:
+        """Bring everything that depends on the registers from an address on up to date."""
+        if address < self.table.registers["TORQUE_ENABLE"]:
+            self._follow_registers()
+        else:
+            self._drive = self._drive_from_registers()
 
     def _follow_status(self) -> None:
         """Let errors that came or went act on registers and drive."""

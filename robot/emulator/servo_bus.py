@@ -88,11 +88,7 @@ class Codec(ABC):
 
 
 class InstructionParser:
-    """Parser of the host's bytes; invalid packets are skipped.
-
-    Args:
-        codec: packets of the servos.
-    """
+    """Parser of the host's bytes; invalid packets are skipped."""
 
     def __init__(self, codec: Codec) -> None:
         self._codec = codec
@@ -157,20 +153,17 @@ Written: TypeAlias = dict[int, dict[int, bytes]]
 class ServoBus(Generic[S]):
     """Servos of an arm on one wire.
 
-    Args:
+    Attributes:
         servos: in the order of their ids.
-        codec: their packets.
         faults: faults of the bus, which may be changed while it runs.
-        now_s: monotonic time [s].
         log: record of the writes; None for no record.
+
+    Args:
+        codec: packets of the servos.
+        now_s: monotonic time [s].
         weigh: loads the servos with the links' weight at the present pose; None for an arm without weight.
         wire_time: True to emulate the time of bytes on the wire; otherwise replies are complete at once, and cannot
             collide with what the host sends.
-
-    Attributes:
-        servos: as given.
-        faults: as given.
-        log: as given.
     """
 
     def __init__(
@@ -334,13 +327,10 @@ class ServoBus(Generic[S]):
 
 
 def superimposed(packets: Sequence[bytes]) -> bytes:
-    """Return the bytes that a host receives of packets sent at once.
+    """Return the bytes that a host receives of packets that several servos send at once.
 
     No two servos begin at the same instant: each one is a bit behind the one before. The line is low while any of them
     pulls it down, and the host takes eight bits behind each start bit.
-
-    Args:
-        packets: packet of each servo.
     """
     # 1 for each bit time in which the line is low, the first in the lowest bit.
     low = 0

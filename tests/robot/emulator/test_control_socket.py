@@ -31,7 +31,6 @@ def clock() -> SteppedClock:
 
 
 def close(control: ControlSocket) -> None:
-    control._selector.close()
     control._listener.close()
     for controller in control._streams:
         controller.close()

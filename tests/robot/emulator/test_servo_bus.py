@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from robot.emulator.dynamixel import CRC_ERROR, INSTRUCTION_ERROR, REBOOT_S
 from robot.emulator.dynamixel import DYNAMIXEL as DYNAMIXEL_CODEC
 from robot.emulator.faults import Faults
-from robot.emulator.feetech import BAUDRATES, FeetechServo
 from robot.emulator.feetech import FEETECH as FEETECH_CODEC
+from robot.emulator.feetech import FeetechServo
 from robot.emulator.feetech_arm import build_servos
 from robot.emulator.servo_bus import PARTIAL_PACKET_S, Instruction, InstructionParser, ServoBus, superimposed
 from robot.emulator.write_log import WriteLog
 from robot.hardware.dynamixel.packets import ALERT
-from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
+from robot.hardware.feetech.registers import Register, encode
 from tests.helpers.emulator import (
     ACTION,
     BACKUP,
@@ -327,14 +327,6 @@ def test_without_wire_time_every_reply_is_there_at_once_whatever_the_return_dela
     assert said(bus, packet(1, PING), 5.0) == FEETECH_CODEC.status_packet(1, 0)
 
 
-def test_without_wire_time_a_delayed_reply_holds_up_those_behind_it():
-    bus = bus_with(Faults(delay=1.0, delay_s=0.05), wire_time=False)
-    (late,) = bus.receive(packet(1, PING), 0.0)
-    bus.faults.delay = 0.0
-    (behind,) = bus.receive(packet(2, PING), 0.01)
-    assert behind.due_s == late.due_s == pytest.approx(0.05)
-
-
 @pytest.mark.parametrize(("hand_ticks", "moves"), [(1000, True), (None, False)], ids=["moving", "at rest"])
 def test_the_weight_is_put_on_at_once_and_again_as_the_arm_moves(hand_ticks, moves):
     times = []
@@ -349,13 +341,6 @@ def test_the_weight_is_put_on_at_once_and_again_as_the_arm_moves(hand_ticks, mov
 
 
 # Feetech alone.
-
-
-@pytest.mark.parametrize("code", sorted(BAUDRATES))
-def test_a_feetech_servo_hears_only_at_its_own_baud_rate(bus, code):
-    bus.servos[2].write(Register.BAUD_RATE, bytes([code]))
-    heard_at = [rate for rate in BAUDRATES.values() if said(bus, packet(3, PING), float(rate), rate)]
-    assert heard_at == [BAUDRATES[code]]
 
 
 @pytest.fixture
@@ -429,12 +414,6 @@ def test_writes_and_commands_are_recorded_and_nothing_else(tmp_path: Path) -> No
         (6.0, "action", 48, {"2": [3, 2]}),
         (6.0, "command", None, {}),
     ]
-
-
-def test_goals_of_several_servos_are_written_in_one_block(bus):
-    goals = {servo: goal_block(2000 + servo, 700) for servo in (1, 4)}
-    bus.receive(packet(ALL, SYNC_WRITE, FEETECH.driver.sync_write_parameters(GOAL_ADDRESS, goals)), 0.0)
-    assert [bus.servos[servo - 1].value(Register.GOAL_POSITION) for servo in (1, 2, 4)] == [2001, 0, 2004]
 
 
 # Dynamixel alone.

@@ -110,10 +110,10 @@ class LiveCommand(BaseModel):
         {"3": 1900}, "a hand takes the joint to this tick, whatever the motor does; null lets go"
     )
     jump: dict[Servo, Annotated[float, Field(ge=-MAX_TICK, le=MAX_TICK)]] = _command(
-        {"3": 400}, "the joint is at once this number of ticks from where it was"
+        {"3": 400}, "the joint jumps by this number of ticks"
     )
     temperature: dict[Servo, Annotated[float, Field(ge=0, le=MAX_TEMPERATURE_C)]] = _command(
-        {"3": 66}, "temperature of the motor, from where it warms or cools on [degC]"
+        {"3": 66}, "temperature of the motor, which warms or cools from there [degC]"
     )
     voltage: dict[Servo, Voltage] = _command({"3": 4.2}, "supply of the servo [V]")
     supply: Voltage = _command(4.2, "supply of all servos [V]")
@@ -142,8 +142,8 @@ COMMANDS_HELP = (
         for name, field in LiveCommand.model_fields.items()
     )
     + """
-Ticks are those of register PRESENT_POSITION. A joint's name may stand for a servo's id, such as where several have the
-same one. Every line is answered by {"ok": true}, of "plugged" with the port's name as "port", or by {"error": "..."}.
+Ticks are those of register PRESENT_POSITION. A joint's name may stand for a servo's id, for example where several
+servos have the same id. Every line is answered by {"ok": true}, of "plugged" with the port's name as "port", or by {"error": "..."}.
 One object may hold several commands; either all of them are carried out or none.
 """
 )

@@ -64,7 +64,7 @@ TABLE = RegisterTable(
     decode=decode,
 )
 
-# Values of a new servo, whatever its model.
+# Values of a new servo of every model.
 _DEFAULTS: Mapping[Register, int] = {
     Register.FIRMWARE_VERSION: 52,
     Register.BAUD_RATE: 3,
@@ -197,7 +197,7 @@ class DynamixelServo(EmulatedServo[Register]):
         self._follow_status()
 
     def write(self, address: int, data: bytes) -> int:
-        """Write whole registers as an instruction does, or none of them."""
+        """Write whole registers as an instruction does; if one is refused, nothing is written."""
         wanted = self.table.decode_block(address, data)
         if address not in LAYOUT or any(address + at not in self.table.register_at for at in range(len(data))):
             return ACCESS_ERROR

@@ -20,17 +20,17 @@ class Faults:
 
     Attributes:
         drop: probability that a reply is lost.
-        corrupt: ... that one byte of a reply is wrong.
-        wrong_id: ... that a reply bears another id.
-        truncate: ... that a reply is cut short.
-        duplicate: ... that a reply comes twice.
-        noise: ... that noise comes before a reply.
-        delay: ... that a reply, and those behind it, are held up.
-        lose_instruction: ... that no servo hears an instruction.
+        corrupt: probability that one byte of a reply is wrong.
+        wrong_id: probability that a reply bears another id.
+        truncate: probability that a reply is cut short.
+        duplicate: probability that a reply comes twice.
+        noise: probability that noise comes before a reply.
+        delay: probability that a reply, and those behind it, are held up.
+        lose_instruction: probability that no servo hears an instruction.
         delay_s: delay of a delayed reply [s].
         offline: ids of servos that neither receive nor reply.
-        stall_behind_missing: True if a sync read ends at the first servo that does not reply, as some firmware is said
-            to do; otherwise those behind it reply in its slot.
+        stall_behind_missing: True if a sync read ends at the first servo that does not reply, as some firmware
+            reportedly does; otherwise those behind it reply in its slot.
         random: random generator of the faults.
     """
 

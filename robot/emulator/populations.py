@@ -11,7 +11,7 @@ from robot.emulator.plant import SQUEEZING, WELL_COOLED, Heating
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import MODELS, Register
 
-# The SO-101's usual supply, and that of its 12 V variant [V].
+# Supply of the SO-101, and of its 12 V variant [V].
 SUPPLY_V = 5.0
 SUPPLY_12_V = 12.0
 
@@ -25,7 +25,7 @@ class Population:
     Attributes:
         registers: EPROM of each servo, where it differs from a new one's.
         gripper: the same of the gripper's servo alone.
-        servo_id: id of every servo, as the factory leaves it; None for those of the calibration.
+        servo_id: id of every servo, as the factory leaves it; None for the ids of the calibration.
         limits_ticks: angle limits of every servo; None for the calibrated ranges.
         has_offsets: True if the servos hold the calibration's homing offsets, False if they hold none.
         offset_shift_ticks: added to the homing offset after the arm was calibrated.

@@ -1,4 +1,4 @@
-"""Emulated servo bus, alike in every family: who hears an instruction and answers it, and time and losses on the wire.
+"""Emulated servo bus, alike in every family: instructions, the servos' replies, and time and losses on the wire.
 
 A :class:`ServoBus` takes the host's bytes and returns the replies; a family's :class:`Codec` parses and builds packets.
 Both families use the same codes of instructions (SDKs ``scservo_sdk`` and ``dynamixel_sdk``).
@@ -32,7 +32,7 @@ S = TypeVar("S", bound=EmulatedServo[Any])
 
 BAUDRATE = 1_000_000
 
-# A packet that is incomplete for so long was cut off, and is dropped so that it does not swallow the next one.
+# Time after which an incomplete packet counts as cut off; it is dropped so that it does not swallow the next one.
 PARTIAL_PACKET_S = 0.005
 
 # A byte on the wire is a start bit, which is low, eight bits and a stop bit; all but the last one inverted.
@@ -153,17 +153,17 @@ Written: TypeAlias = dict[int, dict[int, bytes]]
 class ServoBus(Generic[S]):
     """Servos of an arm on one wire.
 
+    Args:
+        codec: packets of the servos.
+        now_s: monotonic time [s].
+        weigh: loads the servos with the links' weight at the present pose.
+        wire_time: True to emulate the time of bytes on the wire; otherwise replies are complete at once, and cannot
+            collide with the host's bytes.
+
     Attributes:
         servos: in the order of their ids.
         faults: faults of the bus, which may be changed while it runs.
         log: record of the writes; None for no record.
-
-    Args:
-        codec: packets of the servos.
-        now_s: monotonic time [s].
-        weigh: loads the servos with the links' weight at the present pose; None for an arm without weight.
-        wire_time: True to emulate the time of bytes on the wire; otherwise replies are complete at once, and cannot
-            collide with what the host sends.
     """
 
     def __init__(
@@ -309,7 +309,7 @@ class ServoBus(Generic[S]):
         return [int.from_bytes(parameters[at : at + size], "little") for at in range(0, len(parameters), size)]
 
     def _reply(self, answers: Sequence[Answer], baudrate: int) -> None:
-        """Put the reply of a servo on the wire, or those of several with the same id, which collide."""
+        """Put the reply of a servo on the wire; replies of several servos with the same id collide."""
         servo = answers[0].servo
         start_s = self._wire_free_s + (TURNAROUND_S + servo.return_delay_s if self._wire_time else 0.0)
         servo_id = self.faults.id_of_reply(servo.servo_id)

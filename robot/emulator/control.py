@@ -143,8 +143,8 @@ COMMANDS_HELP = (
     )
     + """
 Ticks are those of register PRESENT_POSITION. A joint's name may stand for a servo's id, for example where several
-servos have the same id. Every line is answered by {"ok": true}, of "plugged" with the port's name as "port", or by {"error": "..."}.
-One object may hold several commands; either all of them are carried out or none.
+servos have the same id. Every line is answered by {"ok": true}, with the port's name as "port" after "plugged", or by
+{"error": "..."}. One object may hold several commands; either all of them are carried out or none.
 """
 )
 

@@ -29,8 +29,9 @@ $(VENV)/.installed: requirements.lock pyproject.toml | $(BIN)/pip
 	$(PIP) install --quiet --no-deps --editable .
 	touch $@
 
+# The lock is complete. Without --no-deps pip 23 takes the newest coverage for pytest-cov's coverage[toml], and refuses it.
 $(VENV)/.installed-dev: requirements-dev.lock $(VENV)/.installed
-	$(PIP) install --quiet --require-hashes -r requirements-dev.lock
+	$(PIP) install --quiet --no-deps --require-hashes -r requirements-dev.lock
 	touch $@
 
 run: install page-if-npm

@@ -446,7 +446,7 @@ class App:
         self._take_state(state)
 
     def _take_state(self, state: ArmState) -> None:
-        self._arm_state.take_state(state)
+        self._arm_state.take_state(state, self._arm.last_stop)
         self._diagnostics.take_state(state)
         self._history.take_state(state)
         self._fault_files.take_state(state)

@@ -13,9 +13,9 @@ from robot.emulator.in_process import InProcessPort
 from robot.emulator.plant import Plant
 from robot.hardware.config import EmulatedDynamixelConfig
 from robot.hardware.dynamixel.bus import Bus
-from robot.hardware.dynamixel.hardware import DynamixelHardware
-from robot.hardware.dynamixel.servo_map import model_of
+from robot.hardware.dynamixel.family import Dynamixel, model_of
 from robot.hardware.interface import HardwareInterface
+from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
 
 
@@ -34,7 +34,8 @@ def emulated_dynamixel_arm(
 
     def driver(port: InProcessPort) -> HardwareInterface:
         """Make the driver of the servos on a port."""
-        return DynamixelHardware(Bus(port, clock), config, bounds, limits, clock)
+        bus = Bus(port, clock)
+        return ServoHardware(Dynamixel(), bus, config.calibration, bounds, limits, clock, simulated=True)
 
     return EmulatedArm(robot, config, servos, DYNAMIXEL, clock, driver)
 

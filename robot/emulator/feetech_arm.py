@@ -16,9 +16,10 @@ from robot.emulator.populations import FACTORY, POPULATIONS, Population
 from robot.emulator.write_log import WriteLog
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.hardware import FeetechHardware
+from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import HardwareInterface
+from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
 
 
@@ -40,7 +41,7 @@ def emulated_feetech_arm(
     def driver(port: InProcessPort) -> HardwareInterface:
         """Make the driver of the servos on a port."""
         bus = Bus(port, clock)
-        return FeetechHardware(bus, calibration, bounds, limits, clock, profile=config.profile, simulated=True)
+        return ServoHardware(Feetech(config.profile), bus, calibration, bounds, limits, clock, simulated=True)
 
     log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
     arm = EmulatedArm(robot, config, servos, FEETECH, clock, driver, log)

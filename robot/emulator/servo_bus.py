@@ -26,7 +26,7 @@ from scservo_sdk import (
 from robot.emulator.faults import Faults
 from robot.emulator.servo import EmulatedServo
 from robot.emulator.write_log import WriteLog
-from robot.hardware.half_duplex import BITS_PER_BYTE, wire_time_s
+from robot.hardware.port import BITS_PER_BYTE, wire_time_s
 
 S = TypeVar("S", bound=EmulatedServo[Any])
 

@@ -8,11 +8,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from robot.arm import Arm
-from robot.arm_group import ArmGroup
+from robot.arm_group import ArmGroup, joined_health, joined_state
 from robot.description.joined import PlacedArm, joined, prefixed
 from robot.description.model import RobotModel
 from robot.errors import RobotError
-from robot.joined_states import joined_health, joined_state
 from robot.messages import ArmConfig, ArmHealth, ArmState
 from server.access.control_lease import ControlLease, ControlServices
 from server.arm.services import ArmPace, ArmServices
@@ -176,7 +175,7 @@ class NamedArm:
         # All joints are on the topic of all arms; this one costs as much again where several listen to that alone.
         if self.graph.subscribers(JOINT_STATES):
             self._joint_states.publish(state)
-        self._topics.take_state(state)
+        self._topics.take_state(state, self.arm.last_stop)
         self._on_state(state)
 
     def _take_health(self, health: ArmHealth) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from robot.arm_interface import ArmInterface
-from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Course, Mode, Order
+from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Mode, Order, PlaybackDirection
 from server.arrival import arrival_epoch
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -118,9 +118,11 @@ RESUME = "/arm/resume"
 STEP_BACK = "/arm/step_back"
 
 _SENTENCES = {
-    Course.PAUSED: f"the arm comes to rest on its path; {RESUME} lets it go on",
-    Course.FORWARD: "the arm goes on",
-    Course.BACK: f"the arm goes back along its path until {PAUSE} or {RESUME}, at most to where it came from",
+    PlaybackDirection.PAUSED: f"the arm comes to rest on its path; {RESUME} lets it go on",
+    PlaybackDirection.FORWARD: "the arm goes on",
+    PlaybackDirection.BACK: (
+        f"the arm goes back along its path until {PAUSE} or {RESUME}, at most to where it came from"
+    ),
 }
 
 
@@ -144,8 +146,12 @@ class ArmPace:
             lambda error: log.warning("%s: %s", SPEED_FACTOR_TOPIC, error),
         )
         graph.subscribe(self._node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", subscriber)
-        for name, course in ((PAUSE, Course.PAUSED), (RESUME, Course.FORWARD), (STEP_BACK, Course.BACK)):
-            self._offer(arm, name, course)
+        for name, direction in (
+            (PAUSE, PlaybackDirection.PAUSED),
+            (RESUME, PlaybackDirection.FORWARD),
+            (STEP_BACK, PlaybackDirection.BACK),
+        ):
+            self._offer(arm, name, direction)
         graph.services.offer(
             self._node, SPEED_LIMIT, SPEED_LIMIT_TYPE, lambda request: self._set_limit(arm, request["speed_limit"])
         )
@@ -161,12 +167,12 @@ class ArmPace:
         arm.change_pace(ChangePace(speed_limit=limit))
         return {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
 
-    def _offer(self, arm: ArmInterface, name: str, course: Course) -> None:
+    def _offer(self, arm: ArmInterface, name: str, direction: PlaybackDirection) -> None:
         def serve(_request: dict[str, Any]) -> dict[str, Any]:
             if arm.state.mode is not Mode.MOVING:
                 return {"success": False, "message": f"no motion is in progress: the arm is {arm.state.mode.value}"}
-            arm.change_pace(ChangePace(course=course))
-            return {"success": True, "message": _SENTENCES[course]}
+            arm.change_pace(ChangePace(direction=direction))
+            return {"success": True, "message": _SENTENCES[direction]}
 
         self._graph.services.offer(self._node, name, "std_srvs/Trigger", serve)
 

@@ -42,6 +42,15 @@ def test_packages_come_from_the_locks_alone() -> None:
     assert all("--no-deps ." in run for run in others)
 
 
+def test_make_installs_exactly_what_a_lock_names() -> None:
+    """With dependencies pip 23 takes a newer coverage than the lock's for coverage[toml], and refuses it."""
+    installs = [
+        line for line in (ROOT / "Makefile").read_text().splitlines() if ".lock" in line and " install " in line
+    ]
+    assert len(installs) == 2
+    assert all("--no-deps --require-hashes" in line for line in installs)
+
+
 def test_the_server_is_nobody_in_particular_and_may_open_a_servo_adapter() -> None:
     assert RUNTIME["USER"] == "armbridge"
     (added,) = [rest for word, rest in ALL if word == "RUN" and "useradd" in rest]

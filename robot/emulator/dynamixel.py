@@ -16,7 +16,7 @@ from dynamixel_sdk import INST_PING, INST_READ, INST_REBOOT, INST_STATUS, INST_S
 
 from robot.calibration import TICKS_PER_TURN
 from robot.emulator.plant import NO_LOAD_TICKS_S, STALL_CURRENT_A, Drive, Plant
-from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, RegisterTable, Thresholds
+from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, Thresholds
 from robot.emulator.servo_bus import Codec, Instruction
 from robot.hardware.dynamixel.packets import ALERT, HEADER, PREFIX_BYTES, crc16, packet
 from robot.hardware.dynamixel.registers import (
@@ -24,6 +24,7 @@ from robot.hardware.dynamixel.registers import (
     HARDWARE_ERRORS,
     LAYOUT,
     MAX_HOMING_OFFSET_IN_POSITION_MODE,
+    TABLE,
     TICKS_S2_PER_ACCELERATION_UNIT,
     TICKS_S_PER_VELOCITY_UNIT,
     VOLT_PER_UNIT,
@@ -33,10 +34,7 @@ from robot.hardware.dynamixel.registers import (
     Model,
     OperatingMode,
     Register,
-    decode,
-    encode,
     status_of,
-    value_range,
 )
 from robot.hardware.interface import StatusFlag
 
@@ -50,19 +48,6 @@ ACCESS_ERROR = 7
 
 # The last documented address is 227, of the XL330; addresses without a register read as 0.
 MEMORY_BYTES = 256
-
-TABLE = RegisterTable(
-    registers=Register,
-    return_delay=Register.RETURN_DELAY_TIME,
-    torque_limit=Register.GOAL_PWM,
-    full_torque=FULL_PWM,
-    baudrates=(9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000),
-    sizes={register: layout.size for register, layout in LAYOUT.items()},
-    memory_bytes=MEMORY_BYTES,
-    value_range=value_range,
-    encode=encode,
-    decode=decode,
-)
 
 # Values of a new servo of every model.
 _DEFAULTS: Mapping[Register, int] = {
@@ -153,6 +138,13 @@ class DynamixelServo(EmulatedServo[Register]):
         writes: number of accepted writes.
     """
 
+    table = TABLE
+    memory_bytes = MEMORY_BYTES
+    return_delay = Register.RETURN_DELAY_TIME
+    torque_limit = Register.GOAL_PWM
+    full_torque = FULL_PWM
+    baudrates = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+
     def __init__(
         self,
         servo_id: int,
@@ -164,7 +156,7 @@ class DynamixelServo(EmulatedServo[Register]):
         joint: str = "",
     ) -> None:
         # A Dynamixel adds its homing offset to the encoder's position.
-        super().__init__(TABLE, plant, joint, -homing_offset_ticks)
+        super().__init__(plant, joint, -homing_offset_ticks)
         self.model = model
         self.protection.latches = True
         self.voltage_v = SUPPLY_V[model.name]
@@ -181,14 +173,14 @@ class DynamixelServo(EmulatedServo[Register]):
             Register.MAX_POSITION_LIMIT: position_limits_ticks[1],
         }
         for register, value in values.items():
-            self._memory.set(register, value)
+            self.memory.set(register, value)
         self.power_up()
 
     def power_up(self) -> None:
         """Start as after a power cut: EEPROM as it was, RAM as after power-up, torque off, the count of turns lost."""
         for register in _RAM:
-            self._memory.set(register, 0)
-        self._memory.set(Register.STATUS_RETURN_LEVEL, ANSWERS_ALL)
+            self.memory.set(register, 0)
+        self.memory.set(Register.STATUS_RETURN_LEVEL, ANSWERS_ALL)
         self._reset_limits()
         self.kept_write = None
         self._heard_s = self._starts_in_s = 0.0
@@ -198,8 +190,8 @@ class DynamixelServo(EmulatedServo[Register]):
 
     def write(self, address: int, data: bytes) -> int:
         """Write whole registers as an instruction does; if one is refused, nothing is written."""
-        wanted = self.table.decode_block(address, data)
-        if address not in LAYOUT or any(address + at not in self.table.register_at for at in range(len(data))):
+        wanted = self.memory.decode_block(address, data)
+        if address not in LAYOUT or any(address + at not in self.memory.register_at for at in range(len(data))):
             return ACCESS_ERROR
         if sum(LAYOUT[register].size for register in wanted) != len(data):
             return DATA_LENGTH_ERROR
@@ -211,7 +203,7 @@ class DynamixelServo(EmulatedServo[Register]):
             # Goals are written a hundred times a second, also while the arm rests.
             return 0
         for register, value in wanted.items():
-            self._memory.set(register, value)
+            self.memory.set(register, value)
         if Register.OPERATING_MODE in wanted:
             self._reset_limits()
             self._clear_profile()
@@ -240,7 +232,7 @@ class DynamixelServo(EmulatedServo[Register]):
 
     def ping(self) -> bytes:
         """Return model and firmware, the data of its reply to a ping."""
-        return self._memory.read(Register.MODEL_NUMBER, 2) + self._memory.read(Register.FIRMWARE_VERSION, 1)
+        return self.memory.read(Register.MODEL_NUMBER, 2) + self.memory.read(Register.FIRMWARE_VERSION, 1)
 
     def maintain(self, code: int) -> bool:
         """Carry out a reboot, after which it is silent for a while; errors are cleared."""
@@ -270,12 +262,12 @@ class DynamixelServo(EmulatedServo[Register]):
 
     def _reset_limits(self) -> None:
         """Set the limits of the torque to their greatest values."""
-        self._memory.set(Register.GOAL_PWM, self.value(Register.PWM_LIMIT))
-        self._memory.set(Register.GOAL_CURRENT, self.value(Register.CURRENT_LIMIT))
+        self.memory.set(Register.GOAL_PWM, self.value(Register.PWM_LIMIT))
+        self.memory.set(Register.GOAL_CURRENT, self.value(Register.CURRENT_LIMIT))
 
     def _clear_profile(self) -> None:
         for register in _PROFILE:
-            self._memory.set(register, 0)
+            self.memory.set(register, 0)
 
     def _forget_turns(self) -> None:
         """Count turns from 0 again: the position is within one turn of the encoder."""
@@ -308,7 +300,7 @@ class DynamixelServo(EmulatedServo[Register]):
                 return self.value(Register.MIN_POSITION_LIMIT), self.value(Register.MAX_POSITION_LIMIT)
             case Register.GOAL_POSITION:
                 return -MOST_EXTENDED_TICKS, MOST_EXTENDED_TICKS
-        return value_range(register)
+        return TABLE.value_range(register)
 
     @property
     def _in_position_mode(self) -> bool:
@@ -355,9 +347,9 @@ class DynamixelServo(EmulatedServo[Register]):
     def _follow_status(self) -> None:
         """Show the errors until a reboot; those of SHUTDOWN switch torque off."""
         errors = sum(bit for flag, bit in _BITS.items() if self.protection.status & flag)
-        self._memory.set(Register.HARDWARE_ERROR_STATUS, errors)
+        self.memory.set(Register.HARDWARE_ERROR_STATUS, errors)
         if errors & self.value(Register.SHUTDOWN):
-            self._memory.set(Register.TORQUE_ENABLE, 0)
+            self.memory.set(Register.TORQUE_ENABLE, 0)
         self._follow_registers()
 
     def _measured(self) -> Iterable[tuple[Register, int]]:

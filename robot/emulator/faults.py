@@ -19,31 +19,21 @@ class Faults:
     """Probabilities of faults, and servos off the bus; may be changed while the bus runs.
 
     Attributes:
-        drop: probability that a reply is lost.
-        corrupt: probability that one byte of a reply is wrong.
-        wrong_id: probability that a reply bears another id.
-        truncate: probability that a reply is cut short.
-        duplicate: probability that a reply comes twice.
-        noise: probability that noise comes before a reply.
-        delay: probability that a reply, and those behind it, are held up.
-        lose_instruction: probability that no servo hears an instruction.
-        delay_s: delay of a delayed reply [s].
-        offline: ids of servos that neither receive nor reply.
-        stall_behind_missing: True if a sync read ends at the first servo that does not reply, as some firmware
-            reportedly does; otherwise those behind it reply in its slot.
         random: random generator of the faults.
     """
 
-    drop: float = 0.0
-    corrupt: float = 0.0
-    wrong_id: float = 0.0
-    truncate: float = 0.0
-    duplicate: float = 0.0
-    noise: float = 0.0
-    delay: float = 0.0
-    lose_instruction: float = 0.0
-    delay_s: float = DELAY_S
-    offline: set[int] = field(default_factory=set)
+    drop: float = 0.0  # probability that a reply is lost
+    corrupt: float = 0.0  # probability that one byte of a reply is wrong
+    wrong_id: float = 0.0  # probability that a reply bears another id
+    truncate: float = 0.0  # probability that a reply is cut short
+    duplicate: float = 0.0  # probability that a reply comes twice
+    noise: float = 0.0  # probability that noise comes before a reply
+    delay: float = 0.0  # probability that a reply, and those behind it, are held up
+    lose_instruction: float = 0.0  # probability that no servo hears an instruction
+    delay_s: float = DELAY_S  # delay of a delayed reply [s]
+    offline: set[int] = field(default_factory=set)  # ids of servos that neither receive nor reply
+    # True if a sync read ends at the first servo that does not reply, as some firmware reportedly does; otherwise
+    # those behind it reply in its slot.
     stall_behind_missing: bool = False
     random: random.Random = field(default_factory=lambda: random.Random(0))  # noqa: S311 - repeatable faults, no secret
 

@@ -14,38 +14,22 @@ from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ
 from robot.calibration import TICKS_PER_TURN
 from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Plant
 from robot.emulator.populations import SUPPLY_V
-from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, RegisterTable, Thresholds
+from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, Thresholds
 from robot.emulator.servo_bus import Codec, Instruction
 from robot.hardware.feetech.packets import HEADER, LENGTH_OVERHEAD, checksum
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
-    LAYOUT,
     MODELS,
+    TABLE,
     TICKS_S2_PER_ACCELERATION_UNIT,
     VOLT_PER_UNIT,
     Area,
     Register,
-    decode,
-    encode,
-    value_range,
 )
 from robot.hardware.interface import StatusFlag
 
 # The last documented address is 86; addresses beyond it read as zero.
 MEMORY_BYTES = 87
-
-TABLE = RegisterTable(
-    registers=Register,
-    return_delay=Register.RETURN_DELAY,
-    torque_limit=Register.TORQUE_LIMIT,
-    full_torque=1000,
-    baudrates=(1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400),
-    sizes={register: layout.size for register, layout in LAYOUT.items()},
-    memory_bytes=MEMORY_BYTES,
-    value_range=value_range,
-    encode=encode,
-    decode=decode,
-)
 
 # Values of a new servo; angle limits and id are the arm's.
 FACTORY_EPROM: Mapping[Register, int] = MappingProxyType(
@@ -109,7 +93,10 @@ INST_CALIBRATE = 0x0B
 # The EPROM ends where the SRAM begins, including addresses that are not documented.
 _EPROM_BYTES = int(Register.TORQUE_ENABLE)
 _WRITABLE = frozenset(range(Register.ID, MEMORY_BYTES)) - {
-    at for at, register in TABLE.register_at.items() if LAYOUT[register].area is Area.READ_ONLY
+    register + offset
+    for register in Register
+    if register.layout.area is Area.READ_ONLY
+    for offset in range(register.layout.size)
 }
 
 
@@ -127,14 +114,20 @@ class FeetechServo(EmulatedServo[Register]):
         powers_up_unlocked: True if power-ups leave the EPROM unlocked.
     """
 
+    table = TABLE
+    memory_bytes = MEMORY_BYTES
+    return_delay = Register.RETURN_DELAY
+    torque_limit = Register.TORQUE_LIMIT
+    full_torque = 1000
+    baudrates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
     duty_permille_per_nm = DUTY_PERMILLE_PER_NM
 
     def __init__(self, plant: Plant, eprom: Mapping[Register, int], *, joint: str = "", zero_ticks: int = 0) -> None:
-        super().__init__(TABLE, plant, joint, zero_ticks)
+        super().__init__(plant, joint, zero_ticks)
         self.voltage_v = SUPPLY_V
         self.powers_up_holding = self.powers_up_unlocked = False
         for register, value in {**FACTORY_EPROM, **eprom}.items():
-            self._memory.set(register, value)
+            self.memory.set(register, value)
         self._backup = self._stored_eprom = self._present_eprom
         self.power_up()
 
@@ -144,9 +137,9 @@ class FeetechServo(EmulatedServo[Register]):
         The goal is 0 at any position: switching torque on without setting it makes the arm jump. Only a servo that
         powers up holding has its position as the goal.
         """
-        self._memory.write(0, self._stored_eprom.ljust(MEMORY_BYTES, b"\0"))
-        self._memory.set(Register.TORQUE_LIMIT, self.value(Register.MAX_TORQUE))
-        self._memory.set(Register.LOCK, int(not self.powers_up_unlocked))
+        self.memory.write(0, self._stored_eprom.ljust(MEMORY_BYTES, b"\0"))
+        self.memory.set(Register.TORQUE_LIMIT, self.value(Register.MAX_TORQUE))
+        self.memory.set(Register.LOCK, int(not self.powers_up_unlocked))
         self.kept_write = None
         self.protection.power_up()
         self._follow_registers()
@@ -158,22 +151,22 @@ class FeetechServo(EmulatedServo[Register]):
 
         Read-only bytes keep their value. EPROM changes act at once, but outlive a power cut only while LOCK is 0.
         """
-        present = self._memory.read(address, len(data))
+        present = self.memory.read(address, len(data))
         # Goals are written a hundred times a second, also while the arm rests.
         if data == present:
             return 0
         unlocked, torque = self.value(Register.LOCK) == 0, self.value(Register.TORQUE_ENABLE)
         changes = enumerate(zip(data, present, strict=True), start=address)
-        self._memory.write(address, bytes(new if at in _WRITABLE else old for at, (new, old) in changes))
+        self.memory.write(address, bytes(new if at in _WRITABLE else old for at, (new, old) in changes))
         if unlocked:
             self._stored_eprom = self._present_eprom
         asked = self.value(Register.TORQUE_ENABLE)
         if asked == TORQUE_ENABLE_MAKES_MIDDLE:
-            self._memory.set(Register.TORQUE_ENABLE, torque)
+            self.memory.set(Register.TORQUE_ENABLE, torque)
             self.make_middle()
         elif torque and not asked:
             if self.protection.refuses_torque_off:
-                self._memory.set(Register.TORQUE_ENABLE, torque)
+                self.memory.set(Register.TORQUE_ENABLE, torque)
             self.protection.torque_off()
         self._follow_write(address)
         return 0
@@ -199,7 +192,7 @@ class FeetechServo(EmulatedServo[Register]):
 
     def make_middle(self) -> None:
         """Store the homing offset with which the present position reads 2048, or as near as the register allows."""
-        self._memory.set(Register.HOMING_OFFSET, round(self.plant.position_ticks) % TICKS_PER_TURN - MIDDLE_TICKS)
+        self.memory.set(Register.HOMING_OFFSET, round(self.plant.position_ticks) % TICKS_PER_TURN - MIDDLE_TICKS)
         self._stored_eprom = self._present_eprom
         self._follow_registers()
 
@@ -209,8 +202,8 @@ class FeetechServo(EmulatedServo[Register]):
 
     def restore(self) -> None:
         """Restore the EPROM of the latest backup, or the initial one; the id stays."""
-        self._memory.write(0, self._backup)
-        self._memory.set(Register.ID, self.servo_id)
+        self.memory.write(0, self._backup)
+        self.memory.set(Register.ID, self.servo_id)
         self._stored_eprom = self._present_eprom
         self._follow_registers()
 
@@ -245,7 +238,7 @@ class FeetechServo(EmulatedServo[Register]):
 
     @property
     def _present_eprom(self) -> bytes:
-        return self._memory.read(0, _EPROM_BYTES)
+        return self.memory.read(0, _EPROM_BYTES)
 
     @property
     def _counts_on(self) -> bool:

@@ -51,15 +51,10 @@ OBSTACLE_S = 30.0
 
 @dataclass(frozen=True)
 class TimedCommand:
-    """Live command with a time.
+    """Live command with a time."""
 
-    Attributes:
-        at_s: time from the start of the script [s].
-        command: command for :func:`robot.emulator.control.answer`.
-    """
-
-    at_s: float
-    command: Mapping[str, object]
+    at_s: float  # time from the start of the script [s]
+    command: Mapping[str, object]  # command for :func:`robot.emulator.control.answer`
 
 
 class Rehearsal:

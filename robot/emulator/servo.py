@@ -7,16 +7,13 @@ A family adds a table of registers, and the rules by which they are written and 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
-from functools import cached_property
-from typing import Generic, TypeVar
+from typing import Generic
 
 from robot.emulator.plant import Drive, Motor, Plant
 from robot.hardware.interface import StatusFlag
-
-R = TypeVar("R", bound=IntEnum)
+from robot.hardware.servos.registers import RegisterT, RegisterTable
 
 FULL_DUTY_PERMILLE = 1000.0
 
@@ -24,73 +21,33 @@ FULL_DUTY_PERMILLE = 1000.0
 RETURN_DELAY_UNIT_S = 2e-6
 
 
-@dataclass(frozen=True)
-class RegisterTable(Generic[R]):
-    """Registers of a family of servos.
-
-    Attributes:
-        registers: addresses by name; every family has ID, BAUD_RATE, TORQUE_ENABLE and GOAL_POSITION.
-        return_delay: register of the time before a reply.
-        torque_limit: register of the limit of the motor's duty.
-        full_torque: value of that register for full duty.
-        baudrates: bits per second of each value of BAUD_RATE.
-        sizes: bytes of each register.
-        memory_bytes: first address that no register has.
-        value_range: lowest and highest value of a register.
-        encode: bytes of a register's value.
-        decode: value of a register's bytes.
-    """
-
-    registers: type[R]
-    return_delay: R
-    torque_limit: R
-    full_torque: int
-    baudrates: Sequence[int]
-    sizes: Mapping[R, int]
-    memory_bytes: int
-    value_range: Callable[[R], tuple[int, int]]
-    encode: Callable[[R, int], bytes]
-    decode: Callable[[R, bytes], int]
-
-    @cached_property
-    def register_at(self) -> Mapping[int, R]:
-        """Register of each address that has one."""
-        return {register + offset: register for register, size in self.sizes.items() for offset in range(size)}
-
-    def decode_block(self, address: int, data: bytes) -> dict[R, int]:
-        """Return the values of the registers that lie wholly inside the bytes of a block."""
-        values = {}
-        for at in range(address, address + len(data)):
-            register = self.register_at.get(at)
-            if register is not None and register == at and at + self.sizes[register] <= address + len(data):
-                values[register] = self.decode(register, data[at - address : at - address + self.sizes[register]])
-        return values
-
-
-class Memory(Generic[R]):
+class Memory(Generic[RegisterT]):
     """Bytes of a servo's registers; all are 0 at first."""
 
-    def __init__(self, table: RegisterTable[R]) -> None:
+    def __init__(self, table: RegisterTable[RegisterT], size: int) -> None:
         self._table = table
-        self._bytes = bytearray(table.memory_bytes)
+        self._bytes = bytearray(size)
         # Decoded once, by address: the bus asks for them at every packet.
-        self._values: list[int | None] = [None] * table.memory_bytes
+        self._values: list[int | None] = [None] * size
+        self.register_at = {
+            register + offset: register for register, layout in table.layout.items() for offset in range(layout.size)
+        }
 
-    def value(self, register: R) -> int:
+    def value(self, register: RegisterT) -> int:
         """Return the value of a register."""
         value = self._values[register]
         if value is None:
-            value = self._table.decode(register, self.read(register, self._table.sizes[register]))
+            value = self._table.decode(register, self.read(register, register.layout.size))
             self._values[register] = value
         return value
 
-    def set(self, register: R, value: int) -> None:
+    def set(self, register: RegisterT, value: int) -> None:
         """Set a register; a value beyond its range saturates."""
         if self._values[register] == value:
             return
         lowest, highest = self._table.value_range(register)
         value = max(lowest, min(highest, value))
-        self._bytes[register : register + self._table.sizes[register]] = self._table.encode(register, value)
+        self._bytes[register : register + register.layout.size] = self._table.encode(register, value)
         self._values[register] = value
 
     def read(self, address: int, length: int) -> bytes:
@@ -101,31 +58,30 @@ class Memory(Generic[R]):
         """Replace bytes; those beyond the memory are dropped."""
         for at, byte in enumerate(data[: max(0, len(self._bytes) - address)], start=address):
             self._bytes[at] = byte
-            if at in self._table.register_at:
-                self._values[self._table.register_at[at]] = None
+            if at in self.register_at:
+                self._values[self.register_at[at]] = None
+
+    def decode_block(self, address: int, data: bytes) -> dict[RegisterT, int]:
+        """Return the values of the registers that lie wholly inside the bytes of a block."""
+        values = {}
+        for at in range(address, address + len(data)):
+            register = self.register_at.get(at)
+            if register is not None and register == at and at + register.layout.size <= address + len(data):
+                values[register] = self._table.decode(register, data[at - address :][: register.layout.size])
+        return values
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Thresholds of a servo's protection.
+    """Thresholds of a servo's protection."""
 
-    Attributes:
-        voltage_v: lowest and highest supply [V].
-        temperature_c: highest temperature [degC].
-        load_permille: load from which the overload timer runs [0.1 %].
-        overload_s: time after which an overload is detected [s].
-        current_a: greatest current [A].
-        overcurrent_s: time after which a greater current is detected [s].
-        latching: errors that outlast their cause.
-    """
-
-    voltage_v: tuple[float, float]
-    temperature_c: float
-    load_permille: float
-    overload_s: float
-    current_a: float
-    overcurrent_s: float
-    latching: StatusFlag
+    voltage_v: tuple[float, float]  # lowest and highest supply [V]
+    temperature_c: float  # highest temperature [degC]
+    load_permille: float  # load from which the overload timer runs [0.1 %]
+    overload_s: float  # time after which an overload is detected [s]
+    current_a: float  # greatest current [A]
+    overcurrent_s: float  # time after which a greater current is detected [s]
+    latching: StatusFlag  # errors that outlast their cause
 
 
 class Protection:
@@ -189,45 +145,34 @@ class Protection:
         self._latched = 0
 
 
-class EmulatedServo(ABC, Generic[R]):
-    """Servo on the bus.
+class EmulatedServo(ABC, Generic[RegisterT]):
+    """Servo on the bus."""
 
-    Attributes:
-        table: its registers.
-        plant: joint that it moves, in encoder ticks.
-        joint: name of the joint.
-        zero_ticks: position of the encoder where the calibration has its tick 0.
-        mirrored: True if the horn is mounted mirrored, which no register shows; see :meth:`mirror`.
-        connected: False while its cable is unplugged: it has no power, and is not on the wire.
-        motor: temperature of the motor, which may be set.
-        protection: timers, latches and errors, some of which may be forced.
-        voltage_v: supply [V], which may be set.
-        kept_write: address and bytes of the latest REG_WRITE, until an ACTION; None for none.
-        servo_id: register ID.
-        baudrate: bits per second, 0 for a rate that no host has.
-        return_delay_s: time that it waits before a reply [s].
-        duty_permille_per_nm: duty that a torque at the joint calls for [0.1 % per Nm].
-    """
+    table: RegisterTable[RegisterT]  # registers, among them ID and BAUD_RATE
+    memory_bytes: int  # first address beyond the memory
+    return_delay: RegisterT  # register of the time before a reply
+    torque_limit: RegisterT  # register of the limit of the motor's duty
+    full_torque: int  # its value for full duty
+    baudrates: Sequence[int]  # bits per second of each value of BAUD_RATE
 
-    servo_id: int
-    baudrate: int
-    return_delay_s: float
-    duty_permille_per_nm: float
+    servo_id: int  # register ID
+    baudrate: int  # bits per second, 0 for a rate that no host has
+    return_delay_s: float  # time that it waits before a reply [s]
+    duty_permille_per_nm: float  # duty that a torque at the joint calls for [0.1 % per Nm]
     _drive: Drive
     _thresholds: Thresholds
 
-    def __init__(self, table: RegisterTable[R], plant: Plant, joint: str, zero_ticks: int) -> None:
-        self.table = table
-        self.plant = plant
-        self.joint = joint
-        self.zero_ticks = zero_ticks
-        self.mirrored = False
-        self.connected = True
+    def __init__(self, plant: Plant, joint: str, zero_ticks: int) -> None:
+        self.plant = plant  # joint that it moves, in encoder ticks
+        self.joint = joint  # name of the joint
+        self.zero_ticks = zero_ticks  # position of the encoder where the calibration has its tick 0
+        self.mirrored = False  # True if the horn is mounted mirrored, which no register shows
+        self.connected = True  # False while its cable is unplugged: it has no power, and is not on the wire
         self.motor = Motor()
         self.protection = Protection()
-        self.voltage_v = 0.0
-        self._memory = Memory(table)
-        self.kept_write: tuple[int, bytes] | None = None
+        self.voltage_v = 0.0  # supply [V]
+        self.memory = Memory(self.table, self.memory_bytes)
+        self.kept_write: tuple[int, bytes] | None = None  # address and bytes of the latest REG_WRITE until an ACTION
 
     @abstractmethod
     def power_up(self) -> None:
@@ -251,7 +196,7 @@ class EmulatedServo(ABC, Generic[R]):
         """Carry out an instruction of this family alone; return False if there is no such one."""
 
     @abstractmethod
-    def _measured(self) -> Iterable[tuple[R, int]]:
+    def _measured(self) -> Iterable[tuple[RegisterT, int]]:
         """Return the measured registers and their values."""
 
     @abstractmethod
@@ -268,7 +213,7 @@ class EmulatedServo(ABC, Generic[R]):
     @property
     def torque_limit_permille(self) -> int:
         """Limit of the motor's duty [0.1 %]."""
-        return round(abs(self.value(self.table.torque_limit)) / self.table.full_torque * FULL_DUTY_PERMILLE)
+        return round(abs(self.value(self.torque_limit)) / self.full_torque * FULL_DUTY_PERMILLE)
 
     def ping(self) -> bytes:
         """Return the data of its reply to a ping."""
@@ -308,9 +253,9 @@ class EmulatedServo(ABC, Generic[R]):
         position = mirror - plant.position_ticks if self.mirrored else plant.position_ticks
         return position - self.zero_ticks
 
-    def value(self, register: R) -> int:
+    def value(self, register: RegisterT) -> int:
         """Return the value of a register other than the measured ones."""
-        return self._memory.value(register)
+        return self.memory.value(register)
 
     def hold(self, torque_share: float | None = None) -> None:
         """Hold the present position, as an arm process leaves a servo.
@@ -319,24 +264,24 @@ class EmulatedServo(ABC, Generic[R]):
             torque_share: limit of the motor's duty as a share of its full one; None for the present limit.
         """
         if torque_share is not None:
-            self._memory.set(self.table.torque_limit, round(torque_share * self.table.full_torque))
-        self._memory.set(self.table.registers["GOAL_POSITION"], self.present_ticks)
-        self.set(self.table.registers["TORQUE_ENABLE"], 1)
+            self.memory.set(self.torque_limit, round(torque_share * self.full_torque))
+        self.memory.set(self.table.goal_position, self.present_ticks)
+        self.set(self.table.torque_enable, 1)
 
     def named(self, name: str) -> int:
         """Return the value of a register by its name, such as TORQUE_ENABLE and GOAL_POSITION of every family."""
-        return self.value(self.table.registers[name])
+        return self.value(type(self.table.torque_enable)[name])
 
-    def set(self, register: R, value: int) -> None:
+    def set(self, register: RegisterT, value: int) -> None:
         """Set a register other than the measured ones, read-only or not."""
-        self._memory.set(register, value)
+        self.memory.set(register, value)
         self._follow_registers()
 
     def read(self, address: int, length: int) -> bytes:
         """Read memory; addresses without a register are zero."""
         for register, value in self._measured():
-            self._memory.set(register, value)
-        return self._memory.read(address, length)
+            self.memory.set(register, value)
+        return self.memory.read(address, length)
 
     def step(self, duration_s: float) -> None:
         """Advance by ``duration_s`` [s]."""
@@ -365,16 +310,15 @@ class EmulatedServo(ABC, Generic[R]):
 
     def _follow_registers(self) -> None:
         """Bring everything that depends on registers up to date."""
-        table = self.table
         self.servo_id, baud_rate = self.named("ID"), self.named("BAUD_RATE")
-        self.baudrate = table.baudrates[baud_rate] if baud_rate < len(table.baudrates) else 0
-        self.return_delay_s = self.value(table.return_delay) * RETURN_DELAY_UNIT_S
+        self.baudrate = self.baudrates[baud_rate] if baud_rate < len(self.baudrates) else 0
+        self.return_delay_s = self.value(self.return_delay) * RETURN_DELAY_UNIT_S
         self._thresholds = self._thresholds_from_registers()
         self._drive = self._drive_from_registers()
 
     def _follow_write(self, address: int) -> None:
         """Bring everything that depends on the registers from an address on up to date."""
-        if address < self.table.registers["TORQUE_ENABLE"]:
+        if address < self.table.torque_enable:
             self._follow_registers()
         else:
             self._drive = self._drive_from_registers()

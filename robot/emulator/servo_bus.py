@@ -44,34 +44,21 @@ TURNAROUND_S = 20e-6
 
 @dataclass(frozen=True)
 class Instruction:
-    """Instruction packet.
+    """Instruction packet."""
 
-    Attributes:
-        servo_id: id of its receiver, or the broadcast.
-        code: number of the instruction.
-        parameters: bytes behind it.
-        byte_count: bytes of the packet on the wire.
-        error: number of the error that its receiver finds in it; 0 for none.
-    """
-
-    servo_id: int
-    code: int
-    parameters: bytes
-    byte_count: int = field(default=0, compare=False)
-    error: int = 0
+    servo_id: int  # id of its receiver, or the broadcast
+    code: int  # number of the instruction
+    parameters: bytes  # bytes behind it
+    byte_count: int = field(default=0, compare=False)  # bytes of the packet on the wire
+    error: int = 0  # number of the error that its receiver finds in it; 0 for none
 
 
 class Codec(ABC):
-    """Packets of a family of servos.
+    """Packets of a family of servos."""
 
-    Attributes:
-        header: first bytes of every packet.
-        word_bytes: bytes of an address or length among the parameters, little endian.
-        rejection: number of the error with which a servo answers an instruction that makes no sense; None for silence.
-    """
-
-    header: bytes
-    word_bytes: int
+    header: bytes  # first bytes of every packet
+    word_bytes: int  # bytes of an address or length among the parameters, little endian
+    # Number of the error with which a servo answers an instruction that makes no sense; None for silence.
     rejection: int | None
 
     @abstractmethod
@@ -115,21 +102,13 @@ class InstructionParser:
 
 @dataclass
 class Reply:
-    """Reply on its way to the host; times are monotonic [s].
+    """Reply on its way to the host; times are monotonic [s]."""
 
-    Attributes:
-        start_s: time of its first bit on the wire.
-        byte_s: wire time of each byte.
-        end_s: time of its last bit.
-        due_s: time from which the host may have it; later than ``end_s`` if it is delayed.
-        data: bytes of the packet.
-    """
-
-    start_s: float
-    byte_s: float
-    end_s: float
-    due_s: float
-    data: bytes
+    start_s: float  # time of its first bit on the wire
+    byte_s: float  # wire time of each byte
+    end_s: float  # time of its last bit
+    due_s: float  # time from which the host may have it; later than ``end_s`` if it is delayed
+    data: bytes  # bytes of the packet
 
     def collide(self, now_s: float) -> None:
         """Drop the bytes that have not passed the wire: the host sends as well, so that their frames are broken."""

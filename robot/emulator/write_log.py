@@ -53,13 +53,13 @@ class WriteLog:
         self, now_s: float, code: int, address: int, data: Mapping[int, bytes], servos: Sequence[EmulatedServo[Any]]
     ) -> None:
         """Append the line of a write."""
-        table = servos[0].table
+        memory = servos[0].memory
         what = {
             "instruction": _NAMES[code],
             "address": address,
             "data": {servo_id: list(values) for servo_id, values in data.items()},
             "registers": {
-                servo_id: {register.name: value for register, value in table.decode_block(address, values).items()}
+                servo_id: {register.name: value for register, value in memory.decode_block(address, values).items()}
                 for servo_id, values in data.items()
             },
         }

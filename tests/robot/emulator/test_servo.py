@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.feetech import TABLE
+from robot.emulator.feetech import MEMORY_BYTES
 from robot.emulator.servo import Memory, Protection, Thresholds
-from robot.hardware.feetech.registers import Register, decode
+from robot.hardware.feetech.registers import TABLE, Register, decode
 from robot.hardware.interface import StatusFlag
 from tests.helpers.servo_family import OF_BOTH_FAMILIES, Family, run
 
@@ -120,15 +120,15 @@ def test_addresses_beyond_the_memory_read_as_zero(family: Family) -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 90), st.binary(min_size=1, max_size=20)), max_size=10))
 def test_a_value_is_always_that_of_the_bytes(writes: list[tuple[int, bytes]]) -> None:
-    memory = Memory(TABLE)
+    memory = Memory(TABLE, MEMORY_BYTES)
     for address, data in writes:
         memory.write(address, data)
         for register in Register:
-            assert memory.value(register) == decode(register, memory.read(register, TABLE.sizes[register]))
+            assert memory.value(register) == decode(register, memory.read(register, register.layout.size))
 
 
 def test_a_value_beyond_the_range_of_its_register_shows_as_the_largest() -> None:
-    memory = Memory(TABLE)
+    memory = Memory(TABLE, MEMORY_BYTES)
     memory.set(Register.PRESENT_LOAD, -5000)
     memory.set(Register.PRESENT_TEMPERATURE, 300)
     assert (memory.value(Register.PRESENT_LOAD), memory.value(Register.PRESENT_TEMPERATURE)) == (-1023, 255)
@@ -136,7 +136,7 @@ def test_a_value_beyond_the_range_of_its_register_shows_as_the_largest() -> None
 
 def test_a_block_has_the_registers_that_lie_wholly_inside_it() -> None:
     block = bytes([254, 0x05, 0x80, 0, 0, 0xBC])
-    assert TABLE.decode_block(Register.ACCELERATION, block) == {
+    assert Memory(TABLE, MEMORY_BYTES).decode_block(Register.ACCELERATION, block) == {
         Register.ACCELERATION: 254,
         Register.GOAL_POSITION: -5,
         Register.GOAL_TIME: 0,

@@ -11,18 +11,12 @@ from robot.emulator.servo_bus import Reply
 
 
 class Adapter(ABC):
-    """Adapter that can freeze, deliver in frames, and be unplugged.
-
-    Attributes:
-        port: name of the port, the last one while it is unplugged.
-        frozen: True while it neither takes nor delivers bytes, which wait meanwhile.
-        frame_s: interval at multiples of which the servos' bytes are delivered [s]; 0 delivers them at once.
-    """
+    """Adapter that can freeze, deliver in frames, and be unplugged."""
 
     def __init__(self, port: str) -> None:
-        self.port = port
-        self.frozen = False
-        self.frame_s = 0.0
+        self.port = port  # its name, the last one while it is unplugged
+        self.frozen = False  # True while it neither takes nor delivers bytes, which wait meanwhile
+        self.frame_s = 0.0  # interval at multiples of which it delivers the servos' bytes [s]; 0 for at once
         self._outbox: deque[tuple[float, Reply]] = deque()
 
     @abstractmethod

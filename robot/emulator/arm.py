@@ -24,29 +24,15 @@ WEIGHED_AGAIN_RAD = 0.005
 
 
 class EmulatedArm(Generic[S]):
-    """Emulated servos of an arm as a hardware source; they keep running while the hardware is closed.
-
-    Args:
-        robot: description of the arm, for the weight of its links.
-        config: calibration and faults.
-        servos: in the order of the calibration.
-        codec: packets of the servos.
-        clock: time of the control loop [s].
-        driver: makes the driver of the servos on a port.
-        log: record of the writes; None for no record.
-
-    Attributes:
-        bus: the servo bus.
-        port: its port.
-    """
+    """Emulated servos of an arm as a hardware source; they keep running while the hardware is closed."""
 
     def __init__(
         self,
         robot: RobotModel,
         config: EmulatedConfig | EmulatedDynamixelConfig,
-        servos: Sequence[S],
+        servos: Sequence[S],  # in the order of the calibration
         codec: Codec,
-        clock: Callable[[], float],
+        clock: Callable[[], float],  # time of the control loop [s]
         driver: Callable[[InProcessPort], HardwareInterface],
         log: WriteLog | None = None,
     ) -> None:

@@ -122,21 +122,7 @@ _BITS: Mapping[StatusFlag, int] = {flag: bit for bit, flag in HARDWARE_ERRORS.it
 
 
 class DynamixelServo(EmulatedServo[Register]):
-    """Servo on the bus, from power-up on.
-
-    Args:
-        servo_id: register ID.
-        model: its model.
-        plant: joint that it moves, in ticks of its encoder, which is absolute within one turn.
-        position_limits_ticks: registers MIN_POSITION_LIMIT and MAX_POSITION_LIMIT.
-        homing_offset_ticks: register HOMING_OFFSET.
-        mode: register OPERATING_MODE.
-        joint: name of the joint.
-
-    Attributes:
-        model: as given.
-        writes: number of accepted writes.
-    """
+    """XL430 or XL330 on the bus, from power-up on; its encoder is absolute within one turn."""
 
     table = TABLE
     memory_bytes = MEMORY_BYTES
@@ -161,7 +147,7 @@ class DynamixelServo(EmulatedServo[Register]):
         self.protection.latches = True
         self.voltage_v = SUPPLY_V[model.name]
         self.duty_permille_per_nm = CARRIED_BY_MOTOR * FULL_DUTY_PERMILLE / model.stall_torque_nm
-        self.writes = 0
+        self.writes = 0  # number of accepted writes
         values: Mapping[Register, int] = {
             **_DEFAULTS,
             **_DEFAULTS_OF_MODEL[model.name],

@@ -103,15 +103,7 @@ _WRITABLE = frozenset(range(Register.ID, MEMORY_BYTES)) - {
 class FeetechServo(EmulatedServo[Register]):
     """STS3215 on the bus, from power-up on.
 
-    Args:
-        plant: joint that it moves, in encoder ticks.
-        eprom: registers that differ from those of a new servo; the angle limits are in ticks of PRESENT_POSITION.
-        joint: name of the joint.
-        zero_ticks: position of the encoder where the calibration has its tick 0.
-
-    Attributes:
-        powers_up_holding: True if power-ups leave torque on, at the present position.
-        powers_up_unlocked: True if power-ups leave the EPROM unlocked.
+    The EPROM that it is given has the registers that differ from those of a new servo.
     """
 
     table = TABLE
@@ -125,7 +117,8 @@ class FeetechServo(EmulatedServo[Register]):
     def __init__(self, plant: Plant, eprom: Mapping[Register, int], *, joint: str = "", zero_ticks: int = 0) -> None:
         super().__init__(plant, joint, zero_ticks)
         self.voltage_v = SUPPLY_V
-        self.powers_up_holding = self.powers_up_unlocked = False
+        self.powers_up_holding = False  # True if power-ups leave torque on, at the present position
+        self.powers_up_unlocked = False  # True if power-ups leave the EPROM unlocked
         for register, value in {**FACTORY_EPROM, **eprom}.items():
             self.memory.set(register, value)
         self._backup = self._stored_eprom = self._present_eprom

@@ -56,14 +56,10 @@ def emulated_feetech_arm(
 def build_servos(
     calibration: Calibration, start_rad: Sequence[float], population: Population = FACTORY, *, as_read: bool = False
 ) -> list[FeetechServo]:
-    """Build the arm's servos at a pose.
+    """Build the arm's servos at a pose [rad]; the calibrated ranges are the joints' mechanical stops.
 
-    Args:
-        calibration: ids, angle limits and homing offsets; its ranges are the joints' mechanical stops.
-        start_rad: position of each joint, in the calibration's order [rad].
-        population: state of the servos.
-        as_read: True if the pose is the one that the calibration makes of the servos' readings, which may have another
-            zero.
+    ``as_read`` is True if the pose is the one that the calibration makes of the servos' readings, which may have
+    another zero.
 
     Raises:
         ValueError: the pose has another number of joints, or lies outside the ranges.

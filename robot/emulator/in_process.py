@@ -22,12 +22,8 @@ MAX_WAITING_BYTES = 4096
 class InProcessPort(Adapter):
     """Port of an emulated bus; implements :class:`robot.hardware.port.BusPort` for the host.
 
-    Without wire time a reply is there at once, or, if a command delays it, not waited for; frames delay nothing.
-
-    Args:
-        bus: the servo bus.
-        clock: time of bus and caller [s].
-        wait: lets that time pass [s], for a bus with wire time; None for one without.
+    Without wire time a reply is there at once, or, if a command delays it, not waited for; frames delay nothing. With
+    wire time, ``wait`` lets the time of bus and caller pass [s].
     """
 
     def __init__(

@@ -59,21 +59,14 @@ class PseudoTerminal:
     """Pseudo terminal: a pair of master and slave.
 
     The slave stays open here, or the master would fail whenever a client leaves, and is raw before any client
-    opens it, or the line discipline would echo and alter bytes.
-
-    Args:
-        link: path of a symbolic link to the slave; None for no link.
-
-    Attributes:
-        master: file descriptor of the emulator's end.
-        port: path of the slave, which clients open.
+    opens it, or the line discipline would echo and alter bytes. A symbolic link may lead to the slave.
     """
 
     def __init__(self, link: Path | None = None) -> None:
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self.master, False)
-        self.port = os.ttyname(self._slave)
+        self.port = os.ttyname(self._slave)  # path of the slave, which clients open
         self._link = link
         if link is not None:
             if link.is_symlink():
@@ -110,12 +103,7 @@ class PseudoTerminal:
 
 
 class UsbAdapter(Adapter):
-    """USB adapter, whose serial port is a pseudo terminal.
-
-    Args:
-        link: path of a symbolic link to the port, which stays the same when the port's own name changes; None for no
-            link.
-    """
+    """USB adapter, whose port is a pseudo terminal; a symbolic link stays the same when the port's name changes."""
 
     def __init__(self, link: Path | None = None) -> None:
         super().__init__("")
@@ -232,13 +220,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def build_bus(
     options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True
 ) -> ServoBus[FeetechServo]:
-    """Build the servo bus of the options, at a monotonic time [s]; raises as :func:`run` does.
+    """Build the servo bus of the options, at a monotonic time [s]; the resources take over the files to close.
 
-    Args:
-        options: as parsed.
-        resources: takes over the files to close.
-        now_s: time at the start.
-        wire_time: True to emulate the time of bytes on the wire.
+    Raises as :func:`run` does.
     """
     calibration = _calibration(options)
     start_rad = options.start or [0.0] * len(calibration.joints)
@@ -285,7 +269,7 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
     """Run an emulator until a signal or its controlling process ends it.
 
     Args:
-        options: as parsed, see :func:`add_options`.
+        options: of :func:`add_options`.
         control_descriptor: socket to a controlling process; None for a person at standard input and output.
 
     Raises:
@@ -333,13 +317,7 @@ def serve(bus: ServoBus[FeetechServo], adapter: UsbAdapter, control: Control, re
 
 
 class Control:
-    """Connection to the emulator's controller: a person at the terminal, or a process.
-
-    Args:
-        reader: file descriptor of the commands.
-        writer: file descriptor of the answers.
-        essential: True for a controlling process, whose end also ends the emulator.
-    """
+    """Connection to a person, or to a controlling process, which is essential: its end ends the emulator."""
 
     def __init__(self, reader: int, writer: int, *, essential: bool) -> None:
         self.essential = essential

@@ -58,14 +58,10 @@ class TimedCommand:
 
 
 class Rehearsal:
-    """Schedule of timed commands.
-
-    Args:
-        commands: in the order of their times; may be empty.
-        repeats: True to start again after the last command.
+    """Schedule of commands in the order of their times, perhaps without any.
 
     Raises:
-        ValueError: they are to be repeated, but shorter than :data:`MIN_REPEATED_S`.
+        ValueError: it repeats, but is shorter than :data:`MIN_REPEATED_S`.
     """
 
     def __init__(self, commands: Sequence[TimedCommand] = (), *, repeats: bool = False) -> None:
@@ -99,21 +95,13 @@ class Rehearsal:
 
 
 class ScriptLine(LiveCommand):
-    """Line of a script: live commands and their time.
-
-    Attributes:
-        at_s: time from the start of the script [s].
-    """
+    """Line of a script: live commands and their time from the start of the script."""
 
     at_s: Annotated[float, Field(ge=0.0, le=MAX_AT_S)]
 
 
 def read_script(path: Path, bus: ServoBus[FeetechServo]) -> tuple[TimedCommand, ...]:
     """Read a script and check all of its commands.
-
-    Args:
-        path: the file.
-        bus: servo bus that its commands may change.
 
     Raises:
         OSError: the file cannot be read.

@@ -85,17 +85,14 @@ class Thresholds:
 
 
 class Protection:
-    """Timers and latches of one servo's protection.
-
-    Attributes:
-        latches: True if only a power cycle clears latched errors; otherwise switching torque off clears them too.
-        forced: errors forced by a command, bits of :class:`robot.hardware.interface.StatusFlag`.
-        status: present errors, bits of the same.
-    """
+    """Timers and latches of one servo's protection; errors are bits of ``StatusFlag``."""
 
     def __init__(self, *, latches: bool = False) -> None:
+        # True if only a power cycle clears latched errors; otherwise switching torque off clears them too.
         self.latches = latches
-        self.forced = self.status = self._latched = 0
+        self.forced = 0  # errors forced by a command
+        self.status = 0  # present errors
+        self._latched = 0
         self._overload_s = self._overcurrent_s = 0.0
 
     def step(

@@ -130,31 +130,18 @@ Written: TypeAlias = dict[int, dict[int, bytes]]
 
 
 class ServoBus(Generic[S]):
-    """Servos of an arm on one wire.
-
-    Args:
-        codec: packets of the servos.
-        now_s: monotonic time [s].
-        weigh: loads the servos with the links' weight at the present pose.
-        wire_time: True to emulate the time of bytes on the wire; otherwise replies are complete at once, and cannot
-            collide with the host's bytes.
-
-    Attributes:
-        servos: in the order of their ids.
-        faults: faults of the bus, which may be changed while it runs.
-        log: record of the writes; None for no record.
-    """
+    """Servos of an arm on one wire."""
 
     def __init__(
         self,
         servos: Sequence[S],
         codec: Codec,
-        faults: Faults,
-        now_s: float,
+        faults: Faults,  # may be changed while the bus runs
+        now_s: float,  # monotonic time [s]
         log: WriteLog | None = None,
-        weigh: Callable[[], None] = lambda: None,
+        weigh: Callable[[], None] = lambda: None,  # loads the servos with the links' weight at their pose
         *,
-        wire_time: bool = True,
+        wire_time: bool = True,  # without it replies are complete at once, and cannot collide with the host's bytes
     ) -> None:
         self.servos = tuple(servos)
         self.faults = faults

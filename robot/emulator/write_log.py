@@ -38,10 +38,6 @@ class WriteLog:
 
     The last five are of all servos, after the write.
 
-    Args:
-        path: path of the file.
-        append: True to append to an existing file instead of replacing it.
-
     Raises:
         OSError: the file cannot be written.
     """

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Generic
 
 from robot.calibration import Calibration
 from robot.description.gravity import LinkWeights
+from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
 from robot.emulator.faults import Faults
 from robot.emulator.in_process import InProcessPort
@@ -17,6 +19,9 @@ from robot.emulator.servo_bus import Codec, S, ServoBus
 from robot.emulator.write_log import WriteLog
 from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
 from robot.hardware.interface import HardwareInterface
+from robot.hardware.servos.family import ServoFamily
+from robot.hardware.servos.hardware import ServoHardware
+from robot.hardware.servos.servo_map import full_torque
 from robot.messages import GuardLimits
 
 # A joint that turns by less changes its weight by less than the servo's load resolves [rad].
@@ -30,39 +35,44 @@ class EmulatedArm(Generic[S]):
         self,
         robot: RobotModel,
         config: EmulatedConfig | EmulatedDynamixelConfig,
+        family: ServoFamily,  # as the driver sees the servos
         servos: Sequence[S],  # in the order of the calibration
         codec: Codec,
+        bounds: JointBounds,
+        limits: GuardLimits,
         clock: Callable[[], float],  # time of the control loop [s]
-        driver: Callable[[InProcessPort], HardwareInterface],
         log: WriteLog | None = None,
+        *,
+        holds: bool,  # True if the servos hold at their torque limits, as an arm process leaves them
     ) -> None:
         chance = random.Random(config.seed)  # noqa: S311 - repeatable faults, no secret
         faults = Faults(drop=config.drop, corrupt=config.corrupt, random=chance)
+        if holds:
+            for servo, share in zip(servos, full_torque(config.calibration, limits).tolist(), strict=True):
+                servo.hold(share)
         weight = weight_of(robot, config.calibration, servos)
         self.bus = ServoBus(servos, codec, faults, clock(), log, weight, wire_time=False)
         self.port = InProcessPort(self.bus, clock)
-        self._driver = driver
+        self._family = family
+        # Emulated servos are built from the calibration, which therefore has their offsets, also where it was assumed.
+        self._calibration = replace(config.calibration, offsets_known=True)
+        self._bounds = bounds
+        self._limits = limits
+        self._clock = clock
 
     def open(self) -> HardwareInterface:
-        """Open the servos' port.
-
-        Raises:
-            PortError: it is unplugged.
-        """
+        """Open the servos' port; raises PortError while it is unplugged."""
         self.port.check()
-        return self._driver(self.port)
+        bus = self._family.bus(self.port, self._clock)
+        return ServoHardware(
+            self._family, bus, self._calibration, self._bounds, self._limits, self._clock, simulated=True
+        )
 
 
 def start_pose_rad(config: EmulatedConfig | EmulatedDynamixelConfig) -> list[float]:
     """Return the joints' positions at the start, each in its range."""
     joints = config.calibration.joints
     return [min(max(config.start_rad.get(joint.joint, 0.0), joint.lower_rad), joint.upper_rad) for joint in joints]
-
-
-def hold(servos: Sequence[EmulatedServo[Any]], calibration: Calibration, limits: GuardLimits) -> None:
-    """Let the servos hold at their torque limits, as an arm process leaves them."""
-    for servo, joint in zip(servos, calibration.joints, strict=True):
-        servo.hold(limits.gripper_torque_limit if joint.servo.gripper else limits.torque_limit)
 
 
 def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[EmulatedServo[Any]]) -> Callable[[], None]:

@@ -7,15 +7,11 @@ from collections.abc import Callable
 from robot.calibration import JointCalibration
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
-from robot.emulator.arm import EmulatedArm, hold, start_pose_rad
+from robot.emulator.arm import EmulatedArm, start_pose_rad
 from robot.emulator.dynamixel import DYNAMIXEL, DynamixelServo
-from robot.emulator.in_process import InProcessPort
 from robot.emulator.plant import Plant
 from robot.hardware.config import EmulatedDynamixelConfig
-from robot.hardware.dynamixel.bus import Bus
 from robot.hardware.dynamixel.family import Dynamixel, model_of
-from robot.hardware.interface import HardwareInterface
-from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
 
 
@@ -29,15 +25,7 @@ def emulated_dynamixel_arm(
     """Build the emulated Dynamixel servos of an arm."""
     joints = config.calibration.joints
     servos = [_servo(joint, start_rad) for joint, start_rad in zip(joints, start_pose_rad(config), strict=True)]
-    if config.driven:
-        hold(servos, config.calibration, limits)
-
-    def driver(port: InProcessPort) -> HardwareInterface:
-        """Make the driver of the servos on a port."""
-        bus = Bus(port, clock)
-        return ServoHardware(Dynamixel(), bus, config.calibration, bounds, limits, clock, simulated=True)
-
-    return EmulatedArm(robot, config, servos, DYNAMIXEL, clock, driver)
+    return EmulatedArm(robot, config, Dynamixel(), servos, DYNAMIXEL, bounds, limits, clock, holds=config.driven)
 
 
 def _servo(joint: JointCalibration, start_rad: float) -> DynamixelServo:

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 from robot.calibration import Calibration, JointCalibration
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
-from robot.emulator.arm import EmulatedArm, hold, start_pose_rad
+from robot.emulator.arm import EmulatedArm, start_pose_rad
 from robot.emulator.feetech import FEETECH, FeetechServo
-from robot.emulator.in_process import InProcessPort
 from robot.emulator.plant import Plant
 from robot.emulator.populations import FACTORY, POPULATIONS, Population
 from robot.emulator.write_log import WriteLog
 from robot.hardware.config import EmulatedConfig
-from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register
-from robot.hardware.interface import HardwareInterface
-from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
 
 
@@ -33,18 +28,9 @@ def emulated_feetech_arm(
     """
     population = POPULATIONS[config.population]
     servos = build_servos(config.calibration, start_pose_rad(config), population, as_read=config.resumes)
-    if config.driven and (config.resumes or not population.has_shifted):
-        hold(servos, config.calibration, limits)
-    # Emulated servos are built from the calibration, which therefore has their offsets, also where it was assumed.
-    calibration = replace(config.calibration, offsets_known=True)
-
-    def driver(port: InProcessPort) -> HardwareInterface:
-        """Make the driver of the servos on a port."""
-        bus = Bus(port, clock)
-        return ServoHardware(Feetech(config.profile), bus, calibration, bounds, limits, clock, simulated=True)
-
+    holds = config.driven and (config.resumes or not population.has_shifted)
     log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
-    arm = EmulatedArm(robot, config, servos, FEETECH, clock, driver, log)
+    arm = EmulatedArm(robot, config, Feetech(config.profile), servos, FEETECH, bounds, limits, clock, log, holds=holds)
     if config.control:
         # Only here: most arms take no commands, and pydantic takes its time.
         from robot.emulator.control_socket import CommandedPort, ControlSocket

@@ -44,18 +44,18 @@ def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
 
             return SerialServos(Feetech(config.hardware.profile), config.hardware, bounds, config.guard_limits, clock)
         case EmulatedConfig():
-            from robot.emulator.in_process import EmulatedServos
+            from robot.emulator.feetech_arm import emulated_feetech_arm
 
-            return EmulatedServos(config.robot, config.hardware, bounds, config.guard_limits, clock)
+            return emulated_feetech_arm(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case DynamixelConfig():
             from robot.hardware.dynamixel.family import Dynamixel
             from robot.hardware.servos.hardware import SerialServos
 
             return SerialServos(Dynamixel(), config.hardware, bounds, config.guard_limits, clock)
         case EmulatedDynamixelConfig():
-            from robot.emulator.dynamixel.in_process import EmulatedDynamixels
+            from robot.emulator.dynamixel_arm import emulated_dynamixel_arm
 
-            return EmulatedDynamixels(config.robot, config.hardware, bounds, config.guard_limits, clock)
+            return emulated_dynamixel_arm(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case IdealConfig():
             from robot.hardware.ideal import IdealArm
 

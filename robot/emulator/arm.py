@@ -1,59 +1,82 @@
-"""Emulated arm: its servos at a pose, and the weight of its links on them. Pure."""
+"""Emulated arm inside the arm process: its servos as a hardware source, and the weight of its links on them."""
 
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Generic
 
-from robot.calibration import Calibration, JointCalibration
+from robot.calibration import Calibration
 from robot.description.gravity import LinkWeights
+from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
-from robot.emulator.plant import Plant
-from robot.emulator.populations import FACTORY, Population
-from robot.emulator.servo import Servo
-from robot.hardware.feetech.registers import Register
-
-# Far less than the stall torque of 1.62 Nm suggests: friction in the gear carries most of a resting joint's weight.
-# With lerobot's gain the droop is then 14 ticks (1.2 deg) at a stretched shoulder, and 24 with 1.5 kg at 10 cm, where
-# 20 to 30 were measured.
-DUTY_PERMILLE_PER_NM = 130.0
-
-
-def build_servos(
-    calibration: Calibration, start_rad: Sequence[float], population: Population = FACTORY, *, as_read: bool = False
-) -> list[Servo]:
-    """Build the arm's servos at a pose.
-
-    Args:
-        calibration: ids, angle limits and homing offsets; its ranges are the joints' mechanical stops.
-        start_rad: position of each joint, in the calibration's order [rad].
-        population: state of the servos.
-        as_read: True if the pose is the one that the calibration makes of the servos' readings, which may have another
-            zero.
-
-    Raises:
-        ValueError: the pose has another number of joints, or lies outside the ranges.
-    """
-    if len(start_rad) != len(calibration.joints):
-        raise ValueError(f"the start pose needs {len(calibration.joints)} positions, not {len(start_rad)}")
-    return [
-        _servo(place, joint, position, population, as_read=as_read)
-        for place, (joint, position) in enumerate(zip(calibration.joints, start_rad, strict=True))
-    ]
-
+from robot.emulator.faults import Faults
+from robot.emulator.in_process import InProcessPort
+from robot.emulator.servo import EmulatedServo
+from robot.emulator.servo_bus import Codec, S, ServoBus
+from robot.emulator.write_log import WriteLog
+from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
+from robot.hardware.interface import HardwareInterface
+from robot.hardware.servos.family import ServoFamily
+from robot.hardware.servos.hardware import ServoHardware
+from robot.hardware.servos.servo_map import full_torque
+from robot.messages import GuardLimits
 
 # A joint that turns by less changes its weight by less than the servo's load resolves [rad].
 WEIGHED_AGAIN_RAD = 0.005
 
 
-def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[Servo]) -> Callable[[], None]:
-    """Return a function that loads the servos with the links' weight at the present pose.
+class EmulatedArm(Generic[S]):
+    """Emulated servos of an arm as a hardware source; they keep running while the hardware is closed."""
 
-    Args:
-        robot: description of the arm.
-        calibration: joints of the servos.
-        servos: in the order of the calibration.
-    """
+    def __init__(
+        self,
+        robot: RobotModel,
+        config: EmulatedConfig | EmulatedDynamixelConfig,
+        family: ServoFamily,  # as the driver sees the servos
+        servos: Sequence[S],  # in the order of the calibration
+        codec: Codec,
+        bounds: JointBounds,
+        limits: GuardLimits,
+        clock: Callable[[], float],  # time of the control loop [s]
+        log: WriteLog | None = None,
+        *,
+        holds: bool,  # True if the servos hold at their torque limits, as an arm process leaves them
+    ) -> None:
+        chance = random.Random(config.seed)  # noqa: S311 - repeatable faults, no secret
+        faults = Faults(drop=config.drop, corrupt=config.corrupt, random=chance)
+        if holds:
+            for servo, share in zip(servos, full_torque(config.calibration, limits).tolist(), strict=True):
+                servo.hold(share)
+        weight = weight_of(robot, config.calibration, servos)
+        self.bus = ServoBus(servos, codec, faults, clock(), log, weight, wire_time=False)
+        self.port = InProcessPort(self.bus, clock)
+        self._family = family
+        # Emulated servos are built from the calibration, which therefore has their offsets, also where it was assumed.
+        self._calibration = replace(config.calibration, offsets_known=True)
+        self._bounds = bounds
+        self._limits = limits
+        self._clock = clock
+
+    def open(self) -> HardwareInterface:
+        """Open the servos' port; raises PortError while it is unplugged."""
+        self.port.check()
+        bus = self._family.bus(self.port, self._clock)
+        return ServoHardware(
+            self._family, bus, self._calibration, self._bounds, self._limits, self._clock, simulated=True
+        )
+
+
+def start_pose_rad(config: EmulatedConfig | EmulatedDynamixelConfig) -> list[float]:
+    """Return the joints' positions at the start, each in its range."""
+    joints = config.calibration.joints
+    return [min(max(config.start_rad.get(joint.joint, 0.0), joint.lower_rad), joint.upper_rad) for joint in joints]
+
+
+def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[EmulatedServo[Any]]) -> Callable[[], None]:
+    """Return a function that loads the servos, in the calibration's order, with the links' weight at their pose."""
     weights = LinkWeights(robot)
     joints = list(zip(calibration.joints, servos, strict=True))
     weighed: dict[str, float] = {}
@@ -61,56 +84,13 @@ def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[Serv
     def weigh() -> None:
         """Load the servos with the weight at the present pose."""
         position_rad = {joint.joint: joint.rad_from_ticks(servo.joint_ticks) for joint, servo in joints}
-        if all(
-            abs(position - weighed.get(name, math.inf)) < WEIGHED_AGAIN_RAD for name, position in position_rad.items()
-        ):
+        if all(abs(at - weighed.get(name, math.inf)) < WEIGHED_AGAIN_RAD for name, at in position_rad.items()):
             return
         weighed.update(position_rad)
         torques_nm = weights.holding_torques(position_rad)
         for joint, servo in joints:
             # The plant counts in ticks, which may fall while the joint's position rises.
             sign = math.copysign(1.0, joint.rad_s_from_ticks_s(1.0)) * (-1.0 if servo.mirrored else 1.0)
-            servo.plant.gravity_permille = sign * DUTY_PERMILLE_PER_NM * torques_nm[joint.joint]
+            servo.plant.gravity_permille = sign * servo.duty_permille_per_nm * torques_nm[joint.joint]
 
     return weigh
-
-
-def _servo(place: int, joint: JointCalibration, start_rad: float, population: Population, *, as_read: bool) -> Servo:
-    if not joint.lower_rad <= start_rad <= joint.upper_rad:
-        raise ValueError(
-            f"{joint.joint} cannot start at {start_rad:g} rad, outside its range of "
-            f"{joint.lower_rad:.3f} to {joint.upper_rad:.3f}"
-        )
-
-    def own(each: Sequence[int]) -> int:
-        """Return the value of this joint."""
-        return each[place % len(each)]
-
-    zero = joint.homing_offset + own(population.horn_ticks)
-    offset = (joint.homing_offset if population.has_offsets else 0) + own(population.offset_shift_ticks)
-    lower_stop, upper_stop = joint.range_min + zero, joint.range_max + zero
-    if joint.servo.turns_freely and population.free_joint_stops_ticks is not None:
-        lower_stop, upper_stop = (stop + zero for stop in population.free_joint_stops_ticks)
-    start = joint.ticks_from_rad(start_rad) + (offset if as_read else zero)
-    plant = Plant(max(lower_stop, min(upper_stop, start)), lower_stop, upper_stop)
-    lowest, highest = population.limits_ticks or (joint.range_min, joint.range_max)
-    eprom = {
-        Register.ID: joint.servo_id if population.servo_id is None else population.servo_id,
-        Register.MIN_ANGLE_LIMIT: lowest,
-        Register.MAX_ANGLE_LIMIT: highest,
-        Register.HOMING_OFFSET: offset,
-        Register.FIRMWARE_MINOR: own(population.firmware),
-        **population.registers,
-        **(population.gripper if joint.servo.gripper else {}),
-    }
-    servo = Servo(plant, eprom, joint=joint.joint, zero_ticks=zero)
-    if joint.servo.gripper:
-        servo.motor.heating = population.gripper_heating
-    servo.voltage_v = population.supply_v
-    servo.protection.latches = population.overload_latches
-    servo.powers_up_holding = population.powers_up_holding
-    servo.powers_up_unlocked = population.powers_up_unlocked
-    servo.power_up()
-    if population.unlocked:
-        servo.write(Register.LOCK, bytes([0]))
-    return servo

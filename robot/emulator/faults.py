@@ -3,25 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
-
-from robot.hardware.feetech.packets import HEADER, checksum
-
-# Random faults and their effects on a packet; each is a field of Faults, an option and a live command.
-PROBABILITIES: Mapping[str, str] = MappingProxyType(
-    {
-        "drop": "lose a reply",
-        "corrupt": "damage one byte of a reply",
-        "wrong_id": "let a reply bear another id, with a sound checksum",
-        "truncate": "cut a reply short",
-        "duplicate": "send a reply twice",
-        "noise": "send noise before a reply",
-        "delay": "hold up a reply and those behind it",
-        "lose_instruction": "let no servo hear an instruction",
-    }
-)
 
 # Longer than the host waits for a reply: a delayed one arrives after the next instruction.
 DELAY_S = 0.02
@@ -37,31 +19,23 @@ class Faults:
     """Probabilities of faults, and servos off the bus; may be changed while the bus runs.
 
     Attributes:
-        drop: see ``PROBABILITIES`` for this and the other probabilities.
-        delay_s: delay of a delayed reply [s].
-        offline: ids of servos that neither receive nor reply.
-        stall_behind_missing: True if a sync read ends at the first servo that does not reply, as some firmware is said
-            to do; otherwise those behind it reply in its slot.
         random: random generator of the faults.
     """
 
-    drop: float = 0.0
-    corrupt: float = 0.0
-    wrong_id: float = 0.0
-    truncate: float = 0.0
-    duplicate: float = 0.0
-    noise: float = 0.0
-    delay: float = 0.0
-    lose_instruction: float = 0.0
-    delay_s: float = DELAY_S
-    offline: set[int] = field(default_factory=set)
+    drop: float = 0.0  # probability that a reply is lost
+    corrupt: float = 0.0  # probability that one byte of a reply is wrong
+    wrong_id: float = 0.0  # probability that a reply bears another id
+    truncate: float = 0.0  # probability that a reply is cut short
+    duplicate: float = 0.0  # probability that a reply comes twice
+    noise: float = 0.0  # probability that noise comes before a reply
+    delay: float = 0.0  # probability that a reply, and those behind it, are held up
+    lose_instruction: float = 0.0  # probability that no servo hears an instruction
+    delay_s: float = DELAY_S  # delay of a delayed reply [s]
+    offline: set[int] = field(default_factory=set)  # ids of servos that neither receive nor reply
+    # True if a sync read ends at the first servo that does not reply, as some firmware reportedly does; otherwise
+    # those behind it reply in its slot.
     stall_behind_missing: bool = False
     random: random.Random = field(default_factory=lambda: random.Random(0))  # noqa: S311 - repeatable faults, no secret
-
-    @property
-    def by_chance(self) -> bool:
-        """True while any probability is above 0."""
-        return any(getattr(self, name) > 0.0 for name in PROBABILITIES)
 
     def loses_instruction(self) -> bool:
         """Draw; return True when an instruction is lost."""
@@ -71,12 +45,16 @@ class Faults:
         """Draw the delay of a reply [s]."""
         return self.delay_s if self._happens(self.delay) else 0.0
 
+    def id_of_reply(self, servo_id: int) -> int:
+        """Draw the id that a servo's reply bears."""
+        if not self._happens(self.wrong_id):
+            return servo_id
+        return self.random.choice([other for other in SERVO_IDS if other != servo_id])
+
     def apply(self, packet: bytes) -> bytes:
-        """Apply random faults to a reply; return the bytes that arrive."""
+        """Apply the other faults of replies to one; return the bytes that arrive."""
         if self._happens(self.drop):
             return b""
-        if self._happens(self.wrong_id):
-            packet = self._with_wrong_id(packet)
         if self._happens(self.corrupt):
             packet = self._with_wrong_byte(packet)
         if self._happens(self.truncate):
@@ -94,9 +72,3 @@ class Faults:
         at = self.random.randrange(len(packet))
         wrong = packet[at] ^ self.random.randrange(1, 256)
         return packet[:at] + bytes([wrong]) + packet[at + 1 :]
-
-    def _with_wrong_id(self, packet: bytes) -> bytes:
-        own = packet[len(HEADER)]
-        other = self.random.choice([servo_id for servo_id in SERVO_IDS if servo_id != own])
-        body = bytes([other]) + packet[len(HEADER) + 1 : -1]
-        return HEADER + body + bytes([checksum(body)])

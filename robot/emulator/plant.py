@@ -37,19 +37,12 @@ AMBIENT_C = 32.0
 
 @dataclass(frozen=True)
 class Heating:
-    """Heat of a motor.
+    """Heat of a motor."""
 
-    Attributes:
-        kelvin: final warming at a current of 1 A [K].
-        exponent: power of the current [A] to which the final warming is proportional.
-        warming_s: time constant of warming [s].
-        cooling_s: time constant of cooling [s].
-    """
-
-    kelvin: float
-    exponent: float
-    warming_s: float
-    cooling_s: float
+    kelvin: float  # final warming at a current of 1 A [K]
+    exponent: float  # power of the current [A] to which the final warming is proportional
+    warming_s: float  # time constant of warming [s]
+    cooling_s: float  # time constant of cooling [s]
 
 
 # A held stretched arm (0.2 A) grows warm, a stalled motor (2.4 A) gains half a degree each second; a motor in its
@@ -63,21 +56,13 @@ SQUEEZING = Heating(kelvin=95.0, exponent=1.0, warming_s=150.0, cooling_s=600.0)
 
 @dataclass(frozen=True)
 class Drive:
-    """Command of the registers to the motor.
+    """Command of the registers to the motor."""
 
-    Attributes:
-        goal_ticks: goal position.
-        velocity_ticks_s: velocity limit of the profile.
-        acceleration_ticks_s2: acceleration limit of the profile.
-        torque_permille: largest duty [0.1 %]; 0 leaves the joint free.
-        p_gain: register P_GAIN.
-    """
-
-    goal_ticks: float
-    velocity_ticks_s: float
-    acceleration_ticks_s2: float
-    torque_permille: float
-    p_gain: int
+    goal_ticks: float  # goal position
+    velocity_ticks_s: float  # velocity limit of the profile
+    acceleration_ticks_s2: float  # acceleration limit of the profile
+    torque_permille: float  # largest duty [0.1 %]; 0 leaves the joint free
+    p_gain: int  # register P_GAIN
 
 
 @dataclass
@@ -85,25 +70,18 @@ class Plant:
     """Joint driven by one servo.
 
     Attributes:
-        position_ticks: position, as the encoder counts.
-        lower_stop_ticks: mechanical end.
-        upper_stop_ticks: mechanical end.
-        gravity_permille: duty that balances the joint's weight; with less the joint sinks against its sign.
-        push_permille: external push, as the motor duty of the same force.
-        hand_ticks: position to which a hand, stronger than the motor, moves the joint; None for no hand.
-        velocity_ticks_s: velocity.
-        duty_permille: motor duty [0.1 %].
         at_rest: True if the joint did not move in the latest step, and will not until something changes.
     """
 
-    position_ticks: float
-    lower_stop_ticks: float
-    upper_stop_ticks: float
-    gravity_permille: float = 0.0
-    push_permille: float = 0.0
+    position_ticks: float  # position, as the encoder counts
+    lower_stop_ticks: float  # mechanical end
+    upper_stop_ticks: float  # mechanical end
+    gravity_permille: float = 0.0  # duty that balances the joint's weight; with less the joint sinks against its sign
+    push_permille: float = 0.0  # external push, as the motor duty of the same force
+    # Position to which a hand, stronger than the motor, moves the joint; None for no hand.
     hand_ticks: float | None = None
-    velocity_ticks_s: float = 0.0
-    duty_permille: float = 0.0
+    velocity_ticks_s: float = 0.0  # velocity
+    duty_permille: float = 0.0  # motor duty [0.1 %]
 
     def __post_init__(self) -> None:
         self._profile_ticks = self.position_ticks
@@ -187,17 +165,11 @@ class Plant:
 
 @dataclass
 class Motor:
-    """Motor temperature: heated by the current, cooled by the air.
+    """Motor temperature: heated by the current, cooled by the air."""
 
-    Attributes:
-        temperature_c: temperature of the housing [degC].
-        rate: factor by which it warms and cools faster than a real one.
-        heating: how fast a real one does.
-    """
-
-    temperature_c: float = AMBIENT_C
-    rate: float = 1.0
-    heating: Heating = WELL_COOLED
+    temperature_c: float = AMBIENT_C  # temperature of the housing [degC]
+    rate: float = 1.0  # factor by which it warms and cools faster than a real one
+    heating: Heating = WELL_COOLED  # heat of the real motor
 
     def step(self, duration_s: float, current_a: float) -> None:
         """Advance by ``duration_s`` [s] at a current [A]."""

@@ -11,7 +11,7 @@ from robot.emulator.plant import SQUEEZING, WELL_COOLED, Heating
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import MODELS, Register
 
-# The SO-101's usual supply, and that of its 12 V variant [V].
+# Supply of the SO-101, and of its 12 V variant [V].
 SUPPLY_V = 5.0
 SUPPLY_12_V = 12.0
 
@@ -21,39 +21,26 @@ class Population:
     """State of an arm's servos before a program finds them.
 
     A tuple has one value for each joint in turn, and begins again behind its last.
-
-    Attributes:
-        registers: EPROM of each servo, where it differs from a new one's.
-        gripper: the same of the gripper's servo alone.
-        servo_id: id of every servo, as the factory leaves it; None for those of the calibration.
-        limits_ticks: angle limits of every servo; None for the calibrated ranges.
-        has_offsets: True if the servos hold the calibration's homing offsets, False if they hold none.
-        offset_shift_ticks: added to the homing offset after the arm was calibrated.
-        horn_ticks: encoder ticks by which the horns are mounted away from where the calibration has them.
-        firmware: minor version of the firmware, behind major version 3.
-        unlocked: True if the EPROM is found unlocked, as a program has left it.
-        powers_up_unlocked: True if the EPROM is unlocked after each power-up.
-        powers_up_holding: True if power-ups leave torque on.
-        overload_latches: True if only a power cycle clears an overload, and the servo ignores torque off until then.
-        supply_v: supply [V].
-        gripper_heating: heat of the gripper's motor.
-        free_joint_stops_ticks: mechanical stops of the joint that is calibrated to a whole turn; None for that.
     """
 
+    # EPROM of each servo, where it differs from a new one's.
     registers: Mapping[Register, int] = field(default_factory=dict)
-    gripper: Mapping[Register, int] = field(default_factory=dict)
-    servo_id: int | None = None
-    limits_ticks: tuple[int, int] | None = None
-    has_offsets: bool = True
-    offset_shift_ticks: tuple[int, ...] = (0,)
+    gripper: Mapping[Register, int] = field(default_factory=dict)  # the same of the gripper's servo alone
+    servo_id: int | None = None  # id of every servo, as the factory leaves it; None for the ids of the calibration
+    limits_ticks: tuple[int, int] | None = None  # angle limits of every servo; None for the calibrated ranges
+    has_offsets: bool = True  # True if the servos hold the calibration's homing offsets, False if they hold none
+    offset_shift_ticks: tuple[int, ...] = (0,)  # added to the homing offset after the arm was calibrated
+    # Encoder ticks by which the horns are mounted away from where the calibration has them.
     horn_ticks: tuple[int, ...] = (0,)
-    firmware: tuple[int, ...] = (10,)
-    unlocked: bool = False
-    powers_up_unlocked: bool = False
-    powers_up_holding: bool = False
+    firmware: tuple[int, ...] = (10,)  # minor version of the firmware, behind major version 3
+    unlocked: bool = False  # True if the EPROM is found unlocked, as a program has left it
+    powers_up_unlocked: bool = False  # True if the EPROM is unlocked after each power-up
+    powers_up_holding: bool = False  # True if power-ups leave torque on
+    # True if only a power cycle clears an overload, and the servo ignores torque off until then.
     overload_latches: bool = False
-    supply_v: float = SUPPLY_V
-    gripper_heating: Heating = WELL_COOLED
+    supply_v: float = SUPPLY_V  # supply [V]
+    gripper_heating: Heating = WELL_COOLED  # heat of the gripper's motor
+    # Mechanical stops of the joint that is calibrated to a whole turn; None for that.
     free_joint_stops_ticks: tuple[int, int] | None = None
 
     @property

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import math
 import os
 import random
 import select
@@ -18,8 +17,7 @@ import sys
 import termios
 import time
 import tty
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType, MappingProxyType
@@ -28,24 +26,15 @@ from robot.calibration import Calibration
 from robot.control.realtime import take_priority
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
-from robot.emulator.arm import build_servos, weight_of
-from robot.emulator.control import (
-    MAX_COMMAND_BYTES,
-    MAX_DELAY_S,
-    MAX_HEAT_RATE,
-    MAX_USB_FRAME_MS,
-    MAX_VOLTAGE_V,
-    REHEARSALS,
-    Emulation,
-    Rehearsal,
-    TimedCommand,
-    answer,
-    read_script,
-)
-from robot.emulator.faults import DELAY_S, PROBABILITIES, Faults
+from robot.emulator.adapter import Adapter
+from robot.emulator.arm import weight_of
+from robot.emulator.control import CommandStream, Emulation, LiveCommand, answer, carry_out, check
+from robot.emulator.faults import Faults
+from robot.emulator.feetech import FEETECH, FeetechServo
+from robot.emulator.feetech_arm import build_servos
 from robot.emulator.populations import POPULATIONS
-from robot.emulator.servo import Servo
-from robot.emulator.servo_bus import Reply, ServoBus
+from robot.emulator.rehearsal import REHEARSALS, Rehearsal, TimedCommand, read_script
+from robot.emulator.servo_bus import ServoBus
 from robot.emulator.write_log import WriteLog
 from robot.errors import DescriptionError
 
@@ -70,21 +59,14 @@ class PseudoTerminal:
     """Pseudo terminal: a pair of master and slave.
 
     The slave stays open here, or the master would fail whenever a client leaves, and is raw before any client
-    opens it, or the line discipline would echo and alter bytes.
-
-    Args:
-        link: path of a symbolic link to the slave; None for no link.
-
-    Attributes:
-        master: file descriptor of the emulator's end.
-        port: path of the slave, which clients open.
+    opens it, or the line discipline would echo and alter bytes. A symbolic link may lead to the slave.
     """
 
     def __init__(self, link: Path | None = None) -> None:
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self.master, False)
-        self.port = os.ttyname(self._slave)
+        self.port = os.ttyname(self._slave)  # path of the slave, which clients open
         self._link = link
         if link is not None:
             if link.is_symlink():
@@ -120,27 +102,13 @@ class PseudoTerminal:
             self._link.unlink(missing_ok=True)
 
 
-class UsbAdapter:
-    """USB adapter, whose serial port comes and goes.
+class UsbAdapter(Adapter):
+    """USB adapter, whose port is a pseudo terminal; a symbolic link stays the same when the port's name changes."""
 
-    Args:
-        link: path of a symbolic link to the port, which stays the same when the port's own name changes; None for no
-            link.
-        frame_s: initial value of the attribute.
-
-    Attributes:
-        port: name of the port, the last one while it is unplugged.
-        frozen: True while it neither takes nor delivers bytes, which wait meanwhile.
-        frame_s: interval at multiples of which the servos' bytes are delivered [s]; 0 delivers them at once.
-    """
-
-    def __init__(self, link: Path | None = None, frame_s: float = 0.0) -> None:
-        self.frozen = False
-        self.frame_s = frame_s
+    def __init__(self, link: Path | None = None) -> None:
+        super().__init__("")
         self._link = link
-        self._outbox: deque[tuple[float, Reply]] = deque()
         self._terminal: PseudoTerminal | None = None
-        self.port = ""
         self.plug_in()
 
     @property
@@ -154,11 +122,7 @@ class UsbAdapter:
         return 0 if self._terminal is None else self._terminal.baudrate
 
     def plug_in(self, *, renamed: bool = False) -> None:
-        """Create the port, unless it is there.
-
-        Args:
-            renamed: True for a name that differs from the last one.
-        """
+        """Create the port, under another name if ``renamed``, unless it is there."""
         if self._terminal is not None:
             return
         terminal = PseudoTerminal(self._link)
@@ -179,31 +143,10 @@ class UsbAdapter:
         """Return what the host has written."""
         return b"" if self._terminal is None else self._terminal.read()
 
-    def take(self, replies: Sequence[Reply]) -> None:
-        """Queue replies of the servos, to be delivered to the host when they are due.
-
-        Without frames a burst is delivered as a whole, which wakes the host once.
-        """
-        if self._terminal is None or not replies:
-            return
-        for reply in replies:
-            due_s = math.ceil(reply.due_s / self.frame_s) * self.frame_s if self.frame_s else replies[-1].due_s
-            self._outbox.append((due_s, reply))
-
-    def wait_s(self, now_s: float, most_s: float) -> float:
-        """Return the time until bytes are due for the host [s], ``most_s`` at most."""
-        if not self._outbox or self.frozen:
-            return most_s
-        return max(0.0, min(most_s, self._outbox[0][0] - now_s))
-
     def deliver(self, now_s: float) -> None:
-        """Send the host the bytes that are due."""
-        if self.frozen or self._terminal is None:
-            return
-        due = b""
-        while self._outbox and self._outbox[0][0] <= now_s:
-            due += self._outbox.popleft()[1].data
-        if due:
+        """Send the host the bytes that are due; without a port they are lost."""
+        due = self.due_bytes(now_s)
+        if due and self._terminal is not None:
             self._terminal.write(due)
 
 
@@ -214,21 +157,26 @@ TICK_S = 0.02
 LINGER_S = 1.0
 
 
-# Positions of option --start.
 STDIN, STDOUT = 0, 1
+
+# Live commands that are options as well: those with a number, and switches, some of them for all servos.
+_NUMBERS = (
+    *("drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise", "delay", "delay_s", "lose_instruction"),
+    *("supply", "heat_rate", "usb_frame_ms"),
+)
+_SWITCHES = ("stall_behind_missing",)
+_SWITCHES_OF_SERVOS = ("overload_latches", "powers_up_holding")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the emulator's options to a parser."""
-    for name, meaning in PROBABILITIES.items():
-        parser.add_argument(
-            _option(name), type=_probability, default=0.0, metavar="P", help=f"{meaning} with this probability"
-        )
     add = parser.add_argument
-    add("--delay-s", type=_number(MAX_DELAY_S), default=DELAY_S, metavar="T", help="how long --delay takes [s]")
-    add("--seed", type=int, default=0, metavar="N", help="seed of these faults (default 0)")
-    add("--usb-frame-ms", type=_number(MAX_USB_FRAME_MS), default=0.0, metavar="T", help="hand replies on so often")
-    add("--stall-behind-missing", action="store_true", help="end a sync read at the first servo that is missing")
+    for name in _NUMBERS:
+        meaning = LiveCommand.model_fields[name].description
+        add(_option(name), type=_number(name), metavar="X", help=meaning)
+    for name in (*_SWITCHES, *_SWITCHES_OF_SERVOS):
+        add(_option(name), action="store_true", help=LiveCommand.model_fields[name].description)
+    add("--seed", type=int, default=0, metavar="N", help="seed of the random faults (default 0)")
     add(
         "--population",
         choices=POPULATIONS,
@@ -236,10 +184,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="state of the servos: as new ones of an arm that was calibrated (factory), as lerobot or a ROS 2 driver "
         "leaves them, compatible ones of 12 V (clone), or new ones that all have id 1 (kit)",
     )
-    add("--supply", type=_number(MAX_VOLTAGE_V), metavar="V", help="supply [V] (default 5, of a clone 12)")
-    add("--heat-rate", type=_number(MAX_HEAT_RATE), default=1.0, metavar="X", help="warm and cool X times faster")
-    add("--overload-latches", action="store_true", help="let only a power cycle clear an overload")
-    add("--powers-up-holding", action="store_true", help="power up with torque on, at the present position")
     add(
         "--start",
         type=_positions,
@@ -273,46 +217,45 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--repeat", action="store_true", help="play the script again and again")
 
 
-def build_bus(options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True) -> ServoBus:
-    """Build the servo bus of the options.
+def build_bus(
+    options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True
+) -> ServoBus[FeetechServo]:
+    """Build the servo bus of the options, at a monotonic time [s]; the resources take over the files to close.
 
-    Args:
-        options: as parsed.
-        resources: takes over the files to close.
-        now_s: monotonic time at the start [s].
-        wire_time: True to emulate the time of bytes on the wire.
-
-    Raises:
-        CalibrationError: the calibration cannot be used.
-        ValueError: the start pose is invalid.
-        OSError: the log cannot be written.
+    Raises as :func:`run` does.
     """
     calibration = _calibration(options)
     start_rad = options.start or [0.0] * len(calibration.joints)
     servos = build_servos(calibration, start_rad, POPULATIONS[options.population])
-    for servo in servos:
-        _configure(servo, options)
     log = None
     if options.write_log:
         log = WriteLog(options.write_log)
         resources.callback(log.close)
     return ServoBus(
-        servos, _faults(options), now_s, log, weight_of(options.robot.model, calibration, servos), wire_time=wire_time
+        servos,
+        FEETECH,
+        Faults(random=random.Random(options.seed)),  # noqa: S311 - repeatable faults, no secret
+        now_s,
+        log,
+        weight_of(options.robot.model, calibration, servos),
+        wire_time=wire_time,
     )
 
 
-def build_rehearsal(options: argparse.Namespace, bus: ServoBus) -> Rehearsal:
-    """Build the rehearsal of the options; it has no commands without one.
+def configure(options: argparse.Namespace, emulation: Emulation) -> None:
+    """Carry out the live commands among the options."""
+    joints = [servo.joint for servo in emulation.bus.servos]
+    values: dict[str, object] = {
+        name: value for name in (*_NUMBERS, *_SWITCHES) if (value := getattr(options, name)) not in (None, False)
+    }
+    values |= {name: joints for name in _SWITCHES_OF_SERVOS if getattr(options, name)}
+    if options.powers_up_holding:
+        values["power_cycle"] = joints
+    carry_out(check(LiveCommand, values, emulation.bus.servos), values, emulation)
 
-    Args:
-        options: as parsed.
-        bus: servo bus that its commands may change.
 
-    Raises:
-        CalibrationError: the calibration cannot be used.
-        ValueError: the script is invalid, or there is none to repeat.
-        OSError: the script cannot be read.
-    """
+def build_rehearsal(options: argparse.Namespace, bus: ServoBus[FeetechServo]) -> Rehearsal:
+    """Build the rehearsal of the options, without commands if they name none; raises as :func:`run` does."""
     if options.script:
         return Rehearsal(read_script(options.script, bus), repeats=options.repeat)
     if options.rehearse:
@@ -326,35 +269,30 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
     """Run an emulator until a signal or its controlling process ends it.
 
     Args:
-        options: as parsed, see :func:`add_options`.
+        options: of :func:`add_options`.
         control_descriptor: socket to a controlling process; None for a person at standard input and output.
 
     Raises:
         CalibrationError: the calibration cannot be used.
-        ValueError: the start pose or the script is invalid.
+        ValueError: the start pose or the script is invalid, or there is no script to repeat.
         OSError: a file cannot be read or written, or no pseudo terminal can be opened.
     """
     _end_on_signals(controlled=control_descriptor is not None)
     with contextlib.ExitStack() as resources:
         bus = build_bus(options, resources, time.monotonic())
         rehearsal = build_rehearsal(options, bus)
-        adapter = UsbAdapter(options.link, options.usb_frame_ms / 1000.0)
+        adapter = UsbAdapter(options.link)
         resources.callback(adapter.unplug)
+        configure(options, Emulation(bus, adapter))
         take_priority()  # servos do not wait for a busy computer
-        if control_descriptor is None:
-            serve(bus, adapter, Control(STDIN, STDOUT, essential=False), rehearsal)
-        else:
-            serve(bus, adapter, Control(control_descriptor, control_descriptor, essential=True), rehearsal)
+        ends = (STDIN, STDOUT) if control_descriptor is None else (control_descriptor, control_descriptor)
+        serve(bus, adapter, Control(*ends, essential=control_descriptor is not None), rehearsal)
 
 
-def serve(bus: ServoBus, adapter: UsbAdapter, control: Control, rehearsal: Rehearsal) -> None:
+def serve(bus: ServoBus[FeetechServo], adapter: UsbAdapter, control: Control, rehearsal: Rehearsal) -> None:
     """Serve the bus for ever, or until an essential controller has ended and the bus is silent.
 
-    Args:
-        bus: the servo bus.
-        adapter: adapter between host and bus.
-        control: connection to the controller.
-        rehearsal: timed commands, which start with the first byte from a host.
+    The timed commands of the rehearsal start with the first byte from a host.
     """
     emulation = Emulation(bus, adapter)
     control.announce(adapter.port)
@@ -379,19 +317,13 @@ def serve(bus: ServoBus, adapter: UsbAdapter, control: Control, rehearsal: Rehea
 
 
 class Control:
-    """Connection to the emulator's controller: a person at the terminal, or a process.
-
-    Args:
-        reader: file descriptor of the commands.
-        writer: file descriptor of the answers.
-        essential: True for a controlling process, whose end also ends the emulator.
-    """
+    """Connection to a person, or to a controlling process, which is essential: its end ends the emulator."""
 
     def __init__(self, reader: int, writer: int, *, essential: bool) -> None:
         self.essential = essential
         self._reader = reader
         self._writer = writer
-        self._buffer = b""
+        self._stream = CommandStream()
         self._gone = False
 
     @property
@@ -414,11 +346,9 @@ class Control:
             data = os.read(self._reader, READ_BYTES)
         except OSError:
             data = b""
-        *lines, self._buffer = (self._buffer + data).split(b"\n")
-        for line in lines:
-            if line.strip():
-                self._say(answer(line, emulation))
-        self._gone = not data or len(self._buffer) > MAX_COMMAND_BYTES
+        for line in self._stream.feed(data, emulation):
+            self._say(line)
+        self._gone = not data or self._stream.overlong
 
     def _say(self, line: bytes) -> None:
         """Send one line; dropped when the controller has ended."""
@@ -453,42 +383,18 @@ def _calibration(options: argparse.Namespace) -> Calibration:
     return Calibration.load(options.calibration, servos) if options.calibration else Calibration.nominal(servos)
 
 
-def _faults(options: argparse.Namespace) -> Faults:
-    chance = random.Random(options.seed)  # noqa: S311 - repeatable faults, no secret
-    probabilities = {name: getattr(options, name) for name in PROBABILITIES}
-    stall = options.stall_behind_missing
-    return Faults(**probabilities, delay_s=options.delay_s, stall_behind_missing=stall, random=chance)
-
-
-def _configure(servo: Servo, options: argparse.Namespace) -> None:
-    """Give a servo the properties of the options."""
-    if options.supply is not None:
-        servo.voltage_v = options.supply
-    servo.motor.rate = options.heat_rate
-    if options.overload_latches:
-        servo.protection.latches = True
-    if options.powers_up_holding:
-        servo.powers_up_holding = True
-        servo.power_up()
-
-
 def _option(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-def _probability(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text} is not a probability from 0 to 1")
-    return value
-
-
-def _number(highest: float) -> Callable[[str], float]:
+def _number(name: str) -> Callable[[str], float]:
     def number(text: str) -> float:
-        """Parse a number from 0 to the highest value."""
+        """Parse the number of a live command."""
         value = float(text)
-        if not 0.0 <= value <= highest:
-            raise argparse.ArgumentTypeError(f"{text} is not a number from 0 to {highest:g}")
+        try:
+            check(LiveCommand, {name: value}, ())
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
         return value
 
     return number

@@ -7,11 +7,11 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from scservo_sdk import INST_ACTION, INST_SYNC_WRITE, INST_WRITE
 
-from robot.emulator.servo import Servo
-from robot.hardware.feetech.registers import LAYOUT, Register, decode
+from robot.emulator.servo import EmulatedServo
 
 _NAMES: Mapping[int, str] = MappingProxyType(
     {INST_WRITE: "write", INST_SYNC_WRITE: "sync_write", INST_ACTION: "action"}
@@ -32,15 +32,11 @@ class WriteLog:
     ``present``     servo id to PRESENT_POSITION [ticks]
     ``torque``      servo id to TORQUE_ENABLE
     ``goal``        servo id to GOAL_POSITION [ticks]
-    ``limit``       servo id to TORQUE_LIMIT [0.1 %]
+    ``limit``       servo id to its torque limit [0.1 %]
     ``status``      servo id to its error bits, register STATUS
     ============== ===========================================================================
 
     The last five are of all servos, after the write.
-
-    Args:
-        path: path of the file.
-        append: True to append to an existing file instead of replacing it.
 
     Raises:
         OSError: the file cannot be written.
@@ -50,18 +46,22 @@ class WriteLog:
         self._file = path.open("a" if append else "w", buffering=1)
 
     def record_write(
-        self, now_s: float, code: int, address: int, data: Mapping[int, bytes], servos: Sequence[Servo]
+        self, now_s: float, code: int, address: int, data: Mapping[int, bytes], servos: Sequence[EmulatedServo[Any]]
     ) -> None:
         """Append the line of a write."""
+        memory = servos[0].memory
         what = {
             "instruction": _NAMES[code],
             "address": address,
             "data": {servo_id: list(values) for servo_id, values in data.items()},
-            "registers": {servo_id: _registers(address, values) for servo_id, values in data.items()},
+            "registers": {
+                servo_id: {register.name: value for register, value in memory.decode_block(address, values).items()}
+                for servo_id, values in data.items()
+            },
         }
         self._append(now_s, what, servos)
 
-    def record_command(self, now_s: float, command: Mapping[str, object], servos: Sequence[Servo]) -> None:
+    def record_command(self, now_s: float, command: Mapping[str, object], servos: Sequence[EmulatedServo[Any]]) -> None:
         """Append the line of a live command."""
         self._append(now_s, {"instruction": "command", "address": None, "data": {}, "command": command}, servos)
 
@@ -69,25 +69,15 @@ class WriteLog:
         """Close the file."""
         self._file.close()
 
-    def _append(self, now_s: float, what: Mapping[str, object], servos: Sequence[Servo]) -> None:
+    def _append(self, now_s: float, what: Mapping[str, object], servos: Sequence[EmulatedServo[Any]]) -> None:
         line = {
             "t": now_s,
             "machine_t": time.monotonic(),
             **what,
             "present": {servo.servo_id: servo.present_ticks for servo in servos},
-            "torque": {servo.servo_id: servo.value(Register.TORQUE_ENABLE) for servo in servos},
-            "goal": {servo.servo_id: servo.value(Register.GOAL_POSITION) for servo in servos},
-            "limit": {servo.servo_id: servo.value(Register.TORQUE_LIMIT) for servo in servos},
+            "torque": {servo.servo_id: servo.named("TORQUE_ENABLE") for servo in servos},
+            "goal": {servo.servo_id: servo.named("GOAL_POSITION") for servo in servos},
+            "limit": {servo.servo_id: servo.torque_limit_permille for servo in servos},
             "status": {servo.servo_id: servo.error for servo in servos},
         }
         self._file.write(json.dumps(line) + "\n")
-
-
-def _registers(address: int, data: bytes) -> dict[str, int]:
-    """Name and decode the registers that lie wholly inside the bytes."""
-    values = {}
-    for register, layout in LAYOUT.items():
-        start = register - address
-        if start >= 0 and start + layout.size <= len(data):
-            values[register.name] = decode(register, data[start : start + layout.size])
-    return values

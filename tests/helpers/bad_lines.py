@@ -9,7 +9,8 @@ from typing import Any
 
 from scservo_sdk import INST_PING, INST_READ, INST_SYNC_READ, INST_WRITE
 
-from robot.emulator.servo_bus import Instruction, status_packet
+from robot.emulator.feetech import FEETECH
+from robot.emulator.servo_bus import Instruction
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.packets import StatusFrame
@@ -38,9 +39,9 @@ def honest(instruction: Instruction) -> list[tuple[float, bytes]]:
     code, parameters = instruction.code, instruction.parameters
     if code == INST_READ:
         data = memory_of(instruction.servo_id, *parameters)
-        return [(0.0, status_packet(instruction.servo_id, 0, data))]
+        return [(0.0, FEETECH.status_packet(instruction.servo_id, 0, data))]
     if code in (INST_PING, INST_WRITE):
-        return [(0.0, status_packet(instruction.servo_id, 0))]
+        return [(0.0, FEETECH.status_packet(instruction.servo_id, 0))]
     return []
 
 
@@ -49,7 +50,7 @@ def halting_for(pause_s: float) -> Script:
 
     def halting(instruction: Instruction) -> list[tuple[float, bytes]]:
         length, *ids = instruction.parameters[1:]
-        return [(pause_s * (i > 1), status_packet(i, 0, bytes(length))) for i in ids]
+        return [(pause_s * (i > 1), FEETECH.status_packet(i, 0, bytes(length))) for i in ids]
 
     return halting
 
@@ -73,7 +74,7 @@ def good_readings_on_a_bad_line(start_line: Callable[[Script], Any], seed: int) 
             case 4:
                 return [(0.0, packet), (delay, packet)]
             case 5:
-                return [(delay, status_packet(9, 0, packet[5:-1]) + packet)]
+                return [(delay, FEETECH.status_packet(9, 0, packet[5:-1]) + packet)]
             case 6:
                 return [(delay, chance.randbytes(chance.randrange(20)) + packet)]
             case 7:
@@ -83,7 +84,7 @@ def good_readings_on_a_bad_line(start_line: Callable[[Script], Any], seed: int) 
     def peer_of(instruction: Instruction) -> list[tuple[float, bytes]]:
         if instruction.code == INST_SYNC_READ:
             stamp = len(line.instructions) % 250
-            replies = [status_packet(i, 0, bytes([stamp, i] * 12)[: instruction.parameters[1]]) for i in IDS]
+            replies = [FEETECH.status_packet(i, 0, bytes([stamp, i] * 12)[: instruction.parameters[1]]) for i in IDS]
         else:
             replies = [data for _, data in honest(instruction)]
         return [scripted for packet in replies for scripted in damaged(packet)]

@@ -9,8 +9,8 @@ import numpy as np
 from robot.calibration import Calibration, JointCalibration
 from robot.description import robot_folder
 from robot.description.limits import JointBounds, within_calibration
-from robot.emulator.dynamixel.in_process import EmulatedDynamixels
-from robot.emulator.dynamixel.servo import DynamixelServo
+from robot.emulator.dynamixel import DynamixelServo
+from robot.emulator.dynamixel_arm import emulated_dynamixel_arm
 from robot.hardware.config import DynamixelConfig, EmulatedDynamixelConfig
 from robot.hardware.dynamixel.bus import Bus
 from robot.hardware.dynamixel.family import Dynamixel
@@ -55,7 +55,7 @@ class SteppedDynamixels:
     def __init__(self, **settings: Any) -> None:
         self.clock = SteppedClock()
         self.config = EmulatedDynamixelConfig(**{"calibration": CALIBRATION, **settings})
-        self.source = EmulatedDynamixels(ROBOT, self.config, BOUNDS, GuardLimits(), self.clock)
+        self.source = emulated_dynamixel_arm(ROBOT, self.config, BOUNDS, GuardLimits(), self.clock)
         self.servo_bus = self.source.bus
         self.port = self.source.port
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from robot.control.pacing import LoopClock
 from robot.emulator.control import Emulation, answer
 from robot.emulator.in_process import InProcessPort
-from robot.emulator.process import add_options, build_bus
+from robot.emulator.process import add_options, build_bus, configure
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.packets import checksum
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
@@ -56,6 +56,7 @@ class SteppedEmulator:
         self.servo_bus = build_bus(parsed, self._resources, self.clock(), wire_time=wire_time)
         self.port = InProcessPort(self.servo_bus, self.clock, self.clock.advance if wire_time else None)
         self._emulation = Emulation(self.servo_bus, self.port)
+        configure(parsed, self._emulation)
         self._later: list[tuple[float, dict[str, object]]] = []
 
     def command(self, **command: object) -> dict[str, Any]:

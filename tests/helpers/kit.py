@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from robot.commissioning.setup import ServoLine
-from robot.emulator.servo import Servo
+from robot.emulator.feetech import FeetechServo
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import Register, encode
 from robot.hardware.feetech.settings import SETTINGS
@@ -13,7 +13,7 @@ from tests.helpers.emulator import SteppedEmulator
 KIT = ("--population", "kit")
 
 
-def set_registers(servo: Servo, values: dict[Register, int]) -> None:
+def set_registers(servo: FeetechServo, values: dict[Register, int]) -> None:
     """Set registers of an emulated servo, stored as by another program."""
     servo.write(Register.LOCK, encode(Register.LOCK, 0))
     for register, value in values.items():

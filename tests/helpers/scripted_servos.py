@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ, INST_SYNC_READ, INST_SYNC_WRITE, INST_WRITE
 
 from robot.calibration import Calibration
-from robot.emulator.servo_bus import Instruction, InstructionParser, status_packet
+from robot.emulator.feetech import FEETECH
+from robot.emulator.servo_bus import Instruction, InstructionParser
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.port import LOCAL_LATENCY_S, QUIET_S
 from tests.helpers.emulator import SteppedClock
@@ -38,7 +39,7 @@ class ScriptedPort:
         self.is_using = False
         self.latency_s, self.quiet_s = LOCAL_LATENCY_S, QUIET_S
         self.discarded_bytes = 0
-        self._parser = InstructionParser()
+        self._parser = InstructionParser(FEETECH)
         self._outbox: deque[tuple[float, bytes]] = deque()
 
     def open_bus(self) -> Bus:
@@ -116,7 +117,7 @@ class ScriptedServos:
         return [(0.0, self._reply(servo, asked[0], asked[1]))]
 
     def _reply(self, servo: int, address: int, length: int) -> bytes:
-        return status_packet(servo, 0, bytes(self.memory[servo][address : address + length]))
+        return FEETECH.status_packet(servo, 0, bytes(self.memory[servo][address : address + length]))
 
     def _write(self, servo: int, address: int, data: bytes) -> None:
         memory = self.memory[servo]

@@ -198,7 +198,7 @@ def test_an_unplugged_board_is_a_lost_port(servos: SteppedEmulator) -> None:
 
 
 def test_a_servo_of_another_model_is_named_with_what_to_write_into_robot_toml(servos: SteppedEmulator) -> None:
-    servos.servo_bus.servos[LIFT - 1]._memory.set(Register.MODEL_NUMBER, 2307)
+    servos.servo_bus.servos[LIFT - 1].set(Register.MODEL_NUMBER, 2307)
     assert_said("A servo is of another model", refused_at_start(servos))
 
 

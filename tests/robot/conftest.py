@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from robot.control.realtime import take_priority
+from robot.emulator.feetech import FEETECH
 from robot.emulator.servo_bus import Instruction, InstructionParser
 from robot.hardware.feetech.bus import Bus
 from tests.helpers.emulator import SteppedEmulator
@@ -122,7 +123,7 @@ class ScriptedPeer:
 
     def _run(self) -> None:
         take_priority()  # of this thread: servos do not wait for a busy computer
-        parser = InstructionParser()
+        parser = InstructionParser(FEETECH)
         send_queue: deque[tuple[float, bytes]] = deque()
         while True:
             now = time.monotonic()

@@ -75,7 +75,7 @@ def test_only_what_differs_is_written_and_the_eprom_is_locked(start_emulator, wr
 def test_a_servo_is_relaxed_before_anything_else_is_written(start_emulator, write_log):
     kit = Kit(start_emulator(*KIT, "--write-log", str(write_log)))
     kit.plug(4)
-    kit.servos[4].power_up(holding=True)
+    kit.servos[4].hold()
     before = len(read_write_log(write_log))
     set_up(kit, ROLL)
     assert read_write_log(write_log)[before]["address"] == Register.TORQUE_ENABLE
@@ -254,6 +254,7 @@ def test_a_servo_that_forgets_a_value_when_its_eprom_is_locked_is_not_taken_for_
         take(address, data)
         if address == Register.LOCK and data == b"\1":
             take(Register.P_GAIN, bytes([32]))
+        return 0
 
     monkeypatch.setattr(servo, "write", forget)
     with pytest.raises(StartupError, match="does not keep what was written to it: it has P_GAIN 32"):

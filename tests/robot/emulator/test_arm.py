@@ -1,56 +1,242 @@
+"""Emulated servos of an arm as a source of hardware, and the weight of its links on them."""
+
 from __future__ import annotations
 
+import contextlib
 import json
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from robot.calibration import Calibration
 from robot.description.gravity import LinkWeights
-from robot.emulator.arm import DUTY_PERMILLE_PER_NM, build_servos, weight_of
+from robot.emulator.arm import EmulatedArm, weight_of
+from robot.emulator.dynamixel_arm import emulated_dynamixel_arm
+from robot.emulator.feetech import DUTY_PERMILLE_PER_NM
+from robot.emulator.feetech_arm import build_servos, emulated_feetech_arm
+from robot.errors import PortError, StartupError
+from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
 from robot.hardware.feetech.registers import Register
+from robot.hardware.interface import HardwareInterface, run_to_end
+from robot.messages import GuardLimits
+from tests.helpers import arm_rig, dynamixel
+from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration, so101
+from tests.helpers.server import read_write_log
+from tests.helpers.servo_family import run
 
-JOINTS = [servo.joint for servo in SO101_SERVOS]
+STEP_S = 0.01
 
 
-def test_servos_stand_at_the_pose_asked_for():
-    pose = [0.3, -0.5, 0.5, 0.2, 1.0, 1.5]
-    calibration = nominal_calibration()
-    for servo, joint, position in zip(build_servos(calibration, pose), calibration.joints, pose, strict=True):
-        assert servo.servo_id == joint.servo_id
-        assert joint.rad_from_ticks(servo.present_ticks) == pytest.approx(position, abs=0.001)
-        assert servo.value(Register.MIN_ANGLE_LIMIT) == joint.range_min
-        assert servo.value(Register.MAX_ANGLE_LIMIT) == joint.range_max
+@dataclass(frozen=True)
+class Arm:
+    """An arm of one family: its description, and the kinds of its source and configuration."""
+
+    robot: Any
+    calibration: Calibration
+    bounds: Any
+    source: Any
+    config: Any
+
+    def start(self, clock: SteppedClock, **settings: Any) -> EmulatedArm[Any]:
+        config = self.config(self.calibration, **settings)
+        arm: EmulatedArm[Any] = self.source(self.robot, config, self.bounds, GuardLimits(), clock)
+        return arm
+
+
+SO101 = Arm(so101(), arm_rig.CALIBRATION, arm_rig.BOUNDS, emulated_feetech_arm, EmulatedConfig)
+KOCH = Arm(dynamixel.ROBOT, dynamixel.CALIBRATION, dynamixel.BOUNDS, emulated_dynamixel_arm, EmulatedDynamixelConfig)
+OF_BOTH_FAMILIES = pytest.mark.parametrize("arm", [SO101, KOCH], ids=["Feetech", "Dynamixel"])
 
 
 @pytest.fixture
-def offset_calibration(tmp_path):
+def clock() -> SteppedClock:
+    return SteppedClock()
+
+
+def position_rad(hardware: HardwareInterface) -> np.ndarray:
+    measured = hardware.read()
+    assert measured is not None
+    return measured.position_rad
+
+
+def found(arm: EmulatedArm[Any]) -> Any:
+    return run_to_end(arm.open().survey())
+
+
+@OF_BOTH_FAMILIES
+def test_servos_start_relaxed_where_they_are_put_inside_their_mechanical_stops(arm: Arm, clock: SteppedClock) -> None:
+    source = arm.start(clock, start_rad={"shoulder_lift": -0.5, "gripper": 9.0})
+    stand = {"shoulder_lift": -0.5, "gripper": arm.calibration.joints[5].upper_rad}
+    expected = [stand.get(joint.joint, 0.0) for joint in arm.calibration.joints]
+    assert position_rad(source.open()) == pytest.approx(expected, abs=0.002)
+    assert not found(source).driven.any()
+
+
+@OF_BOTH_FAMILIES
+def test_driven_servos_hold_where_they_are_at_their_torque_limits(arm: Arm, clock: SteppedClock) -> None:
+    source = arm.start(clock, start_rad={"shoulder_lift": -0.5}, driven=True)
+    hardware = source.open()
+    before = position_rad(hardware)
+    for _ in range(50):
+        clock.advance(STEP_S)
+        after = position_rad(hardware)
+    assert after == pytest.approx(before, abs=0.03)
+    assert found(source).driven.all()
+    assert [servo.torque_limit_permille for servo in source.bus.servos] == pytest.approx([800] * 5 + [500], abs=1)
+
+
+@OF_BOTH_FAMILIES
+def test_servos_go_on_while_the_hardware_is_closed(arm: Arm, clock: SteppedClock) -> None:
+    source = arm.start(clock)
+    hardware = source.open()
+    run_to_end(hardware.survey())
+    run_to_end(hardware.enable(range(6)), clock.advance)
+    hardware.close()
+    assert found(source).driven.all()
+
+
+@OF_BOTH_FAMILIES
+def test_an_unplugged_port_cannot_be_opened_until_it_is_plugged_in(arm: Arm, clock: SteppedClock) -> None:
+    source = arm.start(clock)
+    source.port.unplug()
+    with pytest.raises(PortError, match="unplugged"):
+        source.open()
+    source.port.plug_in()
+    assert source.open().joint_names == tuple(joint.joint for joint in arm.calibration.joints)
+
+
+def lost_replies(source: EmulatedArm[Any], clock: SteppedClock) -> list[int]:
+    """Replies that are missing in each of some cycles."""
+    hardware = source.open()
+    counters = hardware.counters
+    assert counters is not None
+    lost = []
+    for _ in range(50):
+        clock.advance(STEP_S)
+        before = counters.timeouts
+        hardware.read()
+        lost.append(counters.timeouts - before)
+    return lost
+
+
+@OF_BOTH_FAMILIES
+def test_replies_are_lost_or_damaged_as_often_as_configured_and_the_same_way_for_the_same_seed(
+    arm: Arm, clock: SteppedClock
+) -> None:
+    assert sum(lost_replies(arm.start(clock), clock)) == 0
+    assert 10 < sum(lost_replies(arm.start(clock, corrupt=0.1), clock)) < 60
+    first, again, other = (lost_replies(arm.start(clock, drop=0.1, seed=seed), clock) for seed in (3, 3, 4))
+    assert 10 < sum(first) < 60
+    assert first == again != other
+
+
+@OF_BOTH_FAMILIES
+def test_the_weight_of_the_links_is_on_the_servos_and_a_relaxed_arm_sinks(arm: Arm, clock: SteppedClock) -> None:
+    upright = arm.start(clock, start_rad={"shoulder_lift": -0.485}).bus.servos[1].plant.gravity_permille
+    shoulder = arm.start(clock, start_rad={"shoulder_lift": 1.0}).bus.servos[1]
+    stretched, before = shoulder.plant.gravity_permille, shoulder.plant.position_ticks
+    assert abs(stretched) > 1.2 * abs(upright) > 0.0
+    run(shoulder, 1.0)
+    assert (shoulder.plant.position_ticks - before) * stretched < 0.0
+
+
+# Feetech alone.
+
+
+@pytest.fixture
+def logged(clock: SteppedClock, write_log: Path) -> Iterator[Callable[..., EmulatedArm[Any]]]:
+    """Starts an SO-101 that keeps a log."""
+    with contextlib.ExitStack() as started:
+
+        def start(**settings: Any) -> EmulatedArm[Any]:
+            source = SO101.start(clock, write_log=write_log, **settings)
+            assert source.bus.log is not None
+            started.callback(source.bus.log.close)
+            return source
+
+        yield start
+
+
+def test_every_write_is_on_record(
+    logged: Callable[..., EmulatedArm[Any]], clock: SteppedClock, write_log: Path
+) -> None:
+    hardware = logged().open()
+    run_to_end(hardware.switch_off())
+    assert read_write_log(write_log) == []
+    run_to_end(hardware.survey())
+    run_to_end(hardware.enable([0]), clock.advance)
+    assert {servo for entry in read_write_log(write_log) for servo in entry["data"]} == {"1"}
+
+
+@pytest.mark.parametrize(("resumes", "lines"), [(False, []), (True, ["{}"])])
+def test_only_servos_that_were_there_before_go_on_with_their_record(
+    logged: Callable[..., EmulatedArm[Any]], write_log: Path, resumes: bool, lines: list[str]
+) -> None:
+    write_log.write_text("{}\n")
+    logged(resumes=resumes)
+    assert write_log.read_text().splitlines() == lines
+
+
+def test_servos_with_a_shifted_zero_start_relaxed_and_are_refused_torque(clock: SteppedClock) -> None:
+    hardware = SO101.start(clock, population="ros2_driver", driven=True).open()
+    run_to_end(hardware.survey())
+    assert not run_to_end(hardware.driven()).any()
+    with pytest.raises(StartupError, match="the zero has shifted since the calibration at shoulder_pan"):
+        run_to_end(hardware.enable(range(6)))
+
+
+def test_servos_that_are_found_again_are_where_they_were_read(clock: SteppedClock) -> None:
+    first = SO101.start(clock, population="ros2_driver", start_rad={"elbow_flex": 0.5})
+    names = [joint.joint for joint in SO101.calibration.joints]
+    seen = dict(zip(names, position_rad(first.open()).tolist(), strict=True))
+    again = SO101.start(clock, population="ros2_driver", start_rad=seen, resumes=True)
+    assert position_rad(again.open()) == pytest.approx(list(seen.values()), abs=0.002)
+
+
+def test_the_hardware_knows_that_its_servos_are_emulated(clock: SteppedClock) -> None:
+    source = SO101.start(clock)
+    source.bus.faults.offline = {3}
+    with pytest.raises(Exception, match=r"no answer from elbow_flex \(id 3\)$"):
+        found(source)
+
+
+@pytest.fixture
+def offset_calibration(tmp_path: Path) -> Calibration:
     entry = {"drive_mode": 0, "homing_offset": -120, "range_min": 900, "range_max": 3000}
     path = tmp_path / "arm.json"
     path.write_text(json.dumps({spec.joint: {"id": spec.servo_id + 10, **entry} for spec in SO101_SERVOS}))
     return Calibration.load(path, SO101_SERVOS)
 
 
-def test_a_calibration_gives_the_servos_its_offsets_and_ranges(offset_calibration):
+def test_a_calibration_gives_the_servos_its_offsets_and_ranges(offset_calibration: Calibration) -> None:
     servo = build_servos(offset_calibration, [0.0] * 6)[0]
     assert (servo.servo_id, servo.present_ticks, servo.value(Register.HOMING_OFFSET)) == (11, 1950, -120)
+    assert (servo.value(Register.MIN_ANGLE_LIMIT), servo.value(Register.MAX_ANGLE_LIMIT)) == (900, 3000)
 
 
-def gravity_permille(calibration, pose):
+# The weight.
+
+
+def gravity_permille(calibration: Calibration, pose: list[float]) -> list[float]:
     servos = build_servos(calibration, pose)
     weight_of(so101(), calibration, servos)()
     return [servo.plant.gravity_permille for servo in servos]
 
 
-def test_the_weight_follows_the_pose_whatever_the_offsets(offset_calibration):
+def test_the_weight_follows_the_pose_whatever_the_offsets(offset_calibration: Calibration) -> None:
     pose = [0.0, 0.7, -0.4, 0.3, 0.0, 0.0]
-    torques_nm = LinkWeights(so101()).holding_torques(dict(zip(JOINTS, pose, strict=True)))
-    expected = [DUTY_PERMILLE_PER_NM * torques_nm[joint] for joint in JOINTS]
+    joints = [servo.joint for servo in SO101_SERVOS]
+    torques_nm = LinkWeights(so101()).holding_torques(dict(zip(joints, pose, strict=True)))
+    expected = [DUTY_PERMILLE_PER_NM * torques_nm[joint] for joint in joints]
     assert gravity_permille(offset_calibration, pose) == pytest.approx(expected, abs=0.1)
 
 
-def test_a_servo_whose_ticks_fall_is_loaded_the_other_way():
+def test_a_servo_whose_ticks_fall_is_loaded_the_other_way() -> None:
     mirrored = [replace(servo, sign=-1) for servo in SO101_SERVOS]
     pose = [0.0, 0.7, -0.4, 0.3, 0.0, 0.5]
     plain, other = (gravity_permille(Calibration.nominal(servos), pose) for servos in (SO101_SERVOS, mirrored))
@@ -58,7 +244,7 @@ def test_a_servo_whose_ticks_fall_is_loaded_the_other_way():
     assert other == pytest.approx([-permille for permille in plain], abs=0.1)
 
 
-def test_the_weight_is_put_on_again_when_the_arm_has_moved():
+def test_the_weight_is_put_on_again_when_the_arm_has_moved() -> None:
     calibration = nominal_calibration()
     servos = build_servos(calibration, [0.0] * 6)
     weigh = weight_of(so101(), calibration, servos)

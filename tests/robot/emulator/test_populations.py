@@ -4,11 +4,10 @@ import contextlib
 
 import pytest
 
-from robot.emulator.arm import build_servos, weight_of
-from robot.emulator.plant import Plant
+from robot.emulator.arm import weight_of
+from robot.emulator.feetech import FeetechServo
+from robot.emulator.feetech_arm import build_servos
 from robot.emulator.populations import FACTORY, KIT, POPULATIONS, ROS2_DRIVER
-from robot.emulator.servo import PHASE_MULTI_TURN, Servo
-from robot.emulator.servo_bus import superimposed
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.profiles import LEROBOT
@@ -16,6 +15,7 @@ from robot.hardware.feetech.registers import Register, encode
 from robot.hardware.interface import StatusFlag
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import nominal_calibration, so101
+from tests.helpers.servo_family import run
 
 JOINTS = [joint.joint for joint in nominal_calibration().joints]
 
@@ -104,32 +104,19 @@ def test_an_unplugged_servo_has_lost_its_power(kit):
 
 @pytest.mark.parametrize("place", [0, 7, "thumb", None])
 def test_a_servo_that_is_not_in_the_chain_cannot_be_unplugged(kit, place):
-    assert "joints or their numbers in the chain, 1 to 6" in kit.command(unplug=[place])["error"]
-
-
-def test_packets_sent_at_once_are_heard_as_none_of_them():
-    packet = b"\xff\xff\x01\x02\x00\xfc"
-    assert superimposed([packet]) == packet
-    heard = superimposed([packet, packet])
-    assert packet not in heard
-    assert heard
+    assert "must be a number out of 1, 2, 3, 4, 5, 6, or a joint's name" in kit.command(unplug=[place])["error"]
 
 
 NOMINAL = nominal_calibration()
 ELBOW, WRIST_ROLL, GRIPPER = 2, 4, 5
 
 
-def servos_of(population: str) -> list[Servo]:
+def servos_of(population: str) -> list[FeetechServo]:
     return build_servos(NOMINAL, [0.0] * 6, POPULATIONS[population])
 
 
-def put(servo: Servo, register: Register, value: int) -> None:
+def put(servo: FeetechServo, register: Register, value: int) -> None:
     servo.write(register, encode(register, value))
-
-
-def run(servo: Servo, duration_s: float) -> None:
-    for _ in range(round(duration_s / 0.01)):
-        servo.step(0.01)
 
 
 def test_lerobots_servos_have_its_registers_and_an_open_eprom():
@@ -182,52 +169,6 @@ def test_the_wrist_stops_before_its_calibrated_range_ends(population):
     assert wrist.plant.position_ticks == 113.0
 
 
-def test_an_id_written_to_a_locked_servo_is_lost_with_its_power():
-    servo = servos_of("factory")[0]
-    put(servo, Register.ID, 9)
-    servo.power_up()
-    assert servo.servo_id == 1
-
-
-def servo_at(position: float, offset: int = 0, phase: int = 12) -> Servo:
-    return Servo(Plant(position, -4000.0, 8000.0), {Register.HOMING_OFFSET: offset, Register.PHASE: phase})
-
-
-@pytest.mark.parametrize(
-    ("position", "offset", "phase", "shown"),
-    [
-        (4090.0, 0, 12, 4090),
-        (4100.0, 0, 12, 4),
-        (-3.0, 0, 12, 4093),
-        (10.0, 100, 12, 4006),
-        (4090.0, -100, 12, 94),
-        (4100.0, 0, 12 | PHASE_MULTI_TURN, 4100),
-        (10.0, 100, 12 | PHASE_MULTI_TURN, -90),
-    ],
-)
-def test_the_position_begins_again_after_a_turn_unless_the_servo_counts_turns(position, offset, phase, shown):
-    assert servo_at(position, offset, phase).present_ticks == shown
-
-
-@pytest.mark.parametrize(("goal", "reached"), [(4000, 4000.0), (20, 20.0)])
-def test_a_goal_across_the_seam_is_approached_the_long_way_round(goal, reached):
-    servo = servo_at(4080.0)
-    put(servo, Register.GOAL_POSITION, goal)
-    put(servo, Register.TORQUE_ENABLE, 1)
-    run(servo, 4.0)
-    assert servo.plant.position_ticks == pytest.approx(reached, abs=1.0)
-
-
-def test_a_joint_pushed_across_the_seam_runs_on_towards_its_goal_in_the_next_turn():
-    servo = servo_at(4090.0)
-    put(servo, Register.GOAL_POSITION, 4090)
-    put(servo, Register.TORQUE_ENABLE, 1)
-    run(servo, 0.2)
-    servo.plant.position_ticks = 4100.0
-    run(servo, 5.0)
-    assert servo.plant.position_ticks == servo.plant.upper_stop_ticks
-
-
 def test_a_hand_finds_a_position_behind_the_seam():
     wrist = build_servos(NOMINAL, [0.0] * 6, KIT)[WRIST_ROLL]
     assert wrist.plant.upper_stop_ticks > 4200
@@ -238,7 +179,7 @@ def test_a_hand_finds_a_position_behind_the_seam():
     assert (wrist.plant.position_ticks, wrist.present_ticks) == (4146.0, 50)
 
 
-def latched_clone() -> Servo:
+def latched_clone() -> FeetechServo:
     servo = servos_of("clone")[ELBOW]
     servo.plant.block(servo.plant.position_ticks)
     put(servo, Register.GOAL_POSITION, servo.present_ticks + 800)

@@ -4,12 +4,16 @@ import argparse
 import contextlib
 import json
 import os
+import random
+from dataclasses import fields, replace
 
 import pytest
 import serial
 
-from robot.emulator.faults import PROBABILITIES
-from robot.emulator.process import Control, PseudoTerminal, UsbAdapter, add_options, build_bus
+from robot.emulator.control import Emulation
+from robot.emulator.faults import Faults
+from robot.emulator.in_process import InProcessPort
+from robot.emulator.process import Control, PseudoTerminal, UsbAdapter, add_options, build_bus, configure
 from robot.emulator.servo_bus import Reply
 from robot.hardware.feetech.registers import Register
 
@@ -174,21 +178,26 @@ def parser():
 
 @contextlib.contextmanager
 def built(*arguments):
+    options = parser().parse_args(arguments)
     with contextlib.ExitStack() as resources:
-        yield build_bus(parser().parse_args(arguments), resources, 0.0)
+        bus = build_bus(options, resources, 0.0)
+        configure(options, Emulation(bus, InProcessPort(bus, lambda: 0.0)))
+        yield bus
 
 
 def test_without_options_there_is_an_arm_without_faults():
+    chance = random.Random()
     with built() as bus:
         assert [servo.servo_id for servo in bus.servos] == [1, 2, 3, 4, 5, 6]
-        assert all(getattr(bus.faults, name) == 0.0 for name in PROBABILITIES)
+        assert replace(bus.faults, random=chance) == Faults(random=chance)
         assert {servo.plant.gravity_permille != 0.0 for servo in bus.servos[1:4]} == {True}
 
 
 def test_every_fault_that_strikes_by_chance_is_an_option():
-    for name in PROBABILITIES:
-        with built("--" + name.replace("_", "-"), "0.25") as bus:
-            assert getattr(bus.faults, name) == 0.25, name
+    for field in fields(Faults):
+        if field.type == "float":
+            with built("--" + field.name.replace("_", "-"), "0.25") as bus:
+                assert getattr(bus.faults, field.name) == 0.25, field.name
 
 
 def test_the_servos_are_of_the_kind_asked_for():
@@ -222,9 +231,9 @@ def test_bytes_take_their_time_on_the_wire_unless_that_is_not_wanted():
     ("arguments", "sentence"),
     [
         (["--start=a"], "not a list of numbers"),
-        (["--drop", "2"], "not a probability"),
-        (["--supply", "nan"], "not a number from 0 to 25.5"),
-        (["--heat-rate=-1"], "not a number from 0 to 3600"),
+        (["--drop", "2"], "drop: must be less than or equal to 1, not 2.0"),
+        (["--supply", "nan"], "supply: must be a finite number, not nan"),
+        (["--heat-rate=-1"], "heat_rate: must be greater than or equal to 0, not -1.0"),
     ],
 )
 def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, arguments, sentence):

@@ -1,70 +1,278 @@
+"""Servos on one wire: what both families do alike, Feetech's wire and maintenance, Dynamixel's errors."""
+
 from __future__ import annotations
 
 import contextlib
 import json
+from pathlib import Path
+from typing import Any
 
 import pytest
+from dynamixel_sdk import INST_REBOOT
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator import servo_bus
-from robot.emulator.arm import build_servos
-from robot.emulator.control import Emulation, answer
+from robot.emulator.dynamixel import CRC_ERROR, INSTRUCTION_ERROR, REBOOT_S
+from robot.emulator.dynamixel import DYNAMIXEL as DYNAMIXEL_CODEC
 from robot.emulator.faults import Faults
-from robot.emulator.servo_bus import BAUDRATES, ServoBus, status_packet
+from robot.emulator.feetech import FEETECH as FEETECH_CODEC
+from robot.emulator.feetech import FeetechServo
+from robot.emulator.feetech_arm import build_servos
+from robot.emulator.servo_bus import PARTIAL_PACKET_S, Instruction, InstructionParser, ServoBus, superimposed
 from robot.emulator.write_log import WriteLog
-from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, decode, goal_block
-from robot.hardware.interface import StatusFlag
+from robot.hardware.dynamixel.packets import ALERT
+from robot.hardware.feetech.registers import Register, encode
 from tests.helpers.emulator import (
-    ALL,
-    COMMANDS,
-    IDS,
+    ACTION,
+    BACKUP,
+    CALIBRATE,
     PING,
-    QUESTIONS,
     READ,
-    REQUESTS,
+    REBOOT,
+    REG_WRITE,
+    RESTORE,
     SYNC_READ,
     SYNC_WRITE,
     WRITE,
     packet,
 )
-from tests.helpers.resources import examples
 from tests.helpers.robots import nominal_calibration
+from tests.helpers.servo_family import ALL, DYNAMIXEL, FEETECH, IDS, OF_BOTH_FAMILIES, Family
 
-BLOCK_READ = packet(ALL, SYNC_READ, [56, 15, *IDS])
-
-
-def bus_with(faults=None, log=None):
-    return ServoBus(build_servos(nominal_calibration(), [0.0] * 6), faults or Faults(), 0.0, log)
+RESET = 10
 
 
-def bus_without_wire_time(faults=None):
-    return ServoBus(build_servos(nominal_calibration(), [0.0] * 6), faults or Faults(), 0.0, wire_time=False)
+class Wire:
+    """Servos 1 to 3 of a family on a wire that takes no time."""
+
+    def __init__(self, family: Family, **faults: float) -> None:
+        self.family = family
+        self.now_s = 0.0
+        self.bus = ServoBus[Any](list(map(family.build, IDS)), family.codec, Faults(**faults), 0.0, wire_time=False)
+        self.servos = self.bus.servos
+
+    def ask(self, servo_id: int, code: int, parameters: bytes = b"") -> bytes:
+        """Send an instruction; return all that comes back."""
+        return self.send(self.family.build_packet(servo_id, code, parameters))
+
+    def send(self, data: bytes, baudrate: int = 1_000_000) -> bytes:
+        return b"".join(reply.data for reply in self.bus.receive(data, self.now_s, baudrate))
+
+    def status(self, servo_id: int, data: bytes = b"", error: int = 0) -> bytes:
+        return self.family.codec.status_packet(servo_id, error, data)
+
+    def values(self, name: str) -> list[int]:
+        return [servo.named(name) for servo in self.servos]
 
 
 @pytest.fixture
-def bus():
+def wire(family: Family) -> Wire:
+    return Wire(family)
+
+
+@OF_BOTH_FAMILIES
+@given(st.integers(0, 255), st.integers(0, 255), st.binary(max_size=60))
+def test_any_instruction_is_carried_out_without_an_exception(
+    family: Family, servo_id: int, code: int, parameters: bytes
+) -> None:
+    Wire(family).ask(servo_id, code, parameters)
+
+
+@OF_BOTH_FAMILIES
+@given(st.binary(max_size=200))
+def test_any_bytes_at_all_leave_the_servos_able_to_answer(family: Family, data: bytes) -> None:
+    wire = Wire(family)
+    wire.send(data)
+    wire.now_s = 10.0
+    servo = family.build(7)
+    wire.bus.servos = wire.servos = (servo,)
+    assert wire.ask(7, PING) == wire.status(7, servo.ping())
+
+
+@OF_BOTH_FAMILIES
+def test_a_ping_is_answered_by_the_servo_named_and_a_broadcast_ping_by_all(wire: Wire) -> None:
+    replies = [wire.status(servo.servo_id, servo.ping()) for servo in wire.servos]
+    assert wire.ask(3, PING) == replies[2]
+    assert wire.ask(9, PING) == b""
+    assert wire.ask(ALL, PING) == b"".join(replies)
+
+
+@OF_BOTH_FAMILIES
+def test_a_read_is_answered_and_a_broadcast_read_by_none(family: Family, wire: Wire) -> None:
+    assert wire.ask(2, READ, family.block("ID")) == wire.status(2, b"\x02")
+    assert wire.ask(ALL, READ, family.block("ID")) == b""
+
+
+@OF_BOTH_FAMILIES
+@pytest.mark.parametrize(("stalls", "answering"), [(False, (3, 1)), (True, (3,))])
+def test_a_sync_read_is_answered_in_its_order_and_may_end_at_a_servo_that_is_missing(
+    family: Family, wire: Wire, stalls: bool, answering: tuple[int, ...]
+) -> None:
+    wire.bus.faults.offline, wire.bus.faults.stall_behind_missing = {2}, stalls
+    replies = b"".join(wire.status(servo, bytes([servo])) for servo in answering)
+    assert wire.ask(ALL, SYNC_READ, family.block("ID") + bytes([3, 2, 1])) == replies
+
+
+@OF_BOTH_FAMILIES
+def test_a_sync_write_is_taken_by_each_servo_and_answered_by_none(family: Family, wire: Wire) -> None:
+    data = {servo: family.registers.encode(family.registers.Register.GOAL_POSITION, 2000 + servo) for servo in (1, 3)}
+    parameters = family.driver.sync_write_parameters(family.registers.Register.GOAL_POSITION, data)
+    assert wire.ask(ALL, SYNC_WRITE, bytes(parameters)) == b""
+    assert wire.values("GOAL_POSITION") == [2001, 0, 2003]
+
+
+@OF_BOTH_FAMILIES
+def test_a_write_is_acknowledged_by_its_servo_and_a_broadcast_write_by_none(family: Family, wire: Wire) -> None:
+    assert wire.ask(2, WRITE, family.assignment("GOAL_POSITION", 2100)) == wire.status(2)
+    assert wire.ask(ALL, WRITE, family.assignment("TORQUE_ENABLE", 1)) == b""
+    assert (wire.values("GOAL_POSITION"), wire.values("TORQUE_ENABLE")) == ([0, 2100, 0], [1, 1, 1])
+
+
+@OF_BOTH_FAMILIES
+def test_a_kept_write_waits_for_the_action_and_does_not_outlive_a_power_cut(family: Family, wire: Wire) -> None:
+    for servo in IDS:
+        assert wire.ask(servo, REG_WRITE, family.assignment("GOAL_POSITION", 2000 + servo)) == wire.status(servo)
+    wire.servos[0].power_up()
+    assert wire.values("GOAL_POSITION") == [0, 0, 0]
+    for _ in range(2):
+        assert wire.ask(ALL, ACTION) == b""
+        assert wire.values("GOAL_POSITION") == [0, 2002, 2003]
+
+
+@OF_BOTH_FAMILIES
+def test_an_instruction_for_a_servo_that_is_offline_or_lost_is_not_carried_out(family: Family, wire: Wire) -> None:
+    torque_on = family.assignment("TORQUE_ENABLE", 1)
+    wire.bus.faults.offline = {2}
+    assert wire.ask(2, PING) == b""
+    wire.ask(ALL, WRITE, torque_on)
+    wire.servos[0].unplug()
+    wire.bus.faults.offline = {3}
+    wire.ask(ALL, WRITE, torque_on)
+    wire.bus.faults.offline, wire.bus.faults.lose_instruction = set(), 1.0
+    assert wire.ask(3, WRITE, family.assignment("TORQUE_ENABLE", 0)) == b""
+    assert wire.values("TORQUE_ENABLE") == [0, 1, 1]
+
+
+@OF_BOTH_FAMILIES
+def test_an_instruction_whose_reply_is_lost_is_carried_out(family: Family) -> None:
+    wire = Wire(family, drop=1.0)
+    assert wire.ask(2, WRITE, family.assignment("TORQUE_ENABLE", 1)) == b""
+    assert wire.values("TORQUE_ENABLE") == [0, 1, 0]
+
+
+@OF_BOTH_FAMILIES
+def test_a_reply_may_bear_a_wrong_id_with_a_sound_checksum(family: Family) -> None:
+    wire = Wire(family, wrong_id=1.0)
+    replies = wire.ask(2, READ, family.block("ID"))
+    ((servo_id, frame),) = family.driver.parse_status_frames(replies, range(253), 1).items()
+    assert (servo_id != 2, frame.data) == (True, b"\x02")
+
+
+@OF_BOTH_FAMILIES
+def test_servos_hear_at_their_own_baud_rate_alone(family: Family, wire: Wire) -> None:
+    ping = family.build_packet(3, PING, b"")
+    family.write(wire.servos[2], "BAUD_RATE", 1)
+    rate = wire.servos[2].baudrate
+    assert rate not in (0, 1_000_000)
+    assert [wire.send(ping, each) != b"" for each in (0, 1_000_000, rate)] == [False, False, True]
+
+
+@OF_BOTH_FAMILIES
+@pytest.mark.parametrize("at", [-1, -3])
+def test_a_damaged_instruction_is_not_carried_out(family: Family, wire: Wire, at: int) -> None:
+    damaged = bytearray(family.build_packet(1, WRITE, family.assignment("TORQUE_ENABLE", 1)))
+    damaged[at] ^= 0xFF
+    assert wire.send(bytes(damaged)) == (wire.status(1, error=CRC_ERROR) if family is DYNAMIXEL else b"")
+    assert wire.values("TORQUE_ENABLE") == [0, 0, 0]
+
+
+@OF_BOTH_FAMILIES
+def test_servos_move_while_the_bus_is_silent(family: Family, wire: Wire) -> None:
+    wire.ask(1, WRITE, family.assignment("GOAL_POSITION", 2500))
+    wire.ask(1, WRITE, family.assignment("TORQUE_ENABLE", 1))
+    for k in range(50):
+        wire.bus.advance(0.02 * k)
+    assert wire.servos[0].present_ticks == pytest.approx(2500, abs=1)
+
+
+# Packets.
+
+INSTRUCTIONS = st.builds(Instruction, st.integers(0, ALL), st.integers(1, 0x83), st.binary(max_size=60))
+
+
+def bytes_of(family: Family, instruction: Instruction) -> bytes:
+    return family.build_packet(instruction.servo_id, instruction.code, instruction.parameters)
+
+
+@OF_BOTH_FAMILIES
+@given(st.lists(INSTRUCTIONS, max_size=4), st.lists(st.integers(1, 40), max_size=20))
+def test_instructions_are_the_same_however_their_bytes_are_cut(
+    family: Family, instructions: list[Instruction], cuts: list[int]
+) -> None:
+    stream = b"".join(bytes_of(family, instruction) for instruction in instructions)
+    parser, parsed = InstructionParser(family.codec), []
+    for count in [*cuts, len(stream)]:
+        parsed += parser.feed(stream[:count], 0.0)
+        stream = stream[count:]
+    assert parsed == instructions
+
+
+@OF_BOTH_FAMILIES
+@given(st.lists(st.integers(0, 0xFE), max_size=60).map(bytes), INSTRUCTIONS)
+def test_noise_before_an_instruction_is_skipped(family: Family, noise: bytes, instruction: Instruction) -> None:
+    assert InstructionParser(family.codec).feed(noise + bytes_of(family, instruction), 0.0) == [instruction]
+
+
+@OF_BOTH_FAMILIES
+@given(st.integers(0, 0xFC), st.integers(0, 63), st.binary(max_size=40))
+def test_a_status_packet_is_read_by_the_drivers_own_parser(
+    family: Family, servo_id: int, error: int, data: bytes
+) -> None:
+    sent = family.codec.status_packet(servo_id, error, data)
+    frames = family.driver.parse_status_frames(sent, [servo_id], len(data))
+    assert not frames or (frames[servo_id].error, frames[servo_id].data) == (error, data)
+
+
+@OF_BOTH_FAMILIES
+def test_a_packet_may_come_in_pieces_but_not_long_after_each_other(family: Family) -> None:
+    parser, whole = InstructionParser(family.codec), family.build_packet(2, PING, b"")
+    assert parser.feed(whole[:4], 0.0) == []
+    assert len(parser.feed(whole[4:], 0.001)) == 1
+    assert parser.feed(whole[:4], 0.002) == []
+    assert parser.feed(whole[4:], 0.003 + PARTIAL_PACKET_S) == []
+    assert len(parser.feed(b"\xff\xff" + whole + whole, 0.004 + PARTIAL_PACKET_S)) == 2
+
+
+def test_an_instruction_cut_off_does_not_swallow_a_later_one() -> None:
+    parser = InstructionParser(FEETECH_CODEC)
+    assert parser.feed(packet(1, WRITE, bytes(60))[:10], 0.0) == []
+    assert parser.feed(packet(2, PING), 0.1) == [Instruction(2, PING, b"")]
+
+
+def test_packets_sent_at_once_are_heard_as_none_of_them() -> None:
+    sent = b"\xff\xff\x01\x02\x00\xfc"
+    assert superimposed([sent]) == sent
+    heard = superimposed([sent, sent])
+    assert sent not in heard
+    assert heard
+
+
+# Time on the wire.
+
+BLOCK_READ = packet(ALL, SYNC_READ, [56, 15, *range(1, 7)])
+
+
+def bus_with(faults: Faults | None = None, **settings: Any) -> ServoBus[FeetechServo]:
+    return ServoBus(build_servos(nominal_calibration(), [0.0] * 6), FEETECH_CODEC, faults or Faults(), 0.0, **settings)
+
+
+@pytest.fixture
+def bus() -> ServoBus[FeetechServo]:
     return bus_with()
 
 
 def said(bus, data, now_s=0.0, baudrate=1_000_000):
     return b"".join(reply.data for reply in bus.receive(data, now_s, baudrate))
-
-
-@given(st.binary(max_size=200))
-def test_any_bytes_at_all_leave_the_servos_able_to_answer(data):
-    bus = bus_with()
-    bus.receive(data, 0.0)
-    servo = bus.servos[0]
-    servo.write(Register.RETURN_DELAY, bytes([0]))
-    servo.write(Register.BAUD_RATE, bytes([0]))
-    assert status_packet(servo.servo_id, servo.error) in said(bus, packet(servo.servo_id, PING), 10.0)
-
-
-def test_an_instruction_with_a_wrong_checksum_is_not_carried_out(bus):
-    good = packet(1, PING)
-    assert said(bus, good[:-1] + bytes([good[-1] ^ 1])) == b""
-    assert said(bus, good) == status_packet(1, 0)
 
 
 def test_replies_are_due_when_their_last_byte_has_passed_the_wire(bus):
@@ -98,28 +306,8 @@ def test_who_talks_over_replies_is_not_heard_and_loses_them(bus):
 
 def test_who_talks_when_the_replies_are_over_is_heard(bus):
     replies = bus.receive(BLOCK_READ, 1.0)
-    assert said(bus, packet(1, PING), replies[-1].end_s) == status_packet(1, 0)
+    assert said(bus, packet(1, PING), replies[-1].end_s) == FEETECH_CODEC.status_packet(1, 0)
     assert all(len(reply.data) == 21 for reply in replies)
-
-
-def test_a_servo_offline_neither_hears_nor_speaks(bus):
-    bus.faults.offline.add(2)
-    assert said(bus, packet(2, PING)) == b""
-    bus.receive(packet(ALL, WRITE, [Register.TORQUE_ENABLE, 1]), 0.0)
-    assert [servo.value(Register.TORQUE_ENABLE) for servo in bus.servos] == [1, 0, 1, 1, 1, 1]
-
-
-@pytest.mark.parametrize("code", sorted(BAUDRATES))
-def test_a_servo_hears_only_at_its_own_baud_rate(bus, code):
-    bus.servos[2].write(Register.BAUD_RATE, bytes([code]))
-    heard_at = [rate for rate in BAUDRATES.values() if said(bus, packet(3, PING), float(rate), rate)]
-    assert heard_at == [BAUDRATES[code]]
-
-
-def test_a_lost_instruction_is_neither_carried_out_nor_answered():
-    bus = bus_with(Faults(lose_instruction=1.0))
-    assert said(bus, packet(1, WRITE, [Register.TORQUE_ENABLE, 1])) == b""
-    assert bus.servos[0].value(Register.TORQUE_ENABLE) == 0
 
 
 def test_a_delayed_reply_has_passed_the_wire_and_holds_up_those_behind_it():
@@ -128,173 +316,154 @@ def test_a_delayed_reply_has_passed_the_wire_and_holds_up_those_behind_it():
     assert late.due_s - late.end_s == pytest.approx(0.05)
     bus.faults.delay = 0.0
     (behind,) = bus.receive(packet(2, PING), 0.01)
-    assert behind.data == status_packet(2, 0)
+    assert behind.data == FEETECH_CODEC.status_packet(2, 0)
     assert behind.end_s < late.due_s <= behind.due_s
 
 
-def test_servos_move_while_the_bus_is_silent(bus):
-    bus.receive(packet(1, WRITE, [GOAL_ADDRESS, *goal_block(2500, 1000)]), 0.0)
-    bus.receive(packet(1, WRITE, [Register.TORQUE_ENABLE, 1]), 0.01)
-    for k in range(50):
-        bus.advance(0.02 * k)
-    assert bus.servos[0].present_ticks == 2500
-
-
-@pytest.mark.parametrize(("hand_ticks", "least", "most"), [(1000, 8, 11), (None, 0, 0)], ids=["moving", "at rest"])
-def test_the_weight_is_put_on_at_once_and_again_as_the_arm_moves(hand_ticks, least, most):
-    times = []
-    bus = ServoBus(build_servos(nominal_calibration(), [0.0] * 6), Faults(), 0.0, weigh=lambda: times.append(1))
-    assert len(times) == 1
-    bus.servos[0].plant.hand_ticks = hand_ticks
-    for k in range(1, 101):
-        bus.advance(0.001 * k)
-    assert least <= len(times) - 1 <= most
-
-
-EVENTS = st.one_of(
-    REQUESTS,
-    st.sampled_from([0.001, 0.01, 0.03, 0.1, 2.5]),
-    st.sampled_from([1_000_000, 500_000]),
-    st.sampled_from(COMMANDS),
-)
-# Few different ones, so that they come again.
-HISTORIES = st.lists(EVENTS, min_size=1, max_size=5).flatmap(lambda few: st.lists(st.sampled_from(few), max_size=20))
-
-
-class NoAdapter:
-    port = ""
-    frozen = False
-    frame_s = 0.0
-
-    def plug_in(self, *, renamed: bool = False) -> None: ...
-
-    def unplug(self) -> None: ...
-
-
-class FreshAndCached:
-    """The same servos twice, of which one may answer out of its cache.
-
-    Between two events both are asked all that they can tell, often enough for most answers to be cached.
-    """
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-        self.baudrate = 1_000_000
-        self.cached, self.fresh = bus_without_wire_time(), bus_without_wire_time()
-
-    def happen(self, event: bytes | float | int | dict[str, object]) -> None:
-        """Let a request, some time, a change of the host's baud rate, or a live command happen to both."""
-        match event:
-            case bytes():
-                self.ask(event)
-            case float():
-                self.now_s += event
-            case int():
-                self.baudrate = event
-            case _:
-                line = json.dumps(event).encode()
-                assert len({answer(line, Emulation(bus, NoAdapter())) for bus in (self.cached, self.fresh)}) == 1
-
-    def ask(self, request: bytes) -> None:
-        """Compare what both say."""
-        self.fresh._answered.clear()
-        wanted = self.fresh.receive(request, self.now_s, self.baudrate)
-        got = self.cached.receive(request, self.now_s, self.baudrate)
-        assert b"".join(reply.data for reply in got) == b"".join(reply.data for reply in wanted)
-        assert [reply.due_s for reply in got[-1:]] == [reply.due_s for reply in wanted[-1:]]
-
-
-@examples(200)
-@given(HISTORIES)
-def test_no_answer_out_of_the_cache_differs_from_a_fresh_one(events):
-    both = FreshAndCached()
-    for event in events:
-        both.happen(event)
-        for question in QUESTIONS:
-            both.ask(question)
-
-
-def test_cached_replies_follow_registers_that_change_by_themselves():
-    """A joint that is stalled cuts its torque in the end."""
-    both, statuses = FreshAndCached(), set()
-    blocked = {"obstacle": {"3": 2100}}
-    for event in (
-        blocked,
-        packet(3, WRITE, [Register.TORQUE_ENABLE, 1]),
-        packet(3, WRITE, [GOAL_ADDRESS, *goal_block(2500, 0)]),
-    ):
-        both.happen(event)
-    for _ in range(400):
-        both.happen(0.01)
-        both.ask(QUESTIONS[0])
-        servo = both.cached.servos[2]
-        load = decode(Register.PRESENT_LOAD, servo.read(Register.PRESENT_LOAD, 2))
-        assert load == round(servo.plant.duty_permille)
-        statuses.add(servo.error)
-    assert statuses == {0, StatusFlag.OVERLOAD}
-
-
-def test_the_beginning_of_an_instruction_spoils_what_follows_it_whatever_the_cache_holds():
-    both, torn = FreshAndCached(), packet(3, PING) + packet(1, PING)[:-3]
-    for _ in range(3):
-        both.happen(torn)
-        for _ in range(2):
-            both.happen(QUESTIONS[0])
-        both.happen(1.0)
-        both.happen(QUESTIONS[0])
-
-
-def test_the_cached_replies_of_an_arm_at_rest_follow_its_temperature():
-    both, temperatures = FreshAndCached(), set()
-    both.happen({"temperature": {"3": 60}, "heat_rate": 60})
-    for _ in range(600):
-        both.happen(0.01)
-        both.ask(QUESTIONS[1])
-        servo = both.cached.servos[2]
-        (shown,) = servo.read(Register.PRESENT_TEMPERATURE, 1)
-        assert shown == round(servo.motor.temperature_c)
-        temperatures.add(shown)
-    assert len(temperatures) > 5
-
-
-def test_an_arm_at_rest_answers_what_it_was_asked_before_without_looking_again(monkeypatch):
-    bus, executed = bus_without_wire_time(), []
-    monkeypatch.setattr(servo_bus, "execute", lambda instruction, *_, **__: executed.append(instruction) or [])
-    for k in range(1, 10):
-        bus.receive(BLOCK_READ, 0.01 * k)
-    assert len(executed) == 1
-
-
 def test_without_wire_time_every_reply_is_there_at_once_whatever_the_return_delay():
-    bus = bus_without_wire_time()
+    bus = bus_with(wire_time=False)
     bus.servos[0].write(Register.RETURN_DELAY, bytes([250]))
     assert [reply.due_s for reply in bus.receive(BLOCK_READ, 5.0)] == [5.0] * 6
-    assert said(bus, packet(1, PING), 5.0) == status_packet(1, 0)
+    assert said(bus, packet(1, PING), 5.0) == FEETECH_CODEC.status_packet(1, 0)
 
 
-def test_without_wire_time_a_delayed_reply_holds_up_those_behind_it():
-    bus = bus_without_wire_time(Faults(delay=1.0, delay_s=0.05))
-    (late,) = bus.receive(packet(1, PING), 0.0)
-    bus.faults.delay = 0.0
-    (behind,) = bus.receive(packet(2, PING), 0.01)
-    assert behind.due_s == late.due_s == pytest.approx(0.05)
-    (behind_again,) = bus.receive(packet(2, PING), 0.02)
-    assert behind_again.due_s == late.due_s
+@pytest.mark.parametrize(("hand_ticks", "moves"), [(1000, True), (None, False)], ids=["moving", "at rest"])
+def test_the_weight_is_put_on_at_once_and_again_as_the_arm_moves(hand_ticks, moves):
+    times = []
+    bus = bus_with(weigh=lambda: times.append(1))
+    assert len(times) == 1
+    bus.advance(0.1)
+    bus.servos[0].plant.hand_ticks = hand_ticks
+    before = len(times)
+    for k in range(1, 11):
+        bus.advance(0.1 + 0.01 * k)
+    assert (len(times) > before) is moves
 
 
-def test_writes_and_commands_are_recorded_and_nothing_else(tmp_path):
+# Feetech alone.
+
+
+@pytest.fixture
+def feetechs() -> Wire:
+    return Wire(FEETECH)
+
+
+def test_a_servo_of_response_level_0_answers_pings_and_reads_alone(feetechs):
+    feetechs.servos[1].write(Register.RESPONSE_LEVEL, bytes([0]))
+    assert feetechs.ask(2, PING) == feetechs.status(2)
+    assert feetechs.ask(2, READ, FEETECH.block("ID")) == feetechs.status(2, b"\x02")
+    assert feetechs.ask(2, WRITE, FEETECH.assignment("TORQUE_LIMIT", 100)) == b""
+    assert feetechs.ask(ALL, SYNC_READ, FEETECH.block("ID") + b"\x02") == feetechs.status(2, b"\x02")
+
+
+def test_an_instruction_that_makes_no_sense_does_nothing_and_is_not_answered(feetechs):
+    assert feetechs.ask(2, 0x55) == feetechs.ask(2, READ, b"\x05") == feetechs.ask(ALL, SYNC_READ, b"\x05\x01") == b""
+
+
+def test_a_restore_brings_back_what_was_backed_up_for_good_and_keeps_the_id(feetechs):
+    servo = feetechs.servos[0]
+    servo.write(Register.P_GAIN, bytes([20]))
+    feetechs.ask(1, BACKUP)
+    servo.write(Register.P_GAIN, bytes([5]))
+    servo.write(Register.ID, bytes([9]))
+    feetechs.ask(9, RESTORE)
+    feetechs.ask(9, REBOOT)
+    assert (servo.servo_id, servo.value(Register.P_GAIN)) == (9, 20)
+
+
+@pytest.mark.parametrize(("code", "parameters"), [(CALIBRATE, b""), (WRITE, bytes([Register.TORQUE_ENABLE, 128]))])
+def test_the_present_position_is_made_the_middle_for_good(feetechs, code, parameters):
+    servo = feetechs.servos[2]
+    servo.plant.position_ticks = 1000.0
+    servo.write(Register.TORQUE_ENABLE, bytes([1]))
+    feetechs.ask(3, code, parameters)
+    assert (servo.present_ticks, servo.value(Register.TORQUE_ENABLE)) == (2048, 1)
+    feetechs.ask(3, REBOOT)
+    assert servo.present_ticks == 2048
+
+
+def test_a_middle_out_of_reach_comes_as_near_as_the_offset_goes(feetechs):
+    servo = feetechs.servos[0]
+    servo.plant.position_ticks = 0.0
+    feetechs.ask(1, CALIBRATE)
+    assert (servo.present_ticks, servo.value(Register.HOMING_OFFSET)) == (2047, -2047)
+
+
+def test_a_reset_of_turns_is_acknowledged_and_changes_nothing(feetechs):
+    feetechs.servos[0].write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, 1234))
+    assert feetechs.ask(1, RESET) == feetechs.status(1)
+    assert feetechs.values("GOAL_POSITION")[0] == 1234
+
+
+def test_writes_and_commands_are_recorded_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "writes.jsonl"
     with contextlib.closing(WriteLog(path)) as log:
-        bus = bus_with(Faults(offline={6}), log)
+        bus = bus_with(Faults(offline={6}), log=log)
         bus.receive(packet(1, PING) + packet(1, READ, [56, 2]) + packet(9, WRITE, [40, 0]), 1.0)
         bus.receive(packet(2, WRITE, [48, 1, 2]), 2.0)
         bus.receive(packet(ALL, WRITE, [40, 0]), 3.0)
         bus.receive(packet(ALL, SYNC_WRITE, [41, 1, 1, 254, 3, 100]), 4.0)
+        bus.receive(packet(2, REG_WRITE, [48, 3, 2]), 5.0)
+        bus.receive(packet(ALL, ACTION), 6.0)
         bus.record_command({"push": {"3": 1}})
     lines = [json.loads(line) for line in path.read_text().splitlines()]
     assert [(line["t"], line["instruction"], line["address"], line["data"]) for line in lines] == [
         (2.0, "write", 48, {"2": [1, 2]}),
-        (3.0, "write", 40, {str(i): [0] for i in IDS[:5]}),
+        (3.0, "write", 40, {str(i): [0] for i in range(1, 6)}),
         (4.0, "sync_write", 41, {"1": [254], "3": [100]}),
-        (4.0, "command", None, {}),
+        (6.0, "action", 48, {"2": [3, 2]}),
+        (6.0, "command", None, {}),
     ]
+
+
+# Dynamixel alone.
+
+
+@pytest.fixture
+def dynamixels() -> Wire:
+    return Wire(DYNAMIXEL)
+
+
+def test_a_hardware_error_raises_the_alert_of_every_reply(dynamixels):
+    dynamixels.servos[1].fail(0x01)
+    assert dynamixels.ask(2, READ, DYNAMIXEL.block("LED")) == dynamixels.status(2, b"\x00", error=ALERT)
+    refused = dynamixels.ask(2, WRITE, DYNAMIXEL.assignment("GOAL_PWM", 886))
+    assert refused == dynamixels.status(2, error=ALERT | 6)
+
+
+def test_a_rebooted_servo_is_silent_for_a_while(dynamixels):
+    assert dynamixels.ask(2, INST_REBOOT) == dynamixels.status(2)
+    dynamixels.now_s = 0.5 * REBOOT_S
+    assert dynamixels.ask(2, PING) == b""
+    dynamixels.now_s = 1.1 * REBOOT_S
+    assert dynamixels.ask(2, PING) != b""
+
+
+def test_an_unknown_instruction_is_an_instruction_error(dynamixels):
+    assert dynamixels.ask(2, 0x92, b"\x01") == dynamixels.status(2, error=INSTRUCTION_ERROR)
+
+
+def test_a_servo_answers_no_more_than_its_status_return_level_allows(dynamixels):
+    led = DYNAMIXEL.assignment("LED", 1)
+    dynamixels.ask(2, WRITE, DYNAMIXEL.assignment("STATUS_RETURN_LEVEL", 1))
+    assert dynamixels.ask(2, WRITE, led) == b""
+    assert dynamixels.ask(2, READ, DYNAMIXEL.block("LED")) != b""
+    dynamixels.ask(2, WRITE, DYNAMIXEL.assignment("STATUS_RETURN_LEVEL", 0))
+    assert dynamixels.ask(2, READ, DYNAMIXEL.block("LED")) == b""
+    assert dynamixels.ask(2, PING) != b""
+
+
+def test_every_instruction_on_the_bus_feeds_every_watchdog(dynamixels):
+    for servo in dynamixels.servos:
+        servo.hold()
+    dynamixels.ask(ALL, WRITE, DYNAMIXEL.assignment("BUS_WATCHDOG", 5))
+    for tick in range(1, 50):
+        dynamixels.now_s = 0.01 * tick
+        dynamixels.ask(1, READ, DYNAMIXEL.block("LED"))
+    assert dynamixels.values("BUS_WATCHDOG") == [5, 5, 5]
+    dynamixels.bus.advance(1.0)
+    assert dynamixels.values("BUS_WATCHDOG") == [-1, -1, -1]
+
+
+def test_a_reply_is_built_with_stuffed_bytes() -> None:
+    assert DYNAMIXEL_CODEC.status_packet(3, 0, b"\xff\xff\xfd").count(b"\xff\xff\xfd\xfd") == 1

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from robot.emulator.arm import build_servos
+from robot.emulator.feetech_arm import build_servos
 from robot.emulator.write_log import WriteLog
 from robot.hardware.feetech.registers import goal_block
 from tests.helpers.robots import nominal_calibration
@@ -41,8 +41,9 @@ def test_a_line_has_the_write_and_the_state_of_every_servo(tmp_path):
 
 
 def test_the_registers_wholly_written_are_named_and_decoded(tmp_path):
-    block = goal_block(-5, 700)
-    (line,) = lines_of(tmp_path / "log", lambda log: log.record_write(0.0, 0x83, 41, {3: block, 4: block[:2]}, []))
+    block, servos = goal_block(-5, 700), build_servos(nominal_calibration(), [0.0] * 6)
+    data = {3: block, 4: block[:2]}
+    (line,) = lines_of(tmp_path / "log", lambda log: log.record_write(0.0, 0x83, 41, data, servos))
     assert line["registers"] == {
         "3": {"ACCELERATION": 254, "GOAL_POSITION": -5, "GOAL_TIME": 0, "GOAL_VELOCITY": 700},
         "4": {"ACCELERATION": 254},

@@ -264,7 +264,7 @@ def test_of_an_arm_with_its_ids_only_the_settings_are_brought_into_order(run_set
 
 def test_an_arm_that_holds_is_lowered_and_written_with_the_profile_that_was_asked_for(run_setup, kit):
     arm_of(kit)
-    kit.servos[2].power_up(holding=True)
+    kit.servos[2].hold()
     code, person = run_setup("--registers", "--profile", "lerobot", "--yes")
     assert code == ExitCode.DONE
     assert person.heard.index("relaxing: support the arm ...") < person.heard.index("torque is off on all servos")

@@ -133,7 +133,7 @@ def test_a_wrong_script_leaves_the_port_of_another_emulator_alone(tmp_path: Path
     command = [sys.executable, "-P", "-m", "robot.emulator", "--script", str(script), "--link", str(link)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert f"{script}, line 1: hand is a number from 0 to 4095, not 5000" in done.stderr
+    assert f"{script}, line 1: hand.3: must be less than or equal to 4095, not 5000" in done.stderr
     assert str(link.readlink()) == "/dev/pts/of_another"
 
 

@@ -3,11 +3,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pytest
+from dynamixel_sdk import INST_READ
 
-from robot.emulator.dynamixel.servo import ACCESS_ERROR, DATA_LIMIT_ERROR, REBOOT_S
-from robot.emulator.dynamixel.servo_bus import status_packet
+from robot.emulator.dynamixel import ACCESS_ERROR, DATA_LIMIT_ERROR, DYNAMIXEL, REBOOT_S
 from robot.errors import NoReply, StartupError
 from robot.hardware.dynamixel.bus import Bus, reboot
+from robot.hardware.dynamixel.packets import block_parameters, packet
 from robot.hardware.dynamixel.registers import Register, encode
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.bus import write_verified
@@ -46,9 +47,9 @@ def test_a_rebooted_servo_is_silent_for_a_while_and_forgets(bus: Bus, servos: St
 
 
 def test_replies_left_on_the_line_are_not_taken_for_the_next(bus: Bus, servos: SteppedDynamixels) -> None:
-    servos.port._input = status_packet(3, 0, bytes([1]))
+    servos.port.writePort(packet(3, INST_READ, bytes(block_parameters(Register.ID, 1))))
     assert bus.read(3, Register.TORQUE_ENABLE) == 0
-    assert bus.counters.discarded_bytes == len(status_packet(3, 0, bytes([1])))
+    assert bus.counters.discarded_bytes == len(DYNAMIXEL.status_packet(3, 0, bytes([1])))
 
 
 class LatePort:
@@ -84,7 +85,7 @@ class LatePort:
 
 def test_a_reply_that_comes_too_late_is_not_taken_for_the_next() -> None:
     clock = SteppedClock()
-    replies = [(0.008, status_packet(3, 0, bytes([1]))), (0.001, status_packet(3, 0, bytes([0])))]
+    replies = [(0.008, DYNAMIXEL.status_packet(3, 0, bytes([1]))), (0.001, DYNAMIXEL.status_packet(3, 0, bytes([0])))]
     bus = Bus(LatePort(clock, replies), clock)
     with pytest.raises(NoReply):
         bus.read(3, Register.LED, attempts=1)

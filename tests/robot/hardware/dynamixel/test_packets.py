@@ -8,7 +8,8 @@ from dynamixel_sdk import COMM_SUCCESS, INST_PING, INST_READ, INST_WRITE, Packet
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.dynamixel.servo_bus import InstructionParser, status_packet
+from robot.emulator.dynamixel import DYNAMIXEL
+from robot.emulator.servo_bus import InstructionParser
 from robot.hardware.dynamixel.packets import (
     StatusFrame,
     block_parameters,
@@ -31,8 +32,8 @@ from robot.hardware.dynamixel.packets import (
         (packet(1, INST_WRITE, bytes([116, 0, 0, 2, 0, 0])), "fffffd00 01 0900 03 740000020000 ca89"),
         (packet(254, 0x82, bytes([*block_parameters(132, 4), 1, 2])), "fffffd00 fe 0900 82 840004000102 cefa"),
         (packet(1, 0x08), "fffffd00 01 0300 08 2f4e"),
-        (status_packet(1, 0, bytes([0x06, 0x04, 0x26])), "fffffd00 01 0700 55 00060426 655d"),
-        (status_packet(2, 0, (2079).to_bytes(4, "little")), "fffffd00 02 0800 55 001f080000 babe"),
+        (DYNAMIXEL.status_packet(1, 0, bytes([0x06, 0x04, 0x26])), "fffffd00 01 0700 55 00060426 655d"),
+        (DYNAMIXEL.status_packet(2, 0, (2079).to_bytes(4, "little")), "fffffd00 02 0800 55 001f080000 babe"),
     ],
 )
 def test_packets_are_those_of_the_manual(built: bytes, wire: str) -> None:
@@ -79,24 +80,24 @@ HEADERS = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0x12]), max_size=24)
 
 @given(HEADERS, st.integers(0, 255))
 def test_any_data_arrives_as_they_were_sent(data: bytes, error: int) -> None:
-    received = status_packet(3, error, data)
+    received = DYNAMIXEL.status_packet(3, error, data)
     assert parse_status_frames(received, (3,), len(data)) == {3: StatusFrame(3, error, data)}
     assert len(received) - stuffed_bytes(received) == status_bytes(len(data))
 
 
 @given(HEADERS)
 def test_a_servo_understands_any_parameters(parameters: bytes) -> None:
-    (instruction,) = InstructionParser().feed(packet(3, INST_WRITE, parameters), 0.0)
-    assert instruction.sound
+    (instruction,) = InstructionParser(DYNAMIXEL).feed(packet(3, INST_WRITE, parameters), 0.0)
+    assert instruction.error == 0
     assert instruction.parameters == parameters
 
 
 @given(HEADERS)
 def test_no_packet_has_a_header_but_its_own(data: bytes) -> None:
-    assert status_packet(3, 0, data).count(b"\xff\xff\xfd\x00") == 1
+    assert DYNAMIXEL.status_packet(3, 0, data).count(b"\xff\xff\xfd\x00") == 1
 
 
-REPLIES = b"".join(status_packet(servo, 0, bytes([servo] * 4)) for servo in (1, 2, 3))
+REPLIES = b"".join(DYNAMIXEL.status_packet(servo, 0, bytes([servo] * 4)) for servo in (1, 2, 3))
 
 
 def test_a_damaged_byte_never_changes_a_reading() -> None:
@@ -108,7 +109,7 @@ def test_a_damaged_byte_never_changes_a_reading() -> None:
 
 
 def reply(servo: int, data: bytes = b"ab") -> bytes:
-    return status_packet(servo, 0, data)
+    return DYNAMIXEL.status_packet(servo, 0, data)
 
 
 STREAMS = {

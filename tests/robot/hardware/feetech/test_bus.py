@@ -6,7 +6,7 @@ import json
 import pytest
 from scservo_sdk import BROADCAST_ID, INST_WRITE
 
-from robot.emulator.servo_bus import status_packet
+from robot.emulator.feetech import FEETECH
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import (
     READ_LENGTHS,
@@ -99,7 +99,9 @@ def test_no_reading_is_wrong_under_any_fault_of_the_emulated_bus(bus, emulator):
 
 def test_the_error_byte_of_a_reply_is_kept_and_its_data_believed():
     def overloaded(instruction):
-        return [(0.0, status_packet(i, 32, bytes(instruction.parameters[1]))) for i in instruction.parameters[2:]]
+        return [
+            (0.0, FEETECH.status_packet(i, 32, bytes(instruction.parameters[1]))) for i in instruction.parameters[2:]
+        ]
 
     bus = ScriptedPort(overloaded).open_bus()
     assert [frame.error for frame in read_telemetry(bus).values()] == [32] * 6
@@ -154,7 +156,7 @@ def test_a_sync_read_after_a_late_one_asks_for_another_length():
     def stale_block(instruction):
         late = len(line.instructions) == 1
         data = bytes([len(line.instructions)] * instruction.parameters[1])
-        return [(0.012 * late, status_packet(i, 0, data)) for i in instruction.parameters[2:]]
+        return [(0.012 * late, FEETECH.status_packet(i, 0, data)) for i in instruction.parameters[2:]]
 
     line = ScriptedPort(stale_block)
     bus = line.open_bus()

@@ -178,6 +178,6 @@ def test_the_goal_of_a_servo_that_holds_is_not_touched_however_far_it_is(emulato
 def test_a_latched_overload_that_ignores_torque_off_needs_a_power_cycle(emulator: SteppedEmulator) -> None:
     servos = FeetechsInUse(emulator)
     servos.enable()
-    emulator.servo_bus.servos[2].write = lambda _address, _data: None  # type: ignore[method-assign]
+    emulator.servo_bus.servos[2].write = lambda _address, _data: 0  # type: ignore[method-assign]
     with pytest.raises(StartupError, match=r"the overload of elbow_flex \(id 3\) stays latched"):
         run_to_end(servos.hardware.clear_overloads([2], hold=True), emulator.run)

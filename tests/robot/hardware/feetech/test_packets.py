@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.servo_bus import InstructionParser, status_packet
+from robot.emulator.feetech import FEETECH
+from robot.emulator.servo_bus import InstructionParser
 from robot.hardware.feetech.packets import (
     MAX_INSTRUCTION_BYTES,
     StatusFrame,
@@ -29,31 +30,35 @@ def frames_of(stream):
 
 @given(st.lists(PLAIN_BLOCK, min_size=3, max_size=3), st.integers(0, 0x7F))
 def test_replies_on_a_clean_line_all_arrive_with_their_error_byte(blocks, error):
-    stream = b"".join(status_packet(i, error, block) for i, block in zip(IDS, blocks, strict=True))
+    stream = b"".join(FEETECH.status_packet(i, error, block) for i, block in zip(IDS, blocks, strict=True))
     assert frames_of(stream) == {i: StatusFrame(i, error, block) for i, block in zip(IDS, blocks, strict=True)}
 
 
 def test_a_reply_that_holds_the_start_of_another_is_not_believed_though_all_have_answered():
     holding = (b"\xff\xff" + bytes([2, LENGTH + 2])).ljust(LENGTH, b"\0")
-    stream = status_packet(1, 0, holding) + status_packet(2, 0, bytes(LENGTH)) + status_packet(3, 0, bytes(LENGTH))
+    stream = (
+        FEETECH.status_packet(1, 0, holding)
+        + FEETECH.status_packet(2, 0, bytes(LENGTH))
+        + FEETECH.status_packet(3, 0, bytes(LENGTH))
+    )
     assert list(frames_of(stream)) == [2, 3]
 
 
 @given(st.lists(BLOCK, min_size=3, max_size=3), st.integers(0, 0xFF))
 def test_replies_read_the_same_whether_or_not_noise_precedes_them(blocks, error):
-    stream = b"".join(status_packet(i, error, block) for i, block in zip(IDS, blocks, strict=True))
+    stream = b"".join(FEETECH.status_packet(i, error, block) for i, block in zip(IDS, blocks, strict=True))
     assert frames_of(stream) == frames_of(b"\x00" + stream)
 
 
 @given(PLAIN_BLOCK, st.lists(st.integers(0, 0xFE), max_size=40).map(bytes))
 def test_noise_before_a_reply_is_skipped(block, noise):
-    assert frames_of(noise + status_packet(2, 0, block)) == {2: StatusFrame(2, 0, block)}
+    assert frames_of(noise + FEETECH.status_packet(2, 0, block)) == {2: StatusFrame(2, 0, block)}
 
 
 @st.composite
 def damaged_streams(draw):
     """The replies of three servos, each lost, damaged, cut, repeated or whole, and noise before whole ones."""
-    truth = {i: status_packet(i, 0, draw(BLOCK)) for i in IDS}
+    truth = {i: FEETECH.status_packet(i, 0, draw(BLOCK)) for i in IDS}
     stream = b""
     for packet in truth.values():
         match draw(st.sampled_from(["whole", "noise", "lost", "damaged", "cut", "repeated", "foreign"])):
@@ -69,7 +74,7 @@ def damaged_streams(draw):
             case "repeated":
                 stream += packet + packet
             case "foreign":
-                stream += status_packet(9, 0, draw(BLOCK)) + packet
+                stream += FEETECH.status_packet(9, 0, draw(BLOCK)) + packet
     return truth, stream
 
 
@@ -77,7 +82,7 @@ def damaged_streams(draw):
 def test_no_reply_taken_from_a_damaged_line_is_wrong(case):
     truth, stream = case
     for servo_id, frame in frames_of(stream).items():
-        assert status_packet(servo_id, frame.error, frame.data) == truth[servo_id]
+        assert FEETECH.status_packet(servo_id, frame.error, frame.data) == truth[servo_id]
 
 
 def test_a_cut_reply_does_not_swallow_the_start_of_its_neighbour():
@@ -85,12 +90,12 @@ def test_a_cut_reply_does_not_swallow_the_start_of_its_neighbour():
     body = bytes([1, LENGTH + 2, 0]) + bytes(14)
     missing = next(byte for byte in range(256) if checksum(body[:-1] + bytes([byte, 0xFF])) == 0xFF)
     cut = b"\xff\xff" + body[:-1] + bytes([missing])
-    neighbour = status_packet(2, 0, bytes(LENGTH))
+    neighbour = FEETECH.status_packet(2, 0, bytes(LENGTH))
     assert frames_of(cut + neighbour) == {2: StatusFrame(2, 0, bytes(LENGTH))}
 
 
 def reply(servo_id, data=None):
-    return status_packet(servo_id, 0, bytes([servo_id] * LENGTH) if data is None else data)
+    return FEETECH.status_packet(servo_id, 0, bytes([servo_id] * LENGTH) if data is None else data)
 
 
 LYING = bytes([1, LENGTH + 3, 0]) + bytes(LENGTH)
@@ -119,7 +124,7 @@ def test_an_instruction_is_laid_out_as_the_servos_read_it(servo_id, code, parame
     packet = instruction_packet(servo_id, code, parameters)
     packet[:2] = [0xFF, 0xFF]
     packet[-1] = checksum(bytes(packet[2:-1]))
-    (read,) = InstructionParser().feed(bytes(packet), 0.0)
+    (read,) = InstructionParser(FEETECH).feed(bytes(packet), 0.0)
     assert (read.servo_id, read.code, read.parameters) == (servo_id, code, parameters)
 
 
@@ -148,5 +153,5 @@ def test_a_cut_reply_whose_checksum_fits_by_chance_shows_its_neighbours_header()
     cut = b"\xff\xff" + bytes([1, LENGTH + 2, 0]) + bytes(9)
     start = b"\xff\xff" + bytes([2, LENGTH + 2, 0, 0])
     fitting = checksum(cut[2:] + start)
-    neighbour = status_packet(2, 0, bytes([0, fitting, 0xFF]) + bytes(LENGTH - 3))
+    neighbour = FEETECH.status_packet(2, 0, bytes([0, fitting, 0xFF]) + bytes(LENGTH - 3))
     assert frames_of(cut + neighbour) == {2: StatusFrame(2, 0, neighbour[5:-1])}

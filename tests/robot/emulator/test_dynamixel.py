@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot.emulator.dynamixel.servo import (
+from robot.emulator.dynamixel import (
     ACCESS_ERROR,
     DATA_LENGTH_ERROR,
     DATA_LIMIT_ERROR,
@@ -12,14 +12,8 @@ from robot.emulator.dynamixel.servo import (
 )
 from robot.emulator.plant import Plant
 from robot.hardware.dynamixel.packets import ALERT
-from robot.hardware.dynamixel.registers import (
-    MODELS,
-    TICKS_S_PER_VELOCITY_UNIT,
-    OperatingMode,
-    Register,
-    decode,
-    encode,
-)
+from robot.hardware.dynamixel.registers import MODELS, OperatingMode, Register, decode, encode
+from tests.helpers.servo_family import run
 
 
 def servo_at(
@@ -40,42 +34,10 @@ def read(servo: DynamixelServo, register: Register) -> int:
     return decode(register, servo.read(register, len(encode(register, 0))))
 
 
-def run(servo: DynamixelServo, seconds: float) -> None:
-    for _ in range(round(seconds / 0.01)):
-        servo.step(0.01)
-
-
 def holding(**kind: int) -> DynamixelServo:
     servo = servo_at(**kind)  # type: ignore[arg-type]
     servo.hold()
     return servo
-
-
-def test_a_driven_servo_goes_to_its_goal_with_its_profiles_velocity() -> None:
-    servo = holding()
-    write(servo, Register.PROFILE_VELOCITY, 40)
-    write(servo, Register.GOAL_POSITION, 3000)
-    run(servo, 1.0)
-    assert read(servo, Register.PRESENT_POSITION) == pytest.approx(2048 + 40 * TICKS_S_PER_VELOCITY_UNIT, abs=40)
-    assert read(servo, Register.PRESENT_VELOCITY) == pytest.approx(40, abs=2)
-    assert read(servo, Register.MOVING) == 1
-    run(servo, 2.0)
-    assert read(servo, Register.PRESENT_POSITION) == pytest.approx(3000, abs=1)
-    assert read(servo, Register.MOVING) == 0
-
-
-def test_a_relaxed_servo_stays_where_it_is() -> None:
-    servo = servo_at()
-    write(servo, Register.GOAL_POSITION, 3000)
-    run(servo, 1.0)
-    assert read(servo, Register.PRESENT_POSITION) == 2048
-
-
-def test_torque_on_with_a_stale_goal_makes_the_servo_jump() -> None:
-    servo = servo_at()
-    write(servo, Register.TORQUE_ENABLE, 1)
-    run(servo, 1.0)
-    assert read(servo, Register.PRESENT_POSITION) == pytest.approx(0, abs=2)
 
 
 @pytest.mark.parametrize(("offset", "effective"), [(1024, 1024), (-1024, -1024), (1025, 0), (-1700, 0)])
@@ -91,16 +53,6 @@ def test_turns_are_counted_until_the_supply_is_lost() -> None:
     assert read(servo, Register.PRESENT_POSITION) == pytest.approx(2048 + 4096, abs=1)
     servo.power_up()
     assert read(servo, Register.PRESENT_POSITION) == pytest.approx(2048, abs=1)
-
-
-def test_a_power_up_keeps_the_eeprom_alone() -> None:
-    servo = servo_at()
-    for register, value in ((Register.HOMING_OFFSET, 55), (Register.BUS_WATCHDOG, 25), (Register.GOAL_PWM, 100)):
-        assert write(servo, register, value) == 0
-    write(servo, Register.TORQUE_ENABLE, 1)
-    servo.power_up()
-    kept = (Register.HOMING_OFFSET, Register.BUS_WATCHDOG, Register.GOAL_PWM, Register.TORQUE_ENABLE)
-    assert [read(servo, register) for register in kept] == [55, 0, 885, 0]
 
 
 @pytest.mark.parametrize(
@@ -232,17 +184,6 @@ def test_an_overloaded_servo_switches_itself_off_until_it_reboots() -> None:
     assert write(servo, Register.TORQUE_ENABLE, 1) == 0
 
 
-def test_heat_and_a_wrong_supply_are_hardware_errors() -> None:
-    servo = servo_at()
-    servo.motor.temperature_c = 71.0
-    run(servo, 0.01)
-    assert read(servo, Register.HARDWARE_ERROR_STATUS) == 0x04
-    servo = servo_at()
-    servo.voltage_v = 7.2
-    run(servo, 0.01)
-    assert read(servo, Register.HARDWARE_ERROR_STATUS) == 0x01
-
-
 def test_an_error_that_is_not_in_shutdown_leaves_torque_on() -> None:
     servo = servo_at(model="xl430-w250")
     servo.hold()
@@ -251,13 +192,29 @@ def test_an_error_that_is_not_in_shutdown_leaves_torque_on() -> None:
     assert servo.error == ALERT
 
 
-def test_supply_and_temperature_are_measured() -> None:
+@pytest.mark.parametrize(("quantity", "value", "bit"), [("temperature_c", 71.0, 0x04), ("voltage_v", 7.2, 0x01)])
+def test_heat_and_a_wrong_supply_are_hardware_errors_until_a_reboot(quantity: str, value: float, bit: int) -> None:
     servo = servo_at()
-    servo.voltage_v, servo.motor.temperature_c = 4.9, 41.2
-    assert read(servo, Register.PRESENT_INPUT_VOLTAGE) == 49
-    assert read(servo, Register.PRESENT_TEMPERATURE) == 41
+    well = DynamixelServo(4, servo.model, servo.plant)
+    setattr(servo if quantity == "voltage_v" else servo.motor, quantity, value)
+    run(servo, 0.01)
+    servo.voltage_v, servo.motor.temperature_c = well.voltage_v, well.motor.temperature_c
+    run(servo, 1.0)
+    assert read(servo, Register.HARDWARE_ERROR_STATUS) == bit
+    servo.power_up()
+    assert read(servo, Register.HARDWARE_ERROR_STATUS) == 0
 
 
-def test_addresses_without_a_register_read_as_zero() -> None:
-    assert servo_at().read(66, 2) == b"\0\0"
-    assert servo_at().read(300, 3) == b"\0\0\0"
+def test_a_power_up_clears_watchdog_and_limits_and_keeps_the_offset() -> None:
+    servo = servo_at()
+    for register, value in ((Register.HOMING_OFFSET, 55), (Register.BUS_WATCHDOG, 25), (Register.GOAL_PWM, 100)):
+        assert write(servo, register, value) == 0
+    servo.power_up()
+    kept = (Register.HOMING_OFFSET, Register.BUS_WATCHDOG, Register.GOAL_PWM)
+    assert [read(servo, register) for register in kept] == [55, 0, 885]
+
+
+@pytest.mark.parametrize("address", [66, 300])
+def test_an_address_without_a_register_reads_as_zero_and_cannot_be_written(address: int) -> None:
+    assert servo_at().read(address, 2) == b"\0\0"
+    assert servo_at().write(address, b"\1") == ACCESS_ERROR

@@ -1,1 +1,0 @@
-"""Emulated Dynamixel servos of the X series, inside the arm process."""

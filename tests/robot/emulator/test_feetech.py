@@ -1,0 +1,241 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot.emulator.feetech import (
+    FACTORY_EPROM,
+    MEMORY_BYTES,
+    PHASE_MULTI_TURN,
+    FeetechServo,
+)
+from robot.emulator.plant import Plant
+from robot.hardware.feetech.registers import (
+    LAYOUT,
+    TELEMETRY_ADDRESS,
+    TELEMETRY_BYTES,
+    Area,
+    Register,
+    decode,
+    encode,
+    goal_block,
+    parse_telemetry,
+)
+from robot.hardware.interface import StatusFlag
+from tests.helpers.servo_family import run
+
+
+def servo_at(ticks=2048.0, limits=(800, 3300), offset=0):
+    eprom = {
+        Register.ID: 4,
+        Register.MIN_ANGLE_LIMIT: limits[0],
+        Register.MAX_ANGLE_LIMIT: limits[1],
+        Register.HOMING_OFFSET: offset,
+    }
+    return FeetechServo(Plant(ticks + offset, 0.0, 4095.0), eprom)
+
+
+def put(servo, register, value):
+    servo.write(register, encode(register, value))
+
+
+def get(servo, register):
+    return decode(register, servo.read(register, LAYOUT[register].size))
+
+
+def test_at_power_up_the_eprom_is_locked_and_the_torque_limit_that_of_the_eprom():
+    servo = servo_at()
+    put(servo, Register.LOCK, 0)
+    put(servo, Register.MAX_TORQUE, 500)
+    servo.power_up()
+    assert (get(servo, Register.LOCK), get(servo, Register.TORQUE_LIMIT)) == (1, 500)
+    assert (get(servo, Register.MODEL_NUMBER), get(servo, Register.ID)) == (777, 4)
+
+
+@pytest.mark.parametrize(("goal", "reached"), [(100, 800), (4000, 3300)])
+def test_a_goal_beyond_the_angle_limits_ends_at_the_limit(goal, reached):
+    servo = servo_at()
+    put(servo, Register.GOAL_POSITION, goal)
+    put(servo, Register.TORQUE_ENABLE, 1)
+    run(servo, 2.0)
+    assert servo.present_ticks == reached
+    assert get(servo, Register.GOAL_POSITION) == goal
+    assert get(servo, Register.GOAL_POSITION_ECHO) == reached
+
+
+@given(st.integers(-2047, 2047))
+def test_present_position_is_the_encoder_less_the_homing_offset(offset):
+    servo = servo_at(2000.0, offset=offset)
+    assert get(servo, Register.PRESENT_POSITION) == 2000
+    put(servo, Register.HOMING_OFFSET, 0)
+    assert get(servo, Register.PRESENT_POSITION) == (2000 + offset) % 4096
+
+
+def test_telemetry_shows_load_and_goal():
+    servo = servo_at()
+    servo.write(Register.ACCELERATION, goal_block(3000, 800))
+    put(servo, Register.TORQUE_ENABLE, 1)
+    run(servo, 0.5)
+    moving = parse_telemetry(servo.read(TELEMETRY_ADDRESS, TELEMETRY_BYTES))
+    assert (moving.load > 0, get(servo, Register.GOAL_POSITION_ECHO)) == (True, 3000)
+    assert moving.velocity_ticks_s == pytest.approx(800, abs=5)
+
+
+def holding_servo(**registers):
+    servo = servo_at()
+    for name, value in registers.items():
+        put(servo, Register[name], value)
+    servo.hold()
+    return servo
+
+
+def test_a_joint_that_is_stuck_overloads_and_goes_weak_until_torque_is_off():
+    servo = holding_servo()
+    servo.plant.block(2060)
+    put(servo, Register.GOAL_POSITION, 2600)
+    run(servo, 1.9)
+    assert servo.error == 0
+    assert get(servo, Register.PRESENT_LOAD) == 1000
+    run(servo, 0.3)
+    assert servo.error == get(servo, Register.STATUS) == StatusFlag.OVERLOAD
+    assert get(servo, Register.PRESENT_LOAD) == 200
+    servo.plant.block(None)
+    put(servo, Register.TORQUE_ENABLE, 0)
+    servo.hold()
+    run(servo, 0.1)
+    assert servo.error == 0
+
+
+@pytest.mark.parametrize(
+    ("registers", "error"),
+    [
+        ({"TORQUE_LIMIT": 500}, 0),
+        ({"PROTECTION_CURRENT": 100, "OVERLOAD_TORQUE": 200}, StatusFlag.CURRENT),
+    ],
+    ids=["below its overload torque", "above its protection current"],
+)
+def test_a_stuck_joint_overloads_above_its_torque_and_is_cut_off_above_its_current(registers, error):
+    servo = holding_servo(**registers)
+    servo.plant.block(2060)
+    put(servo, Register.GOAL_POSITION, 2600)
+    run(servo, 5.0)
+    assert servo.error == error
+    assert (get(servo, Register.PRESENT_CURRENT) == 0) is (error != 0)
+
+
+@pytest.mark.parametrize(("unloading", "reached"), [(44, 2048), (0, 2200)])
+def test_a_hot_servo_lets_go_if_it_is_set_to_and_holds_again_when_cool(unloading, reached):
+    servo = holding_servo(UNLOADING_CONDITION=unloading)
+    servo.motor.temperature_c = 75.0
+    run(servo, 0.05)
+    assert servo.error == StatusFlag.TEMPERATURE
+    put(servo, Register.GOAL_POSITION, 2200)
+    run(servo, 0.3)
+    assert servo.present_ticks == reached
+    servo.motor.temperature_c = 50.0
+    run(servo, 1.0)
+    assert servo.present_ticks == 2200
+
+
+def test_a_wrong_supply_takes_no_torque():
+    servo = holding_servo()
+    servo.voltage_v = 12.0
+    put(servo, Register.GOAL_POSITION, 2200)
+    run(servo, 1.0)
+    assert (servo.error, servo.present_ticks) == (StatusFlag.VOLTAGE, 2200)
+
+
+def test_a_servo_may_power_up_holding_where_it_is():
+    servo = servo_at(2500.0, offset=-100)
+    servo.powers_up_holding = True
+    servo.power_up()
+    run(servo, 1.0)
+    assert get(servo, Register.TORQUE_ENABLE) == 1
+    assert servo.present_ticks == get(servo, Register.GOAL_POSITION) == 2500
+
+
+@pytest.mark.parametrize("value", [2, 3, 255])
+def test_only_one_is_torque_on(value):
+    servo = servo_at()
+    put(servo, Register.TORQUE_ENABLE, value)
+    run(servo, 0.5)
+    assert servo.present_ticks == 2048
+
+
+@given(st.integers(0, 255), st.binary(max_size=100))
+def test_no_write_changes_what_is_read_only_or_adds_memory(address, data):
+    servo = FeetechServo(Plant(2048.0, 0.0, 4095.0), {})
+    read_only = [register for register in Register if LAYOUT[register].area is Area.READ_ONLY]
+    before = {register: servo.value(register) for register in read_only}
+    servo.write(address, data)
+    assert {register: servo.value(register) for register in read_only} == before
+    assert servo.read(MEMORY_BYTES, 200) == bytes(200)
+
+
+@pytest.mark.parametrize(("lock", "kept"), [(1, 32), (0, 16)])
+def test_eprom_outlives_a_power_cut_only_when_written_unlocked(lock, kept):
+    servo = servo_at()
+    put(servo, Register.LOCK, lock)
+    put(servo, Register.P_GAIN, 16)
+    assert servo.value(Register.P_GAIN) == 16
+    servo.power_up()
+    assert servo.value(Register.P_GAIN) == kept
+
+
+def test_an_id_written_to_a_locked_servo_is_lost_with_its_power():
+    servo = servo_at()
+    put(servo, Register.ID, 9)
+    assert servo.servo_id == 9
+    servo.power_up()
+    assert servo.servo_id == 4
+
+
+def test_without_a_backup_a_restore_brings_back_what_was_there_at_first_except_the_id():
+    servo = servo_at()
+    put(servo, Register.LOCK, 0)
+    put(servo, Register.P_GAIN, 16)
+    put(servo, Register.ID, 9)
+    servo.restore()
+    assert (servo.value(Register.P_GAIN), servo.value(Register.ID)) == (FACTORY_EPROM[Register.P_GAIN], 9)
+
+
+# Turns of the encoder.
+
+
+def turning(position: float, offset: int = 0, phase: int = 12) -> FeetechServo:
+    return FeetechServo(Plant(position, -4000.0, 8000.0), {Register.HOMING_OFFSET: offset, Register.PHASE: phase})
+
+
+@pytest.mark.parametrize(
+    ("position", "offset", "phase", "shown"),
+    [
+        (4090.0, 0, 12, 4090),
+        (4100.0, 0, 12, 4),
+        (-3.0, 0, 12, 4093),
+        (10.0, 100, 12, 4006),
+        (4090.0, -100, 12, 94),
+        (4100.0, 0, 12 | PHASE_MULTI_TURN, 4100),
+        (10.0, 100, 12 | PHASE_MULTI_TURN, -90),
+    ],
+)
+def test_the_position_begins_again_after_a_turn_unless_the_servo_counts_turns(position, offset, phase, shown):
+    assert turning(position, offset, phase).present_ticks == shown
+
+
+@pytest.mark.parametrize(("goal", "reached"), [(4000, 4000.0), (20, 20.0)])
+def test_a_goal_across_the_seam_is_approached_the_long_way_round(goal, reached):
+    servo = turning(4080.0)
+    put(servo, Register.GOAL_POSITION, goal)
+    put(servo, Register.TORQUE_ENABLE, 1)
+    run(servo, 4.0)
+    assert servo.plant.position_ticks == pytest.approx(reached, abs=1.0)
+
+
+def test_a_joint_pushed_across_the_seam_runs_on_towards_its_goal_in_the_next_turn():
+    servo = turning(4090.0)
+    servo.hold()
+    run(servo, 0.2)
+    servo.plant.position_ticks = 4100.0
+    run(servo, 5.0)
+    assert servo.plant.position_ticks == servo.plant.upper_stop_ticks

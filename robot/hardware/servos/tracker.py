@@ -116,8 +116,7 @@ class ServoTracker:
         jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
         believed = readings.keys() - (jumped - self._suspect_ids)
         self._suspect_ids = (self._suspect_ids - frames.keys()) | (jumped - believed)
-        for servo in believed:
-            self._believe(servo, readings[servo], now_s)
+        self._believe({servo: readings[servo] for servo in believed}, now_s)
         if len(believed) < len(self._servos.ids):
             self._count_misses(asked, frames, believed)
         self._empty_reads = 0 if frames else self._empty_reads + 1
@@ -156,17 +155,18 @@ class ServoTracker:
             reading.turns_ticks = self._servos.turns_ticks(servo, reading.position_ticks)
             reading.position_ticks += reading.turns_ticks
 
-    def _believe(self, servo_id: int, reading: Telemetry, now_s: float) -> None:
-        before = self._seen.get(servo_id, reading)
-        if math.isnan(reading.voltage_v):
-            reading.voltage_v, reading.temperature_c = before.voltage_v, before.temperature_c
-        else:
-            self._error_known.discard(servo_id)
-        if reading.reports_error and before.reports_error:
-            reading.status = before.status
-        self._seen[servo_id] = reading
-        self._read_at_s[servo_id] = now_s
-        self._misses_in_row[servo_id] = 0
+    def _believe(self, readings: Mapping[int, Telemetry], now_s: float) -> None:
+        for servo, reading in readings.items():
+            before = self._seen.get(servo, reading)
+            if math.isnan(reading.voltage_v):
+                reading.voltage_v, reading.temperature_c = before.voltage_v, before.temperature_c
+            else:
+                self._error_known.discard(servo)
+            if reading.reports_error and before.reports_error:
+                reading.status = before.status
+            self._seen[servo] = reading
+            self._read_at_s[servo] = now_s
+            self._misses_in_row[servo] = 0
 
     def _count_misses(self, asked: Sequence[int], frames: Mapping[int, StatusFrame], believed: set[int]) -> None:
         missing = [servo for servo in asked if servo not in frames]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.geometry.nearness import NearPair
-from planners.ik.differential import ROUNDING, Limit, barrier, bounded_least_squares
+from planners.ik.differential import ROUNDING, Limit, Task, barrier, solve
 from planners.servo.question import ServoLimits
 from robot.trajectory import Vector
 
@@ -123,10 +123,11 @@ def within_reach(wanted: Vector, reach: Vector, limit: Limit) -> Vector:
     rows, left = rows[concerned], left[concerned]
     size, count = len(wanted), len(left)
     excess = np.maximum(-left, 0.0)
-    none = np.zeros((size, count))
-    all_rows = np.block([[rows, -np.eye(count)], [np.eye(size), none], [-np.eye(size), none], [none.T, -np.eye(count)]])
-    bounds = np.concatenate((left + excess, reach, reach, excess))
-    matrix = np.diag(np.concatenate((np.ones(size), np.full(count, EXCESS_COST))))
-    desired = np.concatenate((wanted, -EXCESS_COST * excess))
-    found, _ = bounded_least_squares(matrix, desired, ROUNDING, all_rows, bounds)
+    # Unknown are the change, and by how much each inequality is exceeded more than it is now.
+    change, further = np.eye(size, size + count), np.eye(count, size + count, size)
+    limit = Limit(
+        np.vstack((rows @ change - further, change, -change, -further)),
+        np.concatenate((left + excess, reach, reach, excess)),
+    )
+    found, _ = solve([Task(change, wanted), Task(further, -excess, EXCESS_COST)], ROUNDING, limit)
     return np.asarray(found[:size])

@@ -1,4 +1,4 @@
-import { armGripper, armJoints, armNamespace, currentPositions, hasTip } from "../logic/joints";
+import { armGripper, armJoints, armNamespace, currentPositions, DESCRIPTION, hasTip } from "../logic/joints";
 import { summed, type JogCommand, type JogStep } from "../logic/jog";
 import { denialReason } from "../logic/permissions";
 import { planningGroup } from "../logic/robot-info";
@@ -27,9 +27,6 @@ type ArmKind = keyof typeof COMMAND_TYPES;
 
 /** moveit_msgs/ServoStatus.INVALID: a command was not followed. */
 const REFUSED = -1;
-
-/** Parts of the state that decide which arm the planning group belongs to. */
-const DESCRIPTION = ["limits", "urdf", "srdf", "group", "actions"] as const;
 
 /** Call back with the namespace of the planning group's arm, now and whenever it is another. */
 export function onArm(store: PageStore, listener: (namespace: string) => void): void {

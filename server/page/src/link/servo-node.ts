@@ -25,9 +25,6 @@ const COMMAND_TYPES = { joints: 0, tip: 1 } as const;
 
 type ArmKind = keyof typeof COMMAND_TYPES;
 
-/** moveit_msgs/ServoStatus.INVALID: a command was not followed. */
-const REFUSED = -1;
-
 /** Call back with the namespace of the planning group's arm, now and whenever it is another. */
 export function onArm(store: PageStore, listener: (namespace: string) => void): void {
   let known: string | null = null;
@@ -104,8 +101,6 @@ export class JogSender {
       this.namespace = namespace;
       this.jogged = [];
     });
-    // What the server refuses would begin by itself when its reason is gone.
-    store.subscribe((state) => state.servo_node, ({ code }) => code === REFUSED && this.arm_kind && this.releaseAll());
     // Anyone's stop.
     store.subscribe((state) => state.arm.last_stop, () => this.releaseAll());
   }

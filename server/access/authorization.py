@@ -254,8 +254,12 @@ ACTIONS: Mapping[str, Rule] = {
 # What each of several arms has below its own name as well, with the same rules: /left/arm/enable is /arm/enable of one.
 OF_EACH_ARM = frozenset(
     (
+        "/arm/commissioning/answer",
+        "/arm/commissioning/begin",
+        "/arm/commissioning/cancel",
         "/arm/emergency_stop",
         "/arm/enable",
+        "/arm/park",
         "/arm/pause",
         "/arm/relax",
         "/arm/release_control",

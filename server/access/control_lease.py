@@ -13,9 +13,9 @@ from typing import Any, Literal, TypeAlias
 from server.access.permissions import Role
 from server.arm.topics import LEVEL_OK, key_values
 from server.execution.queue import RunningGoal
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.services import Call, answer
-from server.graph.topics import Graph
 from server.timers import CallLater, call_later
 
 Policy: TypeAlias = Literal["lease", "shared"]
@@ -210,7 +210,7 @@ class ControlServices:
 
     def __init__(
         self,
-        graph: Graph,
+        graph: LocalGraph,
         lease: ControlLease,
         clock: Callable[[], float] = time.monotonic,
         call_later: CallLater = call_later,
@@ -223,7 +223,7 @@ class ControlServices:
         graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         services = {TAKE_SERVICE: self._take, RELEASE_SERVICE: self._release, WHO_SERVICE: self._who}
         for name, serve in services.items():
-            graph.services.offer_calls(self._node, name, "std_srvs/Trigger", serve)
+            graph.offer_calls(self._node, name, "std_srvs/Trigger", serve)
         lease.watch(self._publish)
         self._publish()
         self._timer = call_later(BEAT_S, self._beat)

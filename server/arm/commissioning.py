@@ -19,8 +19,8 @@ from robot.commissioning.session import Step, SweptRange
 from robot.errors import RobotError
 from robot.messages import ArmHealth, ArmState
 from server.errors import ServiceError
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.commissioning")
 
@@ -197,7 +197,7 @@ class Commissioning:
         ended: end of the procedure before, if it was followed by a start of the server.
     """
 
-    def __init__(self, graph: Graph, make: Callable[[str, str], Procedure], ended: Ended | None = None) -> None:
+    def __init__(self, graph: LocalGraph, make: Callable[[str, str], Procedure], ended: Ended | None = None) -> None:
         self._graph = graph
         self._make = make
         self._ended = ended or Ended()
@@ -209,7 +209,7 @@ class Commissioning:
         self._shown_at_s = -math.inf
         self._health: ArmHealth | None = None
         graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/CommissioningState", latch=True)
-        offer = graph.services.offer
+        offer = graph.offer
         offer(self._node, BEGIN, "armbridge_msgs/BeginCommissioning", self._begin)
         offer(self._node, ANSWER, "armbridge_msgs/AnswerCommissioning", self._answer)
         offer(self._node, CANCEL, "std_srvs/Trigger", self._cancel)
@@ -242,7 +242,9 @@ class Commissioning:
 
     def _begin(self, request: dict[str, Any]) -> dict[str, Any]:
         if self._dialogue is not None:
-            return _refused(f"{self._dialogue.procedure} is in progress: answer it, or call {CANCEL}")
+            return _refused(
+                f"{self._dialogue.procedure} is in progress: answer it, or call {self._graph.resolve(CANCEL)}"
+            )
         try:
             procedure = self._make(request["procedure"], request["name"])
         except RobotError as error:
@@ -253,11 +255,11 @@ class Commissioning:
         self._ended = Ended()
         name = f"commissioning: {request['procedure']}"
         self._task = asyncio.create_task(self._run(procedure, self._dialogue), name=name)
-        return {"success": True, "message": f"{request['procedure']} begins: see {STATE_TOPIC}"}
+        return {"success": True, "message": f"{request['procedure']} begins: see {self._graph.resolve(STATE_TOPIC)}"}
 
     def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
         if self._dialogue is None:
-            return _refused(f"nothing is asked: {BEGIN} begins a procedure")
+            return _refused(f"nothing is asked: {self._graph.resolve(BEGIN)} begins a procedure")
         try:
             return {"success": True, "message": self._dialogue.answer(request["step"], request["answer"])}
         except ServiceError as error:

@@ -10,14 +10,14 @@ from typing import Any
 from robot.arm_interface import ArmInterface
 from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Course, Mode, Order
 from server.arrival import arrival_epoch
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Subscriber
 
 log = logging.getLogger("armbridge.arm")
 
 ENABLE = "/arm/enable"
 RELAX = "/arm/relax"
-PARK = "/arm/park"
 STOP = "/arm/stop"
 EMERGENCY_STOP = "/arm/emergency_stop"
 RESET_FAULT = "/arm/reset_fault"
@@ -38,15 +38,13 @@ class ArmServices:
         graph: the graph that they belong to.
         arm: the arm.
         end_goals: ends the active goal and all that wait, and stops every motion, for a reason.
-        park: moves the arm to its rest pose and relaxes it, for a source; None where it cannot be parked alone.
     """
 
     def __init__(
         self,
-        graph: Graph,
+        graph: LocalGraph,
         arm: ArmInterface,
         end_goals: Callable[[str], None],
-        park: Callable[[str], Awaitable[CommandDone]] | None = None,
     ) -> None:
         self._graph = graph
         self._arm = arm
@@ -54,8 +52,6 @@ class ArmServices:
         self._node = Node("arm services")
         self._offer(ENABLE, lambda: arm.order(Order.ENABLE, epoch=arrival_epoch()))
         self._offer(RELAX, self._relax)
-        if park is not None:
-            self._offer(PARK, lambda: park(PARK))
         self._offer(STOP, self._stop)
         self._offer(EMERGENCY_STOP, lambda: self._emergency_stop(EMERGENCY_STOP))
         self._offer(RESET_FAULT, lambda: arm.order(Order.RESET_FAULT, epoch=arrival_epoch()))
@@ -82,12 +78,12 @@ class ArmServices:
 
     def _offer(self, name: str, act: Callable[[], Awaitable[CommandDone]]) -> None:
         def serve(_request: Response) -> Awaitable[Response]:
-            return _response(act())
+            return trigger_response(act())
 
-        self._graph.services.offer(self._node, name, "std_srvs/Trigger", serve)
+        self._graph.offer(self._node, name, "std_srvs/Trigger", serve)
 
 
-async def _response(answered: Awaitable[CommandDone]) -> Response:
+async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
     """Await an order's answer and return it as a response of std_srvs/Trigger."""
     done = await answered
     return {"success": done.done, "message": done.message}
@@ -136,7 +132,7 @@ class ArmPace:
         arm: the arm.
     """
 
-    def __init__(self, graph: Graph, arm: ArmInterface) -> None:
+    def __init__(self, graph: LocalGraph, arm: ArmInterface) -> None:
         self._graph = graph
         self._node = Node("arm pace")
         subscriber = Subscriber(
@@ -146,7 +142,7 @@ class ArmPace:
         graph.subscribe(self._node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", subscriber)
         for name, course in ((PAUSE, Course.PAUSED), (RESUME, Course.FORWARD), (STEP_BACK, Course.BACK)):
             self._offer(arm, name, course)
-        graph.services.offer(
+        graph.offer(
             self._node, SPEED_LIMIT, SPEED_LIMIT_TYPE, lambda request: self._set_limit(arm, request["speed_limit"])
         )
 
@@ -168,7 +164,7 @@ class ArmPace:
             arm.change_pace(ChangePace(course=course))
             return {"success": True, "message": _SENTENCES[course]}
 
-        self._graph.services.offer(self._node, name, "std_srvs/Trigger", serve)
+        self._graph.offer(self._node, name, "std_srvs/Trigger", serve)
 
 
 def _set_speed(arm: ArmInterface, factor: float) -> None:

@@ -9,6 +9,7 @@ from robot.description.model import RobotModel
 from robot.faults import Fault
 from robot.messages import ArmHealth, ArmState, Mode, Pace
 from server.arm.services import ENABLE, RESET_FAULT
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -30,7 +31,7 @@ class JointStates:
     Effort is the share of full motor duty, -1..1: the servos measure no torque.
     """
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: LocalGraph) -> None:
         self._graph = graph
         self._node = Node("arm")
         graph.advertise(self._node, TOPIC, "sensor_msgs/JointState")
@@ -75,7 +76,7 @@ class ArmStateTopics:
         state: the arm's state at the start.
     """
 
-    def __init__(self, graph: Graph, robot: RobotModel, state: ArmState) -> None:
+    def __init__(self, graph: LocalGraph, robot: RobotModel, state: ArmState) -> None:
         self._graph = graph
         self._robot = robot
         self._node = Node("arm state")

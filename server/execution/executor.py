@@ -11,7 +11,7 @@ import functools
 import logging
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -111,59 +111,65 @@ class MotionRecorder:
         return Trajectory(joint_names, time_s, positions_rad, velocities_rad_s, np.zeros_like(positions_rad))
 
 
+@dataclass(frozen=True)
+class ExecutionContext:
+    """Parts that the executors of all goals share.
+
+    Attributes:
+        robot: description of all arms.
+        pool: the planners.
+        scene: the planning scene.
+        current: positions of all joints.
+        time_limits: of motions.
+        failed_goals: keeps goals that could not be planned; None to keep none.
+        show: called with every plan before it is executed.
+        confirm: waits for a user's confirmation of a plan; returns None to execute it, else the goal's answer.
+        clock: monotonic time of this machine [s].
+    """
+
+    robot: RobotModel
+    pool: PlannerPool
+    scene: SceneSource
+    current: CurrentState
+    time_limits: TimeLimits = field(default_factory=TimeLimits)
+    failed_goals: FailedGoals | None = None
+    show: Callable[[Performed], None] = lambda _performed: None
+    confirm: Confirm | None = None
+    clock: Callable[[], float] = time.monotonic
+
+
 class GoalExecutor:
     """Executor of one goal at a time, from its motion to its answer.
 
     Args:
-        arm: the arm.
-        robot: its description.
-        pool: the planners.
-        scene: the planning scene.
-        failed_goals: keeps goals that could not be planned; None to keep none.
-        show: called with every plan before it is executed.
-        confirm: waits for a user's confirmation of a plan; returns None to execute it, else the goal's answer.
-        time_limits: of motions.
-        in_progress: motions of all goals; None for an executor that is alone.
-        current: positions of all joints, also of arms that this one does not move; None for those of the arm.
-        clock: monotonic time of this machine [s].
+        arm: the part of the arms that it moves.
+        context: parts that all executors share.
+        in_progress: motions of all goals.
 
     Attributes:
         recorder: records the arm's states for the answers.
     """
 
-    def __init__(
-        self,
-        arm: ArmInterface,
-        robot: RobotModel,
-        pool: PlannerPool,
-        scene: SceneSource,
-        failed_goals: FailedGoals | None = None,
-        show: Callable[[Performed], None] = lambda _performed: None,
-        confirm: Confirm | None = None,
-        time_limits: TimeLimits | None = None,
-        in_progress: MotionsInProgress | None = None,
-        current: CurrentState | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, arm: ArmInterface, context: ExecutionContext, in_progress: MotionsInProgress) -> None:
         self._arm = arm
-        self._robot = robot
-        self._clock = clock
-        self._in_progress = in_progress or MotionsInProgress()
-        self._pool = pool
-        self._scene = scene
-        self._failed_goals = failed_goals
-        self._show = show
-        self._confirm = confirm
-        self._current = current or CurrentState(arm, robot)
-        self._scene_monitor = SceneMonitor(pool, scene, arm.state_max_age_s)
+        self._robot = context.robot
+        self._clock = context.clock
+        self._in_progress = in_progress
+        self._pool = context.pool
+        self._scene = context.scene
+        self._failed_goals = context.failed_goals
+        self._show = context.show
+        self._confirm = context.confirm
+        self._current = context.current
+        self._time_limits = context.time_limits
+        self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
-        self._time_limits = time_limits or TimeLimits()
-        self._player = Player(arm, robot, self._scene_monitor, self._time_limits, self._in_progress, clock)
+        self._player = Player(arm, self._robot, self._scene_monitor, self._time_limits, in_progress, self._clock)
         self._work: asyncio.Task[Any] | None = None
         self._cancel_reason = ""
         # Stop epoch in which the active goal was requested.
         self._epoch = 0
-        self._ahead = PlannedAhead(pool)
+        self._ahead = PlannedAhead(context.pool)
         # Where the joints of the active goal will be at its end [rad]; None before its motion is known.
         self._end_rad: Positions | None = None
 
@@ -546,17 +552,18 @@ class GoalExecutors:
     """Executors of goals: one for each set of joints, so that a goal can replace the motion of the one before.
 
     Args:
-        arm: the arm.
-        make: makes an executor for the part of the arm that it moves, which shares the motions in progress with the
-            others.
+        arm: all arms.
+        context: parts that all executors share.
+        kind: class of the executors.
 
     Attributes:
         in_progress: motions of all goals.
     """
 
-    def __init__(self, arm: ArmInterface, make: Callable[[ArmInterface, MotionsInProgress], GoalExecutor]) -> None:
+    def __init__(self, arm: ArmInterface, context: ExecutionContext, kind: type[GoalExecutor] = GoalExecutor) -> None:
         self._arm = arm
-        self._make = make
+        self._context = context
+        self._kind = kind
         self.in_progress = MotionsInProgress()
         self._executors: dict[Joints, GoalExecutor] = {}
 
@@ -567,7 +574,7 @@ class GoalExecutors:
     def runner(self, joints: Joints) -> GoalExecutor:
         """Return the executor of motions of some joints."""
         if joints not in self._executors:
-            self._executors[joints] = self._make(self._arm.part(joints), self.in_progress)
+            self._executors[joints] = self._kind(self._arm.part(joints), self._context, self.in_progress)
         return self._executors[joints]
 
     def last_stop(self, joints: Joints) -> int:

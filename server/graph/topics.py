@@ -153,13 +153,6 @@ class Graph:
         self._watchers: tuple[Watcher, ...] = ()
         self.revision = 0
 
-    def resolve(self, name: str) -> str:
-        """Return the fully qualified name that a part of the server has in mind, which is that name itself here.
-
-        In the view of a namespace (:class:`server.graph.namespace.Namespace`) it is another one.
-        """
-        return name
-
     def watch(self, watcher: Watcher) -> None:
         """Call ``watcher`` with every message from now on; nobody sees it in the graph."""
         self._watchers = (*self._watchers, watcher)

@@ -21,9 +21,9 @@ from server.execution.queue import Answer, GoalQueue, GoalState, Progress
 from server.graph import services
 from server.graph.actions import Goal
 from server.graph.list_limits import ListLimits
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
-from server.graph.topics import Graph
 from server.moveit.actions.joint_trajectory_controller import cancel_with_goal, goal_status
 from server.moveit.actions.move_group import answer_of_task, plan_steps
 from server.moveit.goal_messages import GoalTranslator, suggestion
@@ -70,7 +70,7 @@ class GoalCalls:
 
     def __init__(
         self,
-        graph: Graph,
+        graph: LocalGraph,
         queue: GoalQueue[Motion],
         translator: GoalTranslator,
         confirmation: Confirmation,
@@ -90,8 +90,8 @@ class GoalCalls:
         """Offer both."""
         lists = ("name", "position", "velocity", "effort")
         limits = ListLimits({f"sensor_msgs/msg/JointState.{field}": MAX_JOINTS for field in lists})
-        self._graph.services.offer_calls(self._node, NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits)
-        self._graph.actions.offer(self._node, NAME, ACTION_TYPE, self._start, limits)
+        self._graph.offer_calls(self._node, NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits)
+        self._graph.offer_action(self._node, NAME, ACTION_TYPE, self._start, limits)
 
     # As a service.
 

@@ -11,15 +11,13 @@ from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
-from server.execution.monitors import CurrentState
 from server.execution.motions import PlannedMotion, Positions
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message, composed, read_pose
 from server.moveit.requests.context import checked_tip, chooses_orientation, planning_group, tip_link
 from server.moveit.requests.error_codes import invalid, refused
-from server.moveit.requests.planning_problems import ProblemBuilder
-from server.moveit.scene.frames import Frames
+from server.moveit.requests.planning_context import PlanningContext
 
 NAMED_TOPIC, NAMED_TYPE = "/moveit_goal_named", "std_msgs/String"
 JOINTS_TOPIC, JOINTS_TYPE = "/moveit_goal_joints", "sensor_msgs/JointState"
@@ -71,13 +69,10 @@ class GoalTranslator:
     """Translator of goal messages for one robot.
 
     Args:
-        robot: the arm.
+        planning: description, frames and positions of all arms.
         parameters: of planning; also the first group, its link, frame and tolerances of the goals.
         states: the named states.
-        frames: look-up of frames.
-        current: the positions of the arm.
-        problems: builds the goals' planning problems.
-        only: the one of several arms that the messages are for; None for all that the robot has.
+        only: the one of several arms that the messages are for; None for all.
 
     Attributes:
         group: planning group of the goals, until :meth:`select_group` chooses another.
@@ -85,22 +80,19 @@ class GoalTranslator:
 
     def __init__(
         self,
-        robot: RobotModel,
+        planning: PlanningContext,
         parameters: MoveItParameters,
         states: NamedStates,
-        frames: Frames,
-        current: CurrentState,
-        problems: ProblemBuilder,
         only: OneArm | None = None,
     ) -> None:
         self._only = only
-        self._robot = robot
+        self._robot = planning.robot
         self._parameters = parameters
         self._states = states
-        self._frames = frames
-        self._current = current
-        self._problems = problems
-        self.group = planning_group(robot, "", parameters)
+        self._frames = planning.frames
+        self._current = planning.current
+        self._problems = planning.problems
+        self.group = planning_group(planning.robot, "", parameters)
 
     @property
     def tip(self) -> str:

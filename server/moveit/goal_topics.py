@@ -31,6 +31,7 @@ from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions
 from server.execution.queue import Answer, GoalQueue, GoalState, Joints, Progress, QueuedGoal
 from server.graph.list_limits import ListLimits
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.goal_messages import (
@@ -159,7 +160,7 @@ class GoalStatusTopics:
         robot: the arm, for suggestions.
     """
 
-    def __init__(self, graph: Graph, node: Node, robot: RobotModel) -> None:
+    def __init__(self, graph: LocalGraph, node: Node, robot: RobotModel) -> None:
         self._graph = graph
         self._node = node
         self._robot = robot
@@ -172,55 +173,27 @@ class GoalStatusTopics:
 
     def publish_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
         """Publish the progress of a goal, whatever topic or action it came by."""
-        self._publish_status(goal, progress, LEVEL_OK, {})
+        self._publish(goal, STATUS_TOPIC, _status(goal, progress, LEVEL_OK, {}))
 
-    def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer, *, logged: bool = False) -> Message:
-        """Log the end of a goal, publish its final status and return it; then the result of a goal from a topic.
+    def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer, *, logged: bool = False) -> None:
+        """Log the end of a goal, publish its final status, then the result of a goal from a topic.
 
         Args:
             goal: the goal.
             answer: to it.
             logged: true if its end is in the log already.
         """
-        instead = suggestion(goal.message, answer.details, self._robot)
-        message = answer.message if instead is None else instead.added_to(answer.message)
-        succeeded = answer.code is MoveItErrorCode.SUCCESS
-        level = logging.INFO if succeeded else logging.WARNING
+        status = final_status(goal, answer, self._robot)
+        level = logging.INFO if answer.code is MoveItErrorCode.SUCCESS else logging.WARNING
         # A goal without permission is logged where the permission is checked.
         if goal.only_for is None and not logged:
             fields = {"goal": goal.goal_id, "client": goal.client, "code": answer.code.name}
             sentence = "goal %s from %s: %s: %s"
-            log.log(level, sentence, goal.goal_id, goal.source, answer.code.name, message, extra=fields)
-        details = {"code": str(int(answer.code)), **details_as_json(answer)}
-        if instead is not None:
-            details["suggested_goal"] = json.dumps(instead.as_data())
-        done = Progress(GoalState.DONE, message, 1.0 if succeeded else 0.0)
-        status = self._publish_status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, details)
-        if goal.source in self._sources:
-            result = {"val": int(answer.code), "message": message, "source": f"{goal.source}#{goal.goal_id}"}
-            self._publish(goal, RESULT_TOPIC, result)
-        return status
-
-    def _publish_status(
-        self, goal: QueuedGoal[Motion], progress: Progress, level: int, details: Mapping[str, str]
-    ) -> Message:
-        values = {
-            "state": progress.state.value,
-            "fraction": f"{progress.fraction:.3f}",
-            "seconds_left": f"{progress.remaining_s:.2f}",
-        }
-        if "header" in goal.message:
-            stamp = goal.message["header"]["stamp"]
-            values["stamp"] = f"{stamp['sec']}.{stamp['nanosec']:09d}"
-        status = {
-            "level": level,
-            "name": goal.source,
-            "message": progress.message,
-            "hardware_id": goal.goal_id,
-            "values": key_values({**values, **details}),
-        }
+            log.log(level, sentence, goal.goal_id, goal.source, answer.code.name, status["message"], extra=fields)
         self._publish(goal, STATUS_TOPIC, status)
-        return status
+        if goal.source in self._sources:
+            source = f"{goal.source}#{goal.goal_id}"
+            self._publish(goal, RESULT_TOPIC, {"val": int(answer.code), "message": status["message"], "source": source})
 
     def _publish(self, goal: QueuedGoal[Motion], topic: str, message: Mapping[str, Any]) -> None:
         # Other clients wait for the end of goals of their own.
@@ -228,6 +201,42 @@ class GoalStatusTopics:
             self._graph.publish(self._node, topic, message)
         else:
             self._graph.tell(goal.only_for, topic, message)
+
+
+def final_status(goal: QueuedGoal[Motion], answer: Answer, robot: RobotModel) -> Message:
+    """Return the final status of a goal, with the goal that would have worked where one was found.
+
+    Args:
+        goal: the goal.
+        answer: to it.
+        robot: the arm, for suggestions.
+    """
+    instead = suggestion(goal.message, answer.details, robot)
+    message = answer.message if instead is None else instead.added_to(answer.message)
+    succeeded = answer.code is MoveItErrorCode.SUCCESS
+    details = {"code": str(int(answer.code)), **details_as_json(answer)}
+    if instead is not None:
+        details["suggested_goal"] = json.dumps(instead.as_data())
+    done = Progress(GoalState.DONE, message, 1.0 if succeeded else 0.0)
+    return _status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, details)
+
+
+def _status(goal: QueuedGoal[Motion], progress: Progress, level: int, details: Mapping[str, str]) -> Message:
+    values = {
+        "state": progress.state.value,
+        "fraction": f"{progress.fraction:.3f}",
+        "seconds_left": f"{progress.remaining_s:.2f}",
+    }
+    if "header" in goal.message:
+        stamp = goal.message["header"]["stamp"]
+        values["stamp"] = f"{stamp['sec']}.{stamp['nanosec']:09d}"
+    return {
+        "level": level,
+        "name": goal.source,
+        "message": progress.message,
+        "hardware_id": goal.goal_id,
+        "values": key_values({**values, **details}),
+    }
 
 
 def details_as_json(answer: Answer) -> dict[str, str]:
@@ -249,7 +258,7 @@ class GoalTopics:
 
     def __init__(
         self,
-        graph: Graph,
+        graph: LocalGraph,
         node: Node,
         queue: GoalQueue[Motion],
         translator: GoalTranslator,

@@ -7,12 +7,10 @@ import functools
 import logging
 import math
 import time
-from collections.abc import Awaitable, Callable, Collection, Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from planners.problem import PlanningFailure
-from planners.servo.question import ServoAnswer, ServoQuestion
 from protocol.errors import MessageError
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
@@ -21,16 +19,13 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrival_epoch
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
-from server.execution.motions import Motion
-from server.execution.queue import GoalQueue
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.poses import Message
-from server.moveit.requests.planning_context import PlanningContext
 from server.teleop.following import STALE_S, Phase
 from server.teleop.joint_map import joint_map
 from server.teleop.leader import MAX_DELAY_S, JitterBuffer, LeaderSample
-from server.teleop.session import Follower, FollowingSession, FollowingState, GoTo
+from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 
 log = logging.getLogger("armbridge.teleop")
 
@@ -162,37 +157,22 @@ class Teleoperation:
 
     Args:
         graph: where the services and topics are.
-        context: scene, planners and frames.
-        queue: of goals.
-        go_to: queues a goal for joints.
-        clock: monotonic time [s].
+        context: context of all followings.
+        followers: arms that can follow.
+        leaders: names of this server's arms that can lead.
     """
 
     def __init__(
-        self,
-        graph: Graph,
-        context: PlanningContext,
-        queue: GoalQueue[Motion],
-        go_to: GoTo,
-        clock: Callable[[], float] = time.monotonic,
+        self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]
     ) -> None:
-        self._graph, self._context, self._queue, self._go_to = graph, context, queue, go_to
-        self._clock = clock
+        self._graph, self._context, self._queue, self._clock = graph, context, context.queue, context.clock
         self._node = Node("teleop")
-        self._followers: dict[str, Follower] = {}
-        self._leaders: set[str] = set()
+        self._followers = {follower.name: follower for follower in followers}
+        self._leaders = frozenset(leaders)
         self._followings: dict[str, _Following] = {}
         # Followers whose start is in progress, and the stop epoch that the last stop of each following began.
         self._starting: set[str] = set()
         self._last_stops: dict[str, int] = {}
-
-    def add_follower(self, follower: Follower) -> None:
-        """Add an arm that can follow, before the start."""
-        self._followers[follower.name] = follower
-
-    def add_leader(self, name: str) -> None:
-        """Add an arm of this server that can lead, before the start."""
-        self._leaders.add(name)
 
     def open(self) -> None:
         """Offer the services, of all followers and of each by its name, and publish the states."""
@@ -287,14 +267,9 @@ class Teleoperation:
             follower,
             joints,
             leader.samples,
-            self._queue,
-            self._go_to,
-            self._ask,
-            self._context.frames.resolve,
-            self._context.current,
+            self._context,
             functools.partial(self._show, follower, following),
             functools.partial(self._show_targets, following),
-            self._clock,
         )
         following.session.start()
         followed = ", ".join(f"{link.follower} follows {link.leader}" for link in joints.links)
@@ -417,9 +392,6 @@ class Teleoperation:
             self._graph.unsubscribe(following.node, following.leader.name)
 
     # Messages.
-
-    def _ask(self, question: ServoQuestion) -> Coroutine[Any, Any, ServoAnswer | PlanningFailure]:
-        return self._context.pool.ask(question, self._context.scene_state.scene)
 
     def _show(self, follower: Follower, following: _Following, state: FollowingState) -> None:
         if state.phase is not following.phase:

@@ -25,18 +25,20 @@ from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
-from server.execution.monitors import CurrentState, state_message
+from server.execution.monitors import state_message
 from server.execution.motions import Motion, Positions
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Subscriber
 from server.moveit.goal_messages import with_suggestion
 from server.moveit.poses import Message
 from server.moveit.requests.durations import read_seconds
 from server.moveit.requests.error_codes import error_code, refused
 from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.trajectories import check_speed, external_motion, external_trajectory, to_message
 
 log = logging.getLogger("armbridge.actions")
@@ -242,20 +244,46 @@ class SegmentTolerances:
     time_s: float
 
 
+@dataclass(frozen=True)
+class TrajectoryContext:
+    """Context of trajectories that clients bring.
+
+    Attributes:
+        planning: description and positions of all arms, and parameters.
+        queue: of goals.
+        time_limits: of motions.
+    """
+
+    planning: PlanningContext
+    queue: GoalQueue[Motion]
+    time_limits: TimeLimits
+
+    def check_speed(self, trajectory: Message, joint_names: Sequence[str], present_rad: Positions | None) -> None:
+        """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower.
+
+        Args:
+            trajectory: a trajectory_msgs/JointTrajectory.
+            joint_names: joints whose arm has the limit.
+            present_rad: positions that the arm holds [rad]; None while they are unknown.
+
+        Raises:
+            RefusedError: the trajectory is too fast.
+        """
+        planning = self.planning
+        if present_rad is not None and planning.parameters.configured.faster_trajectories == "refuse":
+            check_speed(trajectory, planning.robot, present_rad, planning.current.speed_limit(joint_names))
+
+
 class JointTrajectoryController:
     """The actions and the topic.
 
     Args:
         graph: where they are.
-        robot: the arm.
         group: the controlled joints.
         arm: the arm.
-        current: positions that it holds.
-        queue: queue of its goals.
-        time_limits: of motions.
-        industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
+        context: context of its trajectories.
         name: of the controller, before ``_controller``; None for that of the group.
-        refuses_faster: true to refuse trajectories that exceed the arm's speed limit; false to have them played slower.
+        industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
 
     Attributes:
         actions: names of the actions.
@@ -263,25 +291,19 @@ class JointTrajectoryController:
 
     def __init__(
         self,
-        graph: Graph,
-        robot: RobotModel,
+        graph: LocalGraph,
         group: Group,
         arm: ArmInterface,
-        current: CurrentState,
-        queue: GoalQueue[Motion],
-        time_limits: TimeLimits,
+        context: TrajectoryContext,
+        name: str | None = None,
         *,
         industrial: bool,
-        name: str | None = None,
-        refuses_faster: bool = False,
     ) -> None:
-        self._robot = robot
+        self._robot = context.planning.robot
         self._group = group
         self._arm = arm
-        self._current = current
-        self._queue = queue
-        self._time_limits = time_limits
-        self._refuses_faster = refuses_faster
+        self._context = context
+        self._queue = context.queue
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
         name = group.name if name is None else name
@@ -290,7 +312,7 @@ class JointTrajectoryController:
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
         node = Node(f"{group.name} controller")
         for each in self.actions:
-            graph.actions.offer(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS)
+            graph.offer_action(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS)
         check = TRAJECTORY_LIMITS.check(graph.message_types.registry, "trajectory_msgs/msg/JointTrajectory")
         graph.subscribe(node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play, check_lists=check))
 
@@ -342,11 +364,10 @@ class JointTrajectoryController:
         self._queue.submit(self._topic, motion, policy=GoalPolicy.PREEMPT, client=published.publisher)
 
     def _check(self, trajectory: Message) -> None:
-        check_duration(trajectory, self._time_limits)
-        present_rad = self._current.positions_rad()
+        check_duration(trajectory, self._context.time_limits)
+        present_rad = self._context.planning.current.positions_rad()
         check_trajectory(trajectory, self._group, self._robot, present_rad, time.time())
-        if self._refuses_faster and present_rad is not None:
-            check_speed(trajectory, self._robot, present_rad, self._current.speed_limit(self._group.joints))
+        self._context.check_speed(trajectory, self._group.joints, present_rad)
 
 
 class TrajectoryGoal:
@@ -438,7 +459,7 @@ class ControllerStatePublisher:
         name: of the controller; None for that of the group.
     """
 
-    def __init__(self, graph: Graph, group: Group, name: str | None = None) -> None:
+    def __init__(self, graph: LocalGraph, group: Group, name: str | None = None) -> None:
         self._graph = graph
         self._joints = group.joints
         self._node = Node(f"{group.name} controller")

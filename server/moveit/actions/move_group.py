@@ -1,36 +1,26 @@
-"""Actions of MoveIt's move_group: MoveGroup under its two names, MoveGroupSequence, and ExecuteTrajectory.
-
-:class:`MotionActions` offers these and all other actions that move the arm's group.
-"""
+"""Actions of MoveIt's move_group: MoveGroup under its two names, MoveGroupSequence, and ExecuteTrajectory."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import math
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
-from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
-from robot.messages import ArmState
-from server.actionlib import ActionlibBridge
 from server.errors import RefusedError
 from server.execution.failures import with_nearest_goal
-from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions, Step, plan_sequence
 from server.execution.queue import Answer, GoalQueue
-from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.actions.joint_trajectory_controller import (
-    ControllerStatePublisher,
-    JointTrajectoryController,
     MoveGroupFeedback,
+    TrajectoryContext,
     cancel_with_goal,
     check_duration,
     code_message,
@@ -45,8 +35,7 @@ from server.moveit.requests.error_codes import refused
 from server.moveit.requests.list_limits import PLANNING_LIMITS, TRAJECTORY_LIMITS
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import sequence_requests
-from server.moveit.requests.trajectories import check_speed, external_motion, external_trajectory
-from server.timers import call_later
+from server.moveit.requests.trajectories import external_motion, external_trajectory
 
 log = logging.getLogger("armbridge.actions")
 
@@ -351,27 +340,13 @@ class ExecuteTrajectory:
 
     Args:
         graph: where it is.
-        robot: the arm.
-        current: positions that the arm holds.
-        queue: queue of the arm's goals.
-        time_limits: of motions.
+        context: context of its trajectories.
     """
 
-    def __init__(
-        self,
-        graph: Graph,
-        robot: RobotModel,
-        current: CurrentState,
-        queue: GoalQueue[Motion],
-        time_limits: TimeLimits,
-        *,
-        refuses_faster: bool = False,
-    ) -> None:
-        self._robot = robot
-        self._current = current
-        self._queue = queue
-        self._time_limits = time_limits
-        self._refuses_faster = refuses_faster
+    def __init__(self, graph: Graph, context: TrajectoryContext) -> None:
+        self._context = context
+        self._robot = context.planning.robot
+        self._queue = context.queue
         node = Node("execute trajectory")
         type_name = "moveit_msgs/action/ExecuteTrajectory"
         graph.actions.offer(node, EXECUTE_ACTION, type_name, self._start, TRAJECTORY_LIMITS)
@@ -396,69 +371,12 @@ class ExecuteTrajectory:
 
     def _check(self, message: Message) -> None:
         """Reject a trajectory that cannot be played before it replaces the motion of another goal."""
-        check_duration(message, self._time_limits)
-        present_rad = self._current.positions_rad()
+        check_duration(message, self._context.time_limits)
+        present_rad = self._context.planning.current.positions_rad()
         if present_rad is not None:
             external_trajectory(message, self._robot, present_rad)
-            if self._refuses_faster:
-                limit = self._current.speed_limit(message["joint_names"])
-                check_speed(message, self._robot, present_rad, limit)
+            self._context.check_speed(message, message["joint_names"], present_rad)
 
 
 def _execution_result(answer: Answer) -> Message:
     return {"error_code": code_message(answer)}
-
-
-class MotionActions:
-    """All actions that move the arm's groups, and the topics of actionlib for all actions of the arm.
-
-    Every group with a driven joint has a controller.
-
-    Args:
-        graph: where they are.
-        context: all that goals are planned with.
-        arm: the arm.
-        queue: queue of the arm's goals.
-        time_limits: of motions.
-    """
-
-    def __init__(
-        self,
-        graph: Graph,
-        context: PlanningContext,
-        arm: ArmInterface,
-        queue: GoalQueue[Motion],
-        time_limits: TimeLimits,
-    ) -> None:
-        robot, current, default = context.robot, CurrentState(arm, context.robot), context.problems.group("")
-        PlanningActions(graph, context, queue)
-        refuses_faster = context.parameters.configured.faster_trajectories == "refuse"
-        ExecuteTrajectory(graph, robot, current, queue, time_limits, refuses_faster=refuses_faster)
-        self._controllers = [
-            JointTrajectoryController(
-                graph,
-                robot,
-                group,
-                arm,
-                current,
-                queue,
-                time_limits,
-                industrial=group.name == default.name,
-                refuses_faster=refuses_faster,
-            )
-            for group in robot.groups.values()
-        ]
-        self._controller_states = [ControllerStatePublisher(graph, group) for group in robot.groups.values()]
-        self._actionlib = ActionlibBridge(graph, time.monotonic, call_later)
-
-    def open(self, others: Iterable[str]) -> None:
-        """Offer the topics of actionlib for these actions and for others of the arm."""
-        followed = (action for controller in self._controllers for action in controller.actions)
-        self._actionlib.open((*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, *followed, *others))
-
-    def take_state(self, state: ArmState) -> None:
-        """Pass the arm's latest state on to the controllers."""
-        for controller in self._controllers:
-            controller.take_state(state)
-        for publisher in self._controller_states:
-            publisher.take_state(state)

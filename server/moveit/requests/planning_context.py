@@ -10,8 +10,9 @@ from functools import cached_property
 from typing import Any
 
 from planners.pool import PlannerPool
-from planners.problem import MoveItErrorCode
+from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
+from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.execution.monitors import CurrentState
@@ -185,6 +186,10 @@ class PlanningContext:
     def problems(self) -> ProblemBuilder:
         """The builder of planning problems."""
         return ProblemBuilder(self.robot, self.frames, self.parameters, self.current.speed_limit)
+
+    async def ask(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
+        """Ask the planners about the next step of a servo loop in the present scene."""
+        return await self.pool.ask(question, self.scene_state.scene)
 
     def start(self, state: Message, caller: Node) -> PlanningStart:
         """Read the start of a motion.

@@ -6,31 +6,29 @@ import json
 import logging
 import math
 import time
-from collections.abc import Callable, Container, Coroutine
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from planners.pool import PlannerPool
-from planners.problem import PlanningFailure
-from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
+from planners.servo.question import ServoStatus
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
 from server.arrival import arrival_epoch
 from server.errors import RefusedError, UnsuccessfulError
-from server.execution.monitors import CurrentState, check_ready
+from server.execution.monitors import check_ready
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message
 from server.moveit.requests.context import planning_group, tip_link
 from server.moveit.requests.error_codes import invalid
-from server.moveit.scene.scene_state import SceneState
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.parameters import LEAST_TIMEOUT_S
 from server.moveit.servo.servo_loop import (
-    Resolve,
     ServoInput,
     ServoSession,
     ServoSetup,
@@ -106,7 +104,9 @@ class StatusPublisher:
         clock: monotonic time [s].
     """
 
-    def __init__(self, graph: Graph, node: Node, type_name: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, graph: LocalGraph, node: Node, type_name: str, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._graph = graph
         self._node = node
         self._type_name = type_name
@@ -289,29 +289,21 @@ class ServoNode:
 
     Args:
         graph: where the topics and services are.
-        robot: the arm.
         parameters: group, tip, and parameters of the servo loop.
-        scene: the planning scene.
-        resolve: look-up of frames.
-        arm: the arm's process.
-        pool: the planners.
+        arm: the arm, or the arms together, that it steers.
+        planning: scene, frames and planners.
         busy: returns the reason if the arm cannot be steered now, else an empty text.
-        current: positions of all joints, also of other arms; None for those of the arm.
     """
 
     def __init__(
         self,
-        graph: Graph,
-        robot: RobotModel,
+        graph: LocalGraph,
         parameters: MoveItParameters,
-        scene: SceneState,
-        resolve: Resolve,
         arm: ArmInterface,
-        pool: PlannerPool,
+        planning: PlanningContext,
         busy: Callable[[], str],
-        current: CurrentState | None = None,
     ) -> None:
-        servo, setup = parameters.servo, servo_setup(robot, parameters)
+        servo, setup = parameters.servo, servo_setup(planning.robot, parameters)
 
         def unavailable() -> str:
             try:
@@ -320,19 +312,22 @@ class ServoNode:
                 return str(error)
             return busy()
 
-        def ask(question: ServoQuestion) -> Coroutine[Any, Any, ServoAnswer | PlanningFailure]:
-            return pool.ask(question, scene.scene)
-
         self._graph = graph
         self._joints = setup.joints
         self._parameters = servo
-        self._resolve = resolve
+        self._resolve = planning.frames.resolve
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
         self._timeouts = CommandTimeouts(setup.timeout_s)
         self._gate = CommandGate(self._present, setup.timeout_s, unavailable, arm)
         self._session = ServoSession(
-            arm, setup, ask, resolve, self._status.publish, self._gate.interrupt, current=current
+            arm,
+            setup,
+            planning.ask,
+            self._resolve,
+            self._status.publish,
+            self._gate.interrupt,
+            current=planning.current,
         )
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""
@@ -419,7 +414,7 @@ class ServoNode:
             gate.reset()
             return {}
 
-        offer = self._graph.services.offer
+        offer = self._graph.offer
         offer(self._node, SWITCH_SERVICE, "moveit_msgs/ServoCommandType", switch)
         offer(self._node, PAUSE_SERVICE, "std_srvs/SetBool", lambda request: pause(paused=request["data"]))
         offer(self._node, STOP_SERVICE, "std_srvs/Trigger", lambda _request: pause(paused=True))

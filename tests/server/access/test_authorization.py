@@ -548,7 +548,9 @@ class TestSeveralArms:
         assert authorization.is_stop(parse(operation), arms)
         assert not authorization.is_stop(parse(operation))
 
-    @pytest.mark.parametrize("name", ["/left/arm/park", "/left/set_planner_params", "/left/left/stop", "/middle/stop"])
+    @pytest.mark.parametrize(
+        "name", ["/left/arm/scenes/list", "/left/set_planner_params", "/left/left/stop", "/middle/stop"]
+    )
     def test_other_names_below_an_arms_are_those_of_clients(self, name: str) -> None:
         assert authorization.rule_of_service(name, ("left", "right")) == authorization.WORKING
 

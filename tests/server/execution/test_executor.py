@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -29,14 +29,14 @@ from planners.problem import (
 )
 from planners.scene import Scene
 from robot.arm import Arm
-from robot.arm_interface import ArmInterface
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
 from robot.messages import ArmConfig, ArmState, ChangePace, Course, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
-from server.execution.executor import MAX_SAMPLES, GoalExecutor, GoalExecutors, MotionRecorder
+from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, GoalExecutors, MotionRecorder
 from server.execution.failures import FailedGoals
+from server.execution.monitors import CurrentState
 from server.execution.motions import STATE_AGE_S, ExternalTrajectory, Motion, PlannedMotion, Positions
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.queue import GoalPolicy, GoalQueue, GoalState, Progress
@@ -77,6 +77,14 @@ class Rig:
         return await self.executor.run(to(**positions_rad), self.news.append, 0)
 
 
+def context_of(arm: Arm, robot: RobotModel, pool: PlannerPool) -> ExecutionContext:
+    return ExecutionContext(robot, pool, SceneState(robot), CurrentState(arm, robot))
+
+
+def executor_of(arm: Arm, robot: RobotModel, pool: PlannerPool) -> GoalExecutor:
+    return GoalExecutor(arm, context_of(arm, robot, pool), MotionsInProgress())
+
+
 # Planners load for a second: one arm and its planners serve all tests of the rig, and so show that they survive each.
 in_one_loop = pytest.mark.asyncio(loop_scope="module")
 
@@ -97,7 +105,7 @@ async def processes() -> AsyncIterator[tuple[Arm, PlannerPool, RobotModel]]:
 @pytest.fixture
 def rig(processes: tuple[Arm, PlannerPool, RobotModel]) -> Rig:
     arm, pool, robot = processes
-    return Rig(arm, pool, GoalExecutor(arm, robot, pool, SceneState(robot)))
+    return Rig(arm, pool, executor_of(arm, robot, pool))
 
 
 @in_one_loop
@@ -144,7 +152,7 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
 async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
-    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
+    executor = executor_of(arm, robot, PlannerPool(robot))
     answer = await executor.run(to(shoulder_pan=0.5), lambda _progress: None, 0)
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
     assert "starting" in answer.message
@@ -156,7 +164,7 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
 def test_the_scene_monitor_waits_for_planners_as_long_as_for_the_arm(hardware: HardwareConfig) -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, hardware), lambda _state: None)
-    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
+    executor = executor_of(arm, robot, PlannerPool(robot))
     assert executor._scene_monitor._retry_for_s == arm.state_max_age_s
 
 
@@ -189,9 +197,12 @@ class Stage:
         self.running: asyncio.Task[Any] | None = None
 
     def executing(self, failed_goals: FailedGoals | None = None) -> GoalExecutor:
-        return GoalExecutor(  # type: ignore[arg-type]
-            self.arm, so101(), self, self, failed_goals, in_progress=self.in_progress, clock=self.clock
-        )
+        return GoalExecutor(self.arm.as_arm, self.context(failed_goals=failed_goals), self.in_progress)
+
+    def context(self, **parts: Any) -> ExecutionContext:
+        """The parts of the executors, in the time of the stage."""
+        current = CurrentState(self.arm, so101())
+        return ExecutionContext(so101(), cast("PlannerPool", self), self, current, clock=self.clock, **parts)
 
     def on_change(self, callback: Callable[[], None]) -> None:
         self.changed = callback
@@ -258,7 +269,7 @@ def given(start_rad: float, end_rad: float) -> ExternalTrajectory:
 def limited(stage: Stage, trajectory_s: float) -> None:
     """Give the stage an executor with a limit of the motions' duration [s]."""
     limits = TimeLimits(trajectory_s=trajectory_s)
-    stage.executor = GoalExecutor(stage.arm, so101(), stage, stage, time_limits=limits)  # type: ignore[arg-type]
+    stage.executor = GoalExecutor(stage.arm.as_arm, stage.context(time_limits=limits), MotionsInProgress())
 
 
 async def test_a_planned_motion_that_takes_too_long_is_refused_and_not_planned_anew(stage: Stage) -> None:
@@ -727,10 +738,7 @@ def fingers() -> PlannedMotion:
 
 
 async def test_goals_of_the_same_joints_have_the_same_executor_and_all_share_the_motions(stage: Stage) -> None:
-    def make(_part: ArmInterface, in_progress: MotionsInProgress) -> GoalExecutor:
-        return GoalExecutor(stage.arm, so101(), stage, stage, in_progress=in_progress)  # type: ignore[arg-type]
-
-    executors = GoalExecutors(stage.arm.as_arm, make)
+    executors = GoalExecutors(stage.arm.as_arm, stage.context())
     arm, gripper = executors.runner(frozenset(ARM)), executors.runner(frozenset(("gripper",)))
     assert executors.runner(frozenset(ARM)) is arm is not gripper
     assert arm._in_progress is gripper._in_progress is executors.in_progress
@@ -962,12 +970,7 @@ class Burst:
         arm, pool, robot = processes
         self.answers: list[Any] = []
         self.news: dict[str, list[str]] = defaultdict(list)
-        scene = SceneState(robot)
-
-        def make(part: ArmInterface, in_progress: MotionsInProgress) -> GoalExecutor:
-            return GoalExecutor(part, robot, pool, scene, in_progress=in_progress)
-
-        executors = GoalExecutors(arm, make)
+        executors = GoalExecutors(arm, context_of(arm, robot, pool))
         self.executor = executors.runner(frozenset(ARM))
         self.queue: GoalQueue[Motion] = GoalQueue(
             executors,

@@ -40,13 +40,15 @@ from server.lifecycle import (
     Part,
     Together,
     first_of,
+    on_debug_signal,
+    on_hangup,
     start_in_order,
     stop_in_reverse,
     stop_signals,
     unless_ended,
 )
 from server.monitoring.memory import SWITCH_INTERVAL_S, CollectorPolicy, MemoryKeeper
-from server.monitoring.systemd import SystemdNotifier, on_debug_signal, on_hangup
+from server.monitoring.systemd import SystemdNotifier
 from server.zenoh.bridge import bridge_of
 
 log = logging.getLogger("armbridge")

@@ -18,10 +18,10 @@ from protocol.messages import Stamp
 from protocol.operations import qualify
 from protocol.registry import Kind
 from protocol.type_descriptions import full_text, typedefs
-from server.access.permissions import NameFilter
 from server.errors import ServiceError
 from server.graph.index import TypedNames
 from server.graph.node import Node
+from server.graph.permissions import NameFilter
 from server.graph.services import Call, failure_told
 from server.graph.topics import Graph
 

@@ -15,10 +15,10 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from protocol.operations import Auth
-from server.access.permissions import Identity, Role
 from server.access.rate_limits import client_key
 from server.access.settings import MAX_TOKENS, AccessSettings
 from server.errors import ConfigurationError, sentence_of
+from server.graph.permissions import Identity, Role
 
 log = logging.getLogger("armbridge.access")
 

@@ -24,11 +24,11 @@ from protocol.operations import (
 from server.access.authentication import RosauthVerifier, Tokens
 from server.access.control_lease import ControlLease
 from server.access.one_time_tokens import VALID_FOR_S, OneTimeTokens
-from server.access.permissions import Identity, NameFilter, Role
 from server.access.rate_limits import RateLimiter
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal
 from server.graph.node import Node
+from server.graph.permissions import Identity, NameFilter, Role
 from server.graph.topics import Graph
 
 # Suffixes of the names by which actions are cancelled and, as actionlib's topics, sent.

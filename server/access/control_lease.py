@@ -10,11 +10,11 @@ from datetime import UTC, datetime
 from importlib import metadata
 from typing import Any, Literal, TypeAlias
 
-from server.access.permissions import Role
-from server.arm.topics import LEVEL_OK, key_values
+from server.diagnostic_values import LEVEL_OK, key_values
 from server.execution.queue import RunningGoal
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import Role
 from server.graph.services import Call, answer
 from server.timers import CallLater, call_later
 

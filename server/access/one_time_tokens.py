@@ -12,8 +12,8 @@ from hashlib import sha256
 from typing import Any
 
 from server.access.authentication import Tokens
-from server.access.permissions import Identity, Role
 from server.graph.node import Node
+from server.graph.permissions import Identity, Role
 from server.graph.services import Call, answer
 from server.graph.topics import Graph
 

@@ -10,17 +10,16 @@ from typing import Any
 from robot.arm_interface import ArmInterface
 from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Course, Mode, Order
 from server.arrival import arrival_epoch
+from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Subscriber
 
 log = logging.getLogger("armbridge.arm")
 
-ENABLE = "/arm/enable"
 RELAX = "/arm/relax"
 STOP = "/arm/stop"
 EMERGENCY_STOP = "/arm/emergency_stop"
-RESET_FAULT = "/arm/reset_fault"
 EMERGENCY_STOP_TOPIC = "/emergency_stop"
 
 # Braking takes a second at most.

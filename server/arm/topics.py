@@ -8,7 +8,8 @@ from protocol.messages import Stamp
 from robot.description.model import RobotModel
 from robot.faults import Fault
 from robot.messages import ArmHealth, ArmState, Mode, Pace
-from server.arm.services import ENABLE, RESET_FAULT
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
+from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -52,9 +53,6 @@ class JointStates:
 
 STATE_TOPIC = "/arm/state"
 LIMITS_TOPIC = "/arm/joint_limits"
-
-# diagnostic_msgs/DiagnosticStatus levels.
-LEVEL_OK, LEVEL_WARN, LEVEL_ERROR = 0, 1, 2
 
 _SENTENCES = {
     Mode.DISCONNECTED: "the arm is not connected",
@@ -139,11 +137,6 @@ def status(state: ArmState, robot_name: str) -> dict[str, Any]:
         "hardware_id": robot_name,
         "values": key_values(values),
     }
-
-
-def key_values(values: dict[str, str]) -> list[dict[str, str]]:
-    """Pairs as diagnostic_msgs/KeyValue messages."""
-    return [{"key": key, "value": value} for key, value in values.items()]
 
 
 def joint_limits(robot: RobotModel, ranges_rad: dict[str, tuple[float, float]]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from server.config import PREFIX, Settings
 from server.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from server.access.permissions import Identity
+    from server.graph.permissions import Identity
     from server.monitoring.report import Report
 
 # Measured cycles of the bus: one second.

@@ -20,8 +20,10 @@ from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Mode
-from server.arm.services import ENABLE, RESET_FAULT
 from server.errors import RefusedError
+
+# Services that refusals name as the remedy.
+ENABLE, RESET_FAULT = "/arm/enable", "/arm/reset_fault"
 
 # Starting an interpreter, opening the bus, checking six servos and raising torque takes 1.2 s. Where other programs use
 # every core, it has taken more than 15 s.

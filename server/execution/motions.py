@@ -6,6 +6,7 @@ trajectory that does not start where the arm is gets a lead-in.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeAlias
@@ -15,6 +16,7 @@ import numpy as np
 from planners.problem import (
     CartesianPlan,
     CartesianProblem,
+    Deviation,
     JointPathProblem,
     MoveItErrorCode,
     Plan,
@@ -27,7 +29,6 @@ from robot.messages import Course, MotionProgress, Pace
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.queue import Joints, Performed
-from server.moveit.requests.error_codes import deviation_note
 
 # Position of every movable joint [rad].
 Positions: TypeAlias = Mapping[str, float]
@@ -336,3 +337,20 @@ def _too_far(motion: Trajectory, held: np.ndarray, worst: int, robot: RobotModel
             {"joint": name, "start_rad": start_rad, "held_rad": held_rad, "tolerance_rad": START_TOLERANCE_RAD},
         )
     )
+
+
+# Smaller deviations are within what a servo arm reaches anyway [m], [rad].
+REPORTED_POSITION_M = 0.001
+REPORTED_ORIENTATION_RAD = 0.01
+
+
+def deviation_note(deviation: Deviation) -> str:
+    """Describe in words how far the end of a motion is from the goal; empty for a deviation too small to matter."""
+    parts = []
+    if deviation.position_m > REPORTED_POSITION_M:
+        parts.append(f"the position is {1000.0 * deviation.position_m:.1f} mm off")
+    if deviation.orientation_rad > REPORTED_ORIENTATION_RAD:
+        parts.append(
+            f"the orientation is {math.degrees(deviation.orientation_rad):.1f} degrees off, the nearest there is"
+        )
+    return " and ".join(parts)

@@ -9,9 +9,9 @@ from protocol.errors import NothingToDoError, OperationError
 from protocol.operations import AdvertiseService, CallService, ServiceResponse, UnadvertiseService, qualify
 from protocol.session import with_id
 from server.access.authorization import rule_of_service
-from server.access.permissions import Role
 from server.gateway.client_context import MAX_VALUES_IN_FLIGHT, VALUES_LIMIT, ClientContext
 from server.graph.message_types import PostponedError, ReceivedMessage
+from server.graph.permissions import Role
 from server.graph.services import Call, Response
 
 # Calls of services that plan which wait for their responses, by the client's role: a planner takes them one by one,

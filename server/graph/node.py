@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from server.access.permissions import ANYONE, Identity, Role
+from server.graph.permissions import ANYONE, Identity, Role
 
 
 class Node:

@@ -22,7 +22,8 @@ from robot.hardware.config import SIMULATED_PORTS
 from robot.hardware.interface import status_names
 from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel, message_of
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
-from server.arm.topics import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values, status
+from server.arm.topics import status
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
 from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.topics import Graph

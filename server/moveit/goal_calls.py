@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from planners.problem import MoveItErrorCode
-from server.arm.topics import key_values
+from server.diagnostic_values import key_values
 from server.errors import RefusedError
 from server.execution.motions import Motion, PlannedMotion
 from server.execution.queue import Answer, GoalQueue, GoalState, Progress

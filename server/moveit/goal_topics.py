@@ -25,7 +25,7 @@ from protocol.publication import PublishedMessage
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.trajectory import rest_to_rest_s
-from server.arm.topics import key_values
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, key_values
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions
@@ -59,9 +59,6 @@ CONFIRM_TOPIC = "/moveit_goal_confirm"
 CONFIRM_MODE_SERVICE = "/moveit_goal_confirm_mode"
 STOP_TOPIC = "/stop"
 EVENT_TOPIC = "/trajectory_execution_event"
-
-# diagnostic_msgs/DiagnosticStatus levels.
-LEVEL_OK, LEVEL_ERROR = 0, 2
 
 Translate: TypeAlias = Callable[[Message], PlannedMotion]
 

@@ -28,14 +28,13 @@ from protocol.errors import ProtocolError
 from robot.logs import LogLimiter
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
-from server.config import ServerSettings
 from server.errors import GraphError, RecordingError
 from server.gateway.listener import Listener
+from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
-from server.lifecycle import stop_signals
-from server.monitoring.systemd import on_hangup
+from server.lifecycle import on_hangup, stop_signals
 from server.recording.files import RecordedMessage, is_latched
 from server.rosapi import RosApi
 

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from server.access.authorization import Access, Authorizer, rule_of_service, rule_of_topic
-from server.access.permissions import Identity, Role
 from server.gateway.turns import Threads
 from server.graph.node import Node
+from server.graph.permissions import Identity, Role
 from server.graph.topics import Graph
 from server.zenoh.network import NameFilter, Namespace, Network
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens

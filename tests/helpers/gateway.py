@@ -19,9 +19,7 @@ from protocol.registry import Registry
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
-from server.access.permissions import ANYONE, Identity
 from server.access.settings import AccessSettings
-from server.config import ServerSettings
 from server.execution.queue import RunningGoal
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.client import Client
@@ -30,8 +28,10 @@ from server.gateway.client_context import ClientContext
 from server.gateway.http import HttpHandler
 from server.gateway.inbox import Scheduling
 from server.gateway.listener import Listener
+from server.gateway.settings import ServerSettings
 from server.gateway.turns import Turns, encode_or_log
 from server.graph.node import Node
+from server.graph.permissions import ANYONE, Identity
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import INTERFACES

@@ -9,9 +9,10 @@ import pytest
 from protocol.registry import Registry
 from server.access.settings import SessionSettings
 from server.app import App
-from server.config import RecordingSettings, ServerSettings, Settings
+from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
 from server.features.recording import Recording, open_recorder
+from server.gateway.settings import ServerSettings
 from server.graph.topics import Graph
 from server.recording.replay import Recording as RecordedMessages
 from server.zenoh.settings import ZenohSettings

@@ -19,9 +19,10 @@ from planners.scene import Pose, Scene
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory, Vector
 from server.execution.monitors import state_message
+from server.execution.motions import deviation_note
 from server.graph.node import Node
 from server.moveit.poses import Message, pose_of
-from server.moveit.requests.error_codes import deviation_note, failure_code, invalid, required, success
+from server.moveit.requests.error_codes import failure_code, invalid, required, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.trajectories import to_message
 

@@ -22,7 +22,7 @@ from robot.description.model import Group, RobotModel
 from server.errors import RefusedError, ServiceError, UnsuccessfulError
 from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
-from server.execution.motions import Problem, plan_sequence
+from server.execution.motions import Problem, deviation_note, plan_sequence
 from server.graph.node import Node
 from server.graph.services import Answered, Call, CompleteResponse, answer
 from server.graph.topics import Graph
@@ -30,7 +30,7 @@ from server.moveit.goal_messages import with_suggestion
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.poses import Message, pose_of, write_pose
 from server.moveit.requests.constraints import read_path_constraints
-from server.moveit.requests.error_codes import deviation_note, failure_code, refused, required, success
+from server.moveit.requests.error_codes import failure_code, refused, required, success
 from server.moveit.requests.list_limits import PLANNING_LIMITS
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import (

@@ -10,9 +10,9 @@ from protocol.operations import Auth, CallService, Publish, SendActionGoal, pars
 from protocol.registry import Registry
 from server.access import authorization
 from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
-from server.access.permissions import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
 from server.graph.node import Node
+from server.graph.permissions import ANYONE, Identity, Role
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock

@@ -7,10 +7,10 @@ import pytest
 
 from protocol.codecs import png
 from protocol.limits import Limits
-from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
 from server.errors import UnsuccessfulError
 from server.graph.node import Node
+from server.graph.permissions import Identity, Role
 from server.graph.topics import Subscriber
 from tests.helpers.gateway import InProcess
 

@@ -13,7 +13,7 @@ import pytest
 
 from robot.messages import ArmState, Mode
 from server.access.authorization import rule_of_action, rule_of_service
-from server.access.permissions import Role
+from server.graph.permissions import Role
 from server.teaching.motion_files import MotionFiles
 from server.teaching.services import Teaching
 from server.teaching.taught_motion import MAX_DURATION_S

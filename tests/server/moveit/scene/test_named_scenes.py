@@ -8,8 +8,8 @@ import pytest
 
 from protocol.registry import Registry
 from server.access.authorization import rule_of_service
-from server.access.permissions import Role
 from server.graph.node import Node
+from server.graph.permissions import Role
 from server.graph.topics import Graph
 from server.moveit.scene import named_scenes
 from server.moveit.scene.named_scenes import NamedScenes, objects_in_words, offer_named_scenes

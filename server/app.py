@@ -175,13 +175,13 @@ class App:
         )
         # In the order of their start. They stop in reverse: goals and the arm first, which is brought to its end state;
         # then the clients; then what nothing needs any more.
-        bridge = [] if self.bridge is None else [BackgroundTask("zenoh", self.bridge.run, 0.4)]
+        zenoh = None if self.bridge is None else BackgroundTask("zenoh", self.bridge.run)
         self.features: tuple[Feature | Part, ...] = (
             # The recorder has taken messages since it was made, and is stopped last.
             self._recording,
             Logs(context),
             self._monitoring,
-            *bridge,
+            *([] if zenoh is None else [Part("other machines", stop=zenoh.stop, deadline_s=0.4)]),
             # Restored before anybody can see it, and written when nobody can change it any more.
             PlanningScene(context),
             ArmControl(context),
@@ -193,6 +193,8 @@ class App:
             parkings,
             Together("goals", goals, 1.1),
             commissioning,
+            # Not before the goals: what other machines may command or stop is known by the rules of its names.
+            *([] if zenoh is None else [Part("zenoh", start=zenoh.start)]),
             # Clients are answered from here on; goals that they send wait for the arm.
             Part("connections", self._clients.listener.open),
             Part("the arm's first state", self._wait_for_arm),

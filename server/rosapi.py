@@ -21,7 +21,7 @@ from protocol.type_descriptions import full_text, typedefs
 from server.errors import ServiceError
 from server.graph.index import TypedNames
 from server.graph.node import Node
-from server.graph.permissions import NameFilter
+from server.graph.permissions import CONFIGURING, LOOKING, NameFilter
 from server.graph.services import Call, failure_told
 from server.graph.topics import Graph
 
@@ -72,6 +72,9 @@ class Request(NamedTuple):
         """Return the fully qualified name in a field of the request."""
         return qualify(self.values[field])
 
+
+# Services that change parameters.
+CHANGING = frozenset(("set_param", "delete_param"))
 
 # Returns the complete response, which nobody changes from then on; raises ServiceError to fail the call.
 Handler: TypeAlias = Callable[[Request], dict[str, Any]]
@@ -142,7 +145,8 @@ class RosApi:
             **self.parameters.handlers,
         }
         for name, (type_name, handler) in handlers.items():
-            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler))
+            rule = CONFIGURING if name in CHANGING else LOOKING
+            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler), rule=rule)
 
     # Topics.
 

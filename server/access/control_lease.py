@@ -14,7 +14,7 @@ from server.diagnostic_values import LEVEL_OK, key_values
 from server.execution.queue import RunningGoal
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.permissions import Role
+from server.graph.permissions import LOOKING, WORKING, Role
 from server.graph.services import Call, answer
 from server.timers import CallLater, call_later
 
@@ -221,9 +221,12 @@ class ControlServices:
         self._call_later = call_later
         self._node = Node("arm control")
         graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
-        services = {TAKE_SERVICE: self._take, RELEASE_SERVICE: self._release, WHO_SERVICE: self._who}
-        for name, serve in services.items():
-            graph.offer_calls(self._node, name, "std_srvs/Trigger", serve)
+        for name, serve, rule in (
+            (TAKE_SERVICE, self._take, WORKING),
+            (RELEASE_SERVICE, self._release, WORKING),
+            (WHO_SERVICE, self._who, LOOKING),
+        ):
+            graph.offer_calls(self._node, name, "std_srvs/Trigger", serve, rule=rule)
         lease.watch(self._publish)
         self._publish()
         self._timer = call_later(BEAT_S, self._beat)

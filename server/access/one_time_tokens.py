@@ -13,7 +13,7 @@ from typing import Any
 
 from server.access.authentication import Tokens
 from server.graph.node import Node
-from server.graph.permissions import Identity, Role
+from server.graph.permissions import CONFIGURING, Identity, Role
 from server.graph.services import Call, answer
 from server.graph.topics import Graph
 
@@ -136,7 +136,7 @@ class OneTimeTokenService:
         self._one_time_tokens = one_time_tokens
         self._tokens = tokens
         self._page_urls = page_urls
-        graph.services.offer_calls(Node("one-time tokens"), SERVICE, SERVICE_TYPE, self._serve)
+        graph.services.offer_calls(Node("one-time tokens"), SERVICE, SERVICE_TYPE, self._serve, rule=CONFIGURING)
 
     def _serve(self, call: Call) -> None:
         answer(call, lambda request: self._issue(call, request["role"]))

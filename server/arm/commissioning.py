@@ -21,6 +21,7 @@ from robot.messages import ArmHealth, ArmState
 from server.errors import ServiceError
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import COMMISSIONING, CONFIGURING
 
 log = logging.getLogger("armbridge.commissioning")
 
@@ -210,9 +211,9 @@ class Commissioning:
         self._health: ArmHealth | None = None
         graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/CommissioningState", latch=True)
         offer = graph.offer
-        offer(self._node, BEGIN, "armbridge_msgs/BeginCommissioning", self._begin)
-        offer(self._node, ANSWER, "armbridge_msgs/AnswerCommissioning", self._answer)
-        offer(self._node, CANCEL, "std_srvs/Trigger", self._cancel)
+        offer(self._node, BEGIN, "armbridge_msgs/BeginCommissioning", self._begin, rule=COMMISSIONING)
+        offer(self._node, ANSWER, "armbridge_msgs/AnswerCommissioning", self._answer, rule=COMMISSIONING)
+        offer(self._node, CANCEL, "std_srvs/Trigger", self._cancel, rule=CONFIGURING)
         self._show()
 
     @property

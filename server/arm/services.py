@@ -13,6 +13,7 @@ from server.arrival import arrival_epoch
 from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import STOPPING, SWITCHING, WORKING, Rule
 from server.graph.topics import Subscriber
 
 log = logging.getLogger("armbridge.arm")
@@ -49,13 +50,13 @@ class ArmServices:
         self._arm = arm
         self._end_goals = end_goals
         self._node = Node("arm services")
-        self._offer(ENABLE, lambda: arm.order(Order.ENABLE, epoch=arrival_epoch()))
-        self._offer(RELAX, self._relax)
-        self._offer(STOP, self._stop)
-        self._offer(EMERGENCY_STOP, lambda: self._emergency_stop(EMERGENCY_STOP))
-        self._offer(RESET_FAULT, lambda: arm.order(Order.RESET_FAULT, epoch=arrival_epoch()))
+        self._offer(ENABLE, SWITCHING, lambda: arm.order(Order.ENABLE, epoch=arrival_epoch()))
+        self._offer(RELAX, SWITCHING, self._relax)
+        self._offer(STOP, STOPPING, self._stop)
+        self._offer(EMERGENCY_STOP, STOPPING, lambda: self._emergency_stop(EMERGENCY_STOP))
+        self._offer(RESET_FAULT, SWITCHING, lambda: arm.order(Order.RESET_FAULT, epoch=arrival_epoch()))
         # A message to this topic means that the arm must stop, valid or not.
-        stopper = Subscriber(self._on_emergency_stop, self._on_emergency_stop)
+        stopper = Subscriber(self._on_emergency_stop, self._on_emergency_stop, rule=STOPPING)
         graph.subscribe(self._node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", stopper)
 
     def _emergency_stop(self, name: str) -> asyncio.Future[CommandDone]:
@@ -75,11 +76,11 @@ class ArmServices:
         self._end_goals(f"stopped by {self._graph.resolve(STOP)}")
         return _standstill(self._arm)
 
-    def _offer(self, name: str, act: Callable[[], Awaitable[CommandDone]]) -> None:
+    def _offer(self, name: str, rule: Rule, act: Callable[[], Awaitable[CommandDone]]) -> None:
         def serve(_request: Response) -> Awaitable[Response]:
             return trigger_response(act())
 
-        self._graph.offer(self._node, name, "std_srvs/Trigger", serve)
+        self._graph.offer(self._node, name, "std_srvs/Trigger", serve, rule=rule)
 
 
 async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
@@ -137,13 +138,16 @@ class ArmPace:
         subscriber = Subscriber(
             lambda published: _set_speed(arm, published.msg["data"]),
             lambda error: log.warning("%s: %s", SPEED_FACTOR_TOPIC, error),
+            rule=SWITCHING,
         )
         graph.subscribe(self._node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", subscriber)
-        for name, course in ((PAUSE, Course.PAUSED), (RESUME, Course.FORWARD), (STEP_BACK, Course.BACK)):
-            self._offer(arm, name, course)
-        graph.offer(
-            self._node, SPEED_LIMIT, SPEED_LIMIT_TYPE, lambda request: self._set_limit(arm, request["speed_limit"])
-        )
+        # A pause slows the arm down to rest, which harms nobody.
+        self._offer(arm, PAUSE, Course.PAUSED, WORKING)
+        self._offer(arm, RESUME, Course.FORWARD, SWITCHING)
+        self._offer(arm, STEP_BACK, Course.BACK, SWITCHING)
+        # It moves nothing: an operator may lower it while another client drives.
+        set_limit = SPEED_LIMIT, SPEED_LIMIT_TYPE, lambda request: self._set_limit(arm, request["speed_limit"])
+        graph.offer(self._node, *set_limit, rule=WORKING)
 
     def _set_limit(self, arm: ArmInterface, limit: float) -> Response:
         if not MIN_SPEED_LIMIT <= limit <= 1.0:
@@ -156,14 +160,14 @@ class ArmPace:
         arm.change_pace(ChangePace(speed_limit=limit))
         return {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
 
-    def _offer(self, arm: ArmInterface, name: str, course: Course) -> None:
+    def _offer(self, arm: ArmInterface, name: str, course: Course, rule: Rule) -> None:
         def serve(_request: dict[str, Any]) -> dict[str, Any]:
             if arm.state.mode is not Mode.MOVING:
                 return {"success": False, "message": f"no motion is in progress: the arm is {arm.state.mode.value}"}
             arm.change_pace(ChangePace(course=course))
             return {"success": True, "message": _SENTENCES[course]}
 
-        self._graph.offer(self._node, name, "std_srvs/Trigger", serve)
+        self._graph.offer(self._node, name, "std_srvs/Trigger", serve, rule=rule)
 
 
 def _set_speed(arm: ArmInterface, factor: float) -> None:

@@ -28,6 +28,7 @@ from server.execution.motions import Motion, PlannedMotion, Positions
 from server.execution.queue import Answer, GoalPolicy, GoalQueue
 from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
+from server.graph.permissions import SWITCHING
 from server.lifecycle import BackgroundTask, Feature
 from server.moveit.poses import Message
 
@@ -122,7 +123,7 @@ class Parking:
         if self._parks_at_end and self._pose is None:
             log.warning("%s Where it is to be parked at the end, it is relaxed.", self._no_pose)
         self._scene.on_change(self._on_scene_change)
-        context.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._serve)
+        context.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._serve, rule=SWITCHING)
 
     def _serve(self, _request: Message) -> Awaitable[Message]:
         return trigger_response(self.park(self._context.graph.resolve(PARK)))

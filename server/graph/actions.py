@@ -19,6 +19,7 @@ from server.graph.index import Index
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
+from server.graph.permissions import Rule
 from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
 from server.graph.services import Services
 from server.timers import CallLater
@@ -197,6 +198,9 @@ class Actions(ProviderDirectory[ActionProvider]):
         interfaces: action types.
         services: where each action gets its service ``<action>/_action/cancel_goal``.
         call_later: does something after a delay.
+
+    Attributes:
+        rules: rules of the actions of local parts, by name.
     """
 
     def __init__(self, message_types: MessageTypes, services: Services, call_later: CallLater) -> None:
@@ -207,6 +211,7 @@ class Actions(ProviderDirectory[ActionProvider]):
         # Those in flight, by their sender.
         self._sent: Index[Node, Goal] = Index()
         self._follower: ActionFollower | None = None
+        self.rules: dict[str, Rule] = {}
 
     def tell(self, follower: ActionFollower) -> None:
         """Tell someone of all actions and goals from now on."""
@@ -219,6 +224,8 @@ class Actions(ProviderDirectory[ActionProvider]):
         type_name: str,
         start: Callable[[Goal], None],
         limits: ListLimits | None = None,
+        *,
+        rule: Rule | None = None,
     ) -> None:
         """Offer an action; a client takes the place of a client that offered it before.
 
@@ -229,6 +236,7 @@ class Actions(ProviderDirectory[ActionProvider]):
             start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
                 `Goal.when_canceled` tells when somebody wants it ended, `Goal.when_ended` when it has ended.
             limits: of the lists in a goal message; None for any.
+            rule: requirements of the senders of goals; None for those of a client's action.
 
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
@@ -243,6 +251,8 @@ class Actions(ProviderDirectory[ActionProvider]):
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
         self._offers.add(offer)
+        if rule is not None:
+            self.rules[name] = rule
         if self._follower is not None:
             self._follower.open(node, name, canonical)
 

@@ -6,12 +6,14 @@ The prefix of an arm that is alone is empty; the parts of one of several arms us
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from protocol.publication import PublishedMessage
 from server.graph.actions import Goal
 from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
+from server.graph.permissions import Rule
 from server.graph.services import DEFAULT_LIMITS, LOCAL_TIMEOUT_S, Call, ServiceFunction
 from server.graph.topics import Graph, Subscriber
 
@@ -42,6 +44,8 @@ class LocalGraph:
 
     def subscribe(self, node: Node, name: str, type_name: str, subscriber: Subscriber) -> list[PublishedMessage]:
         """Deliver a topic's messages."""
+        if subscriber.rule is not None:
+            subscriber = replace(subscriber, rule=self._below(subscriber.rule))
         return self._graph.subscribe(node, self.resolve(name), type_name, subscriber)
 
     def publish(self, node: Node, name: str, message: object) -> None:
@@ -67,9 +71,11 @@ class LocalGraph:
         type_name: str,
         function: ServiceFunction,
         limits: ListLimits = DEFAULT_LIMITS,
+        *,
+        rule: Rule,
     ) -> None:
         """Offer a service."""
-        self._graph.services.offer(node, self.resolve(name), type_name, function, limits=limits)
+        self._graph.services.offer(node, self.resolve(name), type_name, function, limits=limits, rule=self._below(rule))
 
     def offer_calls(
         self,
@@ -79,12 +85,27 @@ class LocalGraph:
         start: Callable[[Call], None],
         timeout_s: float = LOCAL_TIMEOUT_S,
         limits: ListLimits = DEFAULT_LIMITS,
+        *,
+        rule: Rule,
     ) -> None:
         """Offer a service that answers its calls itself."""
-        self._graph.services.offer_calls(node, self.resolve(name), type_name, start, timeout_s, limits)
+        self._graph.services.offer_calls(
+            node, self.resolve(name), type_name, start, timeout_s, limits, rule=self._below(rule)
+        )
 
     def offer_action(
-        self, node: Node, name: str, type_name: str, start: Callable[[Goal], None], limits: ListLimits | None = None
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        start: Callable[[Goal], None],
+        limits: ListLimits | None = None,
+        *,
+        rule: Rule,
     ) -> None:
         """Offer an action."""
-        self._graph.actions.offer(node, self.resolve(name), type_name, start, limits)
+        self._graph.actions.offer(node, self.resolve(name), type_name, start, limits, rule=self._below(rule))
+
+    def _below(self, rule: Rule) -> Rule:
+        """Return a rule for control of the arm whose namespace this is."""
+        return replace(rule, arm=self._prefix.removeprefix("/"))

@@ -20,6 +20,7 @@ from server.graph.index import Index
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
+from server.graph.permissions import Rule
 from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
 from server.timers import CallLater
 
@@ -196,12 +197,16 @@ class Services(ProviderDirectory[ServiceProvider]):
     Args:
         interfaces: service types.
         call_later: does something after a delay.
+
+    Attributes:
+        rules: rules of the services of local parts, by name.
     """
 
     def __init__(self, message_types: MessageTypes, call_later: CallLater) -> None:
         super().__init__(Providers("service", MAX_SERVICES, message_types, _fail_calls))
         self._message_types = message_types
         self._call_later = call_later
+        self.rules: dict[str, Rule] = {}
         # Those in flight, by their caller.
         self._calls: Index[Node, Call] = Index()
 
@@ -213,6 +218,8 @@ class Services(ProviderDirectory[ServiceProvider]):
         function: ServiceFunction,
         timeout_s: float = LOCAL_TIMEOUT_S,
         limits: ListLimits = DEFAULT_LIMITS,
+        *,
+        rule: Rule | None = None,
     ) -> None:
         """Offer a service of a local part.
 
@@ -224,11 +231,12 @@ class Services(ProviderDirectory[ServiceProvider]):
                 ServiceError with the reason when it cannot.
             timeout_s: how long a call may take that names no time of its own [s].
             limits: of the lists in a request.
+            rule: requirements of its callers; None for those of a client's service.
 
         Raises:
             GraphError: the type is unknown, or the name is taken by another part of the server.
         """
-        self.offer_calls(node, name, type_name, lambda call: answer(call, function), timeout_s, limits)
+        self.offer_calls(node, name, type_name, lambda call: answer(call, function), timeout_s, limits, rule=rule)
 
     def offer_calls(
         self,
@@ -238,6 +246,8 @@ class Services(ProviderDirectory[ServiceProvider]):
         start: Callable[[Call], None],
         timeout_s: float = LOCAL_TIMEOUT_S,
         limits: ListLimits | None = DEFAULT_LIMITS,
+        *,
+        rule: Rule | None = None,
     ) -> None:
         """Offer a service whose calls are handed over one by one, to be ended by `Call.succeed` or `Call.fail`.
 
@@ -253,6 +263,8 @@ class Services(ProviderDirectory[ServiceProvider]):
             check_lists = limits.check(self._message_types.registry, f"{canonical}_Request")
             self._message_types.compile_later(f"{canonical}_Request", f"{canonical}_Response")
         self._offers.add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists))
+        if rule is not None:
+            self.rules[name] = rule
 
     def withdraw(self, node: Node, name: str) -> None:
         """End an offer of this node; calls in flight fail. Nothing happens when it offers no such service."""

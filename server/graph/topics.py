@@ -31,6 +31,7 @@ from server.graph.latching import LatchedMessages
 from server.graph.list_limits import CheckLists
 from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.node import Node
+from server.graph.permissions import Rule
 from server.graph.services import Services
 from server.timers import CallLater, call_later
 
@@ -78,12 +79,14 @@ class Subscriber:
         turned_away: called with a message, empty when it cannot be read, whose sender may not publish it, with the
             sender, and with a sentence that says why.
         check_lists: checks the lists of a message before it is completed, whoever publishes it; None for any.
+        rule: requirements of publishing, where a part of the server subscribes; None for those of a client's topic.
     """
 
     deliver: Callable[[PublishedMessage], None]
     refused: Callable[[MessageError], None] | None = None
     turned_away: Callable[[Mapping[str, Any], Node, str], None] | None = None
     check_lists: CheckLists | None = None
+    rule: Rule | None = None
 
 
 @dataclass
@@ -123,6 +126,7 @@ class Graph:
         services: who offers and calls what.
         actions: who offers which, and the goals on their way.
         topic_names: the topics in use, with their types.
+        rules: rules of publishing on the topics that local parts subscribe to, by name.
         revision: number of changes in who publishes, latches or subscribes to which topic.
     """
 
@@ -151,6 +155,7 @@ class Graph:
         self._subscriptions: Index[Node, str] = Index()
         self._latched_messages = LatchedMessages()
         self._watchers: tuple[Watcher, ...] = ()
+        self.rules: dict[str, Rule] = {}
         self.revision = 0
 
     def watch(self, watcher: Watcher) -> None:
@@ -259,6 +264,8 @@ class Graph:
         topic = self._topic(name, type_name, node)
         self._take_into_use(topic)
         topic.subscribers[node] = subscriber
+        if subscriber.rule is not None:
+            self.rules[name] = subscriber.rule
         self.revision += 1
         self._subscriptions.add(node, name)
         return self._latched_messages.of(name, self._clock())

@@ -26,6 +26,7 @@ from server.arm.topics import status
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
 from server.graph.list_limits import ListLimits
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, LOOKING
 from server.graph.topics import Graph
 
 TOPIC = "/diagnostics"
@@ -307,8 +308,12 @@ def offer_level_services(graph: Graph) -> None:
     """Offer the services that get and set the levels of loggers."""
     node = Node(OUR_LOGGER)
     getting, setting = "rcl_interfaces/srv/GetLoggerLevels", "rcl_interfaces/srv/SetLoggerLevels"
-    graph.services.offer(node, GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"))
-    graph.services.offer(node, SET_LEVELS, setting, _set_levels, limits=_limits(f"{setting}_Request.levels"))
+    graph.services.offer(
+        node, GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"), rule=LOOKING
+    )
+    graph.services.offer(
+        node, SET_LEVELS, setting, _set_levels, limits=_limits(f"{setting}_Request.levels"), rule=CONFIGURING
+    )
 
 
 def _limits(field: str) -> ListLimits:

@@ -16,6 +16,7 @@ from typing import Any
 
 from robot.description.model import RobotModel
 from server.graph.node import Node
+from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
 from server.robot_files import RobotFiles, package_name, with_package_urls
 
@@ -52,7 +53,7 @@ class RobotDescription:
             # ROS 1 clients ask for the name with its slash or without.
             for name in (topic, topic.removeprefix("/")):
                 self._keep_parameter(name, json.dumps(text))
-        self._graph.services.offer(self._node, FILE_SERVICE, "file_server/GetBinaryFile", self._get_file)
+        self._graph.services.offer(self._node, FILE_SERVICE, "file_server/GetBinaryFile", self._get_file, rule=LOOKING)
 
     async def _get_file(self, request: dict[str, Any]) -> dict[str, Any]:
         # A slow disk must not hold up whatever else the server does; the call itself is bounded.

@@ -23,6 +23,7 @@ from server.graph.actions import Goal
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import CALLED_GOAL
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
 from server.moveit.actions.joint_trajectory_controller import cancel_with_goal, goal_status
 from server.moveit.actions.move_group import answer_of_task, plan_steps
@@ -90,8 +91,8 @@ class GoalCalls:
         """Offer both."""
         lists = ("name", "position", "velocity", "effort")
         limits = ListLimits({f"sensor_msgs/msg/JointState.{field}": MAX_JOINTS for field in lists})
-        self._graph.offer_calls(self._node, NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits)
-        self._graph.offer_action(self._node, NAME, ACTION_TYPE, self._start, limits)
+        self._graph.offer_calls(self._node, NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits, rule=CALLED_GOAL)
+        self._graph.offer_action(self._node, NAME, ACTION_TYPE, self._start, limits, rule=CALLED_GOAL)
 
     # As a service.
 

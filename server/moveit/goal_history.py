@@ -18,6 +18,7 @@ from server.errors import RefusedError
 from server.execution.motions import Motion, PlannedMotion
 from server.execution.queue import Answer, GoalState, Progress, QueuedGoal
 from server.graph.node import Node
+from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
 from server.moveit.poses import Message
 from server.moveit.requests.trajectories import to_message
@@ -86,8 +87,8 @@ class GoalHistory:
     def open(self) -> None:
         """Offer the services."""
         node = Node("goal history")
-        self._graph.services.offer(node, HISTORY_SERVICE, HISTORY_TYPE, self._history)
-        self._graph.services.offer(node, RECORD_SERVICE, RECORD_TYPE, self._record)
+        self._graph.services.offer(node, HISTORY_SERVICE, HISTORY_TYPE, self._history, rule=LOOKING)
+        self._graph.services.offer(node, RECORD_SERVICE, RECORD_TYPE, self._record, rule=LOOKING)
 
     def take_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
         """Note the scene of a goal that is being planned, and the summary of its plan."""

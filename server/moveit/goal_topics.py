@@ -33,6 +33,7 @@ from server.execution.queue import Answer, GoalQueue, GoalState, Joints, Progres
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import CANCELLING, CONFIGURING, GOAL, PLANNING, STOP_EVENT, STOPPING, SWITCHING, WORKING
 from server.graph.topics import Graph, Subscriber
 from server.moveit.goal_messages import (
     GROUP_TOPIC,
@@ -115,9 +116,13 @@ class Confirmation:
         subscriber = Subscriber(
             lambda published: self._take_decision(go=published.msg["data"]),
             lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),
+            # The client that confirms may be another than the one that drives.
+            rule=WORKING,
         )
         self._graph.subscribe(self._node, CONFIRM_TOPIC, "std_msgs/Bool", subscriber)
-        self._graph.services.offer(self._node, CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode)
+        self._graph.services.offer(
+            self._node, CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode, rule=CONFIGURING
+        )
 
     async def wait(self) -> Answer | None:
         """Wait for the decision; return None to go on, else the goal's answer."""
@@ -276,10 +281,11 @@ class GoalTopics:
         self._take_goals(POSE_TOPIC, POSE_TYPE, self._translator.pose)
         self._graph.advertise(self._node, GROUP_TOPIC, GROUP_TYPE, latch=True)
         self._publish_group()
-        self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group))
-        self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel))
-        self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop))
-        self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event))
+        # The client that chooses the group is the one that drives.
+        self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group, rule=SWITCHING))
+        self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel, rule=CANCELLING))
+        self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop, rule=STOPPING))
+        self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event, rule=STOP_EVENT))
 
     def _take_goals(self, topic: str, type_name: str, translate: Translate) -> None:
         source = self._graph.resolve(topic)
@@ -303,7 +309,7 @@ class GoalTopics:
             failure = PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason)
             self._queue.reject(source, failure, message, only_for=sender)
 
-        subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized)
+        subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized, rule=GOAL)
         self._graph.subscribe(self._node, topic, type_name, subscriber)
 
     def _select_group(self, published: PublishedMessage) -> None:
@@ -368,7 +374,9 @@ class GoalChecks:
         # Each may be the only ones; both together are counted in the call.
         fields = ("poses", "joints")
         limits = ListLimits({f"armbridge_msgs/srv/CheckGoals_Request.{field}": MAX_GOALS for field in fields})
-        self._graph.services.offer(self._node, SERVICE, "armbridge_msgs/CheckGoals", self._check, limits=limits)
+        self._graph.services.offer(
+            self._node, SERVICE, "armbridge_msgs/CheckGoals", self._check, limits=limits, rule=PLANNING
+        )
 
     async def _check(self, request: dict[str, Any]) -> dict[str, Any]:
         poses, joints = request["poses"], request["joints"]

@@ -32,6 +32,7 @@ from server.graph.actions import Goal, GoalStatus
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import GOAL
 from server.moveit.actions.joint_trajectory_controller import cancel_with_goal
 from server.moveit.requests.error_codes import invalid
 
@@ -444,7 +445,9 @@ class GripperActions:
         self._tasks: set[asyncio.Task[None]] = set()
         node = Node("gripper")
         for name in ACTIONS:
-            graph.offer_action(node, name, self._actions[graph.resolve(name)].type_name, self._start, ListLimits())
+            graph.offer_action(
+                node, name, self._actions[graph.resolve(name)].type_name, self._start, ListLimits(), rule=GOAL
+            )
 
     def _start(self, goal: Goal) -> None:
         messages = self._actions[goal.action]

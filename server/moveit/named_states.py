@@ -25,6 +25,7 @@ from server.errors import ServiceError
 from server.execution.monitors import CurrentState, state_message
 from server.execution.motions import Positions
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, LOOKING, Rule
 from server.graph.services import Answered, ServiceFunction
 from server.graph.topics import Graph
 
@@ -363,20 +364,20 @@ class NamedStatesServices:
         self._graph.advertise(self._node, NAMED_STATES_TOPIC, "std_msgs/String", latch=True)
         self._publish()
         self._states.on_change(self._publish)
-        self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list)
-        self._offer("/save_robot_state", "SaveRobotStateToWarehouse", self._save)
-        self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get)
-        self._offer("/has_robot_state", "CheckIfRobotStateExistsInWarehouse", self._has)
-        self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename)
-        self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete)
+        self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list, LOOKING)
+        self._offer("/save_robot_state", "SaveRobotStateToWarehouse", self._save, CONFIGURING)
+        self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get, LOOKING)
+        self._offer("/has_robot_state", "CheckIfRobotStateExistsInWarehouse", self._has, LOOKING)
+        self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename, CONFIGURING)
+        self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete, CONFIGURING)
 
-    def _offer(self, name: str, type_name: str, function: ServiceFunction) -> None:
+    def _offer(self, name: str, type_name: str, function: ServiceFunction, rule: Rule) -> None:
         def serve(request: Request) -> Answered | Awaitable[Answered]:
             if request["robot"] not in ("", self._robot.name):
                 raise ServiceError(f"robot: there is no robot {request['robot']!r}; this is {self._robot.name!r}")
             return function(request)
 
-        self._graph.services.offer(self._node, name, f"moveit_msgs/{type_name}", serve)
+        self._graph.services.offer(self._node, name, f"moveit_msgs/{type_name}", serve, rule=rule)
 
     def _publish(self) -> None:
         states = {

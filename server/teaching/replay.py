@@ -19,6 +19,7 @@ from server.execution.motions import Motion, PlannedMotion, Positions, Step
 from server.execution.queue import Answer, GoalQueue, Progress
 from server.graph.actions import Goal
 from server.graph.node import Node
+from server.graph.permissions import GOAL
 from server.graph.topics import Graph
 from server.moveit.actions.joint_trajectory_controller import code_message, reject_goal, submit_goal
 from server.moveit.poses import Message
@@ -93,7 +94,7 @@ class ReplayAction:
 
     def open(self) -> None:
         """Offer the action."""
-        self._graph.actions.offer(Node("replay"), NAME, TYPE, self._start)
+        self._graph.actions.offer(Node("replay"), NAME, TYPE, self._start, rule=GOAL)
 
     def _start(self, goal: Goal) -> None:
         task = asyncio.create_task(self._submit(goal), name="a replay")

@@ -8,7 +8,7 @@ import logging
 import math
 import time
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 from protocol.errors import MessageError
@@ -20,6 +20,7 @@ from server.arrival import arrival_epoch
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
 from server.graph.node import Node
+from server.graph.permissions import STOPPING, SWITCHING, Rule
 from server.graph.topics import Graph, Subscriber
 from server.moveit.poses import Message
 from server.teleop.following import STALE_S, Phase
@@ -200,9 +201,9 @@ class Teleoperation:
             return {"success": True, "message": f"{_and(followings)} {does}"}
 
         self._graph.advertise(self._node, below + STATE_TOPIC, "armbridge_msgs/TeleopState", latch=True)
-        self._offer(below + START, "armbridge_msgs/srv/StartTeleop", start)
-        self._offer(below + STOP, "std_srvs/srv/Trigger", stop)
-        self._offer(below + CLUTCH, "std_srvs/srv/SetBool", set_clutch)
+        self._offer(below + START, "armbridge_msgs/srv/StartTeleop", start, SWITCHING)
+        self._offer(below + STOP, "std_srvs/srv/Trigger", stop, STOPPING)
+        self._offer(below + CLUTCH, "std_srvs/srv/SetBool", set_clutch, SWITCHING)
         state = FollowingState(Phase.IDLE, f"nothing follows: {below}{START} begins", 0.0, 0.0, 1.0)
         self._graph.publish(self._node, below + STATE_TOPIC, _state_message("", "", state))
 
@@ -420,7 +421,7 @@ class Teleoperation:
             },
         )
 
-    def _offer(self, name: str, type_name: str, work: _Work) -> None:
+    def _offer(self, name: str, type_name: str, work: _Work, rule: Rule) -> None:
         async def serve(request: Message) -> dict[str, Any]:
             try:
                 return await work(request)
@@ -428,7 +429,9 @@ class Teleoperation:
                 log.warning("%s: %s", name, error)
                 return {"success": False, "message": str(error)}
 
-        self._graph.services.offer(self._node, name, type_name, serve)
+        arm = name[1:].partition("/")[0]
+        rule = replace(rule, arm=arm if arm in self._followers else "")
+        self._graph.services.offer(self._node, name, type_name, serve, rule=rule)
 
 
 def _state_message(follower: str, leader: str, state: FollowingState) -> dict[str, Any]:

@@ -138,12 +138,12 @@ class Sharing:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._network = network
-        arms, takes_commands = authorizer.arms, bool(settings.subscribe or settings.offer)
+        graph, takes_commands = network.graph, bool(settings.subscribe or settings.offer)
         # A machine that may command the arm must be able to stop it, by whichever way.
         self._subscribe = NameFilter(
-            settings.subscribe, lambda name: takes_commands and rule_of_topic(name, arms).stops
+            settings.subscribe, lambda name: takes_commands and rule_of_topic(name, graph).stops
         )
-        offer = NameFilter(settings.offer, lambda name: takes_commands and rule_of_service(name, arms).stops)
+        offer = NameFilter(settings.offer, lambda name: takes_commands and rule_of_service(name, graph).stops)
         self._publish = NameFilter(settings.publish, lambda name: name.endswith(STOPS))
         self._call = NameFilter(settings.call)
         self._outgoing = OutgoingTopics(network, self._publish)

@@ -36,6 +36,7 @@ from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import INTERFACES
 from tests.helpers.clock import FakeClock
+from tests.helpers.rules import with_server_rules
 from tests.helpers.waiting import TIMEOUT_S, until
 
 REGISTRY = Registry.load()
@@ -91,6 +92,7 @@ class InProcess:
         self.graph = Graph(
             registry, self.clock, call_later=self.clock.call_later, relay_unknown_types=relay_unknown_types
         )
+        with_server_rules(self.graph, *arms)
         if rosapi:
             RosApi(self.graph, self.clock)
         self.busy: RunningGoal | None = None

@@ -37,6 +37,14 @@ async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
     assert app.bridge._max_message_bytes == 70_000
 
 
+async def test_nobody_is_connected_before_the_rules_of_all_names_are_known() -> None:
+    names = [each.name for each in App(Settings(zenoh=ZenohSettings(mode="peer"))).features]
+    assert names.index("goals") < names.index("zenoh")
+    assert names.index("goals") < names.index("connections")
+    # Other machines hear of the end of goals, and may stop the arm, until it has stopped.
+    assert names.index("other machines") < names.index("the arm")
+
+
 async def test_a_recording_has_what_the_server_latches_when_it_is_made(tmp_path: Path) -> None:
     app = App(Settings(recording=RecordingSettings(file=tmp_path / "run.mcap")))
     recording = next(each for each in app.features if isinstance(each, Recording))

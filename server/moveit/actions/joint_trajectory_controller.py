@@ -32,6 +32,7 @@ from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import GOAL
 from server.graph.topics import Subscriber
 from server.moveit.goal_messages import with_suggestion
 from server.moveit.poses import Message
@@ -312,9 +313,11 @@ class JointTrajectoryController:
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
         node = Node(f"{group.name} controller")
         for each in self.actions:
-            graph.offer_action(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS)
+            graph.offer_action(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS, rule=GOAL)
         check = TRAJECTORY_LIMITS.check(graph.message_types.registry, "trajectory_msgs/msg/JointTrajectory")
-        graph.subscribe(node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play, check_lists=check))
+        graph.subscribe(
+            node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play, check_lists=check, rule=GOAL)
+        )
 
     def take_state(self, state: ArmState) -> None:
         """Check the tolerances of all goals against a state of the arm."""

@@ -17,6 +17,7 @@ from server.execution.motions import Motion, PlannedMotion, Positions, Step, pla
 from server.execution.queue import Answer, GoalQueue
 from server.graph.actions import Goal
 from server.graph.node import Node
+from server.graph.permissions import GOAL, PLANNING_GOAL
 from server.graph.topics import Graph
 from server.moveit.actions.joint_trajectory_controller import (
     MoveGroupFeedback,
@@ -138,7 +139,7 @@ class PlanningActions:
             except RefusedError as error:
                 reject_goal(goal, self._queue, error.failure, result)
 
-        self._graph.actions.offer(self._node, name, action.type_name, start, PLANNING_LIMITS)
+        self._graph.actions.offer(self._node, name, action.type_name, start, PLANNING_LIMITS, rule=PLANNING_GOAL)
 
     def _move(self, goal: Goal, planning_goal: PlanningGoal, result: Callable[[Answer], Message]) -> None:
         motion = planned_motion(planning_goal, self._context)
@@ -349,7 +350,7 @@ class ExecuteTrajectory:
         self._queue = context.queue
         node = Node("execute trajectory")
         type_name = "moveit_msgs/action/ExecuteTrajectory"
-        graph.actions.offer(node, EXECUTE_ACTION, type_name, self._start, TRAJECTORY_LIMITS)
+        graph.actions.offer(node, EXECUTE_ACTION, type_name, self._start, TRAJECTORY_LIMITS, rule=GOAL)
 
     def _start(self, goal: Goal) -> None:
         trajectory = goal.request["trajectory"]

@@ -20,6 +20,7 @@ from robot import files
 from server.errors import RefusedError, UnsuccessfulError
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, WORKING
 from server.graph.topics import Graph
 from server.moveit.poses import Message
 from server.moveit.requests.error_codes import invalid
@@ -244,8 +245,8 @@ class GeometryFiles:
         self._state = state
         self._current = current
         self._directory = directory
-        graph.services.offer(node, SAVE, "moveit_msgs/srv/SaveGeometryToFile", self._save)
-        graph.services.offer(node, LOAD, "moveit_msgs/srv/LoadGeometryFromFile", self._load)
+        graph.services.offer(node, SAVE, "moveit_msgs/srv/SaveGeometryToFile", self._save, rule=CONFIGURING)
+        graph.services.offer(node, LOAD, "moveit_msgs/srv/LoadGeometryFromFile", self._load, rule=WORKING)
 
     async def _save(self, request: Message) -> Message:
         return await _success(SAVE, self._write(request["file_path_and_name"]))

@@ -17,6 +17,7 @@ from server.errors import RefusedError
 from server.execution.monitors import CurrentState, state_message
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.node import Node
+from server.graph.permissions import LOOKING, WORKING
 from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
@@ -257,7 +258,7 @@ def _subscriber(
             read(published.msg), current.positions_rad(), lambda refusal: None if refusal is None else reject(refusal)
         )
 
-    return Subscriber(deliver, reject, check_lists=check_lists)
+    return Subscriber(deliver, reject, check_lists=check_lists, rule=WORKING)
 
 
 class MonitoredScenePublisher:
@@ -352,10 +353,14 @@ class SceneServices:
         self._assumed = assumed
         self._current = current
         services = graph.services
-        services.offer_calls(node, GET, "moveit_msgs/srv/GetPlanningScene", self._get, limits=SCENE_LIMITS)
-        services.offer_calls(node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply, limits=SCENE_LIMITS)
+        services.offer_calls(
+            node, GET, "moveit_msgs/srv/GetPlanningScene", self._get, limits=SCENE_LIMITS, rule=LOOKING
+        )
+        services.offer_calls(
+            node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply, limits=SCENE_LIMITS, rule=WORKING
+        )
         # The scene has no octomap, so there is nothing to clear.
-        services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {})
+        services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
 
     def _get(self, call: Call) -> None:
         if self._state.pending:

@@ -20,6 +20,7 @@ from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, LOOKING, WORKING, Rule
 from server.graph.topics import Graph
 from server.moveit.poses import Message
 from server.moveit.scene.saved_scene import complete_scene, encoded_bounded, kept_message, read_bounded
@@ -184,7 +185,7 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
     async def load(name: str) -> str:
         return await scenes.load(name, current.positions_rad())
 
-    def offer(name: str, type_name: str, work: _Work) -> None:
+    def offer(name: str, type_name: str, work: _Work, rule: Rule) -> None:
         async def serve(request: Message) -> Message:
             try:
                 return {"success": True, "message": await work(request["name"])}
@@ -192,9 +193,9 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
                 log.warning("/arm/scenes/%s: %s", name, error)
                 return {"success": False, "message": str(error)}
 
-        graph.services.offer(node, f"/arm/scenes/{name}", f"armbridge_msgs/srv/{type_name}", serve)
+        graph.services.offer(node, f"/arm/scenes/{name}", f"armbridge_msgs/srv/{type_name}", serve, rule=rule)
 
-    graph.services.offer(node, "/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names)
-    offer("save", "SaveScene", scenes.save)
-    offer("load", "LoadScene", load)
-    offer("delete", "DeleteScene", scenes.delete)
+    graph.services.offer(node, "/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names, rule=LOOKING)
+    offer("save", "SaveScene", scenes.save, CONFIGURING)
+    offer("load", "LoadScene", load, WORKING)
+    offer("delete", "DeleteScene", scenes.delete, CONFIGURING)

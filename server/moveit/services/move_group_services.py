@@ -24,6 +24,7 @@ from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
 from server.execution.motions import Problem, deviation_note, plan_sequence
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Rule
 from server.graph.services import Answered, Call, CompleteResponse, answer
 from server.graph.topics import Graph
 from server.moveit.goal_messages import with_suggestion
@@ -379,12 +380,14 @@ class MoveGroupService:
         handler: computes the response; raises RefusedError.
         rejection: writes the response to a request that was rejected.
         complete: True if the handler writes every field of a response that may be large.
+        rule: requirements of its callers.
     """
 
     type_name: str
     handler: Handler
     rejection: Callable[[PlanningFailure], dict[str, Any]] = error_response
     complete: bool = False
+    rule: Rule = PLANNING
 
 
 SERVICES: Mapping[str, MoveGroupService] = {
@@ -395,7 +398,7 @@ SERVICES: Mapping[str, MoveGroupService] = {
         complete=True,
     ),
     "/compute_ik": MoveGroupService("moveit_msgs/srv/GetPositionIK", compute_ik),
-    "/compute_fk": MoveGroupService("moveit_msgs/srv/GetPositionFK", compute_fk, complete=True),
+    "/compute_fk": MoveGroupService("moveit_msgs/srv/GetPositionFK", compute_fk, complete=True, rule=LOOKING),
     "/compute_cartesian_path": MoveGroupService(
         "moveit_msgs/srv/GetCartesianPath", compute_cartesian_path, complete=True
     ),
@@ -409,11 +412,15 @@ SERVICES: Mapping[str, MoveGroupService] = {
         complete=True,
     ),
     "/query_planner_interface": MoveGroupService(
-        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, fail_call
+        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, fail_call, rule=LOOKING
     ),
-    "/get_planner_params": MoveGroupService("moveit_msgs/srv/GetPlannerParams", get_planner_params, fail_call),
-    "/set_planner_params": MoveGroupService("moveit_msgs/srv/SetPlannerParams", set_planner_params, fail_call),
-    "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf, complete=True),
+    "/get_planner_params": MoveGroupService(
+        "moveit_msgs/srv/GetPlannerParams", get_planner_params, fail_call, rule=LOOKING
+    ),
+    "/set_planner_params": MoveGroupService(
+        "moveit_msgs/srv/SetPlannerParams", set_planner_params, fail_call, rule=CONFIGURING
+    ),
+    "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf, complete=True, rule=LOOKING),
 }
 
 
@@ -427,7 +434,7 @@ def offer_services(graph: Graph, context: PlanningContext) -> None:
     node = Node("moveit services")
     for name, service in SERVICES.items():
         start = _start_call(service, context)
-        graph.services.offer_calls(node, name, service.type_name, start, TIMEOUT_S, PLANNING_LIMITS)
+        graph.services.offer_calls(node, name, service.type_name, start, TIMEOUT_S, PLANNING_LIMITS, rule=service.rule)
 
 
 def _start_call(service: MoveGroupService, context: PlanningContext) -> Callable[[Call], None]:

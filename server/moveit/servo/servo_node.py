@@ -21,6 +21,7 @@ from server.errors import RefusedError, UnsuccessfulError
 from server.execution.monitors import check_ready
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import STOPPING, SWITCHING
 from server.graph.topics import Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message
@@ -363,7 +364,7 @@ class ServoNode:
         def reject(error: MessageError) -> None:
             log.warning("%s: %s", topic, error)
 
-        self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject))
+        self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject, rule=SWITCHING))
 
     def _subscribe_timeouts(self) -> None:
         def deliver(published: PublishedMessage) -> None:
@@ -376,7 +377,9 @@ class ServoNode:
         def reject(error: MessageError) -> None:
             log.warning("%s: %s", TIMEOUT_TOPIC, error)
 
-        self._graph.subscribe(self._node, TIMEOUT_TOPIC, "std_msgs/Float64", Subscriber(deliver, reject))
+        self._graph.subscribe(
+            self._node, TIMEOUT_TOPIC, "std_msgs/Float64", Subscriber(deliver, reject, rule=SWITCHING)
+        )
 
     def _publish_parameters(self) -> None:
         self._graph.advertise(self._node, PARAMETERS_TOPIC, "std_msgs/String", latch=True)
@@ -415,12 +418,14 @@ class ServoNode:
             return {}
 
         offer = self._graph.offer
-        offer(self._node, SWITCH_SERVICE, "moveit_msgs/ServoCommandType", switch)
-        offer(self._node, PAUSE_SERVICE, "std_srvs/SetBool", lambda request: pause(paused=request["data"]))
-        offer(self._node, STOP_SERVICE, "std_srvs/Trigger", lambda _request: pause(paused=True))
+        offer(self._node, SWITCH_SERVICE, "moveit_msgs/ServoCommandType", switch, rule=SWITCHING)
+        offer(
+            self._node, PAUSE_SERVICE, "std_srvs/SetBool", lambda request: pause(paused=request["data"]), rule=SWITCHING
+        )
+        offer(self._node, STOP_SERVICE, "std_srvs/Trigger", lambda _request: pause(paused=True), rule=STOPPING)
         for name in (START_SERVICE, UNPAUSE_SERVICE):
-            offer(self._node, name, "std_srvs/Trigger", lambda _request: pause(paused=False))
-        offer(self._node, RESET_SERVICE, "std_srvs/Empty", reset)
+            offer(self._node, name, "std_srvs/Trigger", lambda _request: pause(paused=False), rule=SWITCHING)
+        offer(self._node, RESET_SERVICE, "std_srvs/Empty", reset, rule=SWITCHING)
 
     def _present(self, client: object) -> bool:
         return any(client in self._graph.publishers(topic) for topic, _ in _TOPICS.values())

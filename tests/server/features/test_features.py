@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from robot.calibration import Calibration, save
-from server.access.authorization import OF_EACH_ARM
-from server.app import App
 from server.arm.arms import read_arms, with_prefix, without_prefix
 from server.arm.calibrating import Recalibrated
 from server.arm.commissioning import Ended
@@ -19,31 +18,36 @@ from server.features.commissioning import resumed, with_calibration
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
+from tests.helpers.rules import server_rules, started
 
 
-def local_names(graph: Graph) -> set[str]:
-    """Names of services, of actions, and of topics that a part of the server listens to."""
-    heard = {name for name in graph.topic_types() if any(not node.remote for node in graph.subscribers(name))}
-    return {*graph.services.types(), *graph.actions.types(), *heard}
+def test_what_one_arm_can_do_each_of_several_can() -> None:
+    one = {name: rule for rules in server_rules() for name, rule in rules.items()}
+    several = {name: rule for rules in server_rules("left", "right") for name, rule in rules.items()}
+    of_arms = {arm: {name for name, rule in several.items() if rule.arm == arm} for arm in ("left", "right")}
+    for arm, names in of_arms.items():
+        assert {name: replace(several[name], arm="") for name in names} == {
+            name: one[name.removeprefix(f"/{arm}")] for name in names
+        }
+    left = {name.removeprefix("/left") for name in of_arms["left"]}
+    assert left == {name.removeprefix("/right") for name in of_arms["right"]}
+    # All that has a rule here and is no matter of the scene, of planning or of files.
+    shared = ("/rosapi/", "/armbridge/", "/teach/", "/dataset/", "/arm/scenes/", "/moveit_goal_confirm")
+    arms_own = ("/arm/", "/servo_node/", "/moveit_goal", "/stop", "/emergency_stop", "/teleop/", "/trajectory_exec")
+    wanted = {name for name in one if name.startswith(arms_own) and not name.startswith(shared)} - {
+        "/arm/servo_history"
+    }
+    assert wanted <= left
+    # A way to the rest pose is of one arm.
+    assert {name for name in left if name not in several and not name.endswith(CONTROLLER)} == {"/arm/park"}
 
 
-async def started(**settings: Any) -> App:
-    app = App(Settings.model_validate(settings))
-    for feature in app.features:
-        if feature.name == "goals":
-            await feature.start()
-    return app
+CONTROLLER = ("_controller/joint_trajectory", "_controller/follow_joint_trajectory")
 
 
-async def test_what_one_arm_can_do_each_of_several_can() -> None:
-    one, several = await started(), await started(arms={"left": {}, "right": {}})
-    names = local_names(one.graph) & OF_EACH_ARM
-    assert names == OF_EACH_ARM
-    found = local_names(several.graph)
-    assert {f"/{arm}{name}" for arm in ("left", "right") for name in names} <= found
-    # A way to the rest pose, and a calibration, are of one arm.
-    assert names - found == {"/arm/park"}
-    whole = await call(several.graph, "/arm/commissioning/begin", procedure="verify", name="")
+async def test_all_of_several_arms_are_commissioned_one_at_a_time() -> None:
+    app = await started(Settings.model_validate({"arms": {"left": {}, "right": {}}}))
+    whole = await call(app.graph, "/arm/commissioning/begin", procedure="verify", name="")
     assert "below its name" in whole["message"]
 
 
@@ -54,7 +58,7 @@ async def call(graph: Graph, service: str, **request: Any) -> Any:
 
 
 async def test_each_of_several_arms_is_commissioned_by_its_name() -> None:
-    app = await started(arms={"left": {}, "right": {}})
+    app = await started(Settings.model_validate({"arms": {"left": {}, "right": {}}}))
     begun = await call(app.graph, "/left/arm/commissioning/begin", procedure="verify", name="")
     assert begun == {"success": True, "message": "verify begins: see /left/arm/commissioning/state"}
     busy = await call(app.graph, "/left/arm/commissioning/begin", procedure="verify", name="")

@@ -144,6 +144,6 @@ class TestRefused:
     def test_a_bug_in_the_guard_does_not_take_the_client_with_it(
         self, guarded: InProcess, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("server.access.authorization.rule_of_topic", lambda _name: 1 / 0)
+        monkeypatch.setattr("server.access.authorization.rule_of_topic", lambda _name, _graph: 1 / 0)
         guarded.say("screen", op="publish", topic="/a")
         assert "screen: publish failed" in caplog.text

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from inspect import signature
+from dataclasses import replace
+from inspect import Parameter, signature
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from protocol.registry import Registry
 from server.graph.actions import Goal, GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import GOAL, STOPPING
 from server.graph.services import Services
 from server.graph.topics import Graph, Subscriber
 
@@ -49,20 +51,35 @@ def test_what_is_published_elsewhere_is_not_heard_below_the_prefix() -> None:
 @pytest.mark.parametrize("offer", ["offer", "offer_calls"])
 def test_an_offer_has_the_same_defaults_below_the_prefix(offer: str) -> None:
     whole, below = signature(getattr(Services, offer)).parameters, signature(getattr(LocalGraph, offer)).parameters
-    assert {name: below[name].default for name in below} == {name: whole[name].default for name in below}
+    # A part of the server has to say what its callers need.
+    assert {name: below[name].default for name in below if name != "rule"} == {
+        name: whole[name].default for name in below if name != "rule"
+    }
+    assert below["rule"].default is Parameter.empty
+
+
+def test_rules_below_the_prefix_are_those_of_the_arm() -> None:
+    graph, left = graph_with_left()
+    part = Node("part")
+    left.offer(part, "/arm/stop", "std_srvs/Trigger", lambda _request: {}, rule=STOPPING)
+    left.offer_action(part, "/wave", "example_interfaces/action/Fibonacci", lambda _goal: None, rule=GOAL)
+    left.subscribe(part, "/stop", "std_msgs/Empty", Subscriber(lambda _published: None, rule=STOPPING))
+    assert graph.services.rules == {"/left/arm/stop": replace(STOPPING, arm="left")}
+    assert graph.actions.rules == {"/left/wave": replace(GOAL, arm="left")}
+    assert graph.rules == {"/left/stop": replace(STOPPING, arm="left")}
 
 
 def test_without_a_prefix_the_names_are_the_graphs() -> None:
     graph = Graph(Registry.load())
     only = LocalGraph(graph)
-    only.offer(Node("part"), "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True})
+    only.offer(Node("part"), "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True}, rule=STOPPING)
     assert graph.services.provider("/arm/stop") is not None
     assert only.resolve("/arm/stop") == "/arm/stop"
 
 
 def test_services_stand_below_the_prefix() -> None:
     graph, left = graph_with_left()
-    left.offer(Node("part"), "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True})
+    left.offer(Node("part"), "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True}, rule=STOPPING)
     assert graph.services.provider("/left/arm/stop") is not None
     assert graph.services.provider("/arm/stop") is None
 
@@ -76,7 +93,7 @@ async def test_actions_stand_below_the_prefix_and_goals_name_them_in_full() -> N
         names.append(goal.action)
         goal.finish(GoalStatus.SUCCEEDED, {})
 
-    left.offer_action(Node("part"), "/wave", "example_interfaces/action/Fibonacci", start)
+    left.offer_action(Node("part"), "/wave", "example_interfaces/action/Fibonacci", start, rule=GOAL)
     client = Node("client")
     graph.actions.send_goal(
         client, "/left/wave", "example_interfaces/action/Fibonacci", {"order": 1}, ended.set_result, None

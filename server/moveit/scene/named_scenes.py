@@ -5,15 +5,12 @@ Each is a file of its own, in the format of the kept scene (:mod:`server.moveit.
 
 from __future__ import annotations
 
-import asyncio
 import logging
-import re
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 from protocol.errors import MessageError
-from robot import files
 from robot.description.model import RobotModel
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
@@ -23,8 +20,10 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, WORKING, Rule
 from server.graph.topics import Graph
 from server.moveit.poses import Message
+from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.saved_scene import complete_scene, encoded_bounded, kept_message, read_bounded
 from server.moveit.scene.scene_state import SceneState
+from server.named_files import NamedFiles
 
 log = logging.getLogger("armbridge.scene")
 
@@ -34,19 +33,7 @@ MAX_SCENES = 50
 # A mesh of 80 000 triangles, the largest, has 6 MB as text.
 MAX_SCENE_BYTES = 20_000_000
 
-# File names have up to 255 bytes, of which a letter takes up to four.
-MAX_NAME_LENGTH = 50
-
-# The name is that of the file too: no separators of paths, and no dot in front.
-_NAME = re.compile(r"\w[\w .()+-]*")
-
-# A memory card that takes longer is at its end.
-TIMEOUT_S = 5.0
-
-SUFFIX = ".json"
-
 _Work: TypeAlias = Callable[[str], Awaitable[str]]
-Result = TypeVar("Result")
 
 
 def objects_in_words(count: int) -> str:
@@ -65,7 +52,7 @@ class NamedScenes:
     """
 
     def __init__(self, folder: Path, state: SceneState, robot: RobotModel, message_types: MessageTypes) -> None:
-        self._folder = folder
+        self._files = NamedFiles(folder, "scene", MAX_SCENES)
         self._state = state
         self._robot = robot
         self._message_types = message_types
@@ -76,7 +63,7 @@ class NamedScenes:
         Raises:
             ServiceError: the folder cannot be read.
         """
-        return await self._in_thread("the saved scenes cannot be listed", self._names)
+        return await self._files.in_thread("the saved scenes cannot be listed", self._files.names)
 
     async def save(self, name: str) -> str:
         """Save the present scene, in place of one of the same name; return a sentence about it.
@@ -84,11 +71,11 @@ class NamedScenes:
         Raises:
             ServiceError: the name is invalid, there are too many scenes, or the scene cannot be written.
         """
-        path = self._path(name)
+        path = self._files.path(name)
         await self._state.settled()
         contents = self._state.contents
         failure = f"the scene {name!r} cannot be saved"
-        await self._in_thread(failure, lambda: self._write(path, kept_message(contents, self._robot)))
+        await self._files.in_thread(failure, lambda: self._files.write(path, self._encoded(contents)))
         count = len(contents.objects) + len(contents.attached)
         return f"the scene {name!r} is saved, with {objects_in_words(count)}"
 
@@ -102,10 +89,10 @@ class NamedScenes:
         Raises:
             ServiceError: there is no such scene, or its file cannot be used.
         """
-        path = self._path(name)
+        path = self._files.path(name)
         failure = f"the scene {name!r} cannot be loaded"
         try:
-            content = await self._in_thread(failure, lambda: self._read(path))
+            content = await self._files.in_thread(failure, lambda: self._files.read(path, _read))
             message = complete_scene(self._message_types, content)
             await self._state.change(self._state.diff(message), positions_rad)
         except (MessageError, RefusedError) as error:
@@ -119,54 +106,16 @@ class NamedScenes:
         Raises:
             ServiceError: there is no such scene, or its file cannot be deleted.
         """
-        path = self._path(name)
-        await self._in_thread(f"the scene {name!r} cannot be deleted", lambda: self._unlink(path))
+        path = self._files.path(name)
+        await self._files.in_thread(f"the scene {name!r} cannot be deleted", lambda: self._files.delete(path))
         return f"the scene {name!r} is deleted"
 
-    def _path(self, name: str) -> Path:
-        if len(name) > MAX_NAME_LENGTH or _NAME.fullmatch(name) is None or name != name.strip():
-            limits = f"must be 1 to {MAX_NAME_LENGTH} letters, digits, blanks or any of _ . ( ) + -, a letter first"
-            raise ServiceError(f"name: {limits}, not {name[:MAX_NAME_LENGTH]!r}")
-        return self._folder / f"{name}{SUFFIX}"
+    def _encoded(self, contents: SceneContents) -> bytes:
+        return encoded_bounded(kept_message(contents, self._robot), MAX_SCENE_BYTES)
 
-    def _names(self) -> list[str]:
-        return sorted(path.name.removesuffix(SUFFIX) for path in self._folder.glob(f"[!.]*{SUFFIX}"))
 
-    def _write(self, path: Path, message: Message) -> None:
-        text = encoded_bounded(message, MAX_SCENE_BYTES)
-        # The lock of the folder, so that two servers do not both save the last scene.
-        with files.locked(self._folder / "scenes"):
-            others = [name for name in self._names() if name != path.name.removesuffix(SUFFIX)]
-            if len(others) >= MAX_SCENES:
-                raise ValueError(f"{len(others)} scenes are saved already, the limit is {MAX_SCENES}")
-            files.replace(path, text)
-
-    def _read(self, path: Path) -> object:
-        try:
-            return read_bounded(path, MAX_SCENE_BYTES)
-        except FileNotFoundError:
-            raise self._unknown() from None
-
-    def _unlink(self, path: Path) -> None:
-        try:
-            path.unlink()
-        except FileNotFoundError:
-            raise self._unknown() from None
-
-    def _unknown(self) -> ValueError:
-        known = ", ".join(self._names())
-        return ValueError(f"there is none of this name; saved are: {known}" if known else "no scene is saved")
-
-    async def _in_thread(self, failure: str, work: Callable[[], Result]) -> Result:
-        """Do what waits for the disk; errors become sentences."""
-        try:
-            return await asyncio.wait_for(asyncio.to_thread(work), TIMEOUT_S)
-        except TimeoutError as error:
-            raise ServiceError(f"{failure} within {TIMEOUT_S:g} s: the disk does not answer") from error
-        except OSError as error:
-            raise ServiceError(f"{failure}: {self._folder}: {error.strerror}") from error
-        except ValueError as error:
-            raise ServiceError(f"{failure}: {error}") from error
+def _read(path: Path) -> object:
+    return read_bounded(path, MAX_SCENE_BYTES)
 
 
 def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState) -> None:

@@ -6,12 +6,12 @@ import json
 import sys
 import time
 
-from robot.control.pacing import Pacer, become_punctual
+from robot.control.pacing import Pacer, enter_realtime
 
 
 def lateness_s(seconds: float) -> list[float]:
     """Tick for a while and return the lateness of each tick [s]."""
-    become_punctual()
+    enter_realtime()
     until_s = time.monotonic() + seconds
     pacer, found = Pacer(time.monotonic()), []
     while pacer.deadline_s < until_s:

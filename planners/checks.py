@@ -49,7 +49,6 @@ def check_request(robot: RobotModel, problem: PlanningProblem) -> PlanningFailur
     return (
         next(_number_flaws(problem), None)
         or next(_moving_start_flaws(robot, group, problem), None)
-        or next(_jerk_flaws(group, problem.max_jerk_rad_s3), None)
         or check_goal(robot, group, problem.goal)
         or check_constraints(robot, problem.path_constraints)
     )
@@ -167,16 +166,6 @@ def _moving_start_flaws(robot: RobotModel, group: Group, problem: PlanningProble
                 joint=name,
                 velocity_rad_s=value,
                 limit_rad_s=limit,
-            )
-
-
-def _jerk_flaws(group: Group, max_jerk_rad_s3: Mapping[str, float]) -> Iterator[PlanningFailure]:
-    for name, value in max_jerk_rad_s3.items():
-        if name not in group.joints:
-            yield invalid_goal(f"there is a jerk limit for {name!r}, no joint of group {group.name!r}", joint=name)
-        if not (math.isfinite(value) and value > 0.0):
-            yield invalid_goal(
-                f"the jerk limit of joint {name!r} must be a finite number above 0 rad/s³, not {value:g}", joint=name
             )
 
 

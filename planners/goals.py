@@ -22,7 +22,7 @@ class JointGoal:
 
     Attributes:
         positions_rad: joint name -> position, met exactly where the limits allow it.
-        tolerance_rad: by so much a position may lie beyond its limit; the joint then goes to the limit.
+        tolerance_rad: greatest distance of a position beyond its limit; the joint then goes to the limit.
     """
 
     positions_rad: Mapping[str, float]
@@ -47,7 +47,7 @@ class PositionGoal:
 
 @dataclass(frozen=True)
 class AxisGoal:
-    """Bring the origin of ``link`` to a point with one axis of the link in a direction: what five joints can do.
+    """Bring the origin of ``link`` to a point with one axis of the link in a direction, as five joints can.
 
     Attributes:
         position_m: x, y, z in the robot's root link [m].
@@ -73,8 +73,8 @@ class PoseGoal:
         pose: in the robot's root link.
         position_tolerance_m: radius of the sphere around the position that counts as there [m].
         orientation_tolerance_rad: greatest rotation about the link's x, y, z from the desired orientation [rad].
-        strict: whether an orientation outside its tolerance is a failure; else the position is met and the
-            nearest orientation taken, with its deviation reported.
+        strict: True where an orientation outside its tolerance is a failure; else the position is met with the nearest
+            orientation, whose deviation is reported.
     """
 
     link: str
@@ -82,6 +82,16 @@ class PoseGoal:
     position_tolerance_m: float
     orientation_tolerance_rad: Point
     strict: bool = False
+
+    @property
+    def position_m(self) -> Point:
+        """The pose's position."""
+        return self.pose.position_m
+
+    @property
+    def tolerance_m(self) -> float:
+        """The position's tolerance."""
+        return self.position_tolerance_m
 
 
 @dataclass(frozen=True)
@@ -105,7 +115,7 @@ class PositionConstraint:
         half_size_m: half the box's edges [m], or None for a sphere.
         radius_m: radius of the sphere [m], or None for a box.
         offset_m: the point of the link, in the link's frame [m].
-        weight: its share where not all can hold.
+        weight: its share where not all constraints can hold.
     """
 
     link: str
@@ -124,7 +134,7 @@ class OrientationConstraint:
         link: the link.
         orientation: in the robot's root link.
         tolerance_rad: greatest rotation about the link's x, y, z from it [rad]; pi or more leaves an axis free.
-        weight: its share where not all can hold.
+        weight: its share where not all constraints can hold.
     """
 
     link: str
@@ -143,13 +153,13 @@ class Constraints:
 
     @property
     def empty(self) -> bool:
-        """True when nothing is demanded."""
+        """True when there is no constraint."""
         return not (self.joints or self.positions or self.orientations)
 
 
 @dataclass(frozen=True)
 class ConstraintGoal:
-    """Any configuration in which all constraints hold, as near to their middles as it can be had."""
+    """Reach any configuration in which all constraints hold, as near to their middles as possible."""
 
     constraints: Constraints
 
@@ -159,7 +169,7 @@ SingleGoal = JointGoal | PositionGoal | AxisGoal | PoseGoal | ConstraintGoal
 
 @dataclass(frozen=True)
 class AnyOf:
-    """Any one of several goals: the one that is reached soonest."""
+    """Reach any of several goals: the goal that is reached soonest."""
 
     goals: tuple[SingleGoal, ...]
 

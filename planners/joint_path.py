@@ -12,12 +12,10 @@ import numpy as np
 
 from planners import checks
 from planners.budget import Budget
-from planners.cartesian.following import SplinePath
-from planners.cartesian.planning import time_along
 from planners.geometry.certificate import Contact, certify
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
-from planners.motions.motion import MAX_DURATION_S
+from planners.motions.path_timing import MAX_DURATION_S, SplinePath, time_along
 from planners.problem import JointPathProblem, MoveItErrorCode, Plan, PlanningFailure, RateLimits
 from robot.description.model import RobotModel
 from robot.description.srdf import Group

@@ -1,11 +1,7 @@
 """Goal that works, nearest to one that does not: found among free configurations, and verified by a plan.
 
-A joint goal in collision is moved out of the contact in many directions, and the shortest way out is taken. A goal of
-the tip is met in several configurations whose contacts do not count; each of those is moved out of its contacts, and
-the tip's place there that is nearest to the one asked for is taken.
-
-Where no motion leads to any of these or to the goal itself, or the goal violates the constraints of the path, a tree of
-free motions is grown from the start, and the goal is moved to the nearest of its configurations.
+A joint goal in collision is moved out of the contact in many directions, and the shortest way out is taken. Otherwise a
+tree of free motions is grown from the start, and the goal is moved to the nearest of its configurations.
 """
 
 from __future__ import annotations
@@ -44,9 +40,6 @@ TRIES = 6
 # Configurations that meet a goal of the tip.
 CONFIGURATIONS = 4
 
-# Shares of the way from the tip to a goal: places there work where those near the goal do not.
-SHARES = (0.97, 0.9, 0.8, 0.6)
-
 # Codes of goals around which nothing is in the way, or nothing that moving the goal a little would help against: no
 # motion to them was found, or they violate the constraints of the path.
 UNREACHED = (MoveItErrorCode.TIMED_OUT, MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS)
@@ -55,7 +48,7 @@ UNREACHED = (MoveItErrorCode.TIMED_OUT, MoveItErrorCode.GOAL_VIOLATES_PATH_CONST
 # plan, so that others follow.
 AROUND_SHARE, FIND_SHARE, TREE_SHARE, TRY_SHARE = 0.6, 0.5, 0.5, 0.5
 
-# A tree of so many checks takes about 0.1 s, which is the same on every machine; and how coarse they are [m].
+# Checks of a tree, which take about 0.1 s, and their coarseness [m]; the tree is the same on every machine.
 TREE_CHECKS = 3000
 TREE_STEP_M = 0.01
 
@@ -76,17 +69,7 @@ def nearest_goal(
     plan: Callable[[PlanningProblem], Plan | PlanningFailure],
     budget: Budget,
 ) -> JointGoal | PositionGoal | PoseGoal | None:
-    """Find the goal; None where none was found.
-
-    Args:
-        problem: has no plan.
-        code: of its failure.
-        robot: the arm.
-        states: finds configurations.
-        collision: collisions of the arm with itself and the scene.
-        plan: verifies a goal.
-        budget: ends the search.
-    """
+    """Find the goal; None where none was found."""
     flaw = checks.check_request(robot, problem)
     beyond_limits = flaw is not None and "upper_rad" in flaw.details
     if (flaw is not None and not beyond_limits) or checks.check_start(robot, problem.start_rad) is not None:
@@ -117,13 +100,13 @@ def _are_numbers(goal: JointGoal) -> bool:
 def ways_out(
     space: JointSpace, point: Vector, start: Vector, moving: Vector, should_stop: Callable[[], bool]
 ) -> list[tuple[float, Vector]]:
-    """Return free points around one that is not, nearest first, with the most that anything moves to there [m].
+    """Return free points around one that is not, nearest first, with the greatest travel to there [m].
 
     Args:
-        space: what is free.
-        point: shape (n,) [rad].
+        space: free points.
+        point: point in contact, shape (n,) [rad].
         start: a free point, shape (n,) [rad].
-        moving: joints that may differ from the point, shape (n,), 1 or 0.
+        moving: 1 for joints that may differ from the point, else 0, shape (n,).
         should_stop: ends the search.
     """
     found: list[tuple[float, Vector]] = []
@@ -190,12 +173,7 @@ class _Search:
         self._start = space.point(start_q).copy()
 
     def phases(self, goal: Goal, *, around: bool) -> Iterator[tuple[Iterator[_TipOrJointGoal], Budget]]:
-        """Yield the candidates of each way to look for them, and the time for it.
-
-        Args:
-            goal: has no plan.
-            around: whether places around the goal may help.
-        """
+        """Yield the candidates of each way to look for them, and the time for it."""
         match goal:
             case JointGoal(positions_rad) if positions_rad.keys() <= set(self._group.joints) and _are_numbers(goal):
                 if around:
@@ -203,10 +181,7 @@ class _Search:
                     yield self._joint_goals(goal, part), part
                 yield self._reached_joint_goals(goal), self._budget
             case PositionGoal() | PoseGoal():
-                if around:
-                    part = self._budget.share(AROUND_SHARE)
-                    yield self._tip_goals(goal, part), part
-                yield self._reached_tip_goals(goal), self._budget
+                yield self._tip_goals(goal), self._budget
 
     def _joint_goals(self, goal: JointGoal, budget: Budget) -> Iterator[JointGoal]:
         """Yield joint goals near one, the first within the limits where one is beyond them."""
@@ -231,16 +206,19 @@ class _Search:
         if ahead is not None:
             yield self._joint_goal(goal, ahead)
 
-    def _reached_tip_goals(self, goal: PositionGoal | PoseGoal) -> Iterator[PositionGoal | PoseGoal]:
-        """Yield goals of the tip at places to which there are motions, those near one first."""
+    def _tip_goals(self, goal: PositionGoal | PoseGoal) -> Iterator[PositionGoal | PoseGoal]:
+        """Yield goals of the tip: at the nearest place within reach, then at places to which there are motions."""
         query = GoalQuery(
             self._group, self._start_q, None, self._budget.share(FIND_SHARE), CONFIGURATIONS, avoid_collisions=False
         )
         found = self._states.find(goal, query)
         states = [] if isinstance(found, PlanningFailure) else found
+        asked_m = np.array(goal.position_m)
+        if isinstance(found, PlanningFailure) and "nearest_m" in found.details:
+            asked_m = np.array(found.details["nearest_m"])
+            yield moved_to(goal, asked_m)
         points = self._reachable([self._space.point(state.q) for state in states])
         places_m = np.array([self._states.point_m(goal, self._space.configuration(point)) for point in points])
-        asked_m = np.array(goal.position_m if isinstance(goal, PositionGoal) else goal.pose.position_m)
         for place_m in places_m[spread(np.linalg.norm(places_m - asked_m, axis=1), TRIES)]:
             yield moved_to(goal, place_m)
 
@@ -280,36 +258,6 @@ class _Search:
             else:
                 blocked = share
         return self._start + reached * (target - self._start) if reached > 0.0 else None
-
-    def _tip_goals(self, goal: PositionGoal | PoseGoal, budget: Budget) -> Iterator[PositionGoal | PoseGoal]:
-        """Yield goals of the tip near one, those near it first, then those on the way there."""
-        constraints, part = self._problem.path_constraints, budget.share(FIND_SHARE)
-        query = GoalQuery(self._group, self._start_q, constraints, part, CONFIGURATIONS, avoid_collisions=False)
-        found = self._states.find(goal, query)
-        asked_m = np.array(goal.position_m if isinstance(goal, PositionGoal) else goal.pose.position_m)
-        if isinstance(found, PlanningFailure):
-            nearest_m = found.details.get("nearest_m")
-            places_m = [] if nearest_m is None else [np.array(nearest_m)]
-            asked_m = places_m[0] if places_m else asked_m
-        else:
-            places_m = self._places_m(goal, [state.q for state in found], budget)
-            places_m.sort(key=lambda place_m: float(np.linalg.norm(place_m - asked_m)))
-        tip_m = np.array(self._states.point_m(goal, self._start_q))
-        ways_m = [tip_m + share * (asked_m - tip_m) for share in SHARES]
-        # An orientation that is asked for is rarely to be had where the joints were turned out of a contact.
-        for place_m in (*places_m[: TRIES // 2], *ways_m):
-            yield moved_to(goal, place_m)
-
-    def _places_m(
-        self, goal: PositionGoal | PoseGoal, configurations: Sequence[Vector], budget: Budget
-    ) -> list[Vector]:
-        """Return where the tip is in free configurations near some, shape (3,) [m]."""
-        places_m = []
-        for q in configurations:
-            point = self._space.point(q)
-            for _, free in ways_out(self._space, point, self._start, np.ones(len(point)), budget.used_up)[:TRIES]:
-                places_m.append(np.array(self._states.point_m(goal, self._space.configuration(free))))
-        return places_m
 
 
 def spread(away_m: Vector, most: int) -> list[int]:

@@ -226,7 +226,7 @@ class Planner:
 
     def _rate_limits(self, problem: PlanningProblem) -> RateLimits:
         joints = [self._robot.joints[name] for name in self._robot.groups[problem.group].joints]
-        jerks = np.array([problem.max_jerk_rad_s3.get(joint.name, np.inf) for joint in joints])
+        jerks = np.array([np.inf if joint.max_jerk is None else joint.max_jerk for joint in joints])
         return RateLimits(
             problem.velocity_scaling * np.array([joint.max_velocity for joint in joints]),
             problem.acceleration_scaling * np.array([joint.max_acceleration for joint in joints]),

@@ -112,7 +112,6 @@ class PlanningProblem:
         path_constraints: what must hold from start to end.
         planner_id: which search to use, as :func:`planner_name` knows it; empty for the default.
         optimization_time_s: planning time to spend on shortening the motion once there is one [s].
-        max_jerk_rad_s3: joint -> greatest jerk; joints not named have no such limit [rad/s^3].
     """
 
     group: str
@@ -127,7 +126,6 @@ class PlanningProblem:
     path_constraints: Constraints | None = None
     planner_id: str = ""
     optimization_time_s: float = 0.024
-    max_jerk_rad_s3: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -231,7 +231,7 @@ class Reassembly:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         # Oldest first.
-        self._messages: dict[str | int, _Message] = {}
+        self._messages: dict[str | int | float, _Message] = {}
         self._fragments = 0
         self._size_bytes = 0
 
@@ -290,7 +290,7 @@ class Reassembly:
         self._size_bytes += size_bytes
         self._fragments += 1
 
-    def _remove(self, fragment_id: str | int) -> None:
+    def _remove(self, fragment_id: str | int | float) -> None:
         message = self._messages.pop(fragment_id, None)
         if message is not None:
             self._size_bytes -= message.size_bytes

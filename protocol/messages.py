@@ -203,7 +203,7 @@ class _PrimitiveArrayShape:
     """An array of primitive values."""
 
     def __init__(self, field: Field, bounds: ArrayBounds) -> None:
-        self._convert = values.converter(field.base, field.max_length)
+        self._convert = values.element_converter(field.base, field.max_length)
         self._convert_list = values.list_converter(field.base, field.max_length)
         self._bounds = bounds
         self._default: list[Any] = values.default(field)
@@ -321,10 +321,9 @@ class _MessageShape:
             meant = older_names.get(name, name)
             if meant is None:
                 continue
-            # Which of two spellings the client meant is not ours to guess.
-            if meant in translated:
-                raise MessageError(f"{meant} once", "two spellings of it", meant)
-            translated[meant] = content
+            # A stamp with both spellings is one of ROS 2 that serves clients of ROS 1 too.
+            if meant == name or meant not in value:
+                translated[meant] = content
         return translated
 
     def _refuse_unknown(self, value: dict[str, Any], known: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from protocol.errors import OperationError, describe
 
@@ -20,6 +20,14 @@ def qualify(name: str) -> str:
     rosbridge clients have no namespace of their own, so a relative name lives in the root namespace.
     """
     return name if name.startswith("/") else f"/{name}"
+
+
+def is_true(value: object) -> bool:
+    """Return the truth value of any JSON value; of texts, those that say no are false."""
+    return value.strip().lower() not in _SAYS_NO if isinstance(value, str) else bool(value)
+
+
+_SAYS_NO = ("", "false", "0", "no", "null", "none")
 
 
 # ROS 2 middleware takes no longer names of topics and types.
@@ -43,9 +51,12 @@ OptionalName: TypeAlias = Annotated[
     Annotated[str, Field(min_length=1, max_length=MAX_NAME_CHARACTERS)] | None,
     Field(description=f"text of 1 to {MAX_NAME_CHARACTERS} characters"),
 ]
+Mark: TypeAlias = str | int | float | None
+"""Id that a client has given to an operation; some clients draw it with ``Math.random()``."""
+
 OperationId: TypeAlias = Annotated[
-    Annotated[str, Field(max_length=MAX_ID_CHARACTERS)] | int | None,
-    Field(description=f"text of up to {MAX_ID_CHARACTERS} characters, an integer or null"),
+    Annotated[str, Field(max_length=MAX_ID_CHARACTERS)] | int | Annotated[float, Field(allow_inf_nan=False)] | None,
+    Field(description=f"text of up to {MAX_ID_CHARACTERS} characters, a number or null"),
 ]
 # What providers answer is told apart by the id that they were given, so there it must be one.
 GivenId: TypeAlias = Annotated[
@@ -53,14 +64,14 @@ GivenId: TypeAlias = Annotated[
 ]
 Count: TypeAlias = Annotated[int, Field(ge=0, description="an integer >= 0")]
 FragmentId: TypeAlias = Annotated[
-    Annotated[str, Field(max_length=MAX_ID_CHARACTERS)] | int,
-    Field(description=f"text of up to {MAX_ID_CHARACTERS} characters or an integer"),
+    Annotated[str, Field(max_length=MAX_ID_CHARACTERS)] | int | Annotated[float, Field(allow_inf_nan=False)],
+    Field(description=f"text of up to {MAX_ID_CHARACTERS} characters or a number"),
 ]
 Total: TypeAlias = Annotated[int, Field(ge=1, description="an integer >= 1")]
 Integer: TypeAlias = Annotated[int, Field(description="an integer")]
 Text: TypeAlias = Annotated[str, Field(description="text")]
-# rosbridge refuses fractions here, and clients that compute the rate then get nothing.
-Milliseconds: TypeAlias = Annotated[float, Field(ge=0, allow_inf_nan=False, description="milliseconds >= 0")]
+# rosbridge refuses fractions here, and clients that compute the rate then get nothing. Below 0 it throttles nothing.
+Milliseconds: TypeAlias = Annotated[float, Field(allow_inf_nan=False, description="a number of milliseconds")]
 Seconds: TypeAlias = Annotated[
     Annotated[float, Field(ge=0, allow_inf_nan=False)] | None, Field(description="seconds >= 0, or null")
 ]
@@ -80,6 +91,8 @@ UnixSeconds: TypeAlias = Annotated[
     float, Field(ge=0, le=253_402_300_799, allow_inf_nan=False, description="seconds since 1970, >= 0")
 ]
 Flag: TypeAlias = Annotated[bool, Field(description="true or false")]
+# rosbridge takes whatever Python counts as true; a text that says no is meant so.
+Truth: TypeAlias = Annotated[bool, BeforeValidator(is_true), Field(description="true or false")]
 JsonObject: TypeAlias = Annotated[dict[str, Any], Field(description="an object")]
 # Providers that fail give a sentence, an object or nothing; whether it fits is for the one who knows the type.
 Anything: TypeAlias = Annotated[Any, Field(description="any value")]
@@ -112,15 +125,15 @@ class Advertise(Operation):
 
     Attributes:
         latch: keep the last message for clients that subscribe later.
-        queue_size: accepted for the sake of ROS clients; there is no queue on the way in.
+        queue_size: any value, without effect: there is no queue on the way in.
         qos: ROS 2 quality of service, accepted and not applied.
     """
 
     op: Literal["advertise"] = "advertise"
     topic: Name
     type: Name
-    latch: Flag = False
-    queue_size: Count = 100
+    latch: Truth = False
+    queue_size: Anything = None
     qos: Qos = None
 
 
@@ -145,8 +158,8 @@ class Publish(Operation):
     topic: Name
     msg: JsonObject = Field(default_factory=dict)
     type: OptionalName = None
-    latch: Flag = False
-    queue_size: Count = 100
+    latch: Truth = False
+    queue_size: Anything = None
 
 
 _COMPRESSIONS: Mapping[str, Compression] = {name: name for name in get_args(Compression)}
@@ -157,7 +170,7 @@ class Subscribe(Operation):
 
     Attributes:
         type: the messages' type, None for the topic's established type.
-        throttle_rate: least time between two messages [ms].
+        throttle_rate: least time between two messages, 0 or less for none [ms].
         queue_length: messages kept for the throttle to let through, 0 for none.
         compression: the encoding asked for, by any name; see `encoding`.
         qos: ROS 2 quality of service, accepted and not applied.

@@ -326,8 +326,9 @@ class Registry:
 
 def _canonical(name: str, kind: Kind) -> str:
     # Which kind two parts mean must be told: control_msgs/GripperCommand is a message and an action.
-    parts = name.split("/")
-    return f"{parts[0]}/{kind}/{parts[1]}" if len(parts) == 2 else name
+    # rosbridge_library drops empty parts, as of /std_msgs/String and std_msgs/String/ (ros_loader, _splittype).
+    parts = [part for part in name.split("/") if part]
+    return f"{parts[0]}/{kind}/{parts[1]}" if len(parts) == 2 else "/".join(parts)
 
 
 def _definition(table: Table, canonical: str) -> Definition | None:

@@ -19,7 +19,7 @@ from protocol.dialect import Dialect
 from protocol.errors import FrameError, OperationError
 from protocol.framing import FrameReader
 from protocol.limits import Limits
-from protocol.operations import Fragment, Operation, Png
+from protocol.operations import Fragment, Mark, Operation, Png
 from protocol.publication import LARGE_BYTES, EncodedMessage, Encoding, Frame, PublishedMessage, pack
 from protocol.send_budget import SendBudget
 from protocol.send_queue import SendQueue
@@ -55,11 +55,13 @@ class Refusal:
         op: the operation's name, None where none could be read.
         id: the operation's id, None where it has none.
         text: one line that names op, field, limit and value.
+        called: service or action that the operation names, empty where it names none.
     """
 
     op: str | None
-    id: str | int | None
+    id: Mark
     text: str
+    called: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +82,7 @@ class Packed:
         return self.packing.op
 
     @property
-    def id(self) -> str | int | None:
+    def id(self) -> Mark:
         """Id of the operation that holds it."""
         return self.packing.id
 
@@ -199,7 +201,7 @@ class Session:
         try:
             operation = operations.parse(value)
         except OperationError as error:
-            return Refusal(error.op, _id(value), str(error))
+            return Refusal(error.op, _id(value), str(error), _called(value))
         if operation.fragment_size is not None:
             self._fragment_size = operation.fragment_size
         return operation
@@ -283,7 +285,7 @@ class Session:
         return self._send_queue.take_unready()
 
     def status(
-        self, level: Literal["error", "warning", "info"], text: str, mark: str | int | None, *, unasked: bool = False
+        self, level: Literal["error", "warning", "info"], text: str, mark: Mark, *, unasked: bool = False
     ) -> None:
         """Queue a status message, if the client has asked for this level.
 
@@ -382,7 +384,7 @@ class Session:
         )
 
 
-def with_id(fields: dict[str, Any], mark: str | int | None) -> dict[str, Any]:
+def with_id(fields: dict[str, Any], mark: Mark) -> dict[str, Any]:
     """Return an operation with the id that it answers to, which is left out where none was sent."""
     return fields if mark is None else {**fields, "id": mark}
 
@@ -394,9 +396,15 @@ def _size_bytes(frame: str | bytes) -> int:
     return len(frame.encode(errors="surrogatepass"))
 
 
-def _id(value: object) -> str | int | None:
+def _id(value: object) -> Mark:
     """Return the id of an operation that could not be read, if it is one that can be sent back."""
     mark = value.get("id") if isinstance(value, dict) else None
     if isinstance(mark, str):
         return mark if len(mark) <= operations.MAX_ID_CHARACTERS else None
-    return mark if type(mark) is int else None
+    return mark if type(mark) is int or (type(mark) is float and math.isfinite(mark)) else None
+
+
+def _called(value: object) -> str:
+    """Return the service or action that an operation names, if it is one that can be sent back."""
+    name = (value.get("service") or value.get("action")) if isinstance(value, dict) else None
+    return name if isinstance(name, str) and len(name) <= operations.MAX_NAME_CHARACTERS else ""

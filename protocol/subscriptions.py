@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 from protocol.errors import NothingToDoError, OperationError, describe
-from protocol.operations import Advertise, Compression, Subscribe, qualify
+from protocol.operations import Advertise, Compression, Mark, Subscribe, qualify
 
 T = TypeVar("T")
 
@@ -33,7 +33,7 @@ class Registrations(Generic[T]):
         self._opposite = opposite
         self._limit = limit
         self._count = 0
-        self._entries: dict[str, dict[str | int | None, T]] = {}
+        self._entries: dict[str, dict[Mark, T]] = {}
 
     def __iter__(self) -> Iterator[str]:
         """Go over the topics, by fully qualified name; the table may change meanwhile."""
@@ -46,7 +46,7 @@ class Registrations(Generic[T]):
         """Return the entries of all ids on a topic."""
         return self._entries.get(qualify(topic), {}).values()
 
-    def put(self, topic: str, entry_id: str | int | None, entry: T) -> bool:
+    def put(self, topic: str, entry_id: Mark, entry: T) -> bool:
         """Register an entry; the same id on the same topic is replaced.
 
         Returns:
@@ -65,7 +65,7 @@ class Registrations(Generic[T]):
         ids[entry_id] = entry
         return first
 
-    def remove(self, topic: str, entry_id: str | int | None) -> bool:
+    def remove(self, topic: str, entry_id: Mark) -> bool:
         """Withdraw one entry, or all on the topic when no id is given.
 
         Returns:
@@ -241,7 +241,7 @@ class Subscriptions:
         subscription.merge(self._rules.entries(operation.topic))
         return first
 
-    def remove(self, topic: str, subscription_id: str | int | None) -> bool:
+    def remove(self, topic: str, subscription_id: Mark) -> bool:
         """Withdraw the subscription with this id, or all to the topic when no id is given.
 
         Returns:

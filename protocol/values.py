@@ -2,7 +2,7 @@
 
 Every converter takes a decoded value and returns it as the type wants it, or raises MessageError. What is
 forgiven: an integer for a float, a whole float for an integer, null for a float (NaN goes out as null, so
-null comes back as NaN).
+null comes back as NaN), and in a list true and false for numbers (a gamepad's buttons).
 """
 
 from __future__ import annotations
@@ -97,6 +97,17 @@ def converter(name: str, max_length: int | None = None) -> Convert:
     return _CONVERTERS[name]
 
 
+def element_converter(name: str, max_length: int | None = None) -> Convert:
+    """Return the converter of an element of a list: as :func:`converter`, and true and false are numbers too.
+
+    rosbridge_library hands a list of numbers on as it is, and rclpy takes Python's truth values for integers.
+    """
+    convert = converter(name, max_length)
+    if name == "bool" or name in TEXTS:
+        return convert
+    return lambda value: convert(int(value) if type(value) is bool else value)
+
+
 def list_converter(name: str, max_length: int | None = None) -> ConvertList:
     """Return the quick way for lists in which every element is as it should be.
 
@@ -129,7 +140,7 @@ def to_list(values: list[Any], convert: Callable[[object], T]) -> list[T]:
 
 
 def to_octets(value: object, wanted: str) -> bytes:
-    """Take octets as base64 text (standard alphabet, padded, nothing around it) or as a list of integers.
+    """Take octets as base64 text (standard alphabet, padded) or as a list of integers.
 
     Args:
         value: what came.
@@ -141,8 +152,9 @@ def to_octets(value: object, wanted: str) -> bytes:
     if not isinstance(value, str):
         raise MessageError(f"{wanted} as base64 text or list", describe(value))
     try:
-        # Without validation stray characters are skipped, and a text that is no base64 becomes octets.
-        return pybase64.b64decode(value, validate=True)
+        # Without validation stray characters are skipped, and a text that is no base64 becomes octets. Encoders of
+        # MIME break lines (RFC 2045, 6.8): Python's encodebytes, and Java's.
+        return pybase64.b64decode(value.replace("\r", "").replace("\n", ""), validate=True)
     except ValueError as error:
         raise MessageError(f"{wanted} as base64 text", describe(value)) from error
 

@@ -16,8 +16,9 @@ import logging
 import time
 from collections.abc import Callable, Collection
 from dataclasses import replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
+from robot.arm_interface import ArmInterface
 from robot.calibration import Calibration
 from robot.logs import LogLimiter
 from robot.messages import (
@@ -66,8 +67,8 @@ MAX_EARLY_ORDERS = 16
 # A fifth of the shortest watchdog timeout of the arm process.
 HEARTBEAT_S = 0.1
 
-# States come once a second at least; a process that is silent for so long hangs, however busy the machine is.
-# Counted in heartbeats: the silence is not the child's fault when the server itself was stopped.
+# Silence after which a process hangs, however busy the machine is; states come at least once a second. Counted in
+# heartbeats, because a server that was stopped itself hears nothing either.
 SILENT_S = 5.0
 SILENT_HEARTBEATS = round(SILENT_S / HEARTBEAT_S)
 
@@ -77,51 +78,33 @@ STATE_MAX_AGE_S = 1.0
 # Relaxing takes longest: braking 2 s at most, the ramp 1.5 s, checking that torque is off some tenths.
 ORDER_TIMEOUT_S = 6.0
 
-# Log lines of one kind on processes that end or cannot be started: the first ones, then one in ten minutes [1/s].
+# Log lines on processes that end or cannot be started: the first, then one in ten minutes [1/s].
 RESTART_LINES = 10
 RESTART_LINES_PER_S = 1.0 / 600.0
 
-# Longer than the arm process itself takes to brake, park, relax and end, by the arm's clock; it ends by itself before.
+# By the arm's clock, longer than the arm process takes to brake, park, relax and end.
 CLOSE_TIMEOUT_S = END_LIMIT_S + 1.0
 
-# An arm that is to hold has come to rest before, and holds whatever becomes of its process: one that hangs holds up the
-# end of the server for no longer.
+# Silence after which a process that ends holding is not waited for: the arm is at rest, and holds without its process.
 SILENT_HOLDING_S = 0.8
 
-# A simulated arm on a busy machine has this time by the machine's clock: it is far slower only where nothing else works
-# either. Each simulated second has then taken three.
+# Longest end by the machine's clock: a simulated arm on a busy machine may need three seconds for each of its own.
 CLOSE_LIMIT_S = 60.0
 
 
 def start_arm_process(name: str = "") -> StartedChild:
-    """Start an arm process; it loads its modules, then waits for its configuration.
-
-    Args:
-        name: of the arm, for its log lines; empty for an arm that is alone.
-    """
+    """Start an arm process, which loads its modules; its log lines have the arm's name, or none for a lone arm."""
     return StartedChild("robot.control.loop", name)
 
 
-class ClockedArm(Protocol):
-    """Arm with a clock."""
-
-    @property
-    def clock_s(self) -> float:
-        """Clock of the control loop [s]."""
-
-    @property
-    def state_age_s(self) -> float:
-        """Age of the latest state [s]."""
-
-
-async def wait_on_clock(arm: ClockedArm, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
-    """Wait until all of some futures are done, for a time on an arm's clock, as :meth:`Arm.wait`."""
+async def wait_on_clock(arm: ArmInterface, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
+    """Wait until all of some futures are done, for a time on an arm's clock; see :meth:`Arm.wait`."""
     until_s = arm.clock_s + timeout_s
     while (pending := [end for end in ends if not end.done()]) and arm.clock_s < until_s:
         if arm.state_age_s > SILENT_S:
             break
-        # The arm's clock is never faster than this one. The first wait lasts all of the time: states that come
-        # late, to a server that stood still itself, cut nothing short.
+        # The arm's clock is never faster than the machine's. The first wait lasts all of the time, so that states that
+        # come late to a server that stood still cut nothing short.
         await asyncio.wait(pending, timeout=max(until_s - arm.clock_s, HEARTBEAT_S))
     return all(end.done() for end in ends)
 
@@ -130,16 +113,12 @@ class Arm:
     """Arm driven by the arm process, which is restarted when it dies; motions and orders in progress then end.
 
     Args:
-        config: hardware, limits and policies of the arm.
         on_state: called in the event loop with every state of the arm.
         on_health: called in the event loop with the arm's condition, once a second.
         started: its process, if it was started ahead.
-        restart_delay: delay before each start of a process in place of one that has ended.
         observed: returns False when nobody sees the arm's states at the moment.
-        name: as for :func:`start_arm_process`.
 
     Attributes:
-        state: latest state.
         state_max_age_s: age above which the latest state counts as stale [s].
         last_stop: stop epoch of the last stop of all motion; requests from earlier epochs move nothing any more.
     """
@@ -187,23 +166,12 @@ class Arm:
         self._last_connected = self.state
 
     async def launch(self) -> None:
-        """Start the process; it opens no hardware before :meth:`start`. Orders sent until then are queued.
-
-        Raises:
-            OSError: the system has no descriptor, process or memory left for it.
-        """
+        """Start the process; it opens no hardware before :meth:`start`. Orders sent until then are queued."""
         self._starting = True
         await self._process.launch()
 
     async def start(self, timeout_s: float) -> None:
-        """Configure the process, and wait for the arm's first state, connected or not.
-
-        Args:
-            timeout_s: longest wait [s].
-
-        Raises:
-            TimeoutError: no state came within ``timeout_s``.
-        """
+        """Configure the process, and wait for the arm's first state, connected or not; else raise TimeoutError."""
         if not self._process.launched:
             await self.launch()
         self._begun = True
@@ -245,14 +213,9 @@ class Arm:
         return self.state.clock_s
 
     async def wait(self, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
-        """Wait until all of some futures are done.
+        """Wait until all of some futures are done; return True when they are.
 
-        Args:
-            ends: futures of motions or orders.
-            timeout_s: longest wait on the arm's clock [s]; a silent arm is waited for :data:`SILENT_S` at most.
-
-        Returns:
-            True when all are done.
+        The time counts on the arm's clock; a silent arm is waited for :data:`SILENT_S` at most.
         """
         return await wait_on_clock(self, ends, timeout_s)
 
@@ -290,12 +253,7 @@ class Arm:
         return next((one for one in self.state.motions if one.motion_id == number), None)
 
     def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> ArmStream:
-        """Begin a stream of velocity setpoints; the joints stay at rest until the first.
-
-        Args:
-            joint_names: joints that follow, order of the setpoints.
-            epoch: stop epoch in which the stream was requested; None for now.
-        """
+        """Begin a stream of velocity setpoints in the order of the joints, which stay at rest until the first."""
         motion_id = next(self._ids)
         ended = self._begin(Stream(motion_id, joint_names, _epoch_of_request(epoch)))
         stream = ArmStream(motion_id, joint_names, ended, self._process.send)
@@ -319,7 +277,7 @@ class Arm:
             self._process.send(Stop(number))
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor, course or speed limit of motions, from now on."""
+        """Change speed factor, direction or speed limit of motions, from now on."""
         if change.speed_factor is not None:
             self._speed_factor = change.speed_factor
         self._process.send(change)
@@ -340,7 +298,6 @@ class Arm:
         """Send an order to the arm before returning.
 
         Args:
-            order: the order.
             calibration: calibration to write, of WRITE_CALIBRATION only.
             epoch: stop epoch in which it was requested; None for now. After a later stop the arm is not enabled.
 
@@ -369,11 +326,7 @@ class Arm:
             _settle(answered, CommandDone(number, done=False, message=message))
 
     def keep_parking(self, plan: ParkingPlan | None) -> None:
-        """Have the process keep a trajectory to the rest pose for its end, in place of the one before.
-
-        Args:
-            plan: the trajectory; None when the one before became invalid.
-        """
+        """Give the process the way to the rest pose that it plays at its end; None when there is no way."""
         self._process.send(KeepParking(plan))
 
     async def close(self) -> None:
@@ -426,7 +379,7 @@ class Arm:
             self._process.send(Heartbeat(self._observed()))
             self._silent_heartbeats += self._heard_since_s is not None
             if self._silent_heartbeats > SILENT_HEARTBEATS:
-                log.error("the arm process has said nothing for %g s; ending it", SILENT_S)
+                log.error("the arm process has been silent for %g s and is ended", SILENT_S)
                 self._silent_heartbeats = 0
                 await self._process.kill()
 
@@ -523,7 +476,7 @@ class Arm:
         # A fault stays latched. An arm that holds is adopted; one that was relaxed, perhaps by an emergency stop, must
         # not be switched on.
         last = self._last_connected
-        hardware = self._config.hardware.resumed(_position_rad(last), driven=last.driven)
+        hardware = self._config.hardware.resumed(_position_rad(last), driven=last.torque_enabled)
         self._config = replace(self._config, hardware=hardware, start_enabled=False, fault=self.state.fault)
         while True:
             await asyncio.sleep(self._restart_delay.after(ran_s))
@@ -561,14 +514,9 @@ class ArmStream:
     """Stream of velocity setpoints to some joints.
 
     Args:
-        motion_id: number of the stream.
         joint_names: joints that follow, order of the setpoints.
-        ended: future of the stream's end.
-        send: sends a setpoint to the arm process.
 
     Attributes:
-        joint_names: as given.
-        ended: as given.
         commanded: latest position and velocity goals of the joints; None until the arm has begun.
     """
 
@@ -586,23 +534,13 @@ class ArmStream:
         self.commanded: Commanded | None = None
 
     def steer(self, velocity_rad_s: Vector) -> None:
-        """Set the joints' velocities until the next setpoint; without one the stream ends soon.
-
-        Args:
-            velocity_rad_s: in the order of ``joint_names``, shape (joints,) [rad/s].
-        """
+        """Set the joints' velocities, shape (joints,) [rad/s]; without a next setpoint the stream ends soon."""
         if not self.ended.done():
             self._send(Setpoint(self._motion_id, velocity_rad_s))
 
 
 class ArmProcess:
     """Arm process, configured before it takes anything but orders, and launched again after its end.
-
-    Args:
-        on_message: called in the event loop with every message of the process.
-        on_exit: called in the event loop when a process has ended.
-        started: first process, if it was started ahead.
-        name: of the arm, as for :func:`start_arm_process`.
 
     Attributes:
         ended: future of the end of the latest process; None before the first launch.
@@ -640,11 +578,7 @@ class ArmProcess:
         return self._configured and self._runs()
 
     async def launch(self) -> None:
-        """Start a process; it does nothing before :meth:`configure`.
-
-        Raises:
-            OSError: the system has no descriptor, process or memory left for it.
-        """
+        """Start a process; it does nothing before :meth:`configure`."""
         with self._reserve.lent():
             started, self._started = self._started or start_arm_process(self._name), None
             self._child = Child(started, on_message=self._on_message, on_exit=self._exited)
@@ -652,11 +586,9 @@ class ArmProcess:
         await self._child.connect()
 
     def configure(self, config: ArmConfig, last_stop: Stop) -> None:
-        """Send the process its configuration, the last stop, then the queued orders; without effect when it has ended.
+        """Send the process its configuration, the last stop, which it cannot know, then the queued orders.
 
-        Args:
-            config: the configuration.
-            last_stop: last stop of all motion, of which a new process knows nothing.
+        Without effect when it has ended.
         """
         if self._child is None or not self._runs():
             return
@@ -673,11 +605,7 @@ class ArmProcess:
             self._child.send(message)
 
     def order(self, command: Command) -> bool:
-        """Send an order, or queue it for a process that is not configured yet.
-
-        Returns:
-            False when no process runs or the queue is full.
-        """
+        """Send an order, or queue it for a process that is not configured yet; return False for neither."""
         if not self._runs() or (not self._configured and len(self._early) >= MAX_EARLY_ORDERS):
             return False
         if self._configured:
@@ -692,7 +620,7 @@ class ArmProcess:
             await self._child.wait(SILENT_S)
 
     def close(self) -> None:
-        """Give back what is kept for the start of another process."""
+        """Give the descriptors for the start of another process back."""
         self._reserve.close()
 
     async def kill(self) -> None:
@@ -719,7 +647,7 @@ def _epoch_of_request(epoch: int | None) -> int:
 
 def _position_rad(state: ArmState) -> dict[str, float]:
     """Return goals of a driven arm, else positions, by joint [rad]; empty for an arm that was never read."""
-    held_rad = state.goal_rad if state.driven else state.position_rad
+    held_rad = state.goal_rad if state.torque_enabled else state.position_rad
     return {} if held_rad is None else dict(zip(state.joint_names, held_rad.tolist(), strict=True))
 
 

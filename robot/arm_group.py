@@ -1,7 +1,7 @@
 """Several arms as one: each has its process, and a motion of the joints of several is played by each for its own.
 
 All that is sent to several arms leaves in the same turn of the event loop; each begins with the next tick of its own
-loop, so that two arms differ by one tick at most, and by what a busy machine lets one of their processes wait.
+loop, so that two arms differ by one tick at most, plus the time for which a busy machine delays a process.
 """
 
 from __future__ import annotations
@@ -10,21 +10,38 @@ import asyncio
 import functools
 import itertools
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from robot.arm import Arm, wait_on_clock
 from robot.arm_interface import ArmInterface, StreamInterface
 from robot.calibration import Calibration
 from robot.errors import OrderRefused
-from robot.joined_states import joined_state
-from robot.messages import ArmState, ChangePace, CommandDone, MotionEnded, MotionProgress, Order, Outcome
-from robot.trajectory import Trajectory
+from robot.faults import Fault
+from robot.hardware.interface import BusCounters
+from robot.messages import (
+    ArmHealth,
+    ArmState,
+    ChangePace,
+    CommandDone,
+    Mode,
+    MotionEnded,
+    MotionProgress,
+    Order,
+    Outcome,
+)
+from robot.trajectory import Trajectory, Vector
 
-# Ends of a motion that are as good as it gets.
+# Good ends of a motion.
 _GOOD = (Outcome.REACHED, Outcome.GRIPPED)
 
-# Of several ends the one that says most about what went wrong comes first.
-_BY_WEIGHT = (
+# Modes of several arms, the mode that most keeps an arm from moving first.
+_MODES_BY_WEIGHT = (Mode.FAULT, Mode.DISCONNECTED, Mode.CONNECTED, Mode.MOVING, Mode.RELAXED, Mode.HOLDING)
+
+# Ends of one motion by several arms, the end that explains most about a failure first.
+_OUTCOMES_BY_WEIGHT = (
     Outcome.FAULT,
     Outcome.TRACKING_LOST,
     Outcome.BUS_LOST,
@@ -43,9 +60,6 @@ class ArmGroup:
     Args:
         arms: each by its name, with its joints.
         leaders: those that are moved by hand: they are enabled by their own name alone.
-
-    Attributes:
-        state_max_age_s: age above which the latest state of one counts as stale [s].
     """
 
     def __init__(self, arms: Mapping[str, tuple[Arm, tuple[str, ...]]], leaders: Collection[str] = ()) -> None:
@@ -54,7 +68,7 @@ class ArmGroup:
         self._arm_of = {joint: name for name, (_, joints) in arms.items() for joint in joints}
         self._parts: dict[frozenset[str], ArmGroup] = {}
         self._joints = {name: joints for name, (_, joints) in arms.items()}
-        # The motion of each arm, by that of all.
+        # Motions of the arms that take part in a motion of several, by its future.
         self._together: dict[asyncio.Future[MotionEnded], Mapping[str, asyncio.Future[MotionEnded]]] = {}
         self._last_read: dict[str, ArmState] = {}
         self._joined: tuple[tuple[ArmState, ...], ArmState] | None = None
@@ -81,7 +95,8 @@ class ArmGroup:
         if self._joined is None or any(a is not b for a, b in zip(self._joined[0], present, strict=True)):
             states = dict(zip(self._arms, present, strict=True))
             self._last_read |= {name: state for name, state in states.items() if state.position_rad is not None}
-            self._joined = present, joined_state(states, self._last_read, self._leaders)
+            readings = [self._last_read.get(name, state) for name, state in states.items()]
+            self._joined = present, joined_state(states, readings, self._leaders)
         return self._joined[1]
 
     @property
@@ -147,7 +162,7 @@ class ArmGroup:
     ) -> asyncio.Future[MotionEnded]:
         """Send a trajectory to the arms whose joints it moves, as :meth:`robot.arm.Arm.execute`.
 
-        What ends the motion of one early stops those of the others.
+        When one arm ends its part early, the other arms stop theirs.
         """
         shares = {
             name: [joint for joint in trajectory.joint_names if self._arm_of.get(joint) == name] for name in self._arms
@@ -193,7 +208,7 @@ class ArmGroup:
             ended.set_result(_joined_end({each: one.result() for each, one in together.items()}))
 
     def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
-        """Return the progress of a motion: of several arms that of the last."""
+        """Return the progress of a motion; of several arms, the progress of the last."""
         together = self._together.get(motion)
         if together is None:
             return next((found for arm in self._arms.values() if (found := arm.progress(motion))), None)
@@ -202,11 +217,7 @@ class ArmGroup:
         return min(begun, key=lambda one: one.fraction) if begun and len(begun) == len(moving) else None
 
     def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> StreamInterface:
-        """Begin a stream of velocity setpoints to joints of one arm.
-
-        Raises:
-            OrderRefused: the joints belong to several arms.
-        """
+        """Begin a stream of velocity setpoints; raise OrderRefused for joints of several arms."""
         part = self.part(joint_names)
         if isinstance(part, ArmGroup):
             raise OrderRefused(f"a stream moves one arm, not {', '.join(part.states)}")
@@ -228,7 +239,7 @@ class ArmGroup:
                 self._arms[name].stop(one)
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor, course or speed limit of the motions of all."""
+        """Change speed factor, direction or speed limit of the motions of all."""
         for arm in self._arms.values():
             arm.change_pace(change)
 
@@ -239,7 +250,7 @@ class ArmGroup:
     def order(
         self, order: Order, calibration: Calibration | None = None, epoch: int | None = None
     ) -> asyncio.Future[CommandDone]:
-        """Send an order to every arm before returning; the answer is that of all of them."""
+        """Send an order to every arm before returning; the answer joins the answers of all."""
         asked = self._arms.keys() - (self._leaders if order is Order.ENABLE else frozenset())
         answers = {name: arm.order(order, calibration, epoch) for name, arm in self._arms.items() if name in asked}
         answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
@@ -259,8 +270,99 @@ class ArmGroup:
 
 
 def _joined_end(ends: Mapping[str, MotionEnded]) -> MotionEnded:
-    """Return the one end of a motion of several arms: the worst, with what each says where they differ."""
-    outcome = min((end.outcome for end in ends.values()), key=_BY_WEIGHT.index)
+    """Return the end of a motion of several arms: the worst outcome, with each arm's sentence where they differ."""
+    outcome = min((end.outcome for end in ends.values()), key=_OUTCOMES_BY_WEIGHT.index)
     said = {end.message for end in ends.values()}
     message = said.pop() if len(said) == 1 else "; ".join(f"{name}: {end.message}" for name, end in ends.items())
     return MotionEnded(0, outcome, message)
+
+
+def joined_state(
+    states: Mapping[str, ArmState], readings: Sequence[ArmState] | None = None, leaders: Collection[str] = ()
+) -> ArmState:
+    """Return the states of several arms as one state; its mode is the mode that most keeps an arm from moving.
+
+    Args:
+        states: latest state of each arm, by its name.
+        readings: state of each arm whose readings count, without positions while one of them has none; None for the
+            arms that are read at present.
+        leaders: arms that are moved by hand: while relaxed, they keep no other arm from moving.
+    """
+    present = list(states.values())
+    known = [state for state in present if state.position_rad is not None] if readings is None else readings
+    # Joints of an arm that does not move are held, or stay, where they are read.
+    any_holds = any(state.goal_rad is not None for state in known)
+    leading = max((state for state in present if state.motions), key=lambda state: state.remaining_s, default=None)
+    modes = [state.mode for name, state in states.items() if name not in leaders or state.mode is not Mode.RELAXED]
+    # The latest by the arms' clocks: the machine's clock may be set, and a lost arm's clock stands still.
+    connected = [state for state in present if state.mode is not Mode.DISCONNECTED]
+    latest = max(connected or present, key=lambda state: state.clock_s)
+    return ArmState(
+        stamp_s=latest.stamp_s,
+        mode=min(modes or [Mode.RELAXED], key=_MODES_BY_WEIGHT.index),
+        joint_names=tuple(name for state in known for name in state.joint_names),
+        reason="; ".join(f"{name}: {state.reason}" for name, state in states.items() if state.reason),
+        fault=next((_named(name, state.fault) for name, state in states.items() if state.fault is not None), None),
+        position_rad=_joined(known, lambda state: state.position_rad),
+        velocity_rad_s=_joined(known, lambda state: state.velocity_rad_s),
+        age_s=_joined(
+            known, lambda state: None if state.age_s is None else state.age_s + (latest.clock_s - state.clock_s)
+        ),
+        load=_joined(known, lambda state: state.load),
+        current_a=_joined(known, lambda state: state.current_a),
+        goal_rad=_joined(known, _held_rad) if any_holds else None,
+        motion_id=None if leading is None else leading.motion_id,
+        fraction=0.0 if leading is None else leading.fraction,
+        remaining_s=0.0 if leading is None else leading.remaining_s,
+        motions=tuple(motion for state in present for motion in state.motions),
+        pace=replace((leading or present[0]).pace, speed_limit=min(state.pace.speed_limit for state in present)),
+        lateness_s=tuple(late_s for state in present for late_s in state.lateness_s),
+        clock_s=min(state.clock_s for state in present),
+        torque_enabled=all(state.torque_enabled for state in present),
+    )
+
+
+def joined_health(reports: Mapping[str, ArmHealth]) -> ArmHealth:
+    """Return the health of several arms as one; the figures of the loops are the worst ones."""
+    all_of = list(reports.values())
+    limits_rad = [each.limits_rad for each in all_of if each.limits_rad is not None]
+    buses = [each.bus for each in all_of if each.bus is not None]
+    return ArmHealth(
+        monotonic_s=min(each.monotonic_s for each in all_of),
+        mode=min((each.mode for each in all_of), key=_MODES_BY_WEIGHT.index),
+        port=", ".join(dict.fromkeys(each.port for each in all_of)),
+        joints=tuple(joint for each in all_of for joint in each.joints),
+        bus=_summed(buses) if buses else None,
+        lateness_s=_greatest([each.lateness_s for each in all_of]),
+        round_trip_s=_greatest([each.round_trip_s for each in all_of]),
+        real_time=all(each.real_time for each in all_of),
+        real_time_factor=min(each.real_time_factor for each in all_of),
+        memory_locked=all(each.memory_locked for each in all_of),
+        limits_rad=np.concatenate(limits_rad) if len(limits_rad) == len(all_of) else None,
+        fault=next((_named(name, each.fault) for name, each in reports.items() if each.fault is not None), None),
+        reason="; ".join(f"{name}: {each.reason}" for name, each in reports.items() if each.reason),
+    )
+
+
+def _held_rad(state: ArmState) -> Vector | None:
+    return state.position_rad if state.goal_rad is None else state.goal_rad
+
+
+def _joined(states: Sequence[ArmState], array_of: Callable[[ArmState], Vector | None]) -> Vector | None:
+    """Return an array of all joints; None while one arm has none."""
+    arrays = [array for state in states if (array := array_of(state)) is not None]
+    return np.concatenate(arrays) if arrays and len(arrays) == len(states) else None
+
+
+def _named(name: str, fault: Fault | None) -> Fault | None:
+    """Return a fault whose sentence names its arm."""
+    return None if fault is None else replace(fault, message=f"{name}: {fault.message}")
+
+
+def _summed(buses: list[BusCounters]) -> BusCounters:
+    return BusCounters(*(sum(values) for values in zip(*(vars(bus).values() for bus in buses), strict=True)))
+
+
+def _greatest(figures: list[tuple[float, float, float]]) -> tuple[float, float, float]:
+    p50, p99, greatest = (max(values) for values in zip(*figures, strict=True))
+    return p50, p99, greatest

@@ -1,4 +1,4 @@
-"""Interface of an arm to those who move it: one arm (:class:`robot.arm.Arm`), or several (:mod:`robot.arm_group`)."""
+"""Interface of an arm for its callers: one arm (:class:`robot.arm.Arm`), or several (:mod:`robot.arm_group`)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class StreamInterface(Protocol):
 
 
 class ArmInterface(Protocol):
-    """Arm that is moved; the members are those of :class:`robot.arm.Arm`, which describes them."""
+    """Arm that is moved; :class:`robot.arm.Arm` describes the members."""
 
     state_max_age_s: float
 
@@ -45,7 +45,7 @@ class ArmInterface(Protocol):
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Ids of its processes, of those that have been launched."""
+        """Ids of its launched processes."""
 
     def part(self, joint_names: Collection[str]) -> ArmInterface:
         """Return the arm, or the arms together, that have some joints: nothing else counts for their motions."""
@@ -80,7 +80,7 @@ class ArmInterface(Protocol):
         """Brake one motion, or all of them."""
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor, course or speed limit of motions."""
+        """Change speed factor, direction or speed limit of motions."""
 
     async def rest(self, timeout_s: float) -> bool:
         """Wait until every motion has ended."""

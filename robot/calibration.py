@@ -1,5 +1,7 @@
 """Calibration of the arm as lerobot writes it: conversion between servo ticks and the URDF's radians.
 
+A calibration that cannot be found, read, written or used raises CalibrationError.
+
 lerobot records for each joint the ticks of its two ends. The middle of that range is the URDF's zero: on four
 measured arms the elbow's range agrees with the URDF's within 0.8 deg, while its middle lies up to 13.5 deg
 from tick 2048.
@@ -51,24 +53,15 @@ class JointCalibration:
     zero_offset_rad``. The range of one whose zero is given by its ``ends`` spans the URDF's: ``q = lower + (ticks -
     range_min) / (range_max - range_min) * (upper - lower)``, and ``drive_mode`` 1 swaps its ends, as the sign -1 does.
     lerobot ignores ``drive_mode`` of joints in degrees, and so does this class.
-
-    Attributes:
-        servo: the joint and its servo, as the robot's folder describes them.
-        servo_id: id on the bus.
-        drive_mode: 0, or 1 for a mirrored gripper.
-        homing_offset: register HOMING_OFFSET at calibration [ticks]; the servo applies it itself.
-        range_min: lowest position reached by hand [ticks].
-        range_max: highest position reached by hand [ticks].
-        zero_offset_rad: trim added to the position of a joint whose zero is a tick [rad].
     """
 
     servo: ServoSpec
     servo_id: int
-    drive_mode: int
-    homing_offset: int
-    range_min: int
-    range_max: int
-    zero_offset_rad: float = 0.0
+    drive_mode: int  # 0, or 1 for a mirrored gripper
+    homing_offset: int  # register HOMING_OFFSET at calibration [ticks]; the servo applies it itself
+    range_min: int  # lowest position reached by hand [ticks]
+    range_max: int  # highest position reached by hand [ticks]
+    zero_offset_rad: float = 0.0  # trim added to the position of a joint whose zero is a tick [rad]
 
     @property
     def joint(self) -> str:
@@ -90,12 +83,7 @@ class JointCalibration:
         return self._zero_rad + (ticks - self._zero_ticks) * self._rad_per_tick
 
     def ticks_from_rad(self, position_rad: float) -> int:
-        """Convert a joint position [rad] to the nearest tick, inside the range or not.
-
-        Raises:
-            ValueError: the position is not a number.
-            OverflowError: the position is infinite.
-        """
+        """Convert a joint position [rad] to the nearest tick, inside the range or not."""
         return round(self._zero_ticks + (position_rad - self._zero_rad) / self._rad_per_tick)
 
     def rad_s_from_ticks_s(self, velocity_ticks_s: float) -> float:
@@ -134,16 +122,11 @@ class JointCalibration:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibration of an arm.
+    """Calibration of an arm."""
 
-    Attributes:
-        joints: its joints from base to gripper.
-        measured: False for one that was assumed rather than read from a file.
-        offsets_known: False if it does not say which homing offsets the servos should have.
-    """
-
-    joints: tuple[JointCalibration, ...]
-    measured: bool = field(default=True, compare=False)
+    joints: tuple[JointCalibration, ...]  # its joints from base to gripper
+    measured: bool = field(default=True, compare=False)  # False for one that was assumed rather than read from a file
+    # False if it does not say which homing offsets the servos should have.
     offsets_known: bool = field(default=True, compare=False)
 
     @property
@@ -153,24 +136,12 @@ class Calibration:
 
     @classmethod
     def nominal(cls, servos: Sequence[ServoSpec]) -> Calibration:
-        """Build the calibration of a flawless arm: every range centred, and a little wider than the URDF's limits.
-
-        Args:
-            servos: the arm's servos.
-        """
+        """Build the calibration of a flawless arm: every range centred, and a little wider than the URDF's limits."""
         return cls(tuple(_nominal(servo) for servo in servos), measured=False, offsets_known=False)
 
     @classmethod
     def load(cls, path: Path, servos: Sequence[ServoSpec]) -> Calibration:
-        """Read a calibration file of lerobot (June 2025 or later).
-
-        Args:
-            path: the file.
-            servos: the arm's servos.
-
-        Raises:
-            CalibrationError: the file cannot be read, has the older schema, or does not describe this arm.
-        """
+        """Read a calibration file of lerobot (June 2025 or later)."""
         table = _read_table(path)
         names = [servo.joint for servo in servos]
         if missing := [name for name in names if name not in table]:
@@ -182,14 +153,7 @@ class Calibration:
         return cls(joints)
 
     def with_zero_offsets(self, zero_offset_rad: Mapping[str, float]) -> Calibration:
-        """Return the calibration with a trim of some joints' zero.
-
-        Args:
-            zero_offset_rad: offset to add to a joint's position, by joint [rad]; joints not named keep theirs.
-
-        Raises:
-            CalibrationError: there is no such joint, its ends are its zero, or the trim is too large.
-        """
+        """Return the calibration with a trim added to the positions of some joints, by joint [rad]."""
         names = [joint.joint for joint in self.joints if joint.servo.zero != "ends"]
         for name, offset_rad in zero_offset_rad.items():
             if name not in names:
@@ -210,23 +174,14 @@ class Calibration:
         """Return warnings about a calibration that is usable but looks wrong, a sentence each."""
         return tuple(
             f"{joint.joint} has a range of {joint.range_max - joint.range_min} ticks, more than {WIDEST_RANGE_TICKS}: "
-            "its sweep went across the seam between 4095 and 0; calibrate anew from the middle of the joint's range"
+            "its sweep went across the seam between 4095 and 0; calibrate again from the middle of the joint's range"
             for joint in self.joints
             if not joint.servo.turns_freely and joint.range_max - joint.range_min > WIDEST_RANGE_TICKS
         )
 
 
 def find_calibration(name_or_path: str, folders: Sequence[str], environment: Mapping[str, str]) -> Path:
-    """Find a calibration file.
-
-    Args:
-        name_or_path: path of the file, or the arm's lerobot id.
-        folders: lerobot's names of such arms, the newest first.
-        environment: the process's environment variables.
-
-    Raises:
-        CalibrationError: lerobot has no calibration of that id, or one under each of its names that differ.
-    """
+    """Find a calibration file by its path, or by the arm's lerobot id in lerobot's folders, the newest first."""
     if _is_path(name_or_path):
         return Path(name_or_path)
     candidates = [directory / f"{name_or_path}.json" for directory in lerobot_directories(folders, environment)]
@@ -242,16 +197,7 @@ def find_calibration(name_or_path: str, folders: Sequence[str], environment: Map
 
 
 def new_calibration_path(name_or_path: str, folders: Sequence[str], environment: Mapping[str, str]) -> Path:
-    """Return the file of a new calibration: the path, or the file in which lerobot looks for that id.
-
-    Args:
-        name_or_path: path of the file, or the arm's lerobot id.
-        folders: lerobot's names of such arms, the newest first.
-        environment: the process's environment variables.
-
-    Raises:
-        CalibrationError: an id of an arm that lerobot does not know.
-    """
+    """Return the file of a new calibration: the path, or the file in which lerobot looks for that id."""
     if _is_path(name_or_path):
         return Path(name_or_path)
     if not folders:
@@ -260,12 +206,7 @@ def new_calibration_path(name_or_path: str, folders: Sequence[str], environment:
 
 
 def lerobot_directories(folders: Sequence[str], environment: Mapping[str, str]) -> tuple[Path, ...]:
-    """Return the directories in which lerobot keeps calibrations of such arms, the newest first.
-
-    Args:
-        folders: lerobot's names of such arms, the newest first.
-        environment: the process's environment variables.
-    """
+    """Return the directories in which lerobot keeps calibrations of the arm, the newest first."""
     cache = environment.get("XDG_CACHE_HOME") or "~/.cache"
     huggingface = environment.get("HF_HOME") or f"{cache}/huggingface"
     home = environment.get("HF_LEROBOT_HOME") or f"{huggingface}/lerobot"
@@ -275,15 +216,7 @@ def lerobot_directories(folders: Sequence[str], environment: Mapping[str, str]) 
 
 @contextlib.contextmanager
 def reserved(path: Path, *, overwrite: bool) -> Iterator[None]:
-    """Reserve a file for a new calibration, against other processes that would write it meanwhile.
-
-    Args:
-        path: the file.
-        overwrite: True if it may exist.
-
-    Raises:
-        CalibrationError: it exists, cannot be written, or another process has it.
-    """
+    """Reserve a file for a new calibration, against other processes that would write it meanwhile."""
     lock = files.FileLock(path)
     try:
         lock.acquire()
@@ -300,11 +233,7 @@ def reserved(path: Path, *, overwrite: bool) -> Iterator[None]:
 
 
 def save(calibration: Calibration, path: Path) -> None:
-    """Write a calibration as lerobot does, as a whole or not at all; its file is :func:`reserved`.
-
-    Raises:
-        CalibrationError: the file cannot be written.
-    """
+    """Write a calibration as lerobot does, as a whole or not at all; its file is :func:`reserved`."""
     table = {
         joint.joint: {
             "id": joint.servo_id,
@@ -346,7 +275,7 @@ def _read_table(path: Path) -> Mapping[str, object]:
         raise CalibrationError(
             str(path),
             "",
-            "is of lerobot's schema before June 2025, whose zero is another: calibrate the arm anew",
+            "is of lerobot's schema before June 2025, whose zero is another: calibrate the arm again",
         )
     return table
 
@@ -371,7 +300,7 @@ def _joint(file: str, servo: ServoSpec, entry: object) -> JointCalibration:
         raise CalibrationError(
             file,
             f"{name}.range_min",
-            f"must be below range_max {range_max}, not {range_min}: calibrate the arm anew",
+            f"must be below range_max {range_max}, not {range_min}: calibrate the arm again",
         )
     return JointCalibration(
         servo=servo,

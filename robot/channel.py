@@ -33,11 +33,7 @@ SIGNALS_OF_SERVER = (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
 
 
 def encode(message: object) -> bytes:
-    """Frame one message for the other end.
-
-    Raises:
-        ValueError: it is larger than :data:`MAX_MESSAGE_BYTES`.
-    """
+    """Frame one message for the other end."""
     payload = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     if len(payload) > MAX_MESSAGE_BYTES:
         raise ValueError(f"a message of {len(payload)} bytes is over the limit of {MAX_MESSAGE_BYTES}")
@@ -51,11 +47,7 @@ class Decoder:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Any]:
-        """Return the messages completed by ``data``.
-
-        Raises:
-            ValueError: a message is larger than :data:`MAX_MESSAGE_BYTES`.
-        """
+        """Return the messages completed by ``data``; raise ValueError for one above :data:`MAX_MESSAGE_BYTES`."""
         self._buffer += data
         messages = []
         while len(self._buffer) >= LENGTH.size:
@@ -90,11 +82,7 @@ class Channel:
         return self._socket.fileno()
 
     def receive(self, timeout_s: float | None) -> list[Any]:
-        """Return the messages that arrive within ``timeout_s``; none when the server is gone.
-
-        Args:
-            timeout_s: longest wait for the first one [s]; None for no bound.
-        """
+        """Return the messages that arrive within a time, without bound for None; none when the server is gone."""
         if self._kept:
             kept, self._kept = self._kept, []
             return kept
@@ -134,12 +122,7 @@ class Channel:
         return [message for message in messages if not isinstance(message, LoggerLevel)]
 
     def send(self, message: object, *, droppable: bool = False) -> None:
-        """Send without waiting.
-
-        Args:
-            message: dataclass to send.
-            droppable: True to drop it while :data:`MAX_PENDING_BYTES` wait for the server to read.
-        """
+        """Send without waiting; drop a droppable message while :data:`MAX_PENDING_BYTES` wait for the server."""
         self._flush()
         if droppable and len(self._pending) > MAX_PENDING_BYTES:
             return
@@ -159,15 +142,7 @@ class Channel:
 
 
 def send_log(channel: Channel, process: str) -> LineHandler:
-    """Send the lines of this process's log to the server as well, which keeps the last ones.
-
-    Args:
-        channel: channel to the server; lines are dropped while it does not read.
-        process: name of this process.
-
-    Returns:
-        The handler, which sends until it is closed.
-    """
+    """Send the lines of this process's log to the server as well, as far as it reads, until the handler is closed."""
     return LineHandler(process, lambda line: channel.send(line, droppable=True))
 
 
@@ -182,9 +157,6 @@ def channel_of_child(arguments: list[str] | None = None) -> Channel:
     """Open the channel that a child was started with, and log as its server does.
 
     Ctrl-C and the service manager's signals are ignored here: the server handles them.
-
-    Args:
-        arguments: command line; None for that of the process.
     """
     leave_signals_to_server()
     parser = argparse.ArgumentParser()

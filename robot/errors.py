@@ -49,7 +49,6 @@ class PortPermission(PortError):  # noqa: N818 - named by the fact, as its sibli
     """Missing permission to open the device.
 
     Args:
-        port: path of the port.
         group: group that owns the device, by name, or by number if it has no name here, as in a container.
     """
 
@@ -57,7 +56,7 @@ class PortPermission(PortError):  # noqa: N818 - named by the fact, as its sibli
         join = (
             f"give the container its group, --group-add {group}"
             if group.isdigit()
-            else f"join the group {group} (`sudo usermod -aG {group} $USER`, then log in anew)"
+            else f"join the group {group} (`sudo usermod -aG {group} $USER`, then log in again)"
         )
         super().__init__(port, f"may not be opened by this user: {join}, or add a udev rule (docs/hardware.md)")
 
@@ -81,12 +80,7 @@ class BusError(RobotError):
 
 
 class NoReply(BusError, TimeoutError):  # noqa: N818 - named by the fact
-    """Servo without a valid reply in time, after all attempts.
-
-    Attributes:
-        servo_id: id of the servo.
-        attempts: number of instructions sent.
-    """
+    """Servo without a valid reply in time, after all attempts."""
 
     def __init__(self, servo_id: int, attempts: int) -> None:
         super().__init__(f"servo {servo_id} gave no valid reply to {attempts} instructions")
@@ -98,7 +92,6 @@ class CalibrationError(RobotError):
     """Calibration file that cannot be used.
 
     Attributes:
-        file: path of the file.
         field: place in it, as ``joint.key``; empty for the whole file.
     """
 
@@ -110,11 +103,7 @@ class CalibrationError(RobotError):
 
 
 class BackupError(RobotError):
-    """Backup of servo registers that cannot be read or written.
-
-    Attributes:
-        path: of the file.
-    """
+    """Backup of servo registers that cannot be read or written."""
 
     def __init__(self, path: Path, problem: str) -> None:
         super().__init__(f"backup {path} {problem}")

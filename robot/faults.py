@@ -52,7 +52,7 @@ REMEDIES: Mapping[FaultCode, str] = {
     FaultCode.STARTUP_REFUSED: "Do what the message says, then reset the fault.",
     FaultCode.EMERGENCY_STOP: "Make sure that the arm may move, then reset the fault and enable it.",
     FaultCode.EMERGENCY_STOP_UNVERIFIED: "Cut the servos' supply: some may still be driven.",
-    FaultCode.PROCESS_LOST: "The arm process is started anew; reset the fault when it is back.",
+    FaultCode.PROCESS_LOST: "The arm process restarts; reset the fault when it is back.",
 }
 
 
@@ -80,21 +80,13 @@ def remedy_of(code: FaultCode, *, simulated: bool) -> str:
 
 @dataclass(frozen=True)
 class Fault:
-    """Fault, latched until it is reset.
-
-    Attributes:
-        code: kind of fault.
-        message: one sentence with joint and figures.
-        joint: joint concerned; empty for the whole arm.
-        stamp_s: wall-clock time at which it was detected [s since the epoch].
-        simulated: True for a simulated arm, whose remedies differ.
-    """
+    """Fault, latched until it is reset."""
 
     code: FaultCode
-    message: str
-    joint: str = ""
-    stamp_s: float = 0.0
-    simulated: bool = False
+    message: str  # one sentence with joint and figures
+    joint: str = ""  # joint concerned; empty for the whole arm
+    stamp_s: float = 0.0  # wall-clock time at which it was detected [s since the epoch]
+    simulated: bool = False  # True for a simulated arm, whose remedies differ
 
     @property
     def remedy(self) -> str:

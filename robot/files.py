@@ -46,7 +46,6 @@ class FileLock:
 
         Args:
             timeout_s: longest wait for another that has it [s]; 0 to try once.
-            clock: monotonic time [s].
 
         Raises:
             FileLockedError: another process has it for longer.
@@ -82,12 +81,8 @@ class FileLock:
 def locked(path: Path) -> Iterator[None]:
     """Hold the lock of a file, for as long as it takes to read, change and replace it.
 
-    Args:
-        path: the file, which need not exist.
-
     Raises:
         FileLockedError: another process has it for longer than :data:`LOCK_TIMEOUT_S`.
-        OSError: the lock's file cannot be made.
     """
     lock = FileLock(path)
     lock.acquire(LOCK_TIMEOUT_S)
@@ -102,7 +97,6 @@ def replace(path: Path, content: bytes, mode: int | None = None) -> None:
 
     Args:
         path: the file; of a symbolic link, the file that it leads to.
-        content: all of it.
         mode: its permissions, which it has before it has any content; None for the process's default.
 
     Raises:
@@ -133,7 +127,6 @@ class FileSeries:
         directory: created with the first file.
         prefix: beginning of the names; what follows in them must sort by age.
         suffix: end of the names, with its dot.
-        max_files: limit of files.
     """
 
     def __init__(self, directory: Path, prefix: str, suffix: str, max_files: int) -> None:
@@ -149,14 +142,10 @@ class FileSeries:
             name: its name between prefix and suffix; a number is added when there is such a file.
             content: returns the content for the name of the file without its suffix.
 
-        Returns:
-            Its path.
-
         Raises:
-            FileLockedError: another process writes to the directory for longer than :data:`LOCK_TIMEOUT_S`.
             OSError: the file cannot be written.
         """
-        # The lock of the directory is that of a file of this name in it.
+        # A file of this name in the directory stands for its lock.
         with locked(self._directory / self._prefix.rstrip("-")):
             path, number = self._directory / f"{self._prefix}{name}{self._suffix}", 0
             while path.exists():
@@ -175,14 +164,7 @@ class FileSeries:
 
 
 def set_aside(path: Path) -> Path:
-    """Rename a file that cannot be used, whose lock is held, to ``NAME.broken``, ``NAME.broken.1`` and so on.
-
-    Returns:
-        Its new path, at which there was nothing before.
-
-    Raises:
-        OSError: it cannot be renamed.
-    """
+    """Rename a file that cannot be used, whose lock is held, to ``NAME.broken``, ``NAME.broken.1`` and so on."""
     aside, number = path.with_name(f"{path.name}.broken"), 0
     while aside.exists():
         number += 1

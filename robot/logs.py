@@ -30,7 +30,7 @@ SUBJECTS = ("client", "goal", "code")
 # Parent of all loggers of this program; libraries have theirs beside it.
 OUR_LOGGER = "armbridge"
 
-# Messages quote what clients send, which may be as long as a WebSocket message.
+# Messages quote clients, whose text may be as long as a WebSocket message.
 MAX_MESSAGE_CHARACTERS = 4000
 
 # Tokens stand in URLs and headers, which libraries quote in their own messages.
@@ -48,14 +48,7 @@ MAX_CHANGED_LOGGERS = 100
 
 
 def configure(level: int | str, log_format: LogFormat, process: str = "server", arm: str = "") -> None:
-    """Log to standard error; to be called once in each process.
-
-    Args:
-        level: least level, by number or name.
-        log_format: plain lines or JSON.
-        process: name of the process in JSON lines.
-        arm: name of the arm that plain lines begin their messages with; empty for an arm that is alone.
-    """
+    """Log to standard error; to be called once in each process. The arm's name begins the message of plain lines."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter(process) if log_format == "json" else PlainFormatter(arm))
     handler.addFilter(FloodFilter())
@@ -76,11 +69,7 @@ def _log_exception(kind: type[BaseException], error: BaseException, traceback: T
 
 
 class PlainFormatter(logging.Formatter):
-    """Formatter of lines for people.
-
-    Args:
-        arm: as for :func:`configure`.
-    """
+    """Formatter of lines for people."""
 
     def __init__(self, arm: str = "") -> None:
         super().__init__(PLAIN)
@@ -98,11 +87,7 @@ class PlainFormatter(logging.Formatter):
 
 
 class JsonFormatter(logging.Formatter):
-    """Formatter of one JSON object a line, for programs that collect logs.
-
-    Args:
-        process: name of the process, as ``server``.
-    """
+    """Formatter of one JSON object a line, for programs that collect logs."""
 
     def __init__(self, process: str) -> None:
         super().__init__()
@@ -165,16 +150,7 @@ class LogLimiter:
         now_s: float = 0.0,
         extra: Mapping[str, str] | None = None,
     ) -> None:
-        """Write a line if it is due, and how many like it were not; write once that there are too many keys.
-
-        Args:
-            logger: logger to write to.
-            level: level of the line.
-            line: text; formatters escape what a client has put into it.
-            key: subject of the line.
-            now_s: monotonic time [s]; without effect where there are no lines in the long run.
-            extra: the line's :data:`SUBJECTS`; None for none.
-        """
+        """Write a line if it is due, and how many like it were not; write once that there are too many keys."""
         if self.due(key, now_s):
             logger.log(level, "%s%s", line, suppressed_note(self.suppressed(key)), stacklevel=2, extra=extra)
         elif hash(key) not in self._buckets and not self._end_is_written:
@@ -182,12 +158,7 @@ class LogLimiter:
             logger.log(level, "%d lines of this kind were written; further ones are not", len(self._buckets))
 
     def due(self, key: Hashable, now_s: float) -> bool:
-        """Count a line, and return True when it is to be written.
-
-        Args:
-            key: subject of the line.
-            now_s: monotonic time [s].
-        """
+        """Count a line, and return True when it is to be written."""
         bucket = self._buckets.get(hash(key))
         if bucket is None:
             if self._max_keys is not None and len(self._buckets) >= self._max_keys:
@@ -210,7 +181,7 @@ class LogLimiter:
 
 @dataclass(slots=True)
 class _Bucket:
-    """Lines of one key: those left now, and those suppressed since and before the latest due one."""
+    """Lines of one key: left now, and suppressed since and before the latest due line."""
 
     left: float
     counted_s: float
@@ -219,16 +190,12 @@ class _Bucket:
 
 
 def suppressed_note(count: int) -> str:
-    """Return the text to append to a line before which similar ones were suppressed; empty for none."""
+    """Return the note on lines that were suppressed before a line; empty without any."""
     return f" ({count} more lines like this were left out before)" if count else ""
 
 
 class FloodFilter(logging.Filter):
-    """Filter that limits the lines of each place in the program.
-
-    Args:
-        clock: monotonic time [s].
-    """
+    """Filter that limits the lines of each place in the program."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
@@ -237,7 +204,7 @@ class FloodFilter(logging.Filter):
         self._limiter = LogLimiter(BURST, LINES_PER_S, max_keys=None)
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return True for a record to write; it is marked with the number of those suppressed before it."""
+        """Return True for a record to write; it carries the number of records suppressed before it."""
         place = record.pathname, record.lineno
         if not self._limiter.due(place, self._clock()):
             return False
@@ -265,11 +232,7 @@ _changed: dict[str, LoggerLevel] = {}
 
 
 def change(level: LoggerLevel) -> bool:
-    """Change a logger's level in this process and in all children.
-
-    Returns:
-        False when :data:`MAX_CHANGED_LOGGERS` other loggers have been changed already.
-    """
+    """Change a logger's level in this process and in all children; return False for too many loggers."""
     if level.name not in _changed and len(_changed) >= MAX_CHANGED_LOGGERS:
         return False
     _changed[level.name] = level
@@ -297,32 +260,18 @@ MAX_LINE_CHARACTERS = 3000
 
 @dataclass(frozen=True)
 class LogLine:
-    """Line of a process's log, as it is passed on to where the last lines are kept.
+    """Line of a process's log, as it is passed on to where the last lines are kept."""
 
-    Attributes:
-        at_s: wall-clock time [s since the epoch].
-        level: level, numbered as Python does.
-        logger: name of the logger.
-        process: name of the process.
-        text: message without tokens, and the traceback below it; at most :data:`MAX_LINE_CHARACTERS`.
-        monotonic_s: monotonic time of the machine, which all of its processes share [s].
-    """
-
-    at_s: float
-    level: int
+    at_s: float  # wall-clock time [s since the epoch]
+    level: int  # level, numbered as Python does
     logger: str
     process: str
-    text: str
-    monotonic_s: float
+    text: str  # message without tokens, and the traceback below it; at most MAX_LINE_CHARACTERS
+    monotonic_s: float  # monotonic time of the machine, which all of its processes share [s]
 
 
 class LineHandler(logging.Handler):
-    """Handler that passes each record of our loggers on as a line, from its construction to :meth:`close`.
-
-    Args:
-        process: name of this process.
-        take: takes each line, in the thread that has logged it.
-    """
+    """Handler that passes each record of our loggers on as a line, in the thread that has logged it."""
 
     def __init__(self, process: str, take: Callable[[LogLine], None]) -> None:
         super().__init__()

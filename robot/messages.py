@@ -6,6 +6,7 @@ states, health).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from robot.advice import ServoWarning
 from robot.calibration import Calibration
 from robot.description.model import RobotModel
 from robot.faults import Fault
@@ -35,38 +37,25 @@ class Frequent:
 
 @dataclass(frozen=True)
 class GuardLimits:
-    """Torque limits, thresholds of the guards, and tolerances of a motion's end.
-
-    Attributes:
-        torque_limit: share of full duty that the servos may use, register TORQUE_LIMIT.
-        gripper_torque_limit: the same for the gripper's servo.
-        tracking_error_rad: distance to its goal beyond which a joint has lost track [rad].
-        tracking_time_s: time for which that must last to be a fault [s].
-        stall_current_a: current above which a servo that all but stands still is stalled [A].
-        stall_time_s: time for which that must last to be a fault [s].
-        silent_after_s: age of a servo's last answer beyond which it is silent, which is a fault [s].
-        min_voltage_v: voltage below which the supply is a fault [V].
-        goal_tolerance_rad: greatest distance of a settled joint from the end of a motion [rad].
-        settle_timeout_s: time to settle, from the end of the motion on [s].
-    """
+    """Torque limits, thresholds of the guards, and tolerances of a motion's end."""
 
     # Below 1, so that a servo's own overload protection stays the last resort.
-    torque_limit: float = 0.8
+    torque_limit: float = 0.8  # share of full duty that the servos may use, register TORQUE_LIMIT
     # A gripper holds for long: with more it overheats.
-    gripper_torque_limit: float = 0.5
-    tracking_error_rad: float = 0.35
-    tracking_time_s: float = 0.2
+    gripper_torque_limit: float = 0.5  # the same for the gripper's servo
+    tracking_error_rad: float = 0.35  # distance to its goal beyond which a joint has lost track [rad]
+    tracking_time_s: float = 0.2  # time for which that must last to be a fault [s]
     # 60 % of the stall current.
-    stall_current_a: float = 1.5
+    stall_current_a: float = 1.5  # current above which a servo that all but stands still is stalled [A]
     # Well before the servo's own overload timer of 2 s runs out.
-    stall_time_s: float = 0.3
+    stall_time_s: float = 0.3  # time for which that must last to be a fault [s]
     # Ten missed cycles; the servos follow their last goals meanwhile.
-    silent_after_s: float = 0.1
+    silent_after_s: float = 0.1  # age of a servo's last answer beyond which it is silent, which is a fault [s]
     # The electronics of a 7.4 V servo reset not far below.
-    min_voltage_v: float = 4.5
+    min_voltage_v: float = 4.5  # voltage below which the supply is a fault [V]
     # Backlash (0.9-1.0 deg) plus droop under load (1.8-2.6 deg) of real arms.
-    goal_tolerance_rad: float = 0.06
-    settle_timeout_s: float = 1.0
+    goal_tolerance_rad: float = 0.06  # greatest distance of a settled joint from the end of a motion [rad]
+    settle_timeout_s: float = 1.0  # time to settle, from the end of the motion on [s]
 
 
 # Longest times of the arm's end, counted in ticks, after which its process ends in any state [s]. Braking takes a
@@ -104,121 +93,75 @@ class EmergencyPolicy(Enum):
 
 @dataclass(frozen=True)
 class ArmConfig:
-    """Configuration of the arm process.
-
-    Attributes:
-        robot: joints and their soft limits.
-        hardware: actuators of the arm, real or simulated.
-        state_rate_hz: rate of the states [Hz].
-        start_enabled: True to enable the arm as soon as it is connected; else it stays relaxed.
-        watchdog_s: silence of the server after which the arm is stopped [s]; a simulated arm waits longer.
-        on_server_lost: policy for the arm then, and when the server's process is gone.
-        on_exit: policy for the arm when the server shuts down.
-        on_emergency_stop: policy of emergency stops.
-        warn_temperature_c: temperature from which a servo has a warning [degC].
-        slow_temperature_c: temperature from which motions slow down [degC].
-        stop_temperature_c: temperature from which a servo is a fault [degC].
-        guard_limits: torque limits, thresholds of the guards, and tolerances of a motion's end.
-        speed_limit: share of the joints' velocity limits that no motion exceeds, until it is changed.
-        fault: fault latched by an earlier arm process and not yet reset.
-    """
+    """Configuration of the arm process."""
 
     robot: RobotModel
     hardware: HardwareConfig
     state_rate_hz: float = 50.0
-    start_enabled: bool = True
-    watchdog_s: float = 0.5
-    on_server_lost: EndState = EndState.HOLD
+    start_enabled: bool = True  # True to enable the arm as soon as it is connected; else it stays relaxed
+    watchdog_s: float = 0.5  # silence of the server after which the arm is stopped [s]; a simulated arm waits longer
+    on_server_lost: EndState = EndState.HOLD  # policy for the arm then, and when the server's process is gone
     on_exit: EndState = EndState.HOLD
     on_emergency_stop: EmergencyPolicy = EmergencyPolicy.TORQUE_OFF
     warn_temperature_c: float = 55.0
-    slow_temperature_c: float = 60.0
+    slow_temperature_c: float = 60.0  # temperature from which motions slow down [degC]
     stop_temperature_c: float = 65.0
     guard_limits: GuardLimits = field(default_factory=GuardLimits)
-    speed_limit: float = 1.0
-    fault: Fault | None = None
+    speed_limit: float = 1.0  # share of the joints' velocity limits that no motion exceeds, until it is changed
+    fault: Fault | None = None  # fault latched by an earlier arm process and not yet reset
 
 
 @dataclass(frozen=True)
 class Continuation:
-    """Point at which a motion is spliced into another one without a stop; both coincide for some time.
+    """Point at which a motion is spliced into another one without a stop; both coincide for some time."""
 
-    Attributes:
-        motion_id: motion in progress that is replaced.
-        from_s: time on it at which the new one begins [s].
-    """
-
-    motion_id: int
-    from_s: float
+    motion_id: int  # motion in progress that is replaced
+    from_s: float  # time on it at which the new one begins [s]
 
 
 @dataclass(frozen=True)
 class Execute:
-    """Command to play a trajectory; the arm must hold near its first position.
-
-    Attributes:
-        motion_id: number of the motion.
-        trajectory: trajectory of some joints; the others hold.
-        gripping: True if a joint that stalls on the way has gripped something, which ends the motion well; otherwise a
-            stall is a fault.
-        torque_share: share of its torque limit that the joints of the motion may use, in (0, 1].
-        continues: motion in progress to splice into; None to begin at rest.
-        epoch: stop epoch in which the motion was requested (:mod:`robot.stop_epochs`).
-    """
+    """Command to play a trajectory; the arm must hold near its first position."""
 
     motion_id: int
-    trajectory: Trajectory
+    trajectory: Trajectory  # trajectory of some joints; the others hold
+    # True if a joint that stalls on the way has gripped something, which ends the motion well; otherwise a stall is a
+    # fault.
     gripping: bool = False
-    torque_share: float = 1.0
-    continues: Continuation | None = None
-    epoch: int = 0
+    torque_share: float = 1.0  # share of its torque limit that the joints of the motion may use, in (0, 1]
+    continues: Continuation | None = None  # motion in progress to splice into; None to begin at rest
+    epoch: int = 0  # stop epoch in which the motion was requested (robot.stop_epochs)
 
 
 @dataclass(frozen=True)
 class ParkingPlan:
-    """Trajectory to the rest pose, found free of collisions in the scene of its time.
-
-    Attributes:
-        trajectory: trajectory of some joints; the others hold.
-        held_rad: goal of every joint of the arm at its start; it is played from there alone [rad].
-    """
+    """Trajectory to the rest pose, found free of collisions in the scene of its time."""
 
     trajectory: Trajectory
-    held_rad: Mapping[str, float]
+    held_rad: Mapping[str, float]  # goal of every joint of the arm at its start; it is played from there alone [rad]
 
 
 @dataclass(frozen=True)
 class KeepParking:
-    """Command to keep a parking trajectory for the arm's end, in place of the one before; None: that is invalid."""
+    """Command to keep a parking trajectory in place of the former; None when the former became invalid."""
 
     plan: ParkingPlan | None
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Command to brake along the path.
+    """Command to brake along the path."""
 
-    Attributes:
-        motion_id: motion to stop; None stops every motion in progress.
-        epoch: stop epoch that a stop of all motion begins: the arm refuses requests from earlier epochs.
-    """
-
-    motion_id: int | None = None
-    epoch: int = 0
+    motion_id: int | None = None  # motion to stop; None stops every motion in progress
+    epoch: int = 0  # stop epoch that a stop of all motion begins: the arm refuses requests from earlier epochs
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Command to follow the velocities of :class:`Setpoint` messages of the same number; at rest until the first.
-
-    Attributes:
-        motion_id: number of the stream.
-        joint_names: joints that follow, order of the setpoints.
-        epoch: as of :class:`Execute`.
-    """
+    """Command to follow the velocities of :class:`Setpoint` messages of the same number; at rest until the first."""
 
     motion_id: int
-    joint_names: tuple[str, ...]
+    joint_names: tuple[str, ...]  # joints that follow, order of the setpoints
     epoch: int = 0
 
 
@@ -228,17 +171,13 @@ class Setpoint:
 
     They are valid until the next setpoint, for a short time; after it the joints are brought to rest and the stream
     ends. Setpoints for a stream that has ended are ignored.
-
-    Attributes:
-        motion_id: number of the stream.
-        velocity_rad_s: in the stream's order, shape (joints,) [rad/s].
     """
 
     motion_id: int
-    velocity_rad_s: Vector
+    velocity_rad_s: Vector  # in the stream's order, shape (joints,) [rad/s]
 
 
-class Course(Enum):
+class PlaybackDirection(Enum):
     """Direction in which motions are played along their paths."""
 
     FORWARD = "forward"
@@ -252,17 +191,11 @@ MIN_SPEED_LIMIT = 0.01
 
 @dataclass(frozen=True)
 class Pace:
-    """Speed and direction of motions; grips are exempt from the speed factor and the course.
+    """Speed and direction of motions; grips are exempt from the speed factor and the direction."""
 
-    Attributes:
-        speed_factor: share of the planned speed, 0 to 1.
-        course: direction; forward again once no motion is in progress.
-        speed_limit: share of the joints' velocity limits that no motion exceeds, MIN_SPEED_LIMIT to 1.
-    """
-
-    speed_factor: float = 1.0
-    course: Course = Course.FORWARD
-    speed_limit: float = 1.0
+    speed_factor: float = 1.0  # share of the planned speed, 0 to 1
+    direction: PlaybackDirection = PlaybackDirection.FORWARD  # forward again once no motion is in progress
+    speed_limit: float = 1.0  # share of the joints' velocity limits that no motion exceeds, MIN_SPEED_LIMIT to 1
 
 
 @dataclass(frozen=True)
@@ -270,18 +203,15 @@ class ChangePace:
     """Command to change the pace of motions; None leaves a value. Factor and limit also apply to later motions."""
 
     speed_factor: float | None = None
-    course: Course | None = None
+    direction: PlaybackDirection | None = None
     speed_limit: float | None = None
 
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """Sign of life of the server, ten times a second.
+    """Sign of life of the server, ten times a second."""
 
-    Attributes:
-        observed: False when nobody sees the arm's states at the moment, so that a simulated one may report fewer.
-    """
-
+    # False when nobody sees the arm's states at the moment, so that a simulated one may report fewer.
     observed: bool = True
 
 
@@ -297,30 +227,19 @@ class Order(Enum):
 
 @dataclass(frozen=True)
 class Command:
-    """Order with a number, which its :class:`CommandDone` repeats.
-
-    Attributes:
-        number: unique in the life of the server.
-        order: the order.
-        calibration: calibration to write into the servos, of WRITE_CALIBRATION only.
-        epoch: stop epoch that an emergency stop begins; of other orders the one in which they were requested.
-    """
+    """Order with a number, which its :class:`CommandDone` repeats."""
 
     number: int
     order: Order
-    calibration: Calibration | None = None
-    epoch: int = 0
+    calibration: Calibration | None = None  # calibration to write into the servos, of WRITE_CALIBRATION only
+    epoch: int = 0  # stop epoch that an emergency stop begins, or in which another order was requested
 
 
 @dataclass(frozen=True)
 class Shutdown:
-    """Command to brake, bring the arm to its end state and end the process.
+    """Command to brake, bring the arm to its end state and end the process."""
 
-    Attributes:
-        hurry: True to relax an arm that was to be parked.
-    """
-
-    hurry: bool = False
+    hurry: bool = False  # True to relax an arm that was to be parked
 
 
 class Mode(Enum):
@@ -368,145 +287,91 @@ class CommandDone:
 
 @dataclass(frozen=True)
 class Commanded(Frequent):
-    """Goals of a stream's joints, at every tick.
-
-    Attributes:
-        motion_id: number of the stream.
-        at_s: time since the stream began [s].
-        position_rad: in the stream's order, shape (joints,) [rad].
-        velocity_rad_s: shape (joints,) [rad/s].
-    """
+    """Goals of a stream's joints, at every tick."""
 
     motion_id: int
-    at_s: float
-    position_rad: Vector
-    velocity_rad_s: Vector
+    at_s: float  # time since the stream began [s]
+    position_rad: Vector  # in the stream's order, shape (joints,) [rad]
+    velocity_rad_s: Vector  # shape (joints,) [rad/s]
 
 
 @dataclass(frozen=True)
 class MotionProgress:
-    """Progress of one motion.
-
-    Attributes:
-        motion_id: number of the motion.
-        fraction: share that is done, 0..1.
-        remaining_s: time left to its end [s].
-        rate: share of the planned speed at which it may be played, above 0 while it is not paused, at most 1.
-    """
+    """Progress of one motion."""
 
     motion_id: int
-    fraction: float
-    remaining_s: float
-    rate: float = 1.0
+    fraction: float  # share that is done, 0..1
+    remaining_s: float  # time left to its end [s]
+    rate: float = 1.0  # share of the planned speed at which it may be played, above 0 while it is not paused, at most 1
 
 
 @dataclass(frozen=True)
 class ArmState(Frequent):
-    """State of the arm at one moment.
+    """State of the arm at one moment."""
 
-    Attributes:
-        stamp_s: wall-clock time of the reading [s since the epoch].
-        mode: state of the state machine.
-        reason: cause of being disconnected, or connected but refused by the checks; empty otherwise. A connected arm
-            without a reason is still being checked or switched on.
-        fault: latched fault, to be reset before the arm moves again.
-        joint_names: order of the arrays.
-        position_rad: measured, shape (joints,).
-        velocity_rad_s: measured, shape (joints,).
-        age_s: time from each joint's reading to ``stamp_s``, shape (joints,) [s].
-        load: share of full motor duty, signed, -1..1, shape (joints,).
-        current_a: motor current, signed, shape (joints,) [A].
-        goal_rad: commanded, shape (joints,).
-        motion_id: motion in progress, of several the one with most joints; None at rest.
-        fraction: share of the motion that is done, 0..1.
-        remaining_s: time left to the end of the motion [s].
-        motions: every motion in progress.
-        pace: speed and direction of motions.
-        lateness_s: start of the latest ticks after their deadlines, one value each [s].
-        clock_s: time of the control loop, which on a simulated arm passes no faster than the loop runs [s].
-        driven: True while torque is on.
-    """
-
-    stamp_s: float
+    stamp_s: float  # wall-clock time of the reading [s since the epoch]
     mode: Mode
     joint_names: tuple[str, ...]
+    # Cause of being disconnected, or connected but refused by the checks; empty otherwise. A connected arm without a
+    # reason is still being checked or switched on.
     reason: str = ""
-    position_rad: Vector | None = None
-    velocity_rad_s: Vector | None = None
-    age_s: Vector | None = None
-    load: Vector | None = None
-    current_a: Vector | None = None
-    goal_rad: Vector | None = None
-    motion_id: int | None = None
-    fraction: float = 0.0
-    remaining_s: float = 0.0
+    position_rad: Vector | None = None  # measured, shape (joints,)
+    velocity_rad_s: Vector | None = None  # measured, shape (joints,)
+    age_s: Vector | None = None  # time from each joint's reading to `stamp_s`, shape (joints,) [s]
+    load: Vector | None = None  # share of full motor duty, signed, -1..1, shape (joints,)
+    current_a: Vector | None = None  # motor current, signed, shape (joints,) [A]
+    goal_rad: Vector | None = None  # commanded, shape (joints,)
+    motion_id: int | None = None  # motion in progress, of several the motion with most joints; None at rest
+    fraction: float = 0.0  # share of the motion that is done, 0..1
+    remaining_s: float = 0.0  # time left to the end of the motion [s]
     motions: tuple[MotionProgress, ...] = ()
     pace: Pace = Pace()
+    # Start of the latest ticks after their deadlines, one value each [s].
     lateness_s: tuple[float, ...] = field(default=())
-    fault: Fault | None = None
-    clock_s: float = 0.0
-    driven: bool = False
+    fault: Fault | None = None  # latched fault, to be reset before the arm moves again
+    clock_s: float = 0.0  # time of the control loop, which on a simulated arm passes no faster than the loop runs [s]
+    torque_enabled: bool = False  # True while torque is on
 
 
 @dataclass(frozen=True)
 class JointHealth:
-    """Health of one joint's actuator, as in ``/diagnostics``; NaN for what the hardware does not measure.
-
-    Attributes:
-        hardware_id: name of the actuator, as ``servo 3``.
-        status: bits of :class:`robot.hardware.interface.StatusFlag`.
-        age_s: time since its last good reply [s].
-        silent_cycles: cycles in which it did not answer, since the bus was opened.
-        warnings: warnings, a sentence each.
-        errors: other errors since the bus was opened, by kind (:class:`robot.advice.Complaint`).
-        registers: its settings as surveyed, by the name of the register.
-        expected: values that those of them should have which have another, likewise.
-    """
+    """Health of one joint's actuator, as in ``/diagnostics``; NaN for what the hardware does not measure."""
 
     joint: str
-    hardware_id: str
-    position_rad: float
-    temperature_c: float
-    voltage_v: float
-    current_a: float
-    load: float
-    torque_enabled: bool | None
-    status: int
-    age_s: float
-    silent_cycles: int
-    warnings: tuple[str, ...] = ()
+    hardware_id: str  # name of the actuator, as `servo 3`
+    position_rad: float = math.nan
+    temperature_c: float = math.nan
+    voltage_v: float = math.nan
+    current_a: float = math.nan
+    load: float = math.nan
+    torque_enabled: bool | None = None
+    status: int = 0  # bits of StatusFlag
+    age_s: float = math.inf  # time since its last good reply [s]
+    silent_cycles: int = 0  # cycles in which it did not answer, since the bus was opened
+    warnings: tuple[ServoWarning, ...] = ()  # warnings of the survey and of the moment
+    # Other errors since the bus was opened, by kind (ServoAlert).
     errors: Mapping[str, int] = field(default_factory=dict)
-    registers: Mapping[str, int] = field(default_factory=dict)
+    registers: Mapping[str, int] = field(default_factory=dict)  # its settings as surveyed, by the name of the register
+    # Values that settings should have which have another, by the name of the register.
     expected: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class ArmHealth:
-    """Health of the arm, once a second.
+    """Health of the arm, once a second."""
 
-    Attributes:
-        monotonic_s: monotonic time of the machine, which all of its processes share [s].
-        port: serial port of the arm; ``simulated`` or ``ideal`` where there is none.
-        joints: one each, in the order of the arm's arrays.
-        bus: counters of the bus since it was opened; None for hardware without one.
-        lateness_s: start of the ticks after their deadlines in the last second: p50, p99, greatest [s].
-        round_trip_s: time that block reads took in the last second: p50, p99, greatest [s].
-        real_time: True if the process has real-time priority.
-        real_time_factor: arm's time per machine's time; below 1 a simulated arm is slow because the machine is busy.
-        memory_locked: True if the process's memory cannot be swapped out.
-        limits_rad: soft limits in force, shape (joints, 2) [rad]; None before the survey.
-    """
-
-    monotonic_s: float
+    monotonic_s: float  # monotonic time of the machine, which all of its processes share [s]
     mode: Mode
-    port: str
+    port: str  # serial port of the arm; `simulated` or `ideal` where there is none
     joints: tuple[JointHealth, ...]
-    bus: BusCounters | None
+    bus: BusCounters | None  # counters of the bus since it was opened; None for hardware without one
+    # Start of the ticks after their deadlines in the last second: p50, p99, greatest [s].
     lateness_s: tuple[float, float, float]
-    round_trip_s: tuple[float, float, float]
+    round_trip_s: tuple[float, float, float]  # time that block reads took in the last second: p50, p99, greatest [s]
     real_time: bool
+    # Arm's time per machine's time; below 1 a simulated arm is slow because the machine is busy.
     real_time_factor: float = 1.0
     memory_locked: bool = False
-    limits_rad: Vector | None = None
+    limits_rad: Vector | None = None  # soft limits in force, shape (joints, 2) [rad]; None before the survey
     fault: Fault | None = None
     reason: str = ""

@@ -1,7 +1,8 @@
 """Child processes, from the server's side.
 
 A child is started as ``python -P -m MODULE --fd N`` with a fresh interpreter: it shares no lock, no heap and no random
-state with the server, only the socket pair of :mod:`robot.channel`.
+state with the server, only the socket pair of :mod:`robot.channel`. Where the system has no descriptor, process or
+memory left for a child, its start raises OSError.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection, Iterator
-from typing import Any, NoReturn, Protocol, cast
+from typing import Any, NoReturn, TypeAlias, cast
 
 from robot import logs
 from robot.channel import SIGNALS_OF_SERVER, Decoder, encode
@@ -51,11 +52,7 @@ SHORT_RUN_S = 1.0
 
 
 class DescriptorReserve:
-    """File descriptors kept for the start of a child: clients that use up all others cannot prevent it.
-
-    Args:
-        count: number of descriptors.
-    """
+    """File descriptors kept for the start of a child: clients that use up all others cannot prevent it."""
 
     def __init__(self, count: int = RESERVED_DESCRIPTORS) -> None:
         self._count = count
@@ -92,12 +89,7 @@ class DescriptorReserve:
 
 
 class RestartDelay:
-    """Delay before each start of a process: none after a run that was not short, else doubled from start to start.
-
-    Args:
-        first_s: delay after the first short run [s].
-        longest_s: longest delay [s].
-    """
+    """Delay before each start of a process: none after a run that was not short, else doubled from start to start."""
 
     def __init__(self, first_s: float = FIRST_RESTART_S, longest_s: float = LONGEST_RESTART_S) -> None:
         self._first_s = first_s
@@ -105,11 +97,7 @@ class RestartDelay:
         self._next_s = first_s
 
     def after(self, ran_s: float) -> float:
-        """Return the time to wait [s].
-
-        Args:
-            ran_s: time for which the process ran [s]; 0 for one that could not be started.
-        """
+        """Return the time to wait [s] after a process ran for a time [s]; 0 for one that could not be started."""
         if ran_s >= SHORT_RUN_S:
             self._next_s = self._first_s
             return 0.0
@@ -117,39 +105,14 @@ class RestartDelay:
         return delay_s
 
 
-class Process(Protocol):
-    """Process that this one has started, as far as :class:`subprocess.Popen` is used here."""
-
-    pid: int
-
-    def poll(self) -> int | None:
-        """Return the exit code, the negative number of a signal; None while it runs."""
-
-    def kill(self) -> None:
-        """Kill it, if it runs."""
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Wait for the exit code.
-
-        Raises:
-            subprocess.TimeoutExpired: it still runs.
-        """
-
-
 class ForkedProcess:
     """Child of ``fork``: it shares the memory of what this process has loaded, until one of them writes there.
 
-    To be made before this process has threads or an event loop, of which a child would have dead halves. The child has
-    a session of its own, and is as one of :func:`start_module` but for its modules.
+    Fork before this process has threads or an event loop: the child would inherit them dead. The child has a session of
+    its own, as a child of :func:`start_module` has.
 
     Args:
         run: body of the child; its return, or an exception, ends the child.
-
-    Attributes:
-        pid: process id.
-
-    Raises:
-        OSError: the system has no process or memory left for it.
     """
 
     def __init__(self, run: Callable[[], None]) -> None:
@@ -177,11 +140,7 @@ class ForkedProcess:
             os.kill(self.pid, signal.SIGKILL)
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the exit code.
-
-        Raises:
-            subprocess.TimeoutExpired: it still runs.
-        """
+        """Wait for the exit code."""
         until_s = None if timeout is None else time.monotonic() + timeout
         while (code := self.poll()) is None:
             if until_s is not None and time.monotonic() >= until_s:
@@ -205,6 +164,10 @@ def _be_child(run: Callable[[], None]) -> NoReturn:
         os._exit(code)
 
 
+# Process that this one has started.
+Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
+
+
 class StartedChild:
     """Child process started ahead: it loads its modules, and ends by itself when this process does.
 
@@ -213,52 +176,35 @@ class StartedChild:
         arm: name of the arm that its log lines are about; empty for an arm that is alone, and for other children.
 
     Attributes:
-        process: the child.
         socket: the server's end of its channel.
         adopted: True once a :class:`Child` owns it.
-
-    Raises:
-        OSError: the system has no descriptor, process or memory left for it.
     """
 
     def __init__(self, module: str, arm: str = "") -> None:
         self.adopted = False
-        self.process: Process
-        self.socket, theirs = socket.socketpair()
-        with theirs:
-            level = str(logging.getLogger().getEffectiveLevel())
-            logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module, "--arm", arm]
-            try:
-                self.process = start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
-            except BaseException:
-                self.socket.close()
-                raise
+        level = str(logging.getLogger().getEffectiveLevel())
+        logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module, "--arm", arm]
+
+        def start(_ours: socket.socket, theirs: socket.socket) -> Process:
+            return start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
+
+        self.process, self.socket = _with_channel(start)
 
     @classmethod
     def forked(cls, run: Callable[[socket.socket], None]) -> StartedChild:
-        """Start a child by ``fork``: see :class:`ForkedProcess`.
-
-        Args:
-            run: body of the child; gets its end of the channel.
-
-        Raises:
-            OSError: the system has no descriptor, process or memory left for it.
-        """
+        """Start a child by ``fork``, which runs a body with its end of the channel: see :class:`ForkedProcess`."""
         started = cls.__new__(cls)
         started.adopted = False
-        started.socket, theirs = socket.socketpair()
 
-        def child() -> None:
-            # The server's end would keep the channel open when the server has died.
-            started.socket.close()
-            run(theirs)
+        def start(ours: socket.socket, theirs: socket.socket) -> Process:
+            def child() -> None:
+                # The server's end would keep the channel open when the server has died.
+                ours.close()
+                run(theirs)
 
-        with theirs:
-            try:
-                started.process = ForkedProcess(child)
-            except BaseException:
-                started.socket.close()
-                raise
+            return ForkedProcess(child)
+
+        started.process, started.socket = _with_channel(start)
         return started
 
     def close(self) -> None:
@@ -269,14 +215,23 @@ class StartedChild:
             self.process.wait(KILL_TIMEOUT_S)
 
 
+def _with_channel(start: Callable[[socket.socket, socket.socket], Process]) -> tuple[Process, socket.socket]:
+    """Start a child that inherits one end of a socket pair; return it and the other end."""
+    ours, theirs = socket.socketpair()
+    with theirs:
+        try:
+            return start(ours, theirs), ours
+        except BaseException:
+            ours.close()
+            raise
+
+
 class Child:
     """Running child process, and the server's end of its channel.
 
     Args:
-        started: the child, which this adopts.
         on_message: called in the event loop with every message of the child.
         on_exit: called once in the event loop when the child has ended.
-        niceness: added to the child's scheduling niceness.
     """
 
     def __init__(
@@ -314,11 +269,7 @@ class Child:
         return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
 
     async def connect(self) -> None:
-        """Begin to read the child's messages; a child that cannot be read is killed.
-
-        Raises:
-            OSError: the system lets no further socket be watched.
-        """
+        """Begin to read the child's messages; a child that cannot be read is killed."""
         try:
             await asyncio.get_running_loop().create_unix_connection(lambda: self._link, sock=self._socket)
         except BaseException:
@@ -361,11 +312,6 @@ class _Link(asyncio.Protocol):
     """Protocol of one child's socket.
 
     Messages are delivered as they are read: a task would first wait for its turn in the event loop.
-
-    Args:
-        on_message: called with every message.
-        process: the child; killed when it sends anything but messages.
-        on_end: called once, when the socket is closed from either side.
     """
 
     def __init__(self, on_message: Callable[[Any], None], process: Process, on_end: Callable[[], None]) -> None:
@@ -436,17 +382,10 @@ async def has_ended(process: Process, timeout_s: float) -> bool:
 def start_module(module: str, arguments: list[str], pass_fds: tuple[int, ...]) -> subprocess.Popen[bytes]:
     """Start ``python -P -m MODULE`` in a session of its own, out of reach of the terminal's Ctrl-C.
 
-    ``-P`` keeps a folder of the working directory with the name of one of our packages from being imported instead.
-    One BLAS thread: the matrices are tiny, and idle BLAS threads spin on the cores that the servo loop needs. The child
-    does not inherit the service manager's notification socket (sd_notify(3)).
-
-    Args:
-        module: name of the module; its ``main`` opens the channel (:func:`robot.channel.channel_of_child`).
-        arguments: its command line.
-        pass_fds: file descriptors that it inherits.
-
-    Raises:
-        OSError: the system has no descriptor, process or memory left for it.
+    Its ``main`` opens the channel (:func:`robot.channel.channel_of_child`). ``-P`` keeps a folder of the working
+    directory with the name of one of our packages from being imported. One BLAS thread: the matrices are tiny, and idle
+    BLAS threads spin on the cores that the servo loop needs. The child does not inherit the service manager's
+    notification socket (sd_notify(3)).
     """
     environment = {name: value for name, value in os.environ.items() if name not in OF_SERVICE_MANAGER}
     with _blocked(SIGNALS_OF_SERVER):

@@ -16,21 +16,13 @@ SHORTEST_WAY_RAD = 1e-6
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Joint positions over time with continuous velocity.
+    """Joint positions over time with continuous velocity."""
 
-    Attributes:
-        joint_names: joint of each column.
-        time_s: shape (n,), n >= 1, strictly increasing from 0 [s].
-        positions_rad: shape (n, joints) [rad].
-        velocities_rad_s: shape (n, joints) [rad/s].
-        accelerations_rad_s2: shape (n, joints) [rad/s^2].
-    """
-
-    joint_names: tuple[str, ...]
-    time_s: Vector
-    positions_rad: Vector
-    velocities_rad_s: Vector
-    accelerations_rad_s2: Vector
+    joint_names: tuple[str, ...]  # joint of each column
+    time_s: Vector  # shape (n,), n >= 1, strictly increasing from 0 [s]
+    positions_rad: Vector  # shape (n, joints) [rad]
+    velocities_rad_s: Vector  # shape (n, joints) [rad/s]
+    accelerations_rad_s2: Vector  # shape (n, joints) [rad/s^2]
 
     @property
     def duration_s(self) -> float:
@@ -104,14 +96,7 @@ def rest_to_rest(
 ) -> Trajectory:
     """Plan the fastest motion of one joint from rest to rest: a trapezoidal velocity profile.
 
-    Cubic interpolation between the samples, the corners of the profile, is exact.
-
-    Args:
-        joint: name of the joint.
-        start_rad: position at the start [rad].
-        end_rad: position at the end [rad].
-        max_velocity: above 0 [rad/s].
-        max_acceleration: above 0 [rad/s^2].
+    Cubic interpolation between the samples, the corners of the profile, is exact. Both limits are above 0.
     """
     way_rad = abs(end_rad - start_rad)
     if way_rad < SHORTEST_WAY_RAD:

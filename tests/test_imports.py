@@ -17,7 +17,7 @@ ALLOWED = {
         "server",
         "protocol",
         "robot",
-        "planners.cartesian.spline",
+        "planners.motions.spline",
         "planners.goals",
         "planners.scene",
         "planners.scene_checks",

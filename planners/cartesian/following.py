@@ -10,6 +10,7 @@ is measured.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,10 +18,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.cartesian.spline import NaturalSpline
 from planners.cartesian.tip_path import TipPath, apart_m, apart_rad
 from planners.geometry.kinematics import ForwardKinematics
-from planners.problem import Deviation
+from planners.ik.constraints import norm
+from planners.ik.differential import Task, free_directions, solve
+from planners.motions.path_timing import SplinePath
+from planners.problem import CartesianProblem, Deviation
 from robot.trajectory import Vector
 
 # Nearer is below what any servo resolves.
@@ -36,8 +39,8 @@ MAX_STEPS = 25
 # matters where one vanishes.
 POSITION_DAMPING_M = 1e-4
 
-# Damping of the orientation's least squares where it can be met; where it cannot, the damping's square is the angle
-# that is missing, which makes the descent to the nearest one converge (Sugihara, "Solvability-unconcerned inverse
+# Damping of the orientation's least squares where it can be met; where it cannot, the damping's square is the error,
+# which makes the descent to the nearest one converge (Sugihara, "Solvability-unconcerned inverse
 # kinematics by the Levenberg-Marquardt method", 2011).
 ORIENTATION_DAMPING = 0.02
 
@@ -67,7 +70,7 @@ GROWTH = 0.5
 # The place where a path ends early is located this closely.
 SHORTEST_STEP_M = 0.0003
 
-# What is left of a path is gone in one step where it is no longer than so many steps.
+# The rest of a path is one step where it is no longer than this number of steps.
 LAST_STEP = 1.5
 
 # For the orientation's sake joints turn no faster than this per length of the path; a wrist that would have to flip
@@ -76,13 +79,13 @@ TURN_RAD_PER_M = 10.0
 
 
 class TipTracker:
-    """Follows a pose with some of the joints.
+    """Follows a pose with some of the joints: points have their positions, shape (n,) [rad].
 
     Args:
         kinematics: of the robot.
         limits: lower and upper positions of all joints, shape (joints,) each [rad].
-        columns: where the joints that may move are among all; points have them in this order, shape (n,) [rad].
-        start_q: positions of all joints; those that may not move stay there [rad].
+        columns: places of the joints that may move among all.
+        start_q: positions of all joints, of which the others stay there, shape (joints,) [rad].
         link: the tip.
     """
 
@@ -117,32 +120,29 @@ class TipTracker:
         return float(np.linalg.norm(self._jacobian(point)[:3] @ tangent))
 
     def follow(self, point: Vector, target: pin.SE3, most_turn_rad: float) -> Vector:
-        """The point nearby with the tip in the target's position, its orientation as near as can be; within limits.
+        """Return the point nearby with the tip in the target's position, and its orientation as near as possible.
 
-        Args:
-            point: where the joints are.
-            target: where the tip shall be. One out of reach leaves the tip where it comes nearest, as far as descent
-                from here finds out.
-            most_turn_rad: by so much any joint may move for the orientation's sake [rad].
+        A target out of reach leaves the tip at the nearest place that a descent from here finds. No joint moves further
+        than ``most_turn_rad`` for the orientation's sake.
         """
         point = point.copy()
         for _ in range(MAX_STEPS):
-            missing_m, missing_rad, jacobian = self._missing(point, target)
-            step, turn = self._step(point, missing_m, missing_rad, jacobian)
+            error_m, error_rad, jacobian = self._errors(point, target)
+            step, turn = self._step(point, error_m, error_rad, jacobian)
             turn *= min(1.0, most_turn_rad / max(float(np.max(np.abs(turn))), 1e-12))
             most_turn_rad -= float(np.max(np.abs(turn)))
             step += turn
             step *= min(1.0, LONGEST_STEP_RAD / max(float(np.max(np.abs(step))), LONGEST_STEP_RAD))
             settled = float(np.max(np.abs(step))) < SETTLED_RAD
-            if settled and float(np.linalg.norm(missing_m)) < ACCURACY_M:
+            if settled and norm(error_m) < ACCURACY_M:
                 break
             point = np.clip(point + step, self._lower_rad, self._upper_rad)
             if settled:
                 break
         return point
 
-    def _missing(self, point: Vector, target: pin.SE3) -> tuple[Vector, Vector, Vector]:
-        """From the tip to a target in position and orientation, along the root link's axes, and the Jacobian there."""
+    def _errors(self, point: Vector, target: pin.SE3) -> tuple[Vector, Vector, Vector]:
+        """Return the errors of position and orientation, along the root link's axes, and the tip's Jacobian."""
         jacobian = self._jacobian(point)
         placement = self._kinematics.placement(self._link)
         turn = pin.log3(placement.rotation.T @ target.rotation)
@@ -152,12 +152,16 @@ class TipTracker:
         self._q[self._columns] = point
         return np.asarray(self._kinematics.jacobian(self._q, self._link)[:, self._columns])
 
-    def _step(self, point: Vector, missing_m: Vector, missing_rad: Vector, jacobian: Vector) -> tuple[Vector, Vector]:
-        """The steps for position and orientation, of joints near their limits only where the others cannot do it."""
+    def _step(self, point: Vector, error_m: Vector, error_rad: Vector, jacobian: Vector) -> tuple[Vector, Vector]:
+        """Return the steps for position and orientation; joints near their limits take part only where they must."""
         weight = np.ones_like(point)
         for _ in range(len(point)):
-            step, turn = _prioritized(weight * jacobian, missing_m, missing_rad)
-            step, turn = weight * step, weight * turn
+            scaled = weight * jacobian
+            step, _ = solve([Task(scaled[:3], error_m)], POSITION_DAMPING_M)
+            damping = math.sqrt(ORIENTATION_DAMPING**2 + norm(error_rad - scaled[3:] @ step))
+            free = free_directions(scaled[:3], POSITION_DAMPING_M)
+            turned, _ = solve([Task(scaled[3:], error_rad)], damping, before=step, free=free)
+            step, turn = weight * step, weight * (turned - step)
             room = np.where(step + turn < 0.0, point - self._lower_rad, self._upper_rad - point)
             allowed = np.sqrt(np.clip(room / NEAR_LIMIT_RAD, 0.0, 1.0))
             if np.all(allowed >= weight):
@@ -166,32 +170,14 @@ class TipTracker:
         return step, turn
 
 
-def _prioritized(jacobian: Vector, missing_m: Vector, missing_rad: Vector) -> tuple[Vector, Vector]:
-    """The step that meets the position, and what freedom it leaves used for the orientation."""
-    linear, angular = jacobian[:3], jacobian[3:]
-    inverse = _damped_inverse(linear, POSITION_DAMPING_M)
-    step = inverse @ missing_m
-    free = angular - (angular @ inverse) @ linear
-    missing_rad = missing_rad - angular @ step
-    damping = float(np.sqrt(ORIENTATION_DAMPING**2 + np.linalg.norm(missing_rad)))
-    turn = _damped_inverse(free, damping) @ missing_rad
-    # Damping lets this leave the position's null space by a little: taken out again.
-    return step, turn - inverse @ (linear @ turn)
-
-
-def _damped_inverse(matrix: Vector, damping: float) -> Vector:
-    """Least-squares inverse, shape (n, 3), that stays finite where the matrix loses rank."""
-    return np.asarray(np.linalg.solve(matrix @ matrix.T + damping**2 * np.eye(3), matrix).T)
-
-
 @dataclass(frozen=True)
 class PathEnd:
     """Reason for which a path cannot be followed further.
 
     Attributes:
-        reason: "reach", "orientation", "jump", "limit", or that of ``PathFollower.check_point``.
-        sentence: with the figures.
-        details: the same as plain values.
+        reason: "reach", "orientation", "jump", "limit", or a reason of ``PathFollower.check_point``.
+        sentence: the reason with its figures.
+        details: the figures as plain values.
     """
 
     reason: str
@@ -219,22 +205,18 @@ class PathFollower:
     """Conditions under which a path is followed.
 
     Attributes:
+        problem: bounds of the steps and of the orientation.
         tracker: the tip and its joints.
         joint_names: the joints.
-        path: where the tip shall be.
-        max_step_m: greatest distance between points [m].
-        max_joint_step_rad: greatest step of a joint between points, 0 for none [rad].
-        orientation_tolerance_rad: greatest deviation from the path's orientation; infinite to take the nearest [rad].
+        path: path of the tip.
         check_point: returns the reason to end at a point, None to go on.
         should_stop: returns true to end it early.
     """
 
+    problem: CartesianProblem
     tracker: TipTracker
     joint_names: tuple[str, ...]
     path: TipPath
-    max_step_m: float
-    max_joint_step_rad: float
-    orientation_tolerance_rad: float
     check_point: Callable[[Vector], PathEnd | None]
     should_stop: Callable[[], bool]
 
@@ -264,8 +246,8 @@ class PathFollower:
         left_m = next_m - from_m
         # The end is no corner to be rounded.
         room_m = left_m if next_m == self.path.length_m else max(CORNER_STEP_M, GROWTH * left_m)
-        step_m = max(min(step_m, self.max_step_m, room_m), min(SHORTEST_STEP_M, self.max_step_m))
-        return next_m if left_m < LAST_STEP * step_m and left_m <= self.max_step_m else from_m + step_m
+        step_m = max(min(step_m, self.problem.max_step_m, room_m), min(SHORTEST_STEP_M, self.problem.max_step_m))
+        return next_m if left_m < LAST_STEP * step_m and left_m <= self.problem.max_step_m else from_m + step_m
 
     def _solved(self, point: Vector, from_m: float, reach_m: float) -> Vector:
         return self.tracker.follow(point, self.path.at(reach_m), TURN_RAD_PER_M * (reach_m - from_m))
@@ -278,12 +260,12 @@ class PathFollower:
             end = self.path.at(self.path.length_m)
             nearest = self.tracker.pose(self.tracker.follow(point, end, 0.0))
             return _out_of_reach(desired, apart_m(end, nearest))
-        if turned_rad > self.orientation_tolerance_rad:
-            return _turned_away(turned_rad, self.orientation_tolerance_rad)
+        if self.problem.keep_orientation and turned_rad > self.problem.orientation_tolerance_rad:
+            return _turned_away(turned_rad, self.problem.orientation_tolerance_rad)
         step = np.abs(point - before)
         most = int(np.argmax(step))
         halfway = self.tracker.pose(0.5 * (before + point)), self.path.at(0.5 * (from_m + reach_m))
-        if 0.0 < self.max_joint_step_rad < step[most] or apart_m(*halfway) > CHORD_M:
+        if 0.0 < self.problem.max_joint_step_rad < step[most] or apart_m(*halfway) > CHORD_M:
             return _jump(self.joint_names[most], float(step[most]), reach_m - from_m)
         return self.check_point(point)
 
@@ -321,49 +303,17 @@ def _jump(joint: str, step_rad: float, step_m: float) -> PathEnd:
     )
 
 
-# On a curve of few points the progress still has to rise and fall within this many steps.
-LEAST_GRID_STEPS = 20
-
-# The limits between grid points are kept to a few per mille with this many between two points of the curve.
-GRID_STEPS_PER_SPAN = 2
-
-# The tip is measured at so many places of each span between two points: half-way, where a curve is furthest off.
+# Places in each span between two points at which the tip is measured: half-way, where a curve is furthest off.
 MEASURED_PER_SPAN = 2
 
-# Joint limits are checked at so many places of each span: a shorter excursion is negligible.
+# Places in each span at which joint limits are checked: a shorter excursion is negligible.
 LIMIT_CHECKS_PER_SPAN = 16
 
-# Beside a corner the curve runs ahead of the path or behind it, by no more than so many measured places.
+# Measured places by which the curve runs ahead of the path or behind it beside a corner, at most.
 MEASURED_AROUND = 2
 
-# Each round of new points halves the spans where the curve is off, and what it is off by more than that.
+# Each round of new points halves the spans where the curve is off, and its deviation by more than that.
 REFINEMENTS = 5
-
-
-class SplinePath:
-    """The natural cubic spline through points.
-
-    Args:
-        knots: shape (m,), m >= 2, strictly increasing parameters.
-        points: shape (m, n), finite, where the curve is there [rad].
-    """
-
-    def __init__(self, knots: Vector, points: Vector) -> None:
-        self.knots = knots
-        self.points = points
-        self._curve = NaturalSpline(knots, points)
-
-    @property
-    def grid(self) -> Vector:
-        """Parameters for timing: the second derivative is linear between them."""
-        spans = len(self.knots) - 1
-        steps = max(GRID_STEPS_PER_SPAN, -(-LEAST_GRID_STEPS // spans))
-        at = np.arange(spans * steps + 1) / steps
-        return np.interp(at, np.arange(spans + 1), self.knots)
-
-    def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
-        """Position, first or second derivative at parameters, shape (k, n)."""
-        return self._curve(path_positions, order)
 
 
 @dataclass(frozen=True)
@@ -382,7 +332,7 @@ class TipCurve:
 
 
 def tip_curve(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> TipCurve:
-    """The curve through at least two followed points, with more of them where it would leave the path or the limits."""
+    """Return the curve through two or more followed points, with further ones where it would leave path or limits."""
     for _ in range(REFINEMENTS):
         measured = _measured(followed, path, tracker)
         off = np.flatnonzero(measured.off_m.reshape(-1, MEASURED_PER_SPAN).max(axis=1) > CHORD_M)
@@ -417,14 +367,14 @@ def _measured(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> _Me
 
 
 def _along_m(followed: FollowedPath, per_span: int) -> Vector:
-    """Lengths evenly within each span, its end included, shape (spans * per_span,) [m]."""
+    """Return lengths evenly within each span, its end included, shape (spans * per_span,) [m]."""
     spans = len(followed.points) - 1
     at = (np.arange(per_span * spans) + 1.0) / per_span
     return np.interp(at, np.arange(spans + 1), followed.along_m)
 
 
 def _distances_m(places_m: Vector, line_m: Vector) -> Vector:
-    """Distance of places from the pieces of a polyline around the points of their index, shape (m, 3) each."""
+    """Return distances of places, shape (m, 3), from the pieces of a polyline around the point of the same index."""
     nearest_m = np.linalg.norm(places_m - line_m, axis=1)
     last = len(line_m) - 1
     for shift in range(-MEASURED_AROUND, MEASURED_AROUND):
@@ -438,7 +388,7 @@ def _distances_m(places_m: Vector, line_m: Vector) -> Vector:
 
 
 def _halved(followed: FollowedPath, spans: NDArray[np.int64], path: TipPath, tracker: TipTracker) -> FollowedPath:
-    """With a point more in the middle of some spans: half-way between their ends, brought back to the path."""
+    """Add a point in the middle of some spans: half-way between their ends, brought back to the path."""
     middle_m = 0.5 * (followed.along_m[spans] + followed.along_m[spans + 1])
     guesses = zip(middle_m, 0.5 * (followed.points[spans] + followed.points[spans + 1]), strict=True)
     points = np.array([tracker.follow(guess, path.at(length_m), 0.0) for length_m, guess in guesses])

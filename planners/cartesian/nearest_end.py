@@ -24,16 +24,16 @@ from planners.problem import (
 )
 from robot.description.model import RobotModel
 
-# The end that was found is rounded, and a path that ends there brakes there: a little less may be needed [m].
+# The end is rounded, and a path that ends there brakes there, so it may have to be a little shorter [m].
 LESS_M = (0.0, 0.0005, 0.002, 0.005)
 
-# Shares that are tried where no part could be planned, or none of those near its end.
+# Shares that are tried where no part near the end could be planned.
 SHARES = (0.9, 0.75, 0.5, 0.25)
 
-# What is less is no motion [m].
+# Shorter parts are no motion [m].
 LEAST_M = 0.001
 
-# Tolerances of the path's end as a goal of its own, those that MoveIt's clients mostly have [m].
+# Tolerance of the path's end as a goal of its own, as most clients of MoveIt have it [m].
 TOLERANCE_M = 0.001
 
 # Failures of a path that could be followed in part: it takes too long to plan, or cannot be timed.
@@ -51,15 +51,9 @@ def nearest_end(
     plan: Callable[[PlanningProblem], Plan | PlanningFailure],
     budget: Budget,
 ) -> PathGoal | None:
-    """Find how far a path can be followed, and whether its end can be had by another way.
+    """Find how far a path that fails can be followed, and whether there is another way to its end.
 
-    Args:
-        problem: the path, which cannot be followed to its end.
-        robot: the arm.
-        collision: its collisions with itself and the scene.
-        forward: its kinematics.
-        plan: plans a motion that need not follow the path.
-        budget: ends the search.
+    ``plan`` plans a motion that need not follow the path.
 
     Returns:
         None when neither is found, or the problem is refused.
@@ -92,12 +86,7 @@ def nearest_end(
 
 
 def end_as_goal(problem: CartesianProblem, allowed_time_s: float) -> PlanningProblem:
-    """Return the problem of a motion to a path's end that need not follow the path.
-
-    Args:
-        problem: the path.
-        allowed_time_s: planning time [s].
-    """
+    """Return the problem of a motion to a path's end that need not follow the path."""
     end = problem.segments[-1].end
     goal: PositionGoal | PoseGoal = PositionGoal(problem.link, end.position_m, TOLERANCE_M)
     if problem.keep_orientation:

@@ -29,7 +29,7 @@ SHORTEST_CHORD_M = 1e-5
 # Flatter arcs lose digits, and no arm tells them from lines.
 LARGEST_RADIUS_M = 100.0
 
-# Following takes some 0.3 ms a point, 3 s for so many.
+# Following takes some 0.3 ms a point, 3 s in all.
 MOST_POINTS = 10_000
 
 # Quaternions from single precision are off by less; others are mistakes.
@@ -43,8 +43,8 @@ class _Piece:
     Attributes:
         start_m: length of the path before it [m].
         length_m: its own length [m].
-        origin: where it starts, shape (3,) [m].
-        along: from there to the end of a line; the spoke a quarter ahead of ``spoke`` on an arc [m].
+        origin: its start, shape (3,) [m].
+        along: vector to the end of a line; the spoke a quarter ahead of ``spoke`` on an arc [m].
         spoke: from the center to the start, on an arc [m].
         angle: of the arc [rad], 0 for a line.
         rotation: at its start, shape (3, 3).
@@ -100,7 +100,7 @@ class TipPath:
     """
 
     def __init__(self, start: pin.SE3, segments: Sequence[Line | Arc]) -> None:
-        self._pieces = _pieces(start, segments)
+        self._pieces = [piece for piece, _ in _pieces(start, segments)]
         self._start = start
         self._starts_m = np.array([piece.start_m for piece in self._pieces])
         self.length_m = sum(piece.length_m for piece in self._pieces)
@@ -122,23 +122,11 @@ class TipPath:
 
 
 def first_part(start: pin.SE3, segments: Sequence[Line | Arc], along_m: float, digits: int) -> tuple[Line | Arc, ...]:
-    """Return the segments of a path up to a length.
-
-    Args:
-        start: pose of the tip at the start.
-        segments: of the path.
-        along_m: where it shall end [m].
-        digits: decimals to which the new end is rounded.
-    """
+    """Return the segments of a path up to a length, the new end rounded to some decimals."""
     kept: list[Line | Arc] = []
-    before_m = 0.0
-    for segment in segments:
-        piece = _piece(before_m, start, segment)
-        if piece.length_m > SHORTEST_M:
-            if before_m + piece.length_m >= along_m:
-                return *kept, piece.part((along_m - before_m) / piece.length_m, digits)
-            before_m += piece.length_m
-            start = _placement(segment.end)
+    for piece, segment in _pieces(start, segments):
+        if piece.start_m + piece.length_m >= along_m:
+            return *kept, piece.part((along_m - piece.start_m) / piece.length_m, digits)
         kept.append(segment)
     return tuple(kept)
 
@@ -152,12 +140,12 @@ def as_pose(placement: pin.SE3, digits: int) -> Pose:
 
 
 def apart_m(a: pin.SE3, b: pin.SE3) -> float:
-    """Distance between the origins of two poses [m]."""
+    """Return the distance between the origins of two poses [m]."""
     return float(np.linalg.norm(a.translation - b.translation))
 
 
 def apart_rad(a: pin.SE3, b: pin.SE3) -> float:
-    """Angle between the orientations of two poses [rad]."""
+    """Return the angle between the orientations of two poses [rad]."""
     return float(np.linalg.norm(pin.log3(a.rotation.T @ b.rotation)))
 
 
@@ -173,7 +161,7 @@ def arc_flaw(start_m: Vector, arc: Arc) -> str | None:
 
 
 def _radius_m(a: Vector, b: Vector, c: Vector) -> float:
-    """Radius of the circle through three points; infinite for a line."""
+    """Return the radius of the circle through three points; infinite for a line."""
     double_area = float(np.linalg.norm(np.cross(b - a, c - a)))
     sides = float(np.linalg.norm(b - a) * np.linalg.norm(c - b) * np.linalg.norm(c - a))
     return sides / (2.0 * double_area) if double_area > 0.0 else np.inf
@@ -183,16 +171,15 @@ def _placement(pose: Pose) -> pin.SE3:
     return pin.SE3(rotation(pose.orientation), np.asarray(pose.position_m, dtype=np.float64))
 
 
-def _pieces(start: pin.SE3, segments: Sequence[Line | Arc]) -> list[_Piece]:
-    pieces: list[_Piece] = []
+def _pieces(start: pin.SE3, segments: Sequence[Line | Arc]) -> Iterator[tuple[_Piece, Line | Arc]]:
+    """Yield the pieces that have a length, each with its segment."""
     along_m = 0.0
     for segment in segments:
         piece = _piece(along_m, start, segment)
         if piece.length_m > SHORTEST_M:
-            pieces.append(piece)
+            yield piece, segment
             along_m += piece.length_m
             start = _placement(segment.end)
-    return pieces
 
 
 def _piece(start_m: float, start: pin.SE3, segment: Line | Arc) -> _Piece:
@@ -207,7 +194,7 @@ def _piece(start_m: float, start: pin.SE3, segment: Line | Arc) -> _Piece:
 
 
 def _circle(start: Vector, via: Vector, end: Vector) -> tuple[Vector, Vector, float]:
-    """Spoke a quarter ahead of the start, spoke of the start, and angle from start over via to end."""
+    """Return the spoke a quarter ahead of the start, the start's, and the angle from start over via to end."""
     a, b = start - end, via - end
     normal = np.cross(a, b)
     # Circumcenter of a triangle in space, from its third corner.
@@ -222,7 +209,7 @@ def _circle(start: Vector, via: Vector, end: Vector) -> tuple[Vector, Vector, fl
 
 
 def _angle(vector: Vector, spoke: Vector, ahead: Vector) -> float:
-    """From one spoke to another, 0 to a whole turn [rad]."""
+    """Return the angle from one spoke to a vector, 0 to a whole turn [rad]."""
     return float(np.arctan2(vector @ ahead, vector @ spoke)) % (2.0 * np.pi)
 
 
@@ -248,12 +235,7 @@ def check_path(robot: RobotModel, problem: CartesianProblem) -> PlanningFailure 
 
 
 def check_shape(start_m: Vector, problem: CartesianProblem) -> PlanningFailure | None:
-    """Tell whether each arc's three points make one and the path is not too long.
-
-    Args:
-        start_m: the tip's position at the start, shape (3,) [m].
-        problem: the path.
-    """
+    """Check that three points make each arc and the path, from the tip's position on, is not too long."""
     length_m = 0.0
     for index, segment in enumerate(problem.segments):
         flaw = arc_flaw(start_m, segment) if isinstance(segment, Arc) else None

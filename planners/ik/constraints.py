@@ -1,14 +1,15 @@
 """Goals and constraints as sets of conditions on one configuration, which can be measured and solved for.
 
-A condition tells what is ``missing`` to its middle as a vector, and what of that lies ``beyond`` its tolerance: a
-vector of zeros once it holds. Poses are those of its link in the robot's root link.
+A condition measures its error as a vector, and the violation, the part of the error that exceeds its tolerance: a
+vector of zeros once the condition holds. Poses of links are in the robot's root link.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -28,10 +29,10 @@ from planners.goals import (
 from planners.problem import Deviation
 from robot.trajectory import Vector
 
-# A turn counts as much as the motion of a point this far away: half the length of a small gripper.
+# Rotations count as the motion of a point this far away: half the length of a small gripper.
 ROTATION_ARM_M = 0.1
 
-# Of unit vectors: so nearly parallel or opposite that they span no plane.
+# Sine below which unit vectors span no plane.
 PARALLEL = 1e-9
 
 # Rounding in the placement of a link must not break a condition that was met to its very edge.
@@ -42,24 +43,49 @@ LEAST_WEIGHT = 1e-6
 DEFAULT_WEIGHT = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class PointCondition:
-    """A point of a link is in a region.
+class _LinkCondition(ABC):
+    """Condition on the pose of a link: a measured error is to be 0, and may be up to a tolerance.
 
     Attributes:
         link: the link.
+        tolerance: radius of a ball around no error, or half the edges of a box, shape (3,) [m or rad].
+        weight: its share where not all conditions can hold.
+        arm_m: length by which errors count as distances [m or m/rad].
+    """
+
+    link: str
+    tolerance: float | Vector
+    weight: float
+    arm_m: float
+
+    @abstractmethod
+    def error(self, placement: pin.SE3) -> Vector:
+        """Return the error at a pose of the link, shape (3,) [m or rad]."""
+
+    @abstractmethod
+    def distances(self, placements: Placements) -> Vector:
+        """Return the length of the error in each of many placements, shape (m,) [m or rad]."""
+
+    def violation(self, error: Vector, share: float = 1.0) -> Vector:
+        """Return the part of an error outside a share of the tolerance, shape (3,); zeros once the condition holds."""
+        return outside(error, self.tolerance, share)
+
+
+@dataclass(frozen=True, eq=False)
+class PointCondition(_LinkCondition):
+    """A point of a link is in a region.
+
+    Attributes:
         offset_m: the point in the link's frame, shape (3,) [m].
         center_m: middle of the region, shape (3,) [m].
         axes: axes of the region in its columns, shape (3, 3).
-        tolerance_m: radius of a sphere, or half the edges of a box, shape (3,) [m].
-        weight: its share where not all can hold.
     """
 
     link: str
     offset_m: Vector
     center_m: Vector
     axes: Vector
-    tolerance_m: float | Vector
+    tolerance: float | Vector
     weight: float = 1.0
 
     arm_m = 1.0
@@ -69,71 +95,54 @@ class PointCondition:
         position_m: Vector = placement.translation + placement.rotation @ self.offset_m
         return position_m
 
-    def missing(self, placement: pin.SE3) -> Vector:
-        """From the point to the middle, along the region's axes [m]."""
-        missing_m: Vector = (self.center_m - self.point(placement)) @ self.axes
-        return missing_m
-
-    def beyond(self, missing: Vector, share: float = 1.0) -> Vector:
-        """From the point to the region, shrunk to a share of its size [m]."""
-        return outside(missing, self.tolerance_m, share)
+    def error(self, placement: pin.SE3) -> Vector:
+        """From the point to the middle of its region, along the region's axes [m]."""
+        return np.asarray((self.center_m - self.point(placement)) @ self.axes)
 
     def distances(self, placements: Placements) -> Vector:
-        """From the middle in each of many placements, shape (m,) [m]."""
+        """Distance of the point from the middle [m]."""
         points_m = placements.positions_m + placements.rotations @ self.offset_m
-        away: Vector = np.linalg.norm(points_m - self.center_m, axis=1)
-        return away
+        return np.asarray(np.linalg.norm(points_m - self.center_m, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
-class TurnCondition:
+class TurnCondition(_LinkCondition):
     """A link has an orientation.
 
     Attributes:
-        link: the link.
         rotation: the orientation, shape (3, 3).
-        tolerance_rad: greatest rotation from it about the link's axes, shape (3,) [rad].
-        weight: its share where not all can hold.
     """
 
     link: str
     rotation: Vector
-    tolerance_rad: Vector
+    tolerance: Vector
     weight: float = 1.0
 
     arm_m = ROTATION_ARM_M
 
-    def missing(self, placement: pin.SE3) -> Vector:
+    def error(self, placement: pin.SE3) -> Vector:
         """Rotation vector to the orientation, along the link's axes [rad]."""
-        missing_rad: Vector = pin.log3(placement.rotation.T @ self.rotation)
-        return missing_rad
-
-    def beyond(self, missing: Vector, share: float = 1.0) -> Vector:
-        """Return the excess beyond a share of the tolerance [rad]."""
-        return outside(missing, self.tolerance_rad, share)
+        return np.asarray(pin.log3(placement.rotation.T @ self.rotation))
 
     def distances(self, placements: Placements) -> Vector:
-        """Angle to the orientation in each of many placements, shape (m,) [rad]."""
+        """Angle to the orientation [rad]."""
         traces = np.einsum("mij,ij->m", placements.rotations, self.rotation)
         return np.asarray(np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)))
 
 
 @dataclass(frozen=True, eq=False)
-class AxisCondition:
+class AxisCondition(_LinkCondition):
     """An axis of a link has a direction, however the link turns about it.
 
     Attributes:
-        link: the link.
         axis: unit vector in the link's frame, shape (3,).
         direction: unit vector, shape (3,).
-        tolerance_rad: greatest angle between them, or greatest rotation about each of the link's axes, shape (3,).
-        weight: its share where not all can hold.
     """
 
     link: str
     axis: Vector
     direction: Vector
-    tolerance_rad: float | Vector
+    tolerance: float | Vector
     weight: float = 1.0
 
     arm_m = ROTATION_ARM_M
@@ -143,22 +152,17 @@ class AxisCondition:
         """Cross-product matrix of the axis, shape (3, 3)."""
         return np.asarray(np.cross(self.axis, np.eye(3)).T)
 
-    def missing(self, placement: pin.SE3) -> Vector:
-        """The shortest rotation vector that brings the axis into the direction, along the link's axes [rad]."""
+    def error(self, placement: pin.SE3) -> Vector:
+        """Shortest rotation vector that brings the axis into the direction, along the link's axes [rad]."""
         wanted = self.direction @ placement.rotation
         normal = self.crossing @ wanted
         sine, cosine = norm(normal), float(self.axis @ wanted)
         if sine < PARALLEL:
             return np.zeros(3) if cosine > 0.0 else np.pi * frame_along(self.axis)[:, 0]
-        turn: Vector = normal * (math.atan2(sine, cosine) / sine)
-        return turn
-
-    def beyond(self, missing: Vector, share: float = 1.0) -> Vector:
-        """Return the excess beyond a share of the tolerance [rad]."""
-        return outside(missing, self.tolerance_rad, share)
+        return np.asarray(normal * (math.atan2(sine, cosine) / sine))
 
     def distances(self, placements: Placements) -> Vector:
-        """Angle between axis and direction in each of many placements, shape (m,) [rad]."""
+        """Angle between axis and direction [rad]."""
         return np.asarray(np.arccos(np.clip(placements.rotations @ self.axis @ self.direction, -1.0, 1.0)))
 
 
@@ -168,8 +172,8 @@ class JointCondition:
 
     Attributes:
         joint: its name.
-        column: where it is in a configuration.
-        position_rad: where it shall be, as far as its limits allow [rad].
+        column: its place in a configuration.
+        position_rad: desired position within its limits [rad].
         lower_rad: lower end of the range [rad].
         upper_rad: upper end [rad].
         weight: its share where not all can hold.
@@ -184,8 +188,8 @@ class JointCondition:
 
     arm_m = ROTATION_ARM_M
 
-    def beyond_rad(self, value: float, share: float = 1.0) -> float:
-        """From a position of the joint to a share of the range [rad]."""
+    def violation_rad(self, value: float, share: float = 1.0) -> float:
+        """Return the way from a position of the joint to a share of its range; 0 inside [rad]."""
         lower_rad = self.position_rad - share * (self.position_rad - self.lower_rad) - ROUNDING
         upper_rad = self.position_rad + share * (self.upper_rad - self.position_rad) + ROUNDING
         return min(max(value, lower_rad), upper_rad) - value
@@ -196,7 +200,7 @@ Condition = LinkCondition | JointCondition
 
 
 def outside(vector: Vector, tolerance: float | Vector, share: float) -> Vector:
-    """The part of a vector outside a share of a ball of some radius, or of a box of half edges, around its origin."""
+    """Return the part of a vector outside a share of a ball, by its radius, or of a box, by half its edges."""
     if isinstance(tolerance, float):
         length = norm(vector)
         inside = share * tolerance + ROUNDING
@@ -207,12 +211,12 @@ def outside(vector: Vector, tolerance: float | Vector, share: float) -> Vector:
 
 
 def norm(vector: Vector) -> float:
-    """Length of a short vector: numpy's own takes four times as long."""
+    """Return the length of a short vector, in a quarter of the time that numpy takes."""
     return math.sqrt(float(vector @ vector))
 
 
 def frame_along(axis: Vector) -> Vector:
-    """A rotation whose third column is a unit vector, shape (3, 3)."""
+    """Return a rotation whose third column is a unit vector, shape (3, 3)."""
     across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     across /= np.linalg.norm(across)
     return np.column_stack((np.cross(across, axis), across, axis))
@@ -220,7 +224,7 @@ def frame_along(axis: Vector) -> Vector:
 
 @dataclass(frozen=True)
 class Violation:
-    """A condition that does not hold: said in words, and as plain values."""
+    """A condition that does not hold, as a sentence and as plain values."""
 
     sentence: str
     details: Mapping[str, str | float]
@@ -286,36 +290,24 @@ def conditions(constraints: Constraints | None, joints: Joints) -> tuple[Conditi
     return tuple(found)
 
 
-@dataclass(frozen=True)
 class ConditionSet:
-    """Conditions that hold together, measured in configurations ``q`` of shape (n,) [rad].
+    """Conditions that hold together, measured in configurations ``q`` of shape (n,) [rad]."""
 
-    Attributes:
-        forward: places the links.
-        conditions: the conditions.
-    """
-
-    forward: ForwardKinematics
-    conditions: Sequence[Condition]
-    _of_joints: list[JointCondition] = field(init=False, repr=False)
-    _of_links: list[LinkCondition] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        joints = [condition for condition in self.conditions if isinstance(condition, JointCondition)]
-        links = [condition for condition in self.conditions if not isinstance(condition, JointCondition)]
-        object.__setattr__(self, "_of_joints", joints)
-        object.__setattr__(self, "_of_links", links)
+    def __init__(self, forward: ForwardKinematics, conditions: Sequence[Condition]) -> None:
+        self._forward = forward
+        self._of_joints = [condition for condition in conditions if isinstance(condition, JointCondition)]
+        self._of_links = [condition for condition in conditions if not isinstance(condition, JointCondition)]
 
     def holds(self, q: Vector) -> bool:
         """Tell whether all conditions hold."""
-        if any(condition.beyond_rad(q[condition.column]) for condition in self._of_joints):
+        if any(condition.violation_rad(q[condition.column]) for condition in self._of_joints):
             return False
-        return not any(beyond.any() for _, _, beyond in self._measured(q))
+        return not any(violation.any() for _, _, violation in self._measured(q))
 
-    def beyond_m(self, q: Vector) -> float:
-        """Return the distance from satisfying all conditions, 0 when they hold; rotations count by their arm [m]."""
-        turned = [condition.arm_m * condition.beyond_rad(q[condition.column]) for condition in self._of_joints]
-        moved = [condition.arm_m * norm(beyond) for condition, _, beyond in self._measured(q)]
+    def violation_m(self, q: Vector) -> float:
+        """Return the length of all violations, 0 when the conditions hold; rotations count by their arm [m]."""
+        turned = [condition.arm_m * condition.violation_rad(q[condition.column]) for condition in self._of_joints]
+        moved = [condition.arm_m * norm(violation) for condition, _, violation in self._measured(q)]
         return math.hypot(*turned, *moved)
 
     def violations(self, q: Vector) -> list[Violation]:
@@ -323,36 +315,36 @@ class ConditionSet:
         found = [
             _joint_violation(joint, float(q[joint.column]))
             for joint in self._of_joints
-            if joint.beyond_rad(q[joint.column])
+            if joint.violation_rad(q[joint.column])
         ]
         found += [
-            _link_violation(condition, norm(missing), norm(beyond))
-            for condition, missing, beyond in self._measured(q)
-            if beyond.any()
+            _link_violation(condition, norm(error), norm(violation))
+            for condition, error, violation in self._measured(q)
+            if violation.any()
         ]
         return found
 
     def deviation(self, q: Vector) -> Deviation:
-        """The furthest that a point is from the middle of its region, and a link from its orientation."""
+        """Return the greatest distance of a point from the middle of its region, and of a link from its orientation."""
         position_m, orientation_rad = 0.0, 0.0
-        for condition, missing, _ in self._measured(q):
+        for condition, error, _ in self._measured(q):
             if isinstance(condition, PointCondition):
-                position_m = max(position_m, norm(missing))
+                position_m = max(position_m, norm(error))
             else:
-                orientation_rad = max(orientation_rad, norm(missing))
+                orientation_rad = max(orientation_rad, norm(error))
         return Deviation(position_m, orientation_rad)
 
     def _measured(self, q: Vector) -> Iterator[tuple[LinkCondition, Vector, Vector]]:
-        """Each condition on a link with what is missing, and what of it is beyond the tolerance."""
+        """Measure each condition on a link: its error and its violation."""
         if self._of_links:
-            self.forward.place(q)
+            self._forward.place(q)
         for condition in self._of_links:
-            missing = condition.missing(self.forward.placement(condition.link))
-            yield condition, missing, condition.beyond(missing)
+            error = condition.error(self._forward.placement(condition.link))
+            yield condition, error, condition.violation(error)
 
 
 def rotation(orientation: Quaternion) -> Vector:
-    """Rotation matrix of a quaternion x, y, z, w of any length above 0, shape (3, 3)."""
+    """Return the rotation matrix of a quaternion x, y, z, w of any length above 0, shape (3, 3)."""
     return np.asarray(pin.XYZQUATToSE3(np.array([0.0, 0.0, 0.0, *_unit(orientation)])).rotation)
 
 
@@ -377,7 +369,7 @@ def _in_region(constraint: PositionConstraint) -> PointCondition:
 def _turned(
     link: str, orientation: Quaternion, tolerance_rad: Sequence[float], weight: float
 ) -> Iterator[TurnCondition | AxisCondition]:
-    """An orientation; one that leaves an axis of the link free is about that axis alone, one with two free is none."""
+    """Yield the condition of an orientation: of an axis alone where the turn about it is free, none where all are."""
     tolerance = np.array(tolerance_rad, float)
     free = np.flatnonzero(tolerance >= math.pi)
     wanted = rotation(orientation)
@@ -416,14 +408,14 @@ def _joint_violation(condition: JointCondition, value: float) -> Violation:
     )
 
 
-def _link_violation(condition: LinkCondition, missing: float, beyond: float) -> Violation:
+def _link_violation(condition: LinkCondition, error: float, violation: float) -> Violation:
     if isinstance(condition, PointCondition):
         return Violation(
-            f"{condition.link!r} is {100.0 * beyond:.1f} cm outside its region",
-            {"link": condition.link, "distance_m": missing, "beyond_m": beyond},
+            f"{condition.link!r} is {100.0 * violation:.1f} cm outside its region",
+            {"link": condition.link, "distance_m": error, "beyond_m": violation},
         )
-    turned, too_far = math.degrees(missing), math.degrees(beyond)
+    turned, too_far = math.degrees(error), math.degrees(violation)
     return Violation(
         f"{condition.link!r} is turned by {turned:.1f}°, {too_far:.1f}° beyond its tolerance",
-        {"link": condition.link, "orientation_rad": missing, "beyond_rad": beyond},
+        {"link": condition.link, "orientation_rad": error, "beyond_rad": violation},
     )

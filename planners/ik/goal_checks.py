@@ -60,32 +60,28 @@ def in_words(point: Sequence[float]) -> str:
 
 
 def _goal_flaws(robot: RobotModel, group: Group, goal: SingleGoal) -> Iterator[PlanningFailure]:
+    if isinstance(goal, JointGoal):
+        yield from _joint_goal_flaws(robot, group, goal)
+        return
+    if isinstance(goal, ConstraintGoal):
+        if goal.constraints.empty:
+            yield invalid_goal("the goal has no constraint")
+        yield from _constraint_flaws(robot, goal.constraints)
+        return
+    yield from _link_flaws(robot, goal.link)
+    yield from _point_flaws(goal.position_m, "goal position", "m")
+    yield from _tolerance_flaws("position", goal.tolerance_m, "m")
     match goal:
-        case JointGoal():
-            yield from _joint_goal_flaws(robot, group, goal)
         case PositionGoal():
-            yield from _link_flaws(robot, goal.link)
-            yield from _point_flaws(goal.position_m, "goal position", "m")
             yield from _point_flaws(goal.offset_m, "offset of the point", "m")
-            yield from _tolerance_flaws("position", goal.tolerance_m, "m")
         case AxisGoal():
-            yield from _link_flaws(robot, goal.link)
-            yield from _point_flaws(goal.position_m, "goal position", "m")
-            yield from _tolerance_flaws("position", goal.tolerance_m, "m")
             yield from _length_flaws(goal.axis, "axis")
             yield from _length_flaws(goal.direction, "direction")
             yield from _tolerance_flaws("axis", goal.axis_tolerance_rad, "rad")
         case PoseGoal():
-            yield from _link_flaws(robot, goal.link)
-            yield from _point_flaws(goal.pose.position_m, "goal position", "m")
             yield from _length_flaws(goal.pose.orientation, "orientation")
-            yield from _tolerance_flaws("position", goal.position_tolerance_m, "m")
             for tolerance_rad in goal.orientation_tolerance_rad:
                 yield from _tolerance_flaws("orientation", tolerance_rad, "rad")
-        case ConstraintGoal():
-            if goal.constraints.empty:
-                yield invalid_goal("the goal has no constraint")
-            yield from _constraint_flaws(robot, goal.constraints)
 
 
 def _joint_goal_flaws(robot: RobotModel, group: Group, goal: JointGoal) -> Iterator[PlanningFailure]:

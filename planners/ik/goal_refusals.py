@@ -47,7 +47,7 @@ def out_of_reach(
 
     Args:
         goal: the goal.
-        nearest_m: position of the link in the configuration that comes nearest [m].
+        nearest_m: position of the link in the configuration that comes nearest, shape (3,) [m].
         nearest: the deviation there.
         violations: conditions that do not hold there.
     """
@@ -59,32 +59,24 @@ def out_of_reach(
         )
     point = [round(float(value), 4) for value in nearest_m]
     details = {"nearest_m": point, "distance_m": nearest.position_m, "orientation_rad": nearest.orientation_rad}
-    position_m, tolerance_m = _asked(goal)
     degrees = math.degrees(nearest.orientation_rad)
-    if isinstance(goal, PositionGoal) or nearest.position_m > tolerance_m:
+    if isinstance(goal, PositionGoal) or nearest.position_m > goal.tolerance_m:
         any_will_do = isinstance(goal, PositionGoal) or (isinstance(goal, PoseGoal) and not goal.strict)
         orientation = "whatever its orientation" if any_will_do else "in the orientation asked for"
-        said = f"cannot reach {in_words(position_m)} m, {orientation}: the nearest point it can reach is"
-        said += f" {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away"
+        sentence = f"cannot reach {in_words(goal.position_m)} m, {orientation}: the nearest point it can reach is"
+        sentence += f" {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away"
     else:
-        said = f"reaches {in_words(position_m)} m, but not in the orientation asked for:"
-        said += f" the nearest one that it can have there is {degrees:.1f}° off"
+        sentence = f"reaches {in_words(goal.position_m)} m, but not in the orientation asked for:"
+        sentence += f" the nearest one that it can have there is {degrees:.1f}° off"
     return PlanningFailure(
-        MoveItErrorCode.NO_IK_SOLUTION, f"{goal.link!r} {said}", {**details, "tolerance_m": tolerance_m}
+        MoveItErrorCode.NO_IK_SOLUTION, f"{goal.link!r} {sentence}", {**details, "tolerance_m": goal.tolerance_m}
     )
 
 
 def out_of_time(
     goal: TaskGoal, failure: PlanningFailure, nearest_m: Sequence[float], nearest: Deviation
 ) -> PlanningFailure:
-    """Return the failure of a search that was ended, with the nearest point so far.
-
-    Args:
-        goal: the goal.
-        failure: reason for which it was ended.
-        nearest_m: position of the link in the configuration that comes nearest so far [m].
-        nearest: the deviation there.
-    """
+    """Add the nearest point so far to the failure of a search that was ended; arguments as :func:`out_of_reach`."""
     if isinstance(goal, ConstraintGoal):
         return failure
     point = [round(float(value), 4) for value in nearest_m]
@@ -96,12 +88,6 @@ def out_of_time(
     )
 
 
-def _asked(goal: PositionGoal | AxisGoal | PoseGoal) -> tuple[Sequence[float], float]:
-    if isinstance(goal, PoseGoal):
-        return goal.pose.position_m, goal.position_tolerance_m
-    return goal.position_m, goal.tolerance_m
-
-
 def _violated(code: MoveItErrorCode, what: str, violations: Sequence[Violation]) -> PlanningFailure:
-    said = "; ".join(violation.sentence for violation in violations)
-    return PlanningFailure(code, f"{what}: {said}", {"violations": [dict(v.details) for v in violations]})
+    sentences = "; ".join(violation.sentence for violation in violations)
+    return PlanningFailure(code, f"{what}: {sentences}", {"violations": [dict(v.details) for v in violations]})

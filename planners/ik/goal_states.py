@@ -32,11 +32,10 @@ from planners.problem import Deviation, PlanningFailure
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 
-# After so many restarts without a new solution, when there is one, more rarely find any.
+# Restarts without a new solution, when there is one, after which more rarely find any.
 FRUITLESS_RESTARTS = 6
 
-# A goal is out of reach when so many restarts in a row come no nearer to it; of 1000 poses within reach none needed
-# more.
+# Restarts in a row that come no nearer to a goal out of reach; of 1000 poses within reach none needed more.
 HOPELESS_RESTARTS = 20
 NEARER_M = 0.001
 
@@ -57,7 +56,7 @@ SAMPLE_SEED = 7
 # Of 1000 reachable targets placo solves 99 % collision-free with 10 restarts and all with 30.
 RESTARTS = 30
 
-# Where all of these end in contacts more are made, from samples that touch nothing themselves.
+# Further restarts, from free samples, where all of these end in contact.
 RESTARTS_AMONG_OBSTACLES = 100
 
 # A joint goal this near already holds: a servo's step is 1.5 mrad.
@@ -69,9 +68,9 @@ class SearchResult:
     """Configurations that the descents of one search found.
 
     Attributes:
-        solutions: configurations in which all that is required holds and nothing touches, those that meet the
-            preferences best, least time from the seed first.
-        colliding: contacts in the first configuration in which all that is required holds, if every such one has some.
+        solutions: free configurations in which the required conditions hold and the preferred ones hold best, least
+            time from the seed first.
+        colliding: contacts in the first configuration in which the required conditions hold, if all of them have some.
         nearest_q: the configuration that comes nearest, free of contacts if any is.
         nearest: its deviation from the conditions.
     """
@@ -84,26 +83,18 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class _End:
-    """End of one descent.
-
-    Attributes:
-        q: the configuration.
-        tight: whether the robot's hulls touch something there.
-        collides: whether more than the hulls does.
-        beyond_m: how far all that is required is from holding, 0 if it holds [m].
-        preference_error_m: how far the preferences are from holding [m].
-    """
+    """End of one descent; it is tight where hulls touch something, and collides where more than the hulls does."""
 
     q: Vector
     tight: bool
     collides: bool
-    beyond_m: float
+    violation_m: float
     preference_error_m: float
 
     @property
     def solves(self) -> bool:
-        """True when all that is required holds and nothing touches."""
-        return self.beyond_m == 0.0 and not self.collides
+        """True when the required conditions hold and nothing touches."""
+        return self.violation_m == 0.0 and not self.collides
 
 
 class DescentResults:
@@ -117,11 +108,11 @@ class DescentResults:
         self._preferred = ConditionSet(forward, goal_conditions.preferred)
         self._both = ConditionSet(forward, (*goal_conditions.required, *goal_conditions.preferred))
         self._ends: list[_End] = []
-        self._least_beyond_m, self._least_preference_error_m = math.inf, math.inf
+        self._least_violation_m, self._least_preference_error_m = math.inf, math.inf
         self.begin()
 
     def begin(self, patience: int = HOPELESS_RESTARTS) -> None:
-        """Begin a series of descents, of which so many may be fruitless as long as there is no solution."""
+        """Begin a series of descents, of which ``patience`` may be fruitless as long as there is no solution."""
         self._fruitless, self._patience = 0, patience
 
     def enough(self, wanted: int) -> bool:
@@ -132,17 +123,17 @@ class DescentResults:
 
     @property
     def any_solution(self) -> bool:
-        """True when anything was found that meets all that is required."""
+        """True when a free configuration was found in which the required conditions hold."""
         return any(end.solves for end in self._ends)
 
     @property
     def only_touching(self) -> bool:
-        """True when all that is required can be had, but only with something touching, for all that was found."""
-        return not self.any_solution and any(end.beyond_m == 0.0 for end in self._ends)
+        """True when the required conditions hold only in configurations in contact, of those found."""
+        return not self.any_solution and any(end.violation_m == 0.0 for end in self._ends)
 
     @property
     def only_colliding(self) -> bool:
-        """True when nothing free was found, neither in tolerance nor near it."""
+        """True when every configuration found is in contact."""
         return all(end.collides for end in self._ends)
 
     def add(self, q: Vector) -> None:
@@ -152,24 +143,24 @@ class DescentResults:
             return
         end = self._judged(q)
         self._ends.append(end)
-        if end.beyond_m < self._least_beyond_m - NEARER_M:
-            self._least_beyond_m, self._fruitless = end.beyond_m, 0
+        if end.violation_m < self._least_violation_m - NEARER_M:
+            self._least_violation_m, self._fruitless = end.violation_m, 0
         if end.solves:
             if end.preference_error_m <= max(0.0, self._least_preference_error_m - NEARER_M):
                 self._fruitless = 0
             self._least_preference_error_m = min(self._least_preference_error_m, end.preference_error_m)
 
     def look_closer(self) -> None:
-        """Ask the surfaces of what touches by its parts, where nothing else meets all that is required."""
-        self._ends = [self._by_surfaces(end) if end.beyond_m == 0.0 and end.collides else end for end in self._ends]
+        """Check by surfaces what touches by its parts and meets the required conditions."""
+        self._ends = [self._by_surfaces(end) if end.violation_m == 0.0 and end.collides else end for end in self._ends]
 
     def result(self, move_time_s: Callable[[Vector], float]) -> SearchResult:
         """Return the solutions, or the nearest configuration; ``move_time_s`` is the time of a move to one [s]."""
-        nearest = min(self._ends, key=lambda end: (end.collides, end.beyond_m, end.preference_error_m))
+        nearest = min(self._ends, key=lambda end: (end.collides, end.violation_m, end.preference_error_m))
         deviation = self._both.deviation(nearest.q)
         solving = [end for end in self._ends if end.solves]
         if not solving:
-            meeting = next((end for end in self._ends if end.beyond_m == 0.0), None)
+            meeting = next((end for end in self._ends if end.violation_m == 0.0), None)
             return SearchResult((), self._pairs(meeting), nearest.q, deviation)
         # Where only parts within the hulls are apart, motions are slow to check and rarely found.
         roomy = [end for end in solving if not end.tight] or solving
@@ -180,13 +171,51 @@ class DescentResults:
     def _judged(self, q: Vector) -> _End:
         tight = self._collision is not None and self._collision.in_collision(q)
         collides = tight and self._collision is not None and self._collision.collides(q, Closeness.PARTS)
-        return _End(q, tight, collides, self._required.beyond_m(q), self._preferred.beyond_m(q))
+        return _End(q, tight, collides, self._required.violation_m(q), self._preferred.violation_m(q))
 
     def _by_surfaces(self, end: _End) -> _End:
         return replace(end, collides=self._collision is not None and self._collision.collides(end.q))
 
     def _pairs(self, end: _End | None) -> tuple[CollidingPair, ...]:
         return tuple(self._collision.colliding_pairs(end.q)) if self._collision is not None and end is not None else ()
+
+
+@dataclass(frozen=True)
+class GoalState:
+    """A configuration in which a goal holds.
+
+    Attributes:
+        q: the configuration, shape (n,) [rad].
+        deviation: from the goal.
+        alternative: index of the goal among several.
+    """
+
+    q: Vector
+    deviation: Deviation
+    alternative: int
+
+
+@dataclass(frozen=True)
+class GoalQuery:
+    """Query for configurations in which a goal holds.
+
+    Attributes:
+        group: the joints that may move.
+        start_q: present configuration, shape (n,) [rad].
+        constraints: constraints that must hold beside the goal.
+        budget: ends the search.
+        wanted: number of configurations that are enough.
+        avoid_collisions: False to accept configurations in contact.
+        accept_start: True to accept the start even in contact, as a motion may begin there.
+    """
+
+    group: Group
+    start_q: Vector
+    constraints: Constraints | None
+    budget: Budget
+    wanted: int = MAX_SOLUTIONS
+    avoid_collisions: bool = True
+    accept_start: bool = True
 
 
 class GoalSearch:
@@ -206,47 +235,24 @@ class GoalSearch:
         self._samples = np.random.default_rng(SAMPLE_SEED).uniform(*limits, (SAMPLES, len(collision.joint_names)))
         self._placements: dict[str, Placements] = {}
 
-    def find(
-        self,
-        group: Group,
-        goal_conditions: GoalConditions,
-        seed_q: Vector,
-        should_stop: Callable[[], bool],
-        *,
-        wanted: int = MAX_SOLUTIONS,
-        avoid_collisions: bool = True,
-    ) -> SearchResult:
-        """Find configurations in which conditions hold, or as nearly as possible.
-
-        Args:
-            group: the joints that may move; the others stay as in ``seed_q``.
-            goal_conditions: the conditions.
-            seed_q: present configuration, shape (n,) [rad]; the first descent starts there.
-            should_stop: ends the restarts early.
-            wanted: so many solutions are enough.
-            avoid_collisions: whether configurations in which something touches are none.
-        """
-        results = DescentResults(self.forward, self._collision if avoid_collisions else None, goal_conditions)
-
-        def enough() -> bool:
-            return results.enough(wanted) or should_stop()
-
+    def find(self, goal_conditions: GoalConditions, query: GoalQuery) -> SearchResult:
+        """Find configurations in which conditions hold, or as nearly as possible; descents begin at the start."""
+        collision = self._collision if query.avoid_collisions else None
+        results = DescentResults(self.forward, collision, goal_conditions)
         required = GoalConditions(goal_conditions.required)
-        results.begin()
-        self._descend(results, group, goal_conditions, self._starts(group, goal_conditions, seed_q), enough)
+        self._descend(results, goal_conditions, self._starts(goal_conditions, query), query)
         if goal_conditions.preferred and not results.any_solution:
-            # The preferences may lead all descents away from where the rest can be had.
-            results.begin()
-            self._descend(results, group, required, self._starts(group, required, seed_q), enough)
-        if results.only_touching and not should_stop():
-            results.begin(patience=RESTARTS_AMONG_OBSTACLES)
-            self._descend(results, group, required, self._free_samples_near(group, required, seed_q), enough)
-        if results.only_touching and not should_stop():
+            # The preferences may lead all descents away from where the required conditions hold.
+            self._descend(results, required, self._starts(required, query), query)
+        if results.only_touching and not query.budget.used_up():
+            starts = self._free_samples_near(required, query)
+            self._descend(results, required, starts, query, patience=RESTARTS_AMONG_OBSTACLES)
+        if results.only_touching and not query.budget.used_up():
             results.look_closer()
         if results.only_colliding:
             # Every descent ended in a contact: the nearest free point is then known to a few centimetres only.
-            results.add(next(self._free_samples_near(group, goal_conditions, seed_q), seed_q))
-        return results.result(lambda q: self.move_time_s(seed_q, q))
+            results.add(next(self._free_samples_near(goal_conditions, query), query.start_q))
+        return results.result(lambda q: self.move_time_s(query.start_q, q))
 
     def projection(
         self, group: Group, conditions: Sequence[Condition], start_q: Vector
@@ -276,33 +282,33 @@ class GoalSearch:
     def _descend(
         self,
         results: DescentResults,
-        group: Group,
         goal_conditions: GoalConditions,
         starts: Iterable[Vector],
-        enough: Callable[[], bool],
+        query: GoalQuery,
+        patience: int = HOPELESS_RESTARTS,
     ) -> None:
-        descent = self._kinematics.descent(group, goal_conditions)
+        results.begin(patience)
+        descent = self._kinematics.descent(query.group, goal_conditions)
         for q in starts:
             results.add(descent(q))
-            if enough():
+            if results.enough(query.wanted) or query.budget.used_up():
                 break
 
-    def _starts(self, group: Group, goal_conditions: GoalConditions, seed_q: Vector) -> Iterator[Vector]:
+    def _starts(self, goal_conditions: GoalConditions, query: GoalQuery) -> Iterator[Vector]:
         """Yield the starts of descents: the robot's configuration, then the samples nearest to the conditions."""
-        yield seed_q
-        yield from islice(self._samples_near(group, goal_conditions, seed_q), RESTARTS)
+        yield query.start_q
+        yield from islice(self._samples_near(goal_conditions, query), RESTARTS)
 
-    def _free_samples_near(self, group: Group, goal_conditions: GoalConditions, seed_q: Vector) -> Iterator[Vector]:
-        """The nearest samples that touch nothing."""
-        near = self._samples_near(group, goal_conditions, seed_q)
+    def _free_samples_near(self, goal_conditions: GoalConditions, query: GoalQuery) -> Iterator[Vector]:
+        near = self._samples_near(goal_conditions, query)
         return islice((q for q in near if not self._collision.in_collision(q)), RESTARTS_AMONG_OBSTACLES)
 
-    def _samples_near(self, group: Group, goal_conditions: GoalConditions, seed_q: Vector) -> Iterator[Vector]:
-        """Samples of the group's joints, those that come nearest to the conditions first."""
-        moving = [self._collision.joint_names.index(name) for name in group.joints]
+    def _samples_near(self, goal_conditions: GoalConditions, query: GoalQuery) -> Iterator[Vector]:
+        """Yield samples of the group's joints, the nearest to the conditions first."""
+        moving = [self._collision.joint_names.index(name) for name in query.group.joints]
         distances_m = self._distances_m((*goal_conditions.required, *goal_conditions.preferred))
         for i in np.argsort(distances_m, kind="stable"):
-            q = seed_q.copy()
+            q = query.start_q.copy()
             q[moving] = self._samples[i][moving]
             for condition in goal_conditions.required:
                 if isinstance(condition, JointCondition) and condition.column in moving:
@@ -321,51 +327,8 @@ class GoalSearch:
         return distances_m
 
 
-@dataclass(frozen=True)
-class GoalState:
-    """A configuration in which a goal holds.
-
-    Attributes:
-        q: the configuration, shape (n,) [rad].
-        deviation: from the goal.
-        alternative: which of the goals it is, when there are several.
-    """
-
-    q: Vector
-    deviation: Deviation
-    alternative: int
-
-
-@dataclass(frozen=True)
-class GoalQuery:
-    """Query for configurations in which a goal holds.
-
-    Attributes:
-        group: the joints that may move.
-        start_q: present configuration, shape (n,) [rad].
-        constraints: what must hold in them beside the goal.
-        budget: ends the search.
-        wanted: number of configurations that are enough.
-        avoid_collisions: whether configurations in which something touches are none.
-        accept_start: whether the start is an answer even where something touches, as a motion may begin there.
-    """
-
-    group: Group
-    start_q: Vector
-    constraints: Constraints | None
-    budget: Budget
-    wanted: int = MAX_SOLUTIONS
-    avoid_collisions: bool = True
-    accept_start: bool = True
-
-
 class GoalStates:
-    """Goal configurations of one robot.
-
-    Args:
-        robot: the arm.
-        collision: its collisions with itself and the scene.
-    """
+    """Goal configurations of one robot."""
 
     def __init__(self, robot: RobotModel, collision: CollisionModel) -> None:
         self._collision = collision
@@ -374,7 +337,7 @@ class GoalStates:
         self.forward = self._search.forward
 
     def condition_set(self, constraints: Constraints | None) -> ConditionSet:
-        """Return constraints as conditions that can be measured."""
+        """Return the conditions of constraints."""
         return ConditionSet(self.forward, conditions(constraints, self._joints))
 
     def projection(self, group: Group, constraints: Constraints, start_q: Vector) -> Callable[[Vector], Vector | None]:
@@ -382,12 +345,7 @@ class GoalStates:
         return self._search.projection(group, conditions(constraints, self._joints), start_q)
 
     def find(self, goal: Goal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
-        """Find configurations in which a goal holds, the soonest reached first; or the reason for which there is none.
-
-        Args:
-            goal: a checked goal.
-            query: group, start and bounds of the search.
-        """
+        """Find configurations in which a checked goal holds, the soonest reached first; or why there is none."""
         if not isinstance(goal, AnyOf):
             return self._single(goal, query, 0)
         answers = [self._single(single, query, index) for index, single in enumerate(goal.goals)]
@@ -416,7 +374,7 @@ class GoalStates:
         whole = ConditionSet(self.forward, (*wanted.required, *wanted.preferred, *also))
         if query.accept_start and whole.holds(query.start_q):
             return [GoalState(query.start_q, whole.deviation(query.start_q), index)]
-        found = self._find(wanted.also(also), query)
+        found = self._search.find(wanted.also(also), query)
         if found.solutions:
             goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
             return [GoalState(q, goal_set.deviation(q), index) for q in found.solutions]
@@ -435,20 +393,10 @@ class GoalStates:
         pairs = self._collision.colliding_pairs(goal_q) if query.avoid_collisions else []
         return goal_in_collision(pairs) if pairs else [GoalState(goal_q, Deviation(), index)]
 
-    def _find(self, wanted: GoalConditions, query: GoalQuery) -> SearchResult:
-        return self._search.find(
-            query.group,
-            wanted,
-            query.start_q,
-            query.budget.used_up,
-            wanted=query.wanted,
-            avoid_collisions=query.avoid_collisions,
-        )
-
     def _refusal(
         self, goal: TaskGoal, wanted: GoalConditions, also: Sequence[Condition], found: SearchResult, query: GoalQuery
     ) -> PlanningFailure:
-        """Return the reason for which nothing was found."""
+        """Return the failure of a search without solutions."""
         if query.budget.used_up():
             nearest_m = self.point_m(goal, found.nearest_q)
             failure = out_of_time(goal, query.budget.failure(), nearest_m, found.nearest)
@@ -456,7 +404,7 @@ class GoalStates:
         if found.colliding:
             return goal_in_collision(found.colliding)
         if also:
-            alone = self._find(wanted, query)
+            alone = self._search.find(wanted, query)
             if alone.solutions:
                 return goal_violates(ConditionSet(self.forward, also).violations(alone.solutions[0]))
             found = alone
@@ -467,10 +415,10 @@ class GoalStates:
     ) -> PlanningFailure:
         q = found.nearest_q
         if isinstance(goal, PoseGoal | AxisGoal):
-            # The point with the nearest orientation there says more than a compromise between both.
+            # The point with the nearest orientation there is more useful than a compromise between both.
             point, *turns = wanted.required
             if turns:
-                found = self._find(GoalConditions((point,), (*turns, *wanted.preferred)), query)
+                found = self._search.find(GoalConditions((point,), (*turns, *wanted.preferred)), query)
             q = found.solutions[0] if found.solutions else found.nearest_q
         goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
         nearest = goal_set.deviation(q)

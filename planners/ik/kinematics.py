@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 import placo
-from numpy.typing import NDArray
 
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.plain_urdf import kinematic_urdf
+from planners.geometry.shapes import frame_of_link
 from planners.ik.constraints import (
     AxisCondition,
     Condition,
@@ -31,34 +31,25 @@ from planners.ik.constraints import (
     norm,
 )
 from robot.description.model import Group, RobotModel
-from robot.description.urdf import Mimic
 from robot.trajectory import Vector
 
 # Further ahead than this the arm is not nearly linear, and a target far outside would throw it into its limits.
 MAX_STEP_M = 0.1
 MAX_STEP_RAD = 0.7
 
-# A condition that holds would keep its link where it is while another one pulls: it has this share of its
-# weight until it is broken.
+# A condition that holds would keep its link in place while another one pulls: it has this share of its weight until it
+# is broken.
 RELAXED = 1e-3
 
-# Conditions on points that one goal can have; each costs every goal a microsecond a step.
+# Conditions on points that one goal can have.
 MAX_POINTS = 4
 
-# placo measures a point of a link from a point of its own model only: such targets stand at the end of three slides
-# along x, y and z, longer than any arm.
-SLIDE_AXES = ("1 0 0", "0 1 0", "0 0 1")
-SLIDE_LENGTH_M = 1e3
-
-
-_Task = placo.RelativePositionTask | placo.OrientationTask | placo.JointsTask
-
-# Weight of standing still against 1 for reaching. Far from the target it must be felt: joints that barely move the tip
-# would otherwise be driven into their limits. Near to it, it would only slow the descent down: so it shrinks with the
-# square of what is missing, after Levenberg and Marquardt.
-STANDING_PER_M2 = 1.0
-LEAST_STANDING = 1e-7
-MOST_STANDING = 1e-3
+# Weight of the present configuration against 1 for the conditions. Far from the target it must be felt: joints that
+# barely move the tip would otherwise be driven into their limits. Near to it, it would only slow the descent down: so
+# it shrinks with the square of the error, after Levenberg and Marquardt.
+REGULARIZATION_PER_M2 = 1.0
+LEAST_REGULARIZATION = 1e-7
+MOST_REGULARIZATION = 1e-3
 
 # Convergence takes 5-10 steps within reach and up to 40 at its edge.
 MAX_STEPS = 60
@@ -67,250 +58,30 @@ MAX_STEPS = 60
 LEAST_GAIN = 0.005
 PATIENCE = 5
 
-# Reached this well the rest is below the servos' 1.5 mrad, however wide the goal's tolerance.
+# Below the servos' 1.5 mrad, however wide the goal's tolerance.
 ACCURACY_M = 1e-4
 
-# What is preferred gets this share of the weight of what is required; a second descent without it makes up for what it
-# has cost.
+# Weight of preferred conditions against 1 for required ones; a second descent without them makes up for their cost.
 PREFERENCE = 0.01
 
-# Of a tolerance, where its middle cannot be had: the rest keeps rounding from the edge.
-INNER_SHARE = 0.9
+# Shares of a tolerance that descents aim at: its middle, or, where that is out of reach, a little inside its edge.
 MIDDLE = 0.0
-
-
-class _Weight:
-    """Weight of a task of placo, which is set there when it changes."""
-
-    def __init__(self, task: _Task, name: str, weight: float) -> None:
-        self._task, self._name, self._whole = task, name, weight
-        self._relaxed = False
-        self._tell()
-
-    def relax(self, relaxed: bool) -> None:
-        """Reduce the weight of a condition that holds, or restore it."""
-        if relaxed != self._relaxed:
-            self._relaxed = relaxed
-            self._tell()
-
-    def _tell(self) -> None:
-        self._task.configure(self._name, "soft", self._whole * (RELAXED if self._relaxed else 1.0))
-
-
-class LinkTask(ABC):
-    """Moves a link until a condition on it holds.
-
-    Attributes:
-        condition: the condition.
-    """
-
-    max_step = MAX_STEP_RAD
-
-    def __init__(self, condition: LinkCondition, weight: float, name: str, task: _Task) -> None:
-        self.condition = condition
-        self._scale = condition.arm_m * math.sqrt(weight)
-        self._weight = _Weight(task, name, self._scale**2)
-
-    def aim(self, placement: pin.SE3, share: float) -> float:
-        """Set the next target.
-
-        Args:
-            placement: the link's pose in the root link.
-            share: of the condition's tolerance that is to be reached.
-
-        Returns:
-            How far that is from here, weighted [m].
-        """
-        beyond = self.condition.beyond(self.condition.missing(placement), share)
-        length = norm(beyond)
-        self._go(placement, beyond if length <= self.max_step else beyond * (self.max_step / length))
-        self._weight.relax(length == 0.0)
-        return self._scale * length
-
-    @abstractmethod
-    def _go(self, placement: pin.SE3, step: Vector) -> None:
-        """Set the target a step, as the condition measures what is missing, away from a placement."""
-
-
-class PointTask(LinkTask):
-    """Moves a point of a link.
-
-    Args:
-        wrapper: placo's model, made from :func:`with_targets`.
-        solver: takes the task.
-        condition: where to.
-        weight: of the task.
-        index: of the task in the solver, below :data:`MAX_POINTS`.
-    """
-
-    max_step = MAX_STEP_M
-
-    def __init__(
-        self,
-        wrapper: placo.RobotWrapper,
-        solver: placo.KinematicsSolver,
-        condition: PointCondition,
-        weight: float,
-        index: int,
-    ) -> None:
-        task = solver.add_relative_position_task(condition.link, _carriage(index, 2), condition.offset_m)
-        super().__init__(condition, weight, f"point {index}", task)
-        self._point = condition
-        self._wrapper = wrapper
-        self._columns = np.array([wrapper.get_joint_offset(_slide(index, axis)) for axis in range(3)])
-
-    def _go(self, placement: pin.SE3, step: Vector) -> None:
-        self._wrapper.state.q[self._columns] = self._point.point(placement) + self._point.axes @ step
-
-
-class TurnTask(LinkTask):
-    """Turns a link.
-
-    Args:
-        solver: takes the task.
-        condition: where to.
-        weight: of the task.
-        index: of the task in the solver.
-    """
-
-    def __init__(
-        self, solver: placo.KinematicsSolver, condition: TurnCondition | AxisCondition, weight: float, index: int
-    ) -> None:
-        self._task = solver.add_orientation_task(condition.link, np.eye(3))
-        super().__init__(condition, weight, f"turn {index}", self._task)
-
-    def _go(self, placement: pin.SE3, step: Vector) -> None:
-        self._task.R_world_frame = placement.rotation @ pin.exp3(step)
-
-
-class AxisTask(TurnTask):
-    """Turns an axis of a link and leaves free the turn about it.
-
-    placo's own task for axes divides by zero once they are parallel.
-
-    Args:
-        solver: takes the task.
-        condition: where to.
-        weight: of the task.
-        index: of the task in the solver.
-    """
-
-    def __init__(self, solver: placo.KinematicsSolver, condition: AxisCondition, weight: float, index: int) -> None:
-        super().__init__(solver, condition, weight, index)
-        self._across = frame_along(condition.axis)
-        self._task.mask.set_axises("xy", "custom")
-
-    def _go(self, placement: pin.SE3, step: Vector) -> None:
-        super()._go(placement, step)
-        self._task.mask.R_custom_world = (placement.rotation @ self._across).T
-
-
-class JointTask:
-    """Moves a joint into its range.
-
-    Args:
-        solver: takes the task.
-        condition: where to.
-        weight: of the task.
-        index: of the task in the solver.
-
-    Attributes:
-        condition: the condition.
-    """
-
-    def __init__(self, solver: placo.KinematicsSolver, condition: JointCondition, weight: float, index: int) -> None:
-        self.condition = condition
-        self._scale = condition.arm_m * math.sqrt(weight)
-        self._task = solver.add_joints_task()
-        self._weight = _Weight(self._task, f"joint {index}", self._scale**2)
-
-    def aim(self, value: float, share: float) -> float:
-        """Set the next target, as :meth:`LinkTask.aim`, from a position of the joint [rad]."""
-        beyond = self.condition.beyond_rad(value, share)
-        self._task.set_joint(joint_in_placo(self.condition.joint), value + beyond)
-        self._weight.relax(beyond == 0.0)
-        return self._scale * abs(beyond)
-
-
-def link_task(
-    wrapper: placo.RobotWrapper, solver: placo.KinematicsSolver, condition: LinkCondition, weight: float, index: int
-) -> LinkTask:
-    """The task for a condition on a link; arguments as for :class:`PointTask`."""
-    match condition:
-        case PointCondition():
-            return PointTask(wrapper, solver, condition, weight, index)
-        case TurnCondition():
-            return TurnTask(solver, condition, weight, index)
-        case AxisCondition():
-            return AxisTask(solver, condition, weight, index)
-
-
-def with_targets(robot: RobotModel) -> str:
-    """URDF text of a robot's kinematics with the targets of points beside it."""
-    root = ET.fromstring(kinematic_urdf(robot))  # noqa: S314 - made from what robot.description.model has parsed
-    for joint in root.iterfind("joint"):
-        joint.set("name", joint_in_placo(joint.get("name", "")))
-    for point in range(MAX_POINTS):
-        parent = robot.root_link
-        for axis, direction in enumerate(SLIDE_AXES):
-            child = _carriage(point, axis)
-            ET.SubElement(root, "link", name=child)
-            joint = ET.SubElement(root, "joint", name=_slide(point, axis), type="prismatic")
-            ET.SubElement(joint, "parent", link=parent)
-            ET.SubElement(joint, "child", link=child)
-            ET.SubElement(joint, "axis", xyz=direction)
-            limits = {"lower": f"{-SLIDE_LENGTH_M}", "upper": f"{SLIDE_LENGTH_M}", "velocity": "1", "effort": "1"}
-            ET.SubElement(joint, "limit", limits)
-            parent = child
-    return ET.tostring(root, encoding="unicode")
-
-
-def joint_in_placo(name: str) -> str:
-    """Return the name of a joint in placo's model, where it may not be that of a link."""
-    return f"joint {name}"
-
-
-def slides() -> list[str]:
-    """The joints of the targets: no solver may move them."""
-    return [_slide(point, axis) for point in range(MAX_POINTS) for axis in range(len(SLIDE_AXES))]
-
-
-def _slide(point: int, axis: int) -> str:
-    return f"planning_slide_{point}_{axis}"
-
-
-def _carriage(point: int, axis: int) -> str:
-    return f"planning_carriage_{point}_{axis}"
-
-
-class _Follower:
-    """Joint that mimics another one."""
-
-    def __init__(self, wrapper: placo.RobotWrapper, name: str, mimic: Mimic, joint_names: Sequence[str]) -> None:
-        self.name, self.leader, self.multiplier = joint_in_placo(name), joint_in_placo(mimic.joint), mimic.multiplier
-        self.leader_name = mimic.joint
-        self._column, self._leader_column = wrapper.get_joint_offset(self.name), joint_names.index(mimic.joint)
-
-    def place(self, wrapper: placo.RobotWrapper, q: Vector) -> None:
-        """Set the joint in placo's model to its position at a configuration."""
-        wrapper.state.q[self._column] = self.multiplier * q[self._leader_column]
+INNER_SHARE = 0.9
 
 
 @dataclass(frozen=True)
-class _PlacoModel:
-    """placo's model of the robot, and where configurations are in it."""
+class _MimicJoint:
+    """Joint that mimics another one, by names and places in placo's model."""
 
-    wrapper: placo.RobotWrapper
-    forward: ForwardKinematics
-    joint_names: Sequence[str]
-    columns: NDArray[np.int64]
-    followers: Sequence[_Follower]
-    lower_rad: Vector
-    upper_rad: Vector
+    name: str
+    leader: str
+    multiplier: float
+    column: int
+    leader_column: int
 
 
 class Kinematics:
-    """Inverse kinematics of one robot.
+    """placo's model of one robot, and inverse kinematics by it.
 
     Args:
         robot: the arm.
@@ -320,16 +91,23 @@ class Kinematics:
 
     def __init__(self, robot: RobotModel, forward: ForwardKinematics, joint_names: Sequence[str]) -> None:
         # placo leaks some 0.16 MB per wrapper, so there is one for life.
-        wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, with_targets(robot))
-        self._body = _PlacoModel(
-            wrapper,
-            forward,
-            joint_names,
-            np.array([wrapper.get_joint_offset(joint_in_placo(name)) for name in joint_names]),
-            [_Follower(wrapper, name, joint.mimic, joint_names) for name, joint in robot.joints.items() if joint.mimic],
-            np.array([robot.joints[name].lower for name in joint_names]),
-            np.array([robot.joints[name].upper for name in joint_names]),
-        )
+        self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, with_point_frames(robot))
+        self.forward = forward
+        self.joint_names = joint_names
+        self.mimics = [
+            _MimicJoint(
+                joint_in_placo(name),
+                joint_in_placo(joint.mimic.joint),
+                joint.mimic.multiplier,
+                self.wrapper.get_joint_offset(joint_in_placo(name)),
+                joint_names.index(joint.mimic.joint),
+            )
+            for name, joint in robot.joints.items()
+            if joint.mimic
+        ]
+        self._columns = np.array([self.wrapper.get_joint_offset(joint_in_placo(name)) for name in joint_names])
+        self._lower_rad = np.array([robot.joints[name].lower for name in joint_names])
+        self._upper_rad = np.array([robot.joints[name].upper for name in joint_names])
 
     def descent(self, group: Group, goal_conditions: GoalConditions) -> Descent:
         """Return a descent that brings configurations to where conditions hold, or as near as possible.
@@ -338,18 +116,166 @@ class Kinematics:
             group: the joints that may move; the others stay.
             goal_conditions: conditions, at most :data:`planners.ik.kinematics.MAX_POINTS` conditions on points.
         """
-        return Descent(self._body, group, goal_conditions)
+        return Descent(self, group, goal_conditions)
+
+    def place(self, q: Vector) -> None:
+        """Move the joints, and those that mimic them."""
+        self.wrapper.state.q[self._columns] = q
+        for joint in self.mimics:
+            self.wrapper.state.q[joint.column] = joint.multiplier * q[joint.leader_column]
+        self.forward.place(q)
+
+    def advance(self, solver: placo.KinematicsSolver) -> Vector:
+        """Take one step of a solver from the present configuration; return the next one."""
+        self.wrapper.update_kinematics()
+        solver.solve(True)
+        # The solver keeps limits to its own accuracy only.
+        return np.asarray(np.minimum(np.maximum(self.wrapper.state.q[self._columns], self._lower_rad), self._upper_rad))
+
+
+class _Task(ABC):
+    """Task of placo's solver that moves the arm until a condition holds."""
+
+    def __init__(self, condition: Condition, weight: float, task: placo.Task, name: str) -> None:
+        self.condition = condition
+        self._scale = condition.arm_m * math.sqrt(weight)
+        self._task, self._name = task, name
+        self._relaxed: bool | None = None
+
+    @abstractmethod
+    def aim(self, q: Vector, share: float) -> float:
+        """Set the next target, towards a share of the tolerance; return the weighted distance from there [m]."""
+
+    def _weighted(self, distance: float) -> float:
+        """Return a weighted distance [m], and have a task whose condition holds give way to others."""
+        relaxed = distance == 0.0
+        if relaxed is not self._relaxed:
+            self._relaxed = relaxed
+            self._task.configure(self._name, "soft", self._scale**2 * (RELAXED if relaxed else 1.0))
+        return self._scale * distance
+
+
+class _LinkTask(_Task):
+    """Moves a link."""
+
+    condition: LinkCondition
+    max_step = MAX_STEP_RAD
+
+    def __init__(self, solver: _Solver, condition: LinkCondition, weight: float, task: placo.Task, name: str) -> None:
+        super().__init__(condition, weight, task, name)
+        self._forward = solver.kinematics.forward
+
+    def aim(self, q: Vector, share: float) -> float:  # noqa: ARG002 - the links have been placed there
+        """Aim a step ahead at most."""
+        placement = self._forward.placement(self.condition.link)
+        violation = self.condition.violation(self.condition.error(placement), share)
+        length = norm(violation)
+        self._set_target(placement, violation * min(1.0, self.max_step / max(length, self.max_step)))
+        return self._weighted(length)
+
+    @abstractmethod
+    def _set_target(self, placement: pin.SE3, step: Vector) -> None:
+        """Set the target a step away from a placement, along the axes of the condition's error."""
+
+
+class _PointTask(_LinkTask):
+    """Moves a point of a link: the origin of one of the model's point frames, which is attached to the link."""
+
+    condition: PointCondition
+    max_step = MAX_STEP_M
+
+    def __init__(self, solver: _Solver, condition: PointCondition, weight: float, index: int) -> None:
+        name = _point_frame(index)
+        self._position_task = solver.placo.add_position_task(name, np.zeros(3))
+        super().__init__(solver, condition, weight, self._position_task, name)
+        self._model = solver.kinematics.wrapper.model
+        self._frame = frame_of_link(self._model, name)
+
+    def attach(self) -> None:
+        """Place the frame on the link: other descents use the same one."""
+        carrier = self._model.frames[frame_of_link(self._model, self.condition.link)]
+        frame = self._model.frames[self._frame]
+        frame.parentJoint = carrier.parentJoint
+        frame.placement = carrier.placement * pin.SE3(np.eye(3), self.condition.offset_m)
+
+    def _set_target(self, placement: pin.SE3, step: Vector) -> None:
+        self._position_task.target_world = self.condition.point(placement) + self.condition.axes @ step
+
+
+class _TurnTask(_LinkTask):
+    """Turns a link, or an axis of it and not about that axis: placo's task for axes divides by zero at its goal."""
+
+    def __init__(self, solver: _Solver, condition: TurnCondition | AxisCondition, weight: float, index: int) -> None:
+        self._orientation_task = solver.placo.add_orientation_task(condition.link, np.eye(3))
+        super().__init__(solver, condition, weight, self._orientation_task, f"turn {index}")
+        self._across = frame_along(condition.axis) if isinstance(condition, AxisCondition) else None
+        if self._across is not None:
+            self._orientation_task.mask.set_axises("xy", "custom")
+
+    def _set_target(self, placement: pin.SE3, step: Vector) -> None:
+        self._orientation_task.R_world_frame = placement.rotation @ pin.exp3(step)
+        if self._across is not None:
+            self._orientation_task.mask.R_custom_world = (placement.rotation @ self._across).T
+
+
+class _JointTask(_Task):
+    """Moves a joint into its range."""
+
+    condition: JointCondition
+
+    def __init__(self, solver: _Solver, condition: JointCondition, weight: float, index: int) -> None:
+        self._joints_task = solver.placo.add_joints_task()
+        super().__init__(condition, weight, self._joints_task, f"joint {index}")
+
+    def aim(self, q: Vector, share: float) -> float:
+        """Aim into the range."""
+        position_rad = float(q[self.condition.column])
+        violation_rad = self.condition.violation_rad(position_rad, share)
+        self._joints_task.set_joint(joint_in_placo(self.condition.joint), position_rad + violation_rad)
+        return self._weighted(abs(violation_rad))
+
+
+def _task(solver: _Solver, condition: Condition, weight: float, index: int) -> _Task:
+    match condition:
+        case JointCondition():
+            return _JointTask(solver, condition, weight, index)
+        case PointCondition():
+            return _PointTask(solver, condition, weight, index)
+        case TurnCondition() | AxisCondition():
+            return _TurnTask(solver, condition, weight, index)
+
+
+def with_point_frames(robot: RobotModel) -> str:
+    """Return the URDF text of a robot's kinematics with frames that can be attached to points of its links."""
+    root = ET.fromstring(kinematic_urdf(robot))  # noqa: S314 - made from what robot.description.model has parsed
+    for joint in root.iterfind("joint"):
+        joint.set("name", joint_in_placo(joint.get("name", "")))
+    for index in range(MAX_POINTS):
+        ET.SubElement(root, "link", name=_point_frame(index))
+        joint = ET.SubElement(root, "joint", name=joint_in_placo(_point_frame(index)), type="fixed")
+        ET.SubElement(joint, "parent", link=robot.root_link)
+        ET.SubElement(joint, "child", link=_point_frame(index))
+    return ET.tostring(root, encoding="unicode")
+
+
+def joint_in_placo(name: str) -> str:
+    """Return the name of a joint in placo's model, which must differ from every link's."""
+    return f"joint {name}"
+
+
+def _point_frame(index: int) -> str:
+    return f"planning point {index}"
 
 
 class Descent:
     """Descent from configurations to ones nearby in which conditions hold, or as nearly as possible; within limits."""
 
-    def __init__(self, body: _PlacoModel, group: Group, goal_conditions: GoalConditions) -> None:
-        required = [(condition, 1.0) for condition in goal_conditions.required]
-        preferred = [(condition, PREFERENCE) for condition in goal_conditions.preferred]
-        self._required = _Solver(body, group, required)
-        self._both = _Solver(body, group, [*required, *preferred]) if preferred else None
-        self._holds = ConditionSet(body.forward, goal_conditions.required).holds
+    def __init__(self, kinematics: Kinematics, group: Group, goal_conditions: GoalConditions) -> None:
+        required = [(condition, condition.weight) for condition in goal_conditions.required]
+        preferred = [(condition, PREFERENCE * condition.weight) for condition in goal_conditions.preferred]
+        self._required = _Solver(kinematics, group, required)
+        self._both = _Solver(kinematics, group, [*required, *preferred]) if preferred else None
+        self._holds = ConditionSet(kinematics.forward, goal_conditions.required).holds
 
     def __call__(self, q: Vector) -> Vector:
         """Descend from a configuration: to the middle of every tolerance, or else anywhere inside."""
@@ -365,72 +291,49 @@ class Descent:
 
 
 class _Solver:
-    """Minimizes what is missing to conditions, each with its share of the weight."""
+    """Minimizes the violation of conditions, each with its weight."""
 
-    def __init__(self, body: _PlacoModel, group: Group, shares: Sequence[tuple[Condition, float]]) -> None:
-        self._body = body
-        self._solver = body.wrapper.make_solver()
+    def __init__(self, kinematics: Kinematics, group: Group, weighted: Sequence[tuple[Condition, float]]) -> None:
+        self.kinematics = kinematics
+        self.placo = kinematics.wrapper.make_solver()
         # Otherwise the base flies to the target.
-        self._solver.mask_fbase(True)
-        for name in body.joint_names:
+        self.placo.mask_fbase(True)
+        for name in kinematics.joint_names:
             if name not in group.joints:
-                self._solver.mask_dof(joint_in_placo(name))
-        for name in slides():
-            self._solver.mask_dof(name)
-        self._gear(group)
-        self._solver.enable_joint_limits(True)
-        self._standing = self._solver.add_regularization_task(MOST_STANDING)
-        self._joint_tasks: list[JointTask] = []
-        self._link_tasks: list[LinkTask] = []
-        # Conditions on points come first: there are targets for the first few tasks only.
-        shares = sorted(shares, key=lambda pair: not isinstance(pair[0], PointCondition))
-        for index, (condition, share) in enumerate(shares):
-            weight = share * condition.weight
-            if isinstance(condition, JointCondition):
-                self._joint_tasks.append(JointTask(self._solver, condition, weight, index))
-            else:
-                self._link_tasks.append(link_task(body.wrapper, self._solver, condition, weight, index))
+                self.placo.mask_dof(joint_in_placo(name))
+        self._couple_mimics([joint_in_placo(name) for name in group.joints])
+        self.placo.enable_joint_limits(True)
+        self._regularization = self.placo.add_regularization_task(MOST_REGULARIZATION)
+        # Conditions on points come first: there are frames for the first few tasks only.
+        weighted = sorted(weighted, key=lambda pair: not isinstance(pair[0], PointCondition))
+        self._tasks = [_task(self, condition, weight, index) for index, (condition, weight) in enumerate(weighted)]
 
-    def _gear(self, group: Group) -> None:
-        """Have joints that mimic one of the group follow it, and the others stay."""
-        geared = [follower for follower in self._body.followers if follower.leader_name in group.joints]
-        for follower in self._body.followers:
-            if follower not in geared:
-                self._solver.mask_dof(follower.name)
-        if geared:
-            gears = self._solver.add_gear_task()
+    def _couple_mimics(self, moving: Sequence[str]) -> None:
+        """Have joints that mimic a moving one follow it, and the others stay."""
+        coupled = [joint for joint in self.kinematics.mimics if joint.leader in moving]
+        for joint in self.kinematics.mimics:
+            if joint not in coupled:
+                self.placo.mask_dof(joint.name)
+        if coupled:
+            gears = self.placo.add_gear_task()
             gears.configure("mimic", "hard")
-            for follower in geared:
-                gears.set_gear(follower.name, follower.leader, follower.multiplier)
+            for joint in coupled:
+                gears.set_gear(joint.name, joint.leader, joint.multiplier)
 
     def descend(self, q: Vector, share: float) -> Vector:
         """Descend from a configuration towards a share of every tolerance."""
-        wrapper, columns = self._body.wrapper, self._body.columns
-        wrapper.state.q[columns] = q
-        self._place_followers(q)
+        for task in self._tasks:
+            if isinstance(task, _PointTask):
+                task.attach()
         least_m, idle = math.inf, 0
         for _ in range(MAX_STEPS):
-            missing_m = self._aim(q, share)
-            idle = idle + 1 if missing_m > (1.0 - LEAST_GAIN) * least_m else 0
-            if missing_m < ACCURACY_M or idle > PATIENCE:
+            self.kinematics.place(q)
+            distance_m = math.hypot(*(task.aim(q, share) for task in self._tasks))
+            idle = idle + 1 if distance_m > (1.0 - LEAST_GAIN) * least_m else 0
+            if distance_m < ACCURACY_M or idle > PATIENCE:
                 break
-            least_m = min(least_m, missing_m)
-            self._standing.set_weight(min(MOST_STANDING, max(LEAST_STANDING, STANDING_PER_M2 * missing_m**2)))
-            wrapper.update_kinematics()
-            self._solver.solve(True)
-            # The solver keeps limits to its own accuracy only.
-            q = np.minimum(np.maximum(wrapper.state.q[columns], self._body.lower_rad), self._body.upper_rad)
-            self._place_followers(q)
+            least_m = min(least_m, distance_m)
+            weight = REGULARIZATION_PER_M2 * distance_m**2
+            self._regularization.set_weight(min(MOST_REGULARIZATION, max(LEAST_REGULARIZATION, weight)))
+            q = self.kinematics.advance(self.placo)
         return q
-
-    def _place_followers(self, q: Vector) -> None:
-        for follower in self._body.followers:
-            follower.place(self._body.wrapper, q)
-
-    def _aim(self, q: Vector, share: float) -> float:
-        """Set all targets; what is missing to them together [m]."""
-        forward = self._body.forward
-        forward.place(q)
-        missing_m = [task.aim(forward.placement(task.condition.link), share) for task in self._link_tasks]
-        missing_m += [task.aim(float(q[task.condition.column]), share) for task in self._joint_tasks]
-        return math.hypot(*missing_m)

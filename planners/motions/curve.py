@@ -1,15 +1,18 @@
 """Curves of the joints over time: straight lines, ramps between two states of the joints, and limits of the jerk.
 
-Each joint accelerates uniformly between knots. Knots lie on a grid of whole ticks, so two of them are never so near
-each other that differences lose their digits.
+Points, positions and velocities of n joints have the shape (n,) and are in rad and rad/s. Each joint accelerates
+uniformly between knots. Knots lie on a grid of whole ticks, so two of them are never so near each other that
+differences lose their digits.
 
-Lines and ramps take the least time, in closed form. A ramp speeds up, cruises and slows down, each joint for itself,
-and all joints take the time of the slowest, after Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator trajectories
-using optimal bounded-acceleration shortcuts", 2010. Durations are rounded up to whole ticks, at most three of them.
+Lines and ramps take the least time within the limits of velocity and acceleration, in closed form. A ramp speeds up,
+cruises and slows down, each joint for itself, and all joints take the time of the slowest, after Hauser and
+Ng-Thow-Hing, "Fast smoothing of manipulator trajectories using optimal bounded-acceleration shortcuts", 2010. Durations
+are rounded up to whole ticks, at most three of them.
 
-A curve averaged over a window of time keeps the velocity and acceleration limits of the curve and has no more jerk than
-the change of its acceleration over a window divided by the window: on a straight line from rest to rest this is the
-S-curve of seven phases. Biagiotti and Melchiorri, "FIR filters for online trajectory planning", 2012.
+Limits of the jerk are met by averaging: the mean of a curve over a window of time keeps the velocity and acceleration
+limits of the curve and has no more jerk than the change of its acceleration over a window divided by the window. On a
+straight line from rest to rest this is the S-curve of seven phases. Biagiotti and Melchiorri, "FIR filters for online
+trajectory planning", 2012.
 """
 
 from __future__ import annotations
@@ -41,7 +44,7 @@ SAME_POINT_RAD = 1e-9
 # A moving joint that has to be slower than its neighbours may only be able to be much slower, by turning back.
 LONGER_TIMES = (1.0, 1.1, 1.3, 1.7, 2.5, 4.0)
 
-# Ramps are solved for a little less than the limits and then rounded to ticks, which lends them a little more.
+# Share of the limits for which ramps are solved: rounding to ticks makes them a little steeper.
 SHARE_OF_LIMITS = 0.999
 
 # Each of the two ramps of a joint is rounded up by up to a tick.
@@ -52,7 +55,7 @@ ROUNDING_SHARE = 1e-9
 
 
 def seconds(ticks: Ticks) -> Vector:
-    """Times in seconds, of the same shape."""
+    """Return times in seconds."""
     return np.asarray(TICK_S * ticks, dtype=np.float64)
 
 
@@ -86,7 +89,7 @@ class Curve:
         return position, velocity + since_s * acceleration, acceleration
 
     def stays_within(self, lower_rad: Vector, upper_rad: Vector) -> bool:
-        """Tell whether no joint leaves its range, turning points between the knots included."""
+        """Tell whether no joint leaves its range, also at turning points between the knots."""
         v0, v1 = self.velocities_rad_s[:-1], self.velocities_rad_s[1:]
         turns = v0 * v1 < 0.0
         span_s = TICK_S * np.diff(self.ticks)[:, np.newaxis]
@@ -95,7 +98,7 @@ class Curve:
         return bool(np.all((reached >= lower_rad) & (reached <= upper_rad)))
 
     def sampled(self, joint_names: tuple[str, ...]) -> Trajectory:
-        """The same motion as samples at the knots and every 10 ms; a cubic between samples repeats it exactly."""
+        """Return samples at the knots and every 10 ms; a cubic between them repeats the motion exactly."""
         ticks = self.sample_ticks()
         positions, velocities, accelerations = self.at(ticks)
         positions[[0, -1]] = self.positions_rad[[0, -1]]
@@ -105,14 +108,14 @@ class Curve:
         return Trajectory(joint_names, seconds(ticks), positions, velocities, accelerations)
 
     def sample_ticks(self) -> Ticks:
-        """Times of the knots and of a 100 Hz grid between them [ticks]."""
+        """Return the times of the knots and of a 100 Hz grid between them [ticks]."""
         grid = np.arange(SAMPLE_TICKS, self.duration_ticks, SAMPLE_TICKS)
         after = np.searchsorted(self.ticks, grid)
         apart = np.minimum(grid - self.ticks[after - 1], self.ticks[after] - grid) >= NEAR_KNOT_TICKS
         return np.sort(np.concatenate((self.ticks, grid[apart])))
 
     def then(self, following: Curve) -> Curve:
-        """This curve and one that starts where and as fast as it ends."""
+        """Append a curve that starts with the position and velocity at the end of this one."""
         return Curve(
             np.concatenate((self.ticks, self.duration_ticks + following.ticks[1:])),
             np.concatenate((self.positions_rad, following.positions_rad[1:])),
@@ -120,14 +123,14 @@ class Curve:
         )
 
     def part(self, first: int, last: int) -> Curve:
-        """The curve from one time to a later one [ticks]."""
+        """Return the curve from one time to a later one [ticks]."""
         inside = self.ticks[(self.ticks > first) & (self.ticks < last)]
         ticks = np.concatenate(([first], inside, [last]))
         positions, velocities, _ = self.at(ticks)
         return Curve(ticks - first, positions, velocities)
 
     def replaced(self, first: int, last: int, piece: Curve) -> Curve:
-        """This curve with another piece from one time to a later one [ticks]; the piece has the same end states."""
+        """Replace a part from one time to a later one [ticks] by a piece with the same end states."""
         whole = piece if first == 0 else self.part(0, first).then(piece)
         whole = whole if last == self.duration_ticks else whole.then(self.part(last, self.duration_ticks))
         # Neither rounding errors nor the piece's own may move the ends.
@@ -137,13 +140,13 @@ class Curve:
 
 
 def constant_curve(point: Vector, ticks: int) -> Curve:
-    """A curve that stays in a point, shape (n,) [rad]."""
+    """Return a curve that stays in a point."""
     points = np.array([point, point])
     return Curve(np.array([0, ticks]), points, np.zeros_like(points))
 
 
 def window_ticks(limits: RateLimits) -> int:
-    """The window that keeps the jerk limits even where a joint goes from full speeding up to full braking [ticks]."""
+    """Return the window that keeps the jerk limits even from full speeding up to full braking [ticks]."""
     if limits.jerk_rad_s3 is None:
         return 0
     return int(np.ceil(np.max(2.0 * limits.acceleration_rad_s2 / limits.jerk_rad_s3) / TICK_S))
@@ -156,15 +159,10 @@ def averaging_start(start: Vector, velocity: Vector, window: int) -> Vector:
 
 
 def averaged(curve: Curve, window: int, joint_names: tuple[str, ...]) -> Trajectory:
-    """The mean of a curve over a window of time that ends now, as samples.
+    """Return the mean of a curve over a window of at least one tick that ends now, as samples.
 
-    Args:
-        curve: before it the joints moved evenly with its first velocity, after it they stay.
-        window: [ticks], at least 1.
-        joint_names: the joints of the columns.
-
-    Returns:
-        A motion that takes a window longer than the curve; a cubic between its samples repeats it exactly.
+    Before the curve the joints moved evenly with its first velocity, after it they stay. The motion takes a window
+    longer than the curve, and a cubic between its samples repeats it exactly.
     """
     ticks = np.unique(np.concatenate((curve.sample_ticks(), curve.sample_ticks() + window)))
     window_s = TICK_S * window
@@ -181,7 +179,7 @@ def averaged(curve: Curve, window: int, joint_names: tuple[str, ...]) -> Traject
 
 
 def _integrals(curve: Curve, ticks: Ticks) -> tuple[Vector, Vector, Vector]:
-    """Integral of the position from the start [rad s], position and velocity; before and after the curve as well."""
+    """Return the integral of the position from the start [rad s], position and velocity, also outside the curve."""
     inside = np.clip(ticks, 0, curve.duration_ticks)
     outside_s = (TICK_S * (ticks - inside))[:, np.newaxis]
     position, velocity, _ = curve.at(inside)
@@ -210,13 +208,7 @@ def same_point(a: Vector, b: Vector) -> bool:
 
 
 def line(start: Vector, goal: Vector, limits: RateLimits) -> Curve:
-    """Speed up, cruise and slow down on a straight line, as fast as its tightest joint allows.
-
-    Args:
-        start: shape (n,) [rad].
-        goal: shape (n,), another point [rad].
-        limits: what to keep; their jerk is not considered.
-    """
+    """Speed up, cruise and slow down on a straight line to another point, as fast as its tightest joint allows."""
     share = np.maximum(np.abs(goal - start), SAME_POINT_RAD)
     rate = float(np.min(limits.velocity_rad_s / share))
     acceleration = float(np.min(limits.acceleration_rad_s2 / share))
@@ -240,8 +232,8 @@ def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
 
     Args:
         points: shape (m, n), m >= 1 [rad]; points that repeat their predecessor count once.
-        limits: what to keep; their jerk is not considered.
-        wait_ticks: how long to wait in each point between the first and the last.
+        limits: limits to keep.
+        wait_ticks: time to wait in each point between the first and the last.
     """
     points = _distinct(points)
     curves = [line(start, goal, limits) for start, goal in pairwise(points)]
@@ -256,14 +248,7 @@ def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
 def from_moving(start: Vector, velocity: Vector, goal: Vector, limits: RateLimits) -> Curve | None:
     """Move from a moving start to rest in a point: no straight line, each joint takes its own ramps.
 
-    Args:
-        start: shape (n,) [rad].
-        velocity: shape (n,), within the limits [rad/s].
-        goal: shape (n,) [rad].
-        limits: what to keep; their jerk is not considered.
-
-    Returns:
-        None when no time was found that suits all joints.
+    None when no time was found that suits all joints.
     """
     rest = np.zeros_like(start)
     least_s = least_time_s(start, velocity, goal, rest, reduced(limits))
@@ -273,13 +258,7 @@ def from_moving(start: Vector, velocity: Vector, goal: Vector, limits: RateLimit
 
 
 def brake(start: Vector, velocity: Vector, limits: RateLimits) -> Curve:
-    """Bring each joint to rest as soon as it can.
-
-    Args:
-        start: shape (n,) [rad].
-        velocity: shape (n,), not all 0 [rad/s].
-        limits: what to keep; their jerk is not considered.
-    """
+    """Bring each joint to rest as soon as it can, from velocities that are not all 0."""
     braking = np.maximum(np.ceil(np.abs(velocity) / (limits.acceleration_rad_s2 * TICK_S)), 1.0)
     knots = np.unique(np.concatenate(([0.0], braking)))
     braked = np.minimum(knots[:, np.newaxis], braking)
@@ -289,7 +268,7 @@ def brake(start: Vector, velocity: Vector, limits: RateLimits) -> Curve:
 
 
 def _distinct(points: Vector) -> Vector:
-    """The points without those that repeat their predecessor; the first and the last stay exact."""
+    """Leave out points that repeat their predecessor; the first and the last stay exact."""
     kept = [points[0]]
     for point in points[1:-1]:
         if not same_point(point, kept[-1]):
@@ -302,27 +281,19 @@ def _distinct(points: Vector) -> Vector:
 
 
 def least_time_s(p0: Vector, v0: Vector, p1: Vector, v1: Vector, limits: RateLimits) -> Vector:
-    """Least time from one state to another, of the slowest joint.
+    """Return the least time that the slowest joint needs from positions p0 to p1, with velocities v0 and v1 there.
 
-    Args:
-        p0: positions, shape (..., n) [rad].
-        v0: velocities there, within the limits [rad/s].
-        p1: positions to reach.
-        v1: velocities there.
-        limits: what to keep; their jerk is not considered.
-
-    Returns:
-        Shape (...) [s].
+    Positions and velocities have the shape (..., n), the time the shape (...) [s].
     """
     acceleration, top = limits.acceleration_rad_s2, limits.velocity_rad_s
     change = p1 - p0
-    # Going straight from one velocity to the other covers this much; what lacks decides the direction of the cruise.
+    # Going straight from one velocity to the other covers this; the rest of the way decides the cruise's direction.
     direct = 0.5 * (v0 + v1) * np.abs(v1 - v0) / acceleration
     sign = np.where(change >= direct, 1.0, -1.0)
     v0, v1, change = sign * v0, sign * v1, sign * change
     peak = np.sqrt(np.maximum(0.5 * (v0**2 + v1**2) + acceleration * change, 0.0))
     cruise = np.minimum(peak, top)
-    # What the ramps up to the cruise and down from it cover.
+    # The way on the ramps up to the cruise and down from it.
     on_ramps = (cruise**2 - 0.5 * (v0**2 + v1**2)) / acceleration
     cruise_s = np.where(peak > top, (change - on_ramps) / top, 0.0)
     time_s: Vector = np.max((2.0 * cruise - v0 - v1) / acceleration + cruise_s, axis=-1)
@@ -330,29 +301,20 @@ def least_time_s(p0: Vector, v0: Vector, p1: Vector, v1: Vector, limits: RateLim
 
 
 def whole_ticks(time_s: Vector) -> NDArray[np.int64]:
-    """The ticks that ramps of such a least time need."""
+    """Return the ticks that ramps of a least time need."""
     return np.ceil(time_s / TICK_S).astype(np.int64) + ROUNDING_TICKS
 
 
 def reduced(limits: RateLimits) -> RateLimits:
-    """The limits to solve for, so that the rounded ramps keep the true ones."""
+    """Return the limits to solve for, so that rounded ramps keep the given ones."""
     return RateLimits(SHARE_OF_LIMITS * limits.velocity_rad_s, SHARE_OF_LIMITS * limits.acceleration_rad_s2)
 
 
 def connect(p0: Vector, v0: Vector, p1: Vector, v1: Vector, ticks: int, limits: RateLimits) -> Curve | None:
-    """The motion from one state to another in a given time, every joint at its gentlest cruise velocity.
+    """Return the motion from positions p0 to p1, with velocities v0 and v1 there, in a time of :func:`whole_ticks`.
 
-    Args:
-        p0: positions, shape (n,) [rad].
-        v0: velocities there [rad/s].
-        p1: positions to reach.
-        v1: velocities there.
-        ticks: the time to take, see :func:`whole_ticks`.
-        limits: what to keep; their jerk is not considered.
-
-    Returns:
-        None when some joint cannot take just that time: it would have to be faster, or could only be sooner or
-        much later, as a joint that cannot stop before it must be where it is to be.
+    Every joint has its gentlest cruise velocity. None when some joint cannot take just that time: it would have to be
+    faster, or, since it cannot stop before its end, could only be sooner or much later.
     """
     cruise = _cruise_velocity(p1 - p0, v0, v1, TICK_S * ticks, SHARE_OF_LIMITS * limits.acceleration_rad_s2)
     speed_up = SHARE_OF_LIMITS * TICK_S * limits.acceleration_rad_s2
@@ -372,7 +334,7 @@ def connect(p0: Vector, v0: Vector, p1: Vector, v1: Vector, ticks: int, limits: 
 
 
 def _cruise_velocity(change: Vector, v0: Vector, v1: Vector, time_s: float, acceleration: Vector) -> Vector:
-    """The one velocity at which ramps to it and from it cover the distance in the time; NaN where none does."""
+    """Return the cruise velocity at which the way is covered in the time; NaN where there is none."""
     low, high = np.minimum(v0, v1), np.maximum(v0, v1)
     spare_s = time_s - (high - low) / acceleration
     # The distance grows with the cruise velocity: a line between the two velocities, a parabola beyond either.

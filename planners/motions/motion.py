@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import count, product
 
 import numpy as np
@@ -42,30 +43,27 @@ from planners.motions.path import (
     search,
     without_detours,
 )
+from planners.motions.path_timing import MAX_DURATION_S, standing
 from planners.motions.via_point import via_point
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
 
-# Parts drawn at once: the time that each would save costs next to nothing in one numpy call, and the one that saves
-# most is tried first.
+# Parts drawn at once: one numpy call tells the time that each would save, and the best is tried first.
 PARTS_A_ROUND = 32
 
-# Of them so many are tried before others are drawn: those that save less are less worth a check.
+# Parts of these that are tried before others are drawn: the rest saves too little to be worth a check.
 TRIES_A_ROUND = 2
 
-# What is free gets shorter and shorter parts: by this factor after a round without a gain, and back after one with.
+# Parts become shorter by this factor after a round without a gain, and longer again after one with a gain.
 SHRINK = 0.7
 
 # A part that saves less does not pay for its checks [ticks].
 LEAST_GAIN_TICKS = 40
 
-# After so many rounds without a gain the curve is about as short as it gets.
+# Rounds without a gain after which the curve is about as short as it gets.
 FRUITLESS_ROUNDS = 5
 
 STRAIGHT_LINE = "straight line"
-
-# The arm's longest trajectory: 180 000 samples at 100 Hz. A scaling of 1e-6 would make 25 million samples.
-MAX_DURATION_S = 1800.0
 
 # Sparse check of a straight line before it is timed: most blocked ones are found here [m].
 SPARSE_STEP_M = 0.2
@@ -90,16 +88,16 @@ class MotionTask:
     Attributes:
         space: the joints that move.
         joint_names: their names.
-        limits: the most that they may do.
+        limits: limits of the motion.
         start: shape (n,) [rad].
         start_velocity: shape (n,), within the limits [rad/s].
         goals: free points, the soonest first.
         seed: same task and seed, same motion.
-        attempts: of how many searched motions at most the shortest is taken.
-        planner_id: which search to use, as planners.problem.planner_name knows it.
-        optimization_time_s: time to search for shorter motions, as an amount of work that takes about so long [s].
-        project: brings points to ones nearby where the space's condition holds, or gives None; with it the search is
-            one of its own, since others hardly ever draw a point that meets a condition.
+        attempts: number of searched motions, at most, of which the shortest is taken.
+        planner_id: the search, as planners.problem.planner_name knows it.
+        optimization_time_s: time to search for shorter motions, as the amount of work that nominally takes it [s].
+        project: brings points to ones nearby where the space's condition holds, or returns None; with it there is a
+            search of its own, since others hardly ever draw a point that meets a condition.
     """
 
     space: JointSpace
@@ -113,6 +111,16 @@ class MotionTask:
     planner_id: str = ""
     optimization_time_s: float = 0.0
     project: Project | None = None
+
+    @cached_property
+    def window(self) -> int:
+        """Window over which curves are averaged to keep the limits of the jerk, 0 for none [ticks]."""
+        return window_ticks(self.limits)
+
+    @property
+    def curve_start(self) -> Vector:
+        """Point from which a curve must start whose average starts in the start, shape (n,) [rad]."""
+        return averaging_start(self.start, self.start_velocity, self.window)
 
 
 @dataclass(frozen=True)
@@ -133,13 +141,8 @@ class Motion:
 def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
     """Move straight where that is free, else search.
 
-    Args:
-        task: the motion to find.
-        budget: checked all the time; once it is used up the best motion found by then is the answer.
-
-    Returns:
-        Why there is no motion: the budget was used up, every motion would take too long, or a moving arm cannot stop
-        before it touches something.
+    Once the budget is used up, the best motion found by then is the answer. There is none where it was used up before,
+    where every motion would take too long, or where a moving arm cannot stop before it touches something.
 
     Raises:
         ValueError: there is no such planner.
@@ -150,7 +153,8 @@ def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
     motion = _straight(task, budget)
     if motion is not None:
         return motion
-    lead = _braking(task) if task.start_velocity.any() else None
+    moving = bool(task.start_velocity.any())
+    lead = brake(task.curve_start, task.start_velocity, task.limits) if moving else None
     refusal = None if lead is None else _cannot_stop(task, lead)
     return refusal or _Searching(task, budget, lead).best() or budget.failure()
 
@@ -170,42 +174,31 @@ def _too_slow(task: MotionTask) -> PlanningFailure | None:
 
 
 def _straight(task: MotionTask, budget: Budget) -> Motion | None:
-    """The motion to the first goal that can be reached without a search."""
+    """Return the motion to the first goal that can be reached without a search."""
     moving = bool(task.start_velocity.any())
-    window = window_ticks(task.limits)
-    ahead = averaging_start(task.start, task.start_velocity, window)
     for index, goal in enumerate(task.goals):
         if budget.used_up():
             return None
         if moving:
-            curve = from_moving(ahead, task.start_velocity, goal, task.limits)
+            curve = from_moving(task.curve_start, task.start_velocity, goal, task.limits)
         elif same_point(task.start, goal):
-            return Motion(_standing(task), STRAIGHT_LINE, index)
+            return Motion(standing(task.joint_names, task.start), STRAIGHT_LINE, index)
         else:
             free = task.space.line_free(task.start, goal, SPARSE_STEP_M)
             curve = line(task.start, goal, task.limits) if free else None
-        trajectory = None if curve is None else _certified(task, curve, window)
+        trajectory = None if curve is None else _certified(task, curve)
         if trajectory is not None:
             return Motion(trajectory, STRAIGHT_LINE, index)
     return None
 
 
-def _standing(task: MotionTask) -> Trajectory:
-    rest = np.zeros((1, len(task.start)))
-    return Trajectory(task.joint_names, np.zeros(1), task.start[np.newaxis], rest, rest)
-
-
-def _certified(task: MotionTask, curve: Curve, window: int, closest: Closeness = Closeness.PARTS) -> Trajectory | None:
-    """The curve's samples, their jerk limited, if nothing touches on them by shapes as close as is said."""
+def _certified(task: MotionTask, curve: Curve, closest: Closeness = Closeness.PARTS) -> Trajectory | None:
+    """Return the curve's samples, their jerk limited, if nothing touches on them."""
     if not curve.stays_within(task.space.lower_rad, task.space.upper_rad):
         return None
-    trajectory = averaged(curve, window, task.joint_names) if window else curve.sampled(task.joint_names)
+    names = task.joint_names
+    trajectory = averaged(curve, task.window, names) if task.window else curve.sampled(names)
     return None if certify(task.space, trajectory, closest) else trajectory
-
-
-def _braking(task: MotionTask) -> Curve:
-    ahead = averaging_start(task.start, task.start_velocity, window_ticks(task.limits))
-    return brake(ahead, task.start_velocity, task.limits)
 
 
 def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
@@ -227,7 +220,7 @@ def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
 
 
 class _Searching:
-    """Several searches for one task, and what they found."""
+    """Several searches for one task, and their results."""
 
     def __init__(self, task: MotionTask, budget: Budget, lead: Curve | None) -> None:
         self._task = task
@@ -237,20 +230,19 @@ class _Searching:
         self._rng = np.random.default_rng(task.seed)
         self._searches = count()
         self._finer = self._blocked_paths = 0
-        self._window = window_ticks(task.limits)
         self._lead = lead
         # Where none of the quickest via points is free, others hardly ever are.
         self._try_via_points = self._name == RRT_CONNECT
         self._enough_checks: int | None = None
 
     def best(self) -> Motion | None:
-        """The shortest in time of the motions found while there is work to be done."""
+        """Return the shortest in time of the motions found while there is work to be done."""
         while not self._budget.used_up():
-            found = sorted(self._found(), key=_duration)
+            found = sorted(self._found(), key=lambda each: each[1].duration_ticks)
             # Surfaces take a hundred times as long: only where nothing else is left they decide.
             for closest, (method, curve) in product(Closeness, found):
                 # The best motion is still of use after the deadline, but not once the request is cancelled.
-                trajectory = None if self._budget.stopped else _certified(self._task, curve, self._window, closest)
+                trajectory = None if self._budget.stopped else _certified(self._task, curve, closest)
                 if trajectory is not None:
                     return Motion(trajectory, method, self._goal_at_end_of(curve))
             if found:
@@ -258,14 +250,14 @@ class _Searching:
         return None
 
     def _found(self) -> list[tuple[str, Curve]]:
-        """The curves found, and how: as they were and shortened as long as the optimisation lasts, the first first."""
+        """Return the curves found, and by which search: as they were and shortened, while the optimisation lasts."""
         found: list[tuple[str, Curve]] = []
         self._enough_checks = None
         while len(found) < 2 * self._task.attempts and not self._enough():
             method, path = self._path(next(self._searches))
             if path is None:
                 continue
-            curve = polyline(path, self._task.limits, self._window)
+            curve = polyline(path, self._task.limits, self._task.window)
             curve = curve if self._lead is None else self._lead.then(curve)
             if self._enough_checks is None:
                 self._enough_checks = self._space.checks + checks_in(self._task.optimization_time_s)
@@ -327,10 +319,6 @@ def _search_of(task: MotionTask) -> str:
     return name
 
 
-def _duration(found: tuple[str, Curve]) -> int:
-    return found[1].duration_ticks
-
-
 def smooth(
     curve: Curve,
     limits: RateLimits,
@@ -338,18 +326,7 @@ def smooth(
     rng: np.random.Generator,
     should_stop: Callable[[], bool],
 ) -> Curve:
-    """Shorten a curve in time.
-
-    Args:
-        curve: free, and within the limits.
-        limits: what to keep; their jerk is not considered.
-        free: tells if nothing touches on a piece of a curve.
-        rng: draws the parts.
-        should_stop: called before each try.
-
-    Returns:
-        A curve with the same end states that takes no longer.
-    """
+    """Shorten a free curve in time; its end states stay."""
     fruitless, reach = 0, 1.0
     while fruitless < FRUITLESS_ROUNDS and not should_stop():
         shorter = next(_shorter(curve, reach, limits, free, rng), None)
@@ -361,7 +338,7 @@ def smooth(
 def _shorter(
     curve: Curve, reach: float, limits: RateLimits, free: Callable[[Curve], bool], rng: np.random.Generator
 ) -> Iterator[Curve]:
-    """Curves with one part of at most a share ``reach`` of the whole replaced."""
+    """Yield curves with one part of at most a share ``reach`` of the whole replaced."""
     for first, last, ticks in _parts(curve, reach, limits, rng):
         positions, velocities, _ = curve.at(np.array([first, last]))
         piece = connect(positions[0], velocities[0], positions[1], velocities[1], ticks, limits)
@@ -370,7 +347,7 @@ def _shorter(
 
 
 def _parts(curve: Curve, reach: float, limits: RateLimits, rng: np.random.Generator) -> Iterator[tuple[int, int, int]]:
-    """Parts of the curve, first and last tick, that ramps of so many ticks could replace; the best first."""
+    """Yield first and last tick of parts of the curve, and the ticks of ramps in their place; the best first."""
     middles = rng.uniform(0.0, 1.0, PARTS_A_ROUND)
     lengths = reach * rng.uniform(0.0, 1.0, PARTS_A_ROUND)
     shares = np.clip((middles - 0.5 * lengths, middles + 0.5 * lengths), 0.0, 1.0)

@@ -25,7 +25,7 @@ from robot.trajectory import Vector
 # Checks a second on the machine that the optimisation time is meant for, all that goes with them included.
 NOMINAL_CHECKS_PER_S = 30_000
 
-# On longer pieces than this something is near nearly always: only their middle is checked.
+# On longer pieces than this something is nearly always near: only their middle is checked.
 WIDEST_MARGIN_M = 0.05
 
 # Longer tree edges mean fewer nodes and fewer checks until a path is there; past this they grow again.
@@ -45,9 +45,9 @@ TREES = {
     "KPIECE1": og.KPIECE1,
 }
 
+# Brings a point to one nearby where the space's condition holds, or returns None.
 Project = Callable[[Vector], Vector | None]
 
-# Its name in plans.
 PROJECTED_SEARCH = "RRTConnect on constraints"
 
 # Steps this long stay near the condition in between, and most descents back to it take two or three steps.
@@ -61,15 +61,15 @@ STEPS_AT_ONCE = 20
 
 
 def checks_in(time_s: float) -> int:
-    """The checks that so much time is worth."""
+    """Return the number of checks that a time is worth."""
     return int(time_s * NOMINAL_CHECKS_PER_S)
 
 
 @lru_cache
 def coarse_first(pieces: int) -> Vector:
-    """Return the fractions at which the pieces of a line end, coarse first, shape (pieces, 1).
+    """Return the fractions at which the pieces of a line end, well spread at any time so that obstacles are found soon.
 
-    The end comes first, and the others so that they are spread well at any time: obstacles are found soon.
+    The end comes first; shape (pieces, 1).
     """
     bits = pieces.bit_length()
     turned = [int(f"{i:0{bits}b}"[::-1], 2) for i in range(pieces)]
@@ -79,11 +79,7 @@ def coarse_first(pieces: int) -> Vector:
 
 
 class CountedSpace:
-    """Joint space that counts its collision checks.
-
-    Args:
-        space: the joints that move, and what they must not touch.
-        should_stop: once true, no line or curve is called free any more: long ones take longer than a cancel may.
+    """Joint space that counts its collision checks; once it is to stop, no line or curve is called free any more.
 
     Attributes:
         checks: number of checks so far.
@@ -122,12 +118,9 @@ class CountedSpace:
         return not self._should_stop() and line_is_free(self, start, end, step_m)
 
     def line_free_sparsely(self, start: Vector, end: Vector, step_m: float) -> bool:
-        """Tell whether nothing touches in points of a straight line; contacts between them may be missed.
+        """Tell whether nothing touches in points of a straight line, its start taken to be free.
 
-        Args:
-            start: first point, taken to be free.
-            end: last point, checked as well.
-            step_m: nothing moves further than this from one point to the next [m].
+        Nothing moves further than a step from one point to the next; contacts between them may be missed.
         """
         travel_m = float(np.abs(end - start) @ self.travel_m_per_rad)
         points = start + coarse_first(max(1, int(np.ceil(travel_m / step_m)))) * (end - start)
@@ -136,9 +129,7 @@ class CountedSpace:
     def curve_free(self, curve: Curve, step_m: float) -> bool:
         """Tell whether joints stay in range and nothing touches along a curve; its ends are taken to be free.
 
-        Args:
-            curve: the curve.
-            step_m: travel of the fastest point between two checked points, about [m].
+        The fastest point travels about a step between two checked points.
         """
         if not curve.stays_within(self.lower_rad, self.upper_rad):
             return False
@@ -166,7 +157,7 @@ class CountedSpace:
         return True
 
     def _evenly(self, curve: Curve, step_m: float) -> Vector:
-        """Points on the curve, a power of two and one, between which the same is moved, at most a step."""
+        """Return 2^k + 1 points on the curve, apart by the same travel of at most a step."""
         ticks = curve.sample_ticks()
         moved_m = np.abs(np.diff(curve.at(ticks)[0], axis=0)) @ self.travel_m_per_rad
         travel_m = np.concatenate(([0.0], np.cumsum(moved_m)))
@@ -186,7 +177,7 @@ class Query:
         space: where to search.
         start: free point, shape (n,).
         goals: free points, any one of which will do.
-        step_m: the most that any robot point moves from one check to the next [m].
+        step_m: greatest travel of a point of the robot from one check to the next [m].
     """
 
     space: CountedSpace
@@ -196,18 +187,11 @@ class Query:
 
 
 def search(query: Query, name: str, seed: int, should_stop: Callable[[], bool]) -> Vector | None:
-    """Find a polyline by one of OMPL's planners.
+    """Find a polyline of shape (m, n) from the start to a goal by one of planners.problem.PLANNER_IDS, or None.
 
-    Args:
-        query: what to search for.
-        name: one of planners.problem.PLANNER_IDS.
-        seed: same query and seed, same path.
-        should_stop: called all the time; a search it ends has no path.
-
-    Returns:
-        Shape (m, n) from the start to one of the goals, or None.
+    The same query and seed give the same path.
     """
-    # Everything is made anew for each search: a planner keeps its random generator and its last solution.
+    # Each search has objects of its own: a planner keeps its random generator and its last solution.
     ou.RNG.setSeed(seed + 1)  # OMPL refuses 0
     size = len(query.start)
     setup = _setup(query)
@@ -226,13 +210,8 @@ def search(query: Query, name: str, seed: int, should_stop: Callable[[], bool]) 
 def without_detours(space: CountedSpace, path: Vector, step_m: float) -> Vector | None:
     """Leave out the vertices that a free straight line can pass by, from each vertex to the furthest it can reach.
 
-    Args:
-        space: what is free.
-        path: shape (m, n).
-        step_m: the most that any robot point moves from one check to the next [m].
-
     Returns:
-        Shape (k, n) with the same ends, or None: checked so finely, the path itself is not free.
+        Shape (k, n) with the same ends, or None: checked in steps of ``step_m``, the path itself is not free.
     """
     kept = [0]
     while kept[-1] < len(path) - 1:
@@ -301,16 +280,9 @@ def _state(space: ob.RealVectorStateSpace, point: Vector) -> ob.RealVectorStateT
 
 
 def projected_search(query: Query, project: Project, seed: int, should_stop: Callable[[], bool]) -> Vector | None:
-    """Find a polyline on which the space's condition holds.
+    """Find a polyline of shape (m, n) on which the space's condition holds, as it does at the start and the goals.
 
-    Args:
-        query: what to search for; the condition holds at its start and goals.
-        project: brings a point to one nearby where the condition holds, or gives None.
-        seed: same query and seed, same path.
-        should_stop: called before each step; a search it ends has no path.
-
-    Returns:
-        Shape (m, n) from the start to one of the goals, or None.
+    The same query and seed give the same path.
     """
     rng = np.random.default_rng(seed)
     grower = _Grower(query, project, should_stop)
@@ -329,16 +301,12 @@ def projected_search(query: Query, project: Project, seed: int, should_stop: Cal
 
 
 def reachable(query: Query, project: Project, seed: int, should_stop: Callable[[], bool]) -> Vector:
-    """Grow a tree from the start, of its branches some towards the goals.
+    """Grow a tree from the start, some of its branches towards the goals, until it is to stop.
 
-    Args:
-        query: what to search for; its goals need not be free, and there may be none.
-        project: brings a point to one nearby where the space's condition holds, or gives None.
-        seed: same query and seed, same tree.
-        should_stop: called before each step.
+    The goals need not be free, and there may be none. The same query and seed give the same tree.
 
     Returns:
-        Points that free polylines lead to from the start, which is the first, shape (m, n).
+        Points to which free polylines lead from the start, which is the first, shape (m, n).
     """
     rng = np.random.default_rng(seed)
     grower, tree = _Grower(query, project, should_stop), _Tree([query.start])
@@ -353,7 +321,7 @@ def reachable(query: Query, project: Project, seed: int, should_stop: Callable[[
 
 
 class _Tree:
-    """Points, and from which of them each was reached."""
+    """Points, and the point from which each was reached."""
 
     def __init__(self, roots: Sequence[Vector]) -> None:
         self.points = list(roots)

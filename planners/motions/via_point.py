@@ -17,24 +17,14 @@ from robot.trajectory import Vector
 # Points drawn at once, and compared in one numpy call.
 POINTS = 1024
 
-# Where so many checks have found no path, none of the quick ones is free as a rule, and a tree finds one sooner.
+# Checks after which a tree finds a path sooner: none of the quick via points is free then as a rule.
 MOST_CHECKS = 100
 
 
 def via_point(
     query: Query, velocity_rad_s: Vector, rng: np.random.Generator, should_stop: Callable[[], bool]
 ) -> Vector | None:
-    """Find a path by way of one point, among the quickest of those drawn.
-
-    Args:
-        query: what to search for.
-        velocity_rad_s: shape (n,), velocity limits, by which paths are compared [rad/s].
-        rng: draws the points.
-        should_stop: called before each try.
-
-    Returns:
-        Shape (3, n) from the start to one of the goals, or None.
-    """
+    """Find a path of shape (3, n) to one of the goals by way of a point, among the quickest of the points drawn."""
     space, goals = query.space, np.array(query.goals)
     points = rng.uniform(space.lower_rad, space.upper_rad, (POINTS, len(query.start)))
     times_s = _times_s(points, query.start[np.newaxis], velocity_rad_s) + _times_s(points, goals, velocity_rad_s)

@@ -39,7 +39,7 @@ class TipTwist:
 
     @property
     def zero(self) -> bool:
-        """True when nothing is to move."""
+        """True for a command to rest."""
         return not (any(self.linear_m_s) or any(self.angular_rad_s))
 
 
@@ -51,13 +51,13 @@ class JointVelocities:
 
     @property
     def zero(self) -> bool:
-        """True when nothing is to move."""
+        """True for a command to rest."""
         return not any(self.velocity_rad_s.values())
 
 
 @dataclass(frozen=True)
 class TipTarget:
-    """The tip goes to a pose, its orientation as near as can be."""
+    """The tip goes to a pose, its orientation as near as possible."""
 
     pose: Pose
     zero = False
@@ -73,7 +73,7 @@ class Anchor:
     Attributes:
         pose: pose of the tip to keep.
         along: unit vector along which it is moved, and so may be anywhere; zero to hold the position.
-        about: unit vector about which it is turned, likewise.
+        about: unit vector about which it is turned, and so may have any angle; zero to hold the orientation.
     """
 
     pose: Pose
@@ -136,7 +136,7 @@ class ServoAnswer:
     Attributes:
         velocity_rad_s: of every joint of the group [rad/s].
         status: the gravest reason for a reduced speed.
-        message: the status in words, with the parts of the command that are given up; empty if there are none.
+        message: the status in words, with the parts of the command that are given up; may be empty.
         share: achieved share of the commanded speed, 0 to 1.
         anchor: for the next question.
     """

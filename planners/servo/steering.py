@@ -18,7 +18,8 @@ from planners.checks import check_group, check_start
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.shapes import placement
-from planners.ik.goal_checks import invalid_goal
+from planners.ik.differential import Limit, Task, solve, velocity_limit
+from planners.ik.goal_checks import check_link, invalid_goal
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Point, Pose
 from planners.servo.question import (
@@ -32,30 +33,22 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from planners.servo.velocity_limits import (
-    PredictedTip,
-    RegularizedMotion,
-    VelocityBounds,
-    bounded_least_squares,
-    regularized,
-    velocity_bounds,
-    watched_m,
-    within_reach,
-)
+from planners.servo.singularities import PredictedTip, RegularizedMotion, regularized
+from planners.servo.velocity_limits import VelocityBounds, velocity_bounds, watched_m, within_reach
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# The tip's position has so many directions; an arm with fewer joints cannot be steered by its tip.
+# Joints that it takes to move a tip in any direction.
 POSITION_DIRECTIONS = 3
 
-# A quaternion whose length is further from 1 is none.
+# Greatest deviation of a unit quaternion's length from 1.
 UNIT_TOLERANCE = 1e-3
 
 # An error shrinks to a third in a quarter of a second: ten times the delay from question to servo.
 GAIN_PER_S = 4.0
 
-# Further than this from its anchor the tip is not drifting but held off, by a limit or by what is in the way; the
-# anchor then comes along.
+# Further than this from its anchor the tip is not drifting but held off, by a limit or an obstacle; the anchor then
+# comes along.
 MAX_DRIFT_M = 0.02
 MAX_DRIFT_RAD = 0.35
 
@@ -96,17 +89,17 @@ PUSHED_TURN_M = 0.15
 
 @dataclass(frozen=True)
 class ServoState:
-    """State of the arm for which velocities are computed.
+    """State of the arm for which velocities are computed: of all joints ``q``, and of those that may move the rest.
 
     Attributes:
-        q: every joint, shape (n,) [rad].
-        columns: the joints that may move.
-        jacobian: of the tip for these, shape (6, m).
-        max_velocity: of these, shape (m,) [rad/s].
-        max_change: of their velocities until the next request, shape (m,) [rad/s].
-        velocity_rad_s: their last commanded velocities, shape (m,) [rad/s].
-        tip: pose of the tip in the root link.
-        velocity_bounds: for these.
+        q: shape (n,) [rad].
+        columns: places of the joints that may move, shape (m,).
+        jacobian: of the tip, shape (6, m).
+        max_velocity: shape (m,) [rad/s].
+        max_change: of velocities until the next request, shape (m,) [rad/s].
+        velocity_rad_s: last commanded velocities, shape (m,) [rad/s].
+        tip: its pose in the root link.
+        velocity_bounds: barriers.
     """
 
     q: Vector
@@ -122,30 +115,20 @@ class ServoState:
 def answer_servo(
     question: ServoQuestion, robot: RobotModel, collision: CollisionModel, forward: ForwardKinematics
 ) -> ServoAnswer | PlanningFailure:
-    """Return the joint velocities for a command.
-
-    Args:
-        question: the command, and the state of the arm.
-        robot: the arm.
-        collision: its collisions with itself and the scene.
-        forward: forward kinematics of the same joints.
-    """
+    """Return the joint velocities for a command."""
     refusal = check_servo_question(robot, question)
     if refusal is not None:
         return refusal
     state = _servo_state(question, robot, collision, forward)
     names = robot.groups[question.group].joints
-    if isinstance(question.command, JointVelocities):
-        return servo_answer(
-            question, names, _ramped(_joint_outcome(question.command, names, state), state), state.velocity_bounds
-        )
-    if isinstance(question.command, TipTwist):
-        desired = twist_motion(question.command, state.tip, question.anchor)
-    else:
-        desired = target_motion(question.command, state.tip, question.limits)
-    return servo_answer(
-        question, names, _ramped(_tip_outcome(question, desired, state, forward), state), state.velocity_bounds
-    )
+    match question.command:
+        case JointVelocities() as command:
+            outcome = _joint_outcome(command, names, state)
+        case TipTwist() as command:
+            outcome = _tip_outcome(question, twist_motion(command, state.tip, question.anchor), state, forward)
+        case TipTarget() as command:
+            outcome = _tip_outcome(question, target_motion(command, state.tip, question.limits), state, forward)
+    return servo_answer(question, names, _ramped(outcome, state), state.velocity_bounds)
 
 
 def _servo_state(
@@ -178,18 +161,8 @@ def _joint_outcome(command: JointVelocities, names: tuple[str, ...], state: Serv
     """Return the outcome of a joint command: only named joints move, also where others could help past a bound."""
     desired = np.array([command.velocity_rad_s.get(name, 0.0) for name in names])
     desired = desired * _share_of_speed(desired, state.max_velocity)
-    named = np.flatnonzero(desired)
-    velocity = np.zeros(len(names))
-    if not named.size:
-        return Outcome(velocity, np.array([], dtype=np.intp), desired, velocity)
-    found, active = bounded_least_squares(
-        np.eye(len(named)),
-        desired[named],
-        POSITION_DAMPING,
-        state.velocity_bounds.rows[:, named],
-        state.velocity_bounds.bounds,
-    )
-    velocity[named] = found
+    named = np.eye(len(names))[:, desired != 0.0]
+    velocity, active = solve([Task(np.eye(len(names)), desired)], POSITION_DAMPING, state.velocity_bounds, free=named)
     return Outcome(velocity, active, desired, velocity)
 
 
@@ -225,12 +198,11 @@ def _moved(
     sound: RegularizedMotion, angular: Vector, turn: Vector, state: ServoState
 ) -> tuple[Vector, NDArray[np.intp]]:
     """Return the joint velocities that move the tip, and the indices of the active velocity bounds."""
-    rows, bounds = state.velocity_bounds.rows, state.velocity_bounds.bounds
-    first, active = bounded_least_squares(sound.jacobian, sound.linear_m_s, POSITION_DAMPING, rows, bounds)
+    position = Task(sound.jacobian, sound.linear_m_s)
+    first, active = solve([position], POSITION_DAMPING, state.velocity_bounds)
     if state.velocity_bounds.near(active):
-        both = np.vstack((sound.jacobian, PUSHED_TURN_M * angular))
-        desired = np.concatenate((sound.linear_m_s, PUSHED_TURN_M * turn))
-        first, active = bounded_least_squares(both, desired, POSITION_DAMPING, rows, bounds)
+        both = [position, Task(angular, turn, PUSHED_TURN_M)]
+        first, active = solve(both, POSITION_DAMPING, state.velocity_bounds)
     return first * _share_of_speed(first, state.max_velocity), active
 
 
@@ -238,16 +210,10 @@ def _turned(
     first: Vector, angular: Vector, turn: Vector, free: Vector, state: ServoState
 ) -> tuple[Vector, NDArray[np.intp]]:
     """Add velocities that turn the tip without moving it; return all, and the indices of the active velocity bounds."""
-    rows, bounds = state.velocity_bounds.rows, state.velocity_bounds.bounds
-    speeds = np.concatenate((state.max_velocity - first, state.max_velocity + first))
-    rest, active = bounded_least_squares(
-        np.vstack((angular @ free, STEADINESS * np.eye(free.shape[1]))),
-        np.concatenate((turn - angular @ first, STEADINESS * free.T @ (state.velocity_rad_s - first))),
-        TURN_DAMPING,
-        np.vstack((rows @ free, free, -free)),
-        np.maximum(np.concatenate((bounds - rows @ first, speeds)), 0.0),
-    )
-    return first + free @ rest, active[active < len(bounds)]
+    steady = Task(free.T, free.T @ state.velocity_rad_s, STEADINESS)
+    limit = state.velocity_bounds.also(velocity_limit(state.max_velocity))
+    velocity, active = solve([Task(angular, turn), steady], TURN_DAMPING, limit, first, free)
+    return velocity, active[active < len(state.velocity_bounds.bounds)]
 
 
 def _ramped(outcome: Outcome, state: ServoState) -> Outcome:
@@ -262,7 +228,7 @@ def _ramped(outcome: Outcome, state: ServoState) -> Outcome:
     # A joint that rests, and is to rest, helps no other.
     reach = np.where((state.velocity_rad_s != 0.0) | (outcome.velocity_rad_s != 0.0), state.max_change, 0.0)
     rows, bounds = state.velocity_bounds.rows, state.velocity_bounds.bounds
-    change = within_reach(wanted, reach, rows, bounds - rows @ state.velocity_rad_s)
+    change = within_reach(wanted, reach, Limit(rows, bounds - rows @ state.velocity_rad_s))
     return replace(outcome, velocity_rad_s=state.velocity_rad_s + change)
 
 
@@ -275,19 +241,14 @@ def check_servo_question(robot: RobotModel, question: ServoQuestion) -> Planning
     """Check names and numbers of a request."""
     return (
         check_group(robot, question.group)
-        or next(_link_flaws(robot, question), None)
+        or check_link(robot, question.link)
+        or next(_group_flaws(robot, question), None)
         or check_start(robot, question.positions_rad)
         or next(_command_flaws(robot, question), None)
     )
 
 
-def _link_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[PlanningFailure]:
-    if question.link not in robot.links:
-        yield PlanningFailure(
-            MoveItErrorCode.INVALID_LINK_NAME,
-            f"there is no link {question.link!r}; there are: {', '.join(robot.links)}",
-            {"link": question.link},
-        )
+def _group_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[PlanningFailure]:
     joints = robot.groups[question.group].joints
     if not isinstance(question.command, JointVelocities) and len(joints) < POSITION_DIRECTIONS:
         yield PlanningFailure(
@@ -326,8 +287,8 @@ class DesiredMotion:
     Attributes:
         linear_m_s: its velocity, shape (3,) [m/s].
         angular_rad_s: its angular velocity, shape (3,) [rad/s].
-        drift_rad: how far it is turned from its anchor or target [rad].
-        anchor: what to keep from now on; None where there is nothing to keep.
+        drift_rad: angle to its anchor or target [rad].
+        anchor: the next anchor; None where there is nothing to keep.
     """
 
     linear_m_s: Vector
@@ -337,18 +298,12 @@ class DesiredMotion:
 
 
 def twist_motion(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> DesiredMotion:
-    """Return the desired motion of a twist; directions that it does not command are held.
-
-    Args:
-        command: the twist.
-        tip: pose of the tip in the root link.
-        anchor: the anchor until now; None at the beginning.
-    """
+    """Return the desired motion of a twist; directions that it does not command are held, from no anchor at first."""
     linear, angular = np.array(command.linear_m_s), np.array(command.angular_rad_s)
     along, about = _unit_or_zero(linear), _unit_or_zero(angular)
     kept = anchor or Anchor(_pose(tip))
     if command.zero:
-        # It still brakes: what it had been moved along it need not come back for.
+        # It still brakes: along its last motion it need not come back.
         along, about = np.array(kept.along), np.array(kept.about)
     # An orientation out of reach would keep the arm moving without a command.
     righting_per_s = 0.0 if command.zero else GAIN_PER_S
@@ -365,12 +320,7 @@ def twist_motion(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> Desi
 
 
 def relaxed_anchor(anchor: Anchor, tip: pin.SE3) -> Anchor:
-    """Return the anchor of a tip that limits hold back: pulled to its path, it could not go where it is free to.
-
-    Args:
-        anchor: the anchor until now.
-        tip: pose of the tip in the root link.
-    """
+    """Return the anchor of a tip that limits hold back: pulled to its path, it could not go where it is free to."""
     drift = _shortened(placement(anchor.pose).translation - tip.translation, HELD_DRIFT_M)
     return Anchor(_pose(pin.SE3(tip.rotation, tip.translation + drift)), anchor.along, anchor.about)
 
@@ -423,9 +373,9 @@ class Outcome:
         velocity_rad_s: of the joints that may move, shape (n,) [rad/s].
         active: indices of the active velocity bounds.
         desired: velocity of the tip [m/s], or of the joints [rad/s].
-        achieved: the achieved one, likewise.
+        achieved: the achieved velocity of the same.
         desired_turn_rad_s: desired angular velocity of the tip, shape (3,) [rad/s].
-        turn_rad_s: the achieved one, shape (3,) [rad/s].
+        turn_rad_s: the achieved angular velocity, shape (3,) [rad/s].
         singularity: status that a singularity causes.
         drift_rad: angle between the tip and the desired orientation [rad].
         anchor: for the next request; None where there is nothing to keep.
@@ -451,20 +401,13 @@ class Outcome:
 def servo_answer(
     question: ServoQuestion, names: tuple[str, ...], outcome: Outcome, bounds: VelocityBounds
 ) -> ServoAnswer:
-    """Return the answer for an outcome.
-
-    Args:
-        question: the request.
-        names: the joints of the outcome.
-        outcome: its outcome.
-        bounds: the velocity bounds.
-    """
-    status, said = _active_limits(names, outcome, bounds)
-    said += _unachieved(question, outcome, len(names))
+    """Return the answer for an outcome."""
+    status, reasons = _active_limits(names, outcome, bounds)
+    reasons += _unachieved(question, outcome, len(names))
     return ServoAnswer(
         dict(zip(names, outcome.velocity_rad_s.tolist(), strict=True)),
         status,
-        "; ".join(said),
+        "; ".join(reasons),
         outcome.share,
         outcome.anchor,
     )
@@ -472,20 +415,20 @@ def servo_answer(
 
 def _active_limits(names: tuple[str, ...], outcome: Outcome, bounds: VelocityBounds) -> tuple[ServoStatus, list[str]]:
     """Return the reasons for a reduced speed: the gravest as the status, all of them in words."""
-    status, said = ServoStatus.NO_WARNING, []
+    status, reasons = ServoStatus.NO_WARNING, []
     joints, pairs = bounds.joints(outcome.active), bounds.near(outcome.active)
     if joints:
         status = ServoStatus.JOINT_BOUND
-        said.append(f"{', '.join(names[joint] for joint in joints)} at the limit: the others go on")
+        reasons.append(f"{', '.join(names[joint] for joint in joints)} at the limit: the others go on")
     if outcome.singularity is not ServoStatus.NO_WARNING:
         status = outcome.singularity
-        said.append(_SINGULARITIES[status])
+        reasons.append(_SINGULARITIES[status])
     if pairs:
         halted = outcome.share < HALTED
         status = ServoStatus.HALT_FOR_COLLISION if halted else ServoStatus.DECELERATE_FOR_COLLISION
         near = ", ".join(f"{pair.first} and {pair.second} ({1000.0 * pair.distance_m:.0f} mm)" for pair in pairs)
-        said.append(f"near each other: {near}; what brings them nearer is {'held' if halted else 'slowed'}")
-    return status, said
+        reasons.append(f"near each other: {near}; what brings them nearer is {'held' if halted else 'slowed'}")
+    return status, reasons
 
 
 def _unachieved(question: ServoQuestion, outcome: Outcome, joints: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""Direction of each joint, found by a motion of the hand: the request for it in words, and what its ticks say. Pure.
+"""Direction of each joint, found by a motion of the hand: the request in words, and the meaning of the ticks. Pure.
 
 The words follow from the URDF: the end of the link that the joint carries goes up, forward or to the left, as the
 model has it with every joint at zero; a joint whose axis goes through that end is turned.
@@ -35,15 +35,10 @@ REACH_M = 0.05
 
 @dataclass(frozen=True)
 class AskedMotion:
-    """Motion of one joint to ask for.
+    """Motion of one joint to ask for."""
 
-    Attributes:
-        request: imperative sentence without a full stop.
-        rises: True if the joint's position rises meanwhile.
-    """
-
-    request: str
-    rises: bool
+    request: str  # imperative sentence without a full stop
+    rises: bool  # True if the joint's position rises meanwhile
 
 
 def asked_motions(robot: RobotModel) -> dict[str, AskedMotion]:
@@ -60,16 +55,7 @@ def asked_motions(robot: RobotModel) -> dict[str, AskedMotion]:
 
 
 def turned_the_other_way(servo: ServoSpec, motion: AskedMotion, moved_ticks: int) -> bool:
-    """Return True when a servo turned against the sign that the robot's folder gives it.
-
-    Args:
-        servo: the joint's servo.
-        motion: the motion that was asked for.
-        moved_ticks: change of its position meanwhile [ticks].
-
-    Raises:
-        CalibrationError: it was hardly moved.
-    """
+    """Return True when a servo turned against its sign; raise CalibrationError when it was hardly moved."""
     if abs(moved_ticks) < LEAST_MOTION_TICKS:
         raise CalibrationError(
             "direction",

@@ -1,7 +1,8 @@
 """Backup of the servos' registers: a JSON file, written before the first change of a servo.
 
 The file grows servo by servo and is replaced as a whole each time; a file that is there already is never touched.
-Registers are named, so that people can read it. A servo has no serial number: it is recognised by its id.
+Registers are named, so that people can read it. A servo has no serial number: it is recognised by its id. A file that
+cannot be read or written raises BackupError.
 """
 
 from __future__ import annotations
@@ -17,28 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from robot import files
 from robot.description.servo_table import MAX_SERVO_ID
 from robot.errors import BackupError
-from robot.hardware.feetech.bus import Bus, read_block
-from robot.hardware.feetech.registers import (
-    CONTROL_ADDRESS,
-    CONTROL_BYTES,
-    LAYOUT,
-    TELEMETRY_ADDRESS,
-    TELEMETRY_BYTES,
-    Register,
-    decode,
-    value_range,
-)
-from robot.hardware.feetech.settings import SETTINGS_ADDRESS, SETTINGS_BYTES
-from robot.hardware.interface import Steps
+from robot.hardware.feetech.registers import Register, value_range
 
 FORMAT: Literal["armbridge servo registers 1"] = "armbridge servo registers 1"
-
-# All documented registers, in blocks that the bus reads elsewhere too: a servo need not answer any longer read.
-BLOCKS = (
-    (SETTINGS_ADDRESS, SETTINGS_BYTES),
-    (CONTROL_ADDRESS, CONTROL_BYTES),
-    (TELEMETRY_ADDRESS, TELEMETRY_BYTES),
-)
 
 # Forty servos with all their registers; an arm has six.
 MAX_FILE_BYTES = 100_000
@@ -46,20 +28,12 @@ MAX_FILE_BYTES = 100_000
 
 @dataclass(frozen=True)
 class SavedServo:
-    """Registers of one servo before it was changed.
+    """Registers of one servo before it was changed."""
 
-    Attributes:
-        joint: joint of the arm that it was to turn.
-        servo_id: id that it had.
-        new_id: id that it was to get.
-        baudrate: baud rate at which it answered.
-        registers: value of every register.
-    """
-
-    joint: str
-    servo_id: int
-    new_id: int
-    baudrate: int
+    joint: str  # joint of the arm that it was to turn
+    servo_id: int  # id that it had
+    new_id: int  # id that it was to get
+    baudrate: int  # baud rate at which it answered
     registers: Mapping[Register, int]
 
 
@@ -83,18 +57,7 @@ class _Content(BaseModel):
 
 
 class BackupFile:
-    """File to which the servos of one visit are saved; it is created with the first.
-
-    Args:
-        path: of the file, which must not exist.
-        robot: name of the arm.
-
-    Attributes:
-        path: as given.
-
-    Raises:
-        BackupError: it exists.
-    """
+    """File to which the servos of one visit are saved; it is created with the first, and never overwritten."""
 
     def __init__(self, path: Path, robot: str) -> None:
         if path.exists():
@@ -109,15 +72,7 @@ class BackupFile:
         return not self._servos
 
     def save(self, servo: SavedServo, now: datetime) -> None:
-        """Save a servo; on return the file holds it, also after a loss of power.
-
-        Args:
-            servo: registers before they are changed.
-            now: wall-clock time.
-
-        Raises:
-            BackupError: the file cannot be written, or appeared meanwhile.
-        """
+        """Save a servo; on return the file holds it, also after a loss of power."""
         servos = [*self._servos, servo]
         content = _Content(
             format=FORMAT,
@@ -136,11 +91,7 @@ class BackupFile:
 
 
 def read_backup(path: Path) -> tuple[SavedServo, ...]:
-    """Read a backup.
-
-    Raises:
-        BackupError: it cannot be read, or is not one.
-    """
+    """Read a backup."""
     try:
         with path.open("rb") as file:
             content = _Content.model_validate_json(file.read(MAX_FILE_BYTES))
@@ -154,14 +105,10 @@ def read_backup(path: Path) -> tuple[SavedServo, ...]:
 
 
 def match_saved(saved: Sequence[SavedServo], ids: Collection[int]) -> dict[int, SavedServo]:
-    """Return the backup of each servo on the bus, by its present id; without those that cannot be told.
+    """Return the backup of each servo on the bus, by its present id; without servos whose backup is uncertain.
 
     A servo usually has the id that it was to get. One whose setup was broken off has the id from before, which every
     new servo has: it counts only if the servo with the new id is missing, and no other servo may be meant.
-
-    Args:
-        saved: servos of a backup.
-        ids: present ids of the servos.
     """
     found = {}
     for servo_id in ids:
@@ -171,29 +118,6 @@ def match_saved(saved: Sequence[SavedServo], ids: Collection[int]) -> dict[int, 
         if len(got or kept) == 1:
             found[servo_id] = (got or kept)[0]
     return found
-
-
-def read_registers(bus: Bus, servo_id: int) -> Steps[dict[Register, int]]:
-    """Read every register of a servo, as a sequence.
-
-    Raises:
-        NoReply: the servo gave no valid reply.
-        PortLost: the port is gone.
-    """
-    values: dict[Register, int] = {}
-    for address, length in BLOCKS:
-        frame = yield from read_block(bus, servo_id, address, length)
-        values |= _decoded(frame.data, address)
-    return values
-
-
-def _decoded(data: bytes, address: int) -> dict[Register, int]:
-    """Decode the registers of a block that begins at an address."""
-    inside = (register for register in LAYOUT if address <= register < address + len(data))
-    return {
-        register: decode(register, data[register - address : register - address + LAYOUT[register].size])
-        for register in inside
-    }
 
 
 def _as_entry(servo: SavedServo) -> _Servo:

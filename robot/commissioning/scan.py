@@ -6,17 +6,12 @@ import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from robot.commissioning.servo_registers import ServoRegisters, read_registers
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import (
-    TELEMETRY_ADDRESS,
-    TELEMETRY_BYTES,
-    VOLT_PER_UNIT,
-    Register,
-    Telemetry,
-    parse_telemetry,
-)
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Telemetry, parse_telemetry
+from robot.hardware.interface import run_to_end
 
 # Register BAUD_RATE 0 to 7 (Feetech's memory table); the SDK has no name for 76800.
 BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400)
@@ -26,49 +21,12 @@ FACTORY_ID = 1
 
 
 @dataclass(frozen=True)
-class ServoReport:
-    """Registers and telemetry of one servo.
-
-    Attributes:
-        servo_id: register ID.
-        model: 777 for an STS3215.
-        firmware: major and minor version.
-        mode: register OPERATING_MODE, 0 for position.
-        angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT.
-        homing_offset_ticks: register HOMING_OFFSET.
-        phase: register PHASE.
-        return_delay: register RETURN_DELAY [2 us].
-        max_voltage_v: register MAX_VOLTAGE, which differs between the 7.4 V and the 12 V variant [V].
-        torque_enable: register TORQUE_ENABLE.
-        telemetry: its measurements.
-    """
-
-    servo_id: int
-    model: int
-    firmware: tuple[int, int]
-    mode: int
-    angle_limits_ticks: tuple[int, int]
-    homing_offset_ticks: int
-    phase: int
-    return_delay: int
-    max_voltage_v: float
-    torque_enable: int
-    telemetry: Telemetry
-
-
-@dataclass(frozen=True)
 class ScanResult:
-    """Result of a scan.
+    """Result of a scan."""
 
-    Attributes:
-        servos: servos that answered every read, ordered by id.
-        unsteady_ids: servos that answered some reads only.
-        garbled_bytes: bytes of invalid replies to the broadcast ping.
-    """
-
-    servos: tuple[ServoReport, ...]
-    unsteady_ids: tuple[int, ...] = ()
-    garbled_bytes: int = 0
+    servos: tuple[ServoRegisters, ...]  # servos that answered every read, ordered by id
+    unsteady_ids: tuple[int, ...] = ()  # servos that answered some reads only
+    garbled_bytes: int = 0  # bytes of invalid replies to the broadcast ping
 
     @property
     def ids(self) -> frozenset[int]:
@@ -79,12 +37,7 @@ class ScanResult:
 def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
     """Find the servos on the bus and read each.
 
-    Args:
-        bus: an open bus.
-        expected_ids: ids that are also pinged one by one, since a reply to a broadcast may get lost.
-
-    Raises:
-        PortLost: the port is gone.
+    Expected ids are also pinged one by one, since a reply to a broadcast may get lost.
     """
     garbled = bus.counters.discarded_bytes
     ids = set(bus.broadcast_ping())
@@ -96,46 +49,14 @@ def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
     servos, unsteady = [], []
     for servo_id in sorted(ids):
         try:
-            servos.append(examine(bus, servo_id))
+            servos.append(ServoRegisters(servo_id, run_to_end(read_registers(bus, servo_id))))
         except NoReply:
             unsteady.append(servo_id)
     return ScanResult(tuple(servos), tuple(unsteady), garbled)
 
 
-def examine(bus: Bus, servo_id: int) -> ServoReport:
-    """Read registers and telemetry of one servo.
-
-    Raises:
-        NoReply: it does not answer every read.
-        PortLost: the port is gone.
-    """
-
-    def value(register: Register) -> int:
-        """Read a register of the servo."""
-        return bus.read(servo_id, register)
-
-    return ServoReport(
-        servo_id=servo_id,
-        model=value(Register.MODEL_NUMBER),
-        firmware=(value(Register.FIRMWARE_MAJOR), value(Register.FIRMWARE_MINOR)),
-        mode=value(Register.OPERATING_MODE),
-        angle_limits_ticks=(value(Register.MIN_ANGLE_LIMIT), value(Register.MAX_ANGLE_LIMIT)),
-        homing_offset_ticks=value(Register.HOMING_OFFSET),
-        phase=value(Register.PHASE),
-        return_delay=value(Register.RETURN_DELAY),
-        max_voltage_v=value(Register.MAX_VOLTAGE) * VOLT_PER_UNIT,
-        torque_enable=value(Register.TORQUE_ENABLE),
-        telemetry=read_telemetry(bus, servo_id),
-    )
-
-
 def read_telemetry(bus: Bus, servo_id: int) -> Telemetry:
-    """Read the telemetry of a servo.
-
-    Raises:
-        NoReply: it gave no valid reply.
-        PortLost: the port is gone.
-    """
+    """Read the telemetry of a servo."""
     attempts = 3  # as a single read of the bus
     for _ in range(attempts):
         frame = bus.sync_read((servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES).get(servo_id)
@@ -145,12 +66,7 @@ def read_telemetry(bus: Bus, servo_id: int) -> Telemetry:
 
 
 def explain_missing(result: ScanResult, joints: Sequence[ServoSpec]) -> list[str]:
-    """Explain missing and unsteady servos with the likely cause, a sentence each; none when all is well.
-
-    Args:
-        result: result of the scan.
-        joints: joints of the arm, in the order in which their servos are chained.
-    """
+    """Explain missing and unsteady servos, a sentence each; joints are in the order of the chain."""
     present = [joint.servo_id in result.ids for joint in joints]
     said = [
         f"servo {servo_id} answers some questions only: its plug, or the power supply, has bad contact"

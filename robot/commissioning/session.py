@@ -1,8 +1,8 @@
-"""Calibration step by step, for a terminal and for a server alike: what to ask a person, and what follows. Pure.
+"""Calibration step by step, for a terminal and a server alike: questions to a person and their consequences. Pure.
 
-The session moves and writes nothing. :meth:`CalibrationSession.answer` says which act is due: to relax the arm before
-the sweep, and to write the calibration at the end; who has carried it out goes on with :meth:`CalibrationSession.begin`
-and :meth:`CalibrationSession.finish`.
+The session moves and writes nothing. :meth:`CalibrationSession.answer` names the act that is due: relax the arm before
+the sweep, and write the calibration at the end. After the act, the caller goes on with :meth:`CalibrationSession.begin`
+or :meth:`CalibrationSession.finish`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from robot.commissioning.sweep import MIDDLE_TICK, Sweep, expected_width, met_bo
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError
 
-# Names of steps; those of directions and middles end with the joint's name.
+# Names of steps; for directions and middles, the joint's name follows.
 HOLD, SWEEP, WRITE = "hold", "sweep", "write"
 DIRECTION, MIDDLE = "direction of ", "middle of "
 
@@ -46,52 +46,34 @@ class Act(Enum):
 
 @dataclass(frozen=True)
 class Step:
-    """Step of a procedure.
+    """Step of a procedure."""
 
-    Attributes:
-        name: unique in the procedure.
-        instruction: what the person is to do, in sentences.
-        answers: what may be answered.
-    """
-
-    name: str
-    instruction: str
+    name: str  # unique in the procedure
+    instruction: str  # what the person is to do, in sentences
     answers: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class SweptRange:
-    """Range of one joint so far; positions count on across the seam between ticks 4095 and 0.
-
-    Attributes:
-        joint: name of the joint.
-        lowest: lowest position [ticks].
-        present: latest position [ticks].
-        highest: highest position [ticks].
-        expected_width: width of its range in the URDF [ticks].
-        done: True when nothing more is asked of it.
-        note: what is missing; empty for nothing.
-    """
+    """Range of one joint so far; positions count on across the seam between ticks 4095 and 0."""
 
     joint: str
-    lowest: int
-    present: int
-    highest: int
-    expected_width: int
+    lowest: int  # lowest position [ticks]
+    present: int  # latest position [ticks]
+    highest: int  # highest position [ticks]
+    expected_width: int  # width of its range in the URDF [ticks]
     done: bool
-    note: str
+    note: str  # what is missing; empty for nothing
 
 
 class CalibrationSession:
     """Calibration of one arm, from holding it to writing the result.
 
     Args:
-        servos: servos of the arm.
         motions: motion that shows the direction of each joint, by joint.
         recentre: True for new homing offsets, which are then written to the servos; False to keep theirs.
 
     Attributes:
-        recentre: as given.
         step: the step to answer; None once the session has ended.
         findings: what was found, a sentence each.
         calibration: the result; None before the step that asks for it to be written.
@@ -146,12 +128,7 @@ class CalibrationSession:
         )
 
     def begin(self, ticks: Mapping[int, int], offsets: Mapping[int, int]) -> None:
-        """Begin the sweep: the arm is relaxed.
-
-        Args:
-            ticks: positions, by servo id.
-            offsets: registers HOMING_OFFSET, by servo id [ticks].
-        """
+        """Begin the sweep of the relaxed arm: positions, and registers HOMING_OFFSET, by servo id [ticks]."""
         self._sweep, self._offsets = Sweep(ticks), dict(offsets)
         self._ask_for_sweep()
 
@@ -172,13 +149,9 @@ class CalibrationSession:
             self._sweep.add(ticks)
 
     def answer(self, answer: str) -> Act | None:
-        """Take the answer to the present step.
+        """Take the answer to the present step; return the act that is now due, if any.
 
-        Returns:
-            The act that is now due; None for none.
-
-        Raises:
-            CalibrationError: it cannot go on so; the step stays, and the sentence says what is missing.
+        Raises CalibrationError where it cannot go on so; the step stays, and the text names what is missing.
         """
         step = self.step
         if step is None or answer not in step.answers:
@@ -230,7 +203,7 @@ class CalibrationSession:
         self._next()
 
     def _measured(self, *, assumed: bool = False) -> Swept:
-        """Return what was measured; assumed middles are those that a free joint may have."""
+        """Return the measurements; assumed middles are possible for a free joint."""
         middles = dict(self._middles)
         if assumed and self.recentre:
             middles = {**self._swept.present, **middles}
@@ -264,7 +237,7 @@ class CalibrationSession:
             self.findings.append(
                 f"{servo.joint} turned the other way than the model: its horn is mounted mirrored, or its servo counts "
                 f"the other way; mount it as the model has it, or set sign = {-servo.sign} for it in the arm's "
-                "robot.toml, and calibrate anew, before anything moves"
+                "robot.toml, and calibrate again, before anything moves"
             )
 
     def _next(self) -> None:

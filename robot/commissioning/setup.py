@@ -13,28 +13,29 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from robot.commissioning.register_backup import SavedServo, read_registers
+from robot.commissioning.register_backup import SavedServo
 from robot.commissioning.scan import BAUDRATES, FACTORY_ID
+from robot.commissioning.servo_registers import ServoRegisters, read_registers
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, RobotError, StartupError
-from robot.hardware.feetech.bus import ATTEMPTS, STEP_ATTEMPTS, Bus, read, write_verified
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile
 from robot.hardware.feetech.registers import (
     MODELS,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
-    VOLT_PER_UNIT,
     Register,
 )
-from robot.hardware.feetech.settings import EPROM, SETTINGS, ServoSettings
-from robot.hardware.feetech.survey import PHASE_MULTI_TURN, POSITION_MODE
+from robot.hardware.feetech.settings import EPROM
 from robot.hardware.interface import Result, Steps, run_to_end
+from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
 
 # Baud rate of the driver, 1 Mbaud, and its value of register BAUD_RATE.
 BAUDRATE = BAUDRATES[0]
 BAUDRATE_CODE = 0
 
-# Baud rates by register BAUD_RATE, those that the port supports.
+# Baud rates that the port supports, by register BAUD_RATE.
 BAUDRATE_BY_CODE: Mapping[int, int] = MappingProxyType(dict(zip((0, 1, 2, 3, 4, 6, 7), BAUDRATES, strict=True)))
 
 # Time for the last bytes to leave the adapter, and for the servo to store its new rate, before the port is reopened.
@@ -59,12 +60,7 @@ NO_ANSWER = (
 
 
 class ServoLine:
-    """Port of the servos, open at one baud rate at a time.
-
-    Args:
-        open_bus: opens the bus at a baud rate.
-        wait: waits for a time [s].
-    """
+    """Port of the servos, open at one baud rate at a time."""
 
     def __init__(self, open_bus: Callable[[int], Bus], wait: Callable[[float], None] = time.sleep) -> None:
         self._open = open_bus
@@ -73,11 +69,7 @@ class ServoLine:
         self._baudrate = 0
 
     def at(self, baudrate: int) -> Bus:
-        """Return the bus at a baud rate.
-
-        Raises:
-            PortError: the port cannot be opened.
-        """
+        """Return the bus at a baud rate."""
         if self._bus is None or self._baudrate != baudrate:
             self.close()
             self._bus, self._baudrate = self._open(baudrate), baudrate
@@ -95,28 +87,10 @@ class ServoLine:
 
 
 @dataclass(frozen=True)
-class FoundServo:
-    """Servo found on the bus.
+class FoundServo(ServoRegisters):
+    """Servo found on the bus."""
 
-    Attributes:
-        servo_id: its id.
-        baudrate: baud rate at which it answers.
-        registers: value of every register.
-    """
-
-    servo_id: int
-    baudrate: int
-    registers: Mapping[Register, int]
-
-    @property
-    def settings(self) -> ServoSettings:
-        """Settings that it keeps."""
-        return ServoSettings({register: self.registers[register] for register in SETTINGS})
-
-    @property
-    def voltage_v(self) -> float:
-        """Supply [V]."""
-        return self.registers[Register.PRESENT_VOLTAGE] * VOLT_PER_UNIT
+    baudrate: int  # baud rate at which it answers
 
 
 @dataclass(frozen=True)
@@ -136,18 +110,8 @@ def search(
 ) -> FoundServo:
     """Find the servo that is to turn a joint, at any baud rate and with any id.
 
-    Servos that have their ids already may be connected as well.
-
-    Args:
-        line: the servos' port.
-        joint: joint of the servo.
-        arm: servos of the arm.
-        say: tells progress.
-
-    Raises:
-        StartupError: none may be meant, or more than one; the text says how to part them.
-        NoReply: a servo stopped answering.
-        PortError: the port cannot be opened, or is gone.
+    Servos that have their ids already may be connected as well. Raises StartupError where no servo may be meant, or
+    more than one; the text says how to part them.
     """
     found: list[FoundServo] = []
     for baudrate in BAUDRATES:
@@ -174,15 +138,8 @@ def search(
 def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServo]:
     """Find and read the servos that answer at one baud rate; nothing is written.
 
-    Args:
-        line: the servos' port.
-        baudrate: baud rate to look at.
-        ids: ids that are also asked one by one, since a reply to a broadcast may get lost.
-
-    Raises:
-        StartupError: several servos have the same id.
-        NoReply: a servo stopped answering.
-        PortError: the port cannot be opened, or is gone.
+    The ids are also asked one by one, since a reply to a broadcast may get lost. Raises StartupError where several
+    servos have the same id.
     """
     bus = line.at(baudrate)
     garbled = bus.counters.discarded_bytes
@@ -196,12 +153,12 @@ def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServ
             f"replies at {baudrate} baud are garbled: several servos with the same id answer at once, or a plug has "
             "bad contact; unplug all servos but one"
         )
-    return [FoundServo(each, baudrate, line.run(read_registers(bus, each))) for each in sorted(heard)]
+    return [FoundServo(each, line.run(read_registers(bus, each)), baudrate) for each in sorted(heard)]
 
 
 def check_model(servo: FoundServo, joint: ServoSpec) -> None:
     """Raise StartupError for a servo of an unknown model, whose registers may have other meanings."""
-    model = servo.registers[Register.MODEL_NUMBER]
+    model = servo[Register.MODEL_NUMBER]
     if model not in MODELS.values() and str(model) != joint.model:
         known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
         raise StartupError(
@@ -212,8 +169,7 @@ def check_model(servo: FoundServo, joint: ServoSpec) -> None:
 
 def supply_complaint(servo: FoundServo) -> str:
     """Return a sentence about a supply that the servo is not made for, empty for a good one."""
-    lowest = servo.registers[Register.MIN_VOLTAGE] * VOLT_PER_UNIT
-    highest = servo.registers[Register.MAX_VOLTAGE] * VOLT_PER_UNIT
+    lowest, highest = servo.voltage_limits_v
     if lowest <= servo.voltage_v <= highest:
         return ""
     consequence = (
@@ -232,7 +188,6 @@ def choose_profile(
 
     Args:
         name: name of a profile that was asked for; None for the arm's own, or without one for the nearest.
-        own: profile of the arm's folder, if it has one.
         servos: servos, with True for one of the gripper.
     """
     if name is not None:
@@ -245,11 +200,6 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
 
     Angle limits and homing offset of a servo that has the joint's id are its calibration, and stay. Those of any other
     belong to another joint and are cleared.
-
-    Args:
-        servo: the servo.
-        joint: joint that it is to turn.
-        profile: settings that it should have.
     """
     held = servo.registers
     wanted = {
@@ -274,8 +224,6 @@ def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[
     """Return the registers to change for a servo to be as it was saved.
 
     Args:
-        servo: the servo.
-        saved: its backup.
         alone: True for the only servo on the bus, which gets id and baud rate back as well: among others it might
             become the second one of its id.
     """
@@ -290,24 +238,13 @@ def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[
 
 def needs_writing(servo: FoundServo, changes: Sequence[Change]) -> bool:
     """Return True for a servo with registers to change, or whose EPROM is unlocked."""
-    return bool(changes) or servo.registers[Register.LOCK] != 1
+    return bool(changes) or servo[Register.LOCK] != 1
 
 
 def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> FoundServo:
-    """Relax a servo and write its changes, each read back; its EPROM is locked at the end, also after a failure.
+    """Relax a servo and write its changes, each read back; return it as it is afterwards.
 
-    Args:
-        line: the servos' port.
-        servo: the servo, as found.
-        changes: registers to change.
-
-    Returns:
-        The servo as it is afterwards.
-
-    Raises:
-        StartupError: it keeps another value, or cannot be relaxed.
-        NoReply: it stopped answering.
-        PortError: the port cannot be opened, or is gone.
+    Its EPROM is locked at the end, also after a failure. Raises StartupError where it keeps another value.
     """
     writer = _Writer(line, servo.servo_id, servo.baudrate)
     try:
@@ -316,7 +253,7 @@ def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> Foun
             writer.write(change)
         writer.lock()
     except BaseException:
-        # An interrupted exchange may leave replies behind: the port is opened anew.
+        # An interrupted exchange may leave replies behind: the port is opened again.
         line.close()
         with contextlib.suppress(RobotError):
             writer.lock()
@@ -325,21 +262,11 @@ def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> Foun
     if kept := [change for change in changes if registers[change.register] != change.wanted]:
         names = ", ".join(f"{change.register.name} {registers[change.register]}" for change in kept)
         raise StartupError(f"servo {writer.servo_id} does not keep what was written to it: it has {names}")
-    return FoundServo(writer.servo_id, writer.baudrate, registers)
+    return FoundServo(writer.servo_id, registers, writer.baudrate)
 
 
 class _Writer:
-    """Access to one servo whose id and baud rate change on the way.
-
-    Args:
-        line: the servos' port.
-        servo_id: present id.
-        baudrate: present baud rate.
-
-    Attributes:
-        servo_id: present id.
-        baudrate: present baud rate.
-    """
+    """Access to one servo whose id and baud rate change on the way."""
 
     def __init__(self, line: ServoLine, servo_id: int, baudrate: int) -> None:
         self._line = line
@@ -399,7 +326,7 @@ class _Writer:
 
 
 def _candidates(found: Sequence[FoundServo], joint: ServoSpec, arm: Sequence[ServoSpec]) -> list[FoundServo]:
-    """Return the servos that may be meant to turn a joint: the one with its id, else those with none of the arm's."""
+    """Return the candidates for a joint: the servo with its id, else the servos without an id of the arm."""
     own = [servo for servo in found if servo.servo_id == joint.servo_id]
     others = {servo.servo_id for servo in arm} - {FACTORY_ID}
     return own or [servo for servo in found if servo.servo_id not in others]
@@ -432,7 +359,7 @@ def _check_single(bus: Bus, servo_id: int) -> Steps[None]:
 
 
 def _changes(held: Mapping[Register, int], wanted: Mapping[Register, int]) -> tuple[Change, ...]:
-    """Return the registers that differ, those last by which the servo is reached."""
+    """Return the registers that differ; id and baud rate, by which the servo is reached, come last."""
     last = (Register.ID, Register.BAUD_RATE)
     ordered = [*(register for register in wanted if register not in last), *last]
     return tuple(

@@ -33,16 +33,7 @@ FREE_MIDDLE_WITHIN_TICKS = 100
 
 
 class Sweep:
-    """Ranges covered by the servos, tracked across the seam: positions count on beyond 0 and 4095.
-
-    Args:
-        ticks: positions at the start, by servo id.
-
-    Attributes:
-        lowest: lowest position so far, by servo id [ticks].
-        highest: highest position so far, by servo id [ticks].
-        present: latest position, by servo id [ticks].
-    """
+    """Ranges covered by the servos, by servo id [ticks], tracked across the seam: positions go on beyond 0 and 4095."""
 
     def __init__(self, ticks: Mapping[int, int]) -> None:
         self.lowest = dict(ticks)
@@ -70,7 +61,7 @@ def expected_width(servo: ServoSpec) -> int:
 
 
 def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
-    """Return True when a joint that covered such a range has met both of its stops.
+    """Return True when a joint that covered a range of this width has met both of its stops.
 
     A joint that the robot's folder calls free may have stops all the same, as the SO-101's wrist has; one that covered
     nearly a whole turn has none.
@@ -82,30 +73,18 @@ def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
 
 @dataclass(frozen=True)
 class Placed:
-    """Range of a servo under its homing offset.
+    """Range of a servo under its homing offset."""
 
-    Attributes:
-        homing_offset: register HOMING_OFFSET [ticks].
-        range_min: lowest position [ticks].
-        range_max: highest position [ticks].
-    """
-
-    homing_offset: int
-    range_min: int
-    range_max: int
+    homing_offset: int  # register HOMING_OFFSET [ticks]
+    range_min: int  # lowest position [ticks]
+    range_max: int  # highest position [ticks]
 
 
 def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Placed:
     """Place the swept range of a joint with stops within the turn.
 
     Args:
-        servo: the joint's servo.
-        sweep: ranges of all servos.
         offset: register HOMING_OFFSET during the sweep [ticks].
-        recentre: True for a new homing offset, False to keep the servo's.
-
-    Raises:
-        CalibrationError: the joint was hardly moved, turned by a whole turn, or its range crosses the seam.
     """
     lowest, highest, width = sweep.lowest[servo.servo_id], sweep.highest[servo.servo_id], sweep.width(servo.servo_id)
     if width < LEAST_SWEEP_TICKS:
@@ -137,13 +116,8 @@ def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) ->
     """Place a joint that turns freely: its range is the turn, and its middle the tick that lerobot takes for it.
 
     Args:
-        servo: the joint's servo.
         middle: position at which the joint is in its middle [ticks].
         offset: register HOMING_OFFSET at that time [ticks].
-        recentre: True for a new homing offset, False to keep the servo's.
-
-    Raises:
-        CalibrationError: the middle is elsewhere, and the servo keeps its offset.
     """
     if recentre:
         return Placed(_centred(middle, offset)[0], 0, MAX_TICK)

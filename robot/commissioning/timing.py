@@ -15,22 +15,13 @@ from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
 
 @dataclass(frozen=True)
 class CycleTimes:
-    """Times of many read cycles.
-
-    Attributes:
-        cycles: number of cycles.
-        round_trip_p50_s: time from the instruction to the last reply, median of the complete cycles [s]; NaN without
-            one.
-        round_trip_p99_s: its 99th percentile [s].
-        lateness_p99_s: start of the cycles after their deadlines, 99th percentile [s].
-        lost_replies: replies that were missing or invalid.
-        expected_replies: replies that were expected.
-    """
+    """Times of many read cycles."""
 
     cycles: int
+    # Time from the instruction to the last reply, median of the complete cycles [s]; NaN without one.
     round_trip_p50_s: float
-    round_trip_p99_s: float
-    lateness_p99_s: float
+    round_trip_p99_s: float  # its 99th percentile [s]
+    lateness_p99_s: float  # start of the cycles after their deadlines, 99th percentile [s]
     lost_replies: int
     expected_replies: int
 
@@ -42,18 +33,7 @@ def measure_cycles(
     clock: Callable[[], float] = time.monotonic,
     wait: Callable[[float], None] = time.sleep,
 ) -> CycleTimes:
-    """Read all servos as the control loop does, 100 times a second.
-
-    Args:
-        bus: an open bus.
-        servo_ids: servos to read.
-        cycles: number of cycles.
-        clock: monotonic time [s].
-        wait: waits for a time [s].
-
-    Raises:
-        PortLost: the port is gone.
-    """
+    """Read all servos as the control loop does, 100 times a second."""
     round_trips, lateness = [], []
     replies = 0
     due_s = clock()
@@ -74,22 +54,7 @@ def measure_cycles(
 def measure_reads(
     bus: Bus, servo_id: int, address: int, length: int, count: int, clock: Callable[[], float] = time.monotonic
 ) -> list[float]:
-    """Measure round trips of reads of one servo.
-
-    Args:
-        bus: an open bus.
-        servo_id: id of the servo.
-        address: first register of the block.
-        length: bytes of the block.
-        count: number of reads.
-        clock: monotonic time [s].
-
-    Returns:
-        Times of the valid replies, sorted [s]; fewer than ``count`` when some were lost.
-
-    Raises:
-        PortLost: the port is gone.
-    """
+    """Measure round trips of reads of one servo; return the times of the valid replies, sorted [s]."""
     taken = []
     for _ in range(count):
         start_s = clock()

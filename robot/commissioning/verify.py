@@ -1,4 +1,4 @@
-"""Verification of a calibrated arm: the poses to compare with the model, and what a comparison tells. Pure."""
+"""Verification of a calibrated arm: the poses to compare with the model, and the meaning of a comparison. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robot.description.model import RobotModel
 # Distance from the limits, at which a calibration that is a little off meets no stop [rad].
 LIMIT_MARGIN_RAD = 0.1
 
-# A joint that is so far from zero shows its direction to the eye; less where something is in the way [rad].
+# Distances from zero at which a joint shows its direction to the eye; the smaller ones where space is short [rad].
 AMPLITUDES_RAD = (0.4, 0.25, 0.15)
 
 # Backlash of a real arm's joint (0.9 to 1.0 deg were measured) [rad].
@@ -22,7 +22,7 @@ BACKLASH_RAD = 0.0175
 # share of full duty.
 DUTY_PER_TICK_AND_GAIN = 0.0005
 
-# A droop may be so much more than gain and load explain, since load is measured in steps and ripples.
+# Factor by which a droop may exceed what gain and load explain: load is measured in steps, and ripples.
 DROOP_MARGIN = 1.5
 
 # An explained droop that is worth a sentence [rad].
@@ -38,22 +38,16 @@ Positions = Mapping[str, float]
 
 @dataclass(frozen=True)
 class VerificationPose:
-    """Pose to compare: the first of the candidates that can be reached.
-
-    Attributes:
-        name: its name for people.
-        candidates: positions of the arm's joints, by joint [rad].
-    """
+    """Pose to compare: the first of the candidates that can be reached."""
 
     name: str
-    candidates: tuple[Positions, ...]
+    candidates: tuple[Positions, ...]  # positions of the arm's joints, by joint [rad]
 
 
 def poses(robot: RobotModel) -> tuple[VerificationPose, ...]:
     """Return the model's zero, two poses around it in which every joint is elsewhere, and one of the gripper alone.
 
-    Args:
-        robot: the arm, within its calibration.
+    The limits of the model lie within the calibration.
     """
     joints = [robot.joints[name] for name in robot.groups[robot.default_group].joints]
     named = robot.named_states.get(robot.default_group, {})
@@ -92,19 +86,12 @@ def poses(robot: RobotModel) -> tuple[VerificationPose, ...]:
 
 @dataclass(frozen=True)
 class Droop:
-    """Distance of a joint from its goal while it holds.
-
-    Attributes:
-        joint: name of the joint.
-        droop_rad: goal less position [rad].
-        load: share of full motor duty, signed.
-        p_gain: register P_GAIN; None where it is not known.
-    """
+    """Distance of a joint from its goal while it holds."""
 
     joint: str
-    droop_rad: float
-    load: float
-    p_gain: int | None = None
+    droop_rad: float  # goal less position [rad]
+    load: float  # share of full motor duty, signed
+    p_gain: int | None = None  # register P_GAIN; None where it is not known
 
     @property
     def explained_rad(self) -> float:
@@ -130,7 +117,7 @@ class Droop:
 
 
 def seen_findings(seen: Sequence[tuple[str, frozenset[str]]], ends: frozenset[str]) -> list[str]:
-    """Return what follows from the joints that looked otherwise than the model, a sentence for each joint.
+    """Return a sentence for each joint that looked otherwise than the model.
 
     Args:
         seen: name of each pose that was reached, the zero first, with the joints that looked otherwise there.
@@ -141,10 +128,10 @@ def seen_findings(seen: Sequence[tuple[str, frozenset[str]]], ends: frozenset[st
         where = [name for name, joints in seen if joint in joints]
         at_zero = joint in seen[0][1]
         if joint in ends:
-            remedy = "calibrate it anew, from closed to open, with its direction (drive_mode)"
+            remedy = "calibrate it again, from closed to open, with its direction (drive_mode)"
         elif at_zero:
             remedy = (
-                "its zero is off: calibrate it anew from stop to stop, or trim it by arm.zero_offset_rad, where its "
+                "its zero is off: calibrate it again from stop to stop, or trim it by arm.zero_offset_rad, where its "
                 "horn sits a tooth off"
             )
         else:

@@ -1,4 +1,4 @@
-"""Checks of what the server sends: its configuration, and every trajectory before it is played.
+"""Checks of the server's configuration, and of every trajectory before it is played.
 
 The arm process relies on its own guards, so it does not trust the server's numbers. A value of the configuration that
 is out of range is replaced by its default; a trajectory is refused with a sentence that names joint, limit and value.
@@ -45,7 +45,7 @@ GUARD_RANGES: Ranges = {
     "stall_time_s": (0.1, 1.5),
     # Single packets get lost, and nothing is known of a joint that does not answer.
     "silent_after_s": (0.05, 1.0),
-    # Servos of 7.4 V need 4 V, those of 12 V run from 9 V on.
+    # Servos of 7.4 V need 4 V; servos of 12 V run from 9 V on.
     "min_voltage_v": (4.0, 11.0),
     # Backlash keeps a joint from coming any nearer.
     "goal_tolerance_rad": (0.02, 0.3),
@@ -86,9 +86,6 @@ def refusal(
     The curve between the samples is checked as it is played, with its velocities and accelerations.
 
     Args:
-        trajectory: trajectory to play.
-        names: the arm's joints, order of the arrays.
-        bounds: limits of the joints.
         held_rad: goals at which the arm holds, shape (joints,) [rad].
         in_motion: True for a trajectory that continues a motion; any other begins at rest.
     """
@@ -109,12 +106,7 @@ def refusal(
 
 
 def names_refusal(names: tuple[str, ...], known: tuple[str, ...]) -> str:
-    """Check the names of joints to move together; return the reason to refuse them, empty for none.
-
-    Args:
-        names: joints to move.
-        known: the arm's joints.
-    """
+    """Check the names of joints to move together; return the reason to refuse them, empty for none."""
     if names and set(names) <= set(known) and len(set(names)) == len(names):
         return ""
     return f"the motion names the joints {list(names)}; the arm has {list(known)}, each at most once"
@@ -146,13 +138,7 @@ def _rest_refusal(trajectory: Trajectory, bounds: JointBounds, *, in_motion: boo
 
 
 def _curve_refusal(trajectory: Trajectory, bounds: JointBounds, held_rad: Vector) -> str:
-    """Check the curve between the samples; return the reason to refuse it, empty for none.
-
-    Args:
-        trajectory: trajectory to play.
-        bounds: limits of its joints.
-        held_rad: goals at which the arm holds its joints, shape (joints,) [rad].
-    """
+    """Check the curve between the samples; return the reason to refuse it, empty for none."""
     # An arm that was switched on outside its soft limits may be brought back inside.
     lower = np.minimum(bounds.lower_rad, held_rad) - LIMIT_TOLERANCE_RAD
     upper = np.maximum(bounds.upper_rad, held_rad) + LIMIT_TOLERANCE_RAD
@@ -212,7 +198,6 @@ def _extremes(
     """Return the curve where it may be extreme: at the ends of spans, and where velocity or acceleration is zero.
 
     Args:
-        trajectory: trajectory to play.
         spans: index of the sample at which each span begins, shape (k,).
         columns: joint of each span, likewise.
 

@@ -24,13 +24,13 @@ from robot.messages import (
     MIN_SPEED_LIMIT,
     ChangePace,
     Commanded,
-    Course,
     Execute,
     Mode,
     MotionEnded,
     MotionProgress,
     Outcome,
     Pace,
+    PlaybackDirection,
     Setpoint,
     Stream,
 )
@@ -64,28 +64,19 @@ _OUTCOMES = {
     FaultCode.TRACKING_LOST: Outcome.TRACKING_LOST,
 }
 
-_DIRECTION = {Course.FORWARD: 1.0, Course.PAUSED: 0.0, Course.BACK: -1.0}
+_DIRECTION = {PlaybackDirection.FORWARD: 1.0, PlaybackDirection.PAUSED: 0.0, PlaybackDirection.BACK: -1.0}
 
 
 class ArmController:
     """Motion state of one arm; it is relaxed until :meth:`hold`.
 
     Args:
-        joint_names: order of every array.
-        bounds: limits of the joints.
-        guards: checks of every reading.
         full_torque: largest share of full duty for each joint, shape (joints,).
-        temperatures: thresholds at which motions slow down.
         fault: fault latched before, not yet reset.
-        simulated: True for a simulated arm, whose faults have other remedies.
         speed_limit: share of the velocity limits that no motion exceeds, until :meth:`change_pace`.
 
     Attributes:
-        bounds: as given.
-        guards: as given.
-        pace: speed factor, course and speed limit of motions.
-        driven: True while torque is on.
-        fault: latched fault, or None.
+        torque_enabled: True while torque is on.
     """
 
     def __init__(
@@ -114,9 +105,9 @@ class ArmController:
         self._braking: list[Motion | Streaming] = []
         self._yielded: Flags = np.zeros(len(joint_names), dtype=bool)
         self._loaded = Persistence(len(joint_names))
-        self._relieves = bool(np.isfinite(guards.assumptions.relieve_after_s).any())
+        self._relieves = bool(np.isfinite(guards.thresholds.relieve_after_s).any())
         self.pace = Pace(speed_limit=speed_limit)
-        self.driven = False
+        self.torque_enabled = False
         self.fault = fault
 
     @property
@@ -124,7 +115,7 @@ class ArmController:
         """State of the arm: RELAXED, HOLDING, MOVING or FAULT."""
         if self.fault is not None:
             return Mode.FAULT
-        if not self.driven:
+        if not self.torque_enabled:
             return Mode.RELAXED
         return Mode.MOVING if self._motions else Mode.HOLDING
 
@@ -136,7 +127,7 @@ class ArmController:
     @property
     def resting(self) -> bool:
         """True while nothing moves, and nothing is about to."""
-        return not self.moving and (not self.driven or self._hold_rad.tolist() == self._goal_rad.tolist())
+        return not self.moving and (not self.torque_enabled or self._hold_rad.tolist() == self._goal_rad.tolist())
 
     @property
     def goal_rad(self) -> Vector:
@@ -150,7 +141,7 @@ class ArmController:
 
     @property
     def motion(self) -> Motion | Streaming | None:
-        """Motion in progress; of several the one with most joints."""
+        """Motion in progress; of several, the motion with most joints."""
         return max(self._motions, key=lambda motion: len(motion.columns), default=None)
 
     @property
@@ -164,41 +155,32 @@ class ArmController:
         return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s, one.rate) for one in self._motions)
 
     def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
-        """Begin to hold at the goals that the servos have, or at their positions where those are far away.
-
-        Args:
-            goal_rad: goals of the servos, shape (joints,) [rad].
-            measured: latest readings; None if the joints are at their goals.
-        """
+        """Begin to hold at the goals that the servos have, or at their positions where they are far away."""
         self._goal_rad, self._hold_rad = goal_rad.copy(), goal_rad.copy()
         self._braking = []
         self.guards.restart()
         if measured is not None:
             self._yield_to(measured)
         self._torque_limit = self._full_torque.copy()
-        self.driven = True
+        self.torque_enabled = True
 
     def release(self) -> None:
         """Mark the arm as relaxed: torque is off, or going off."""
-        self.driven = False
+        self.torque_enabled = False
         self._braking = []
 
     def execute(self, command: Execute) -> MotionEnded | None:
-        """Begin a motion.
-
-        Returns:
-            The refusal, or the end of the motion that this one is spliced into; None for neither.
-        """
+        """Begin a motion; return its refusal, or the end of the motion that it is spliced into, if any."""
         reason = self._refusal(command)
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
-        self._forget_course()
+        self._reset_direction_if_idle()
         motion = Motion(
             command,
             self._names,
             self.bounds,
             self.guards.limits,
-            self.guards.assumptions.goal_tolerance_rad,
+            self.guards.thresholds.goal_tolerance_rad,
             self.pace.speed_limit,
         )
         ended = splice(self._motions, motion)
@@ -222,7 +204,7 @@ class ArmController:
         """Return the reason why no motion can begin now, empty for none."""
         if self.fault is not None:
             return f"the arm has a fault: {self.fault}"
-        return "" if self.driven else "the arm is relaxed: enable it first"
+        return "" if self.torque_enabled else "the arm is relaxed: enable it first"
 
     def _occupied(self, names: tuple[str, ...]) -> str:
         """Return the conflict with a motion of the same joints, empty for none."""
@@ -238,7 +220,7 @@ class ArmController:
         reason = self._unready() or names_refusal(names, self._names) or self._occupied(names)
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
-        self._forget_course()
+        self._reset_direction_if_idle()
         self._motions.append(Streaming(command, self._names, self.bounds, self._goal_rad, self.pace.speed_limit))
         return None
 
@@ -260,21 +242,13 @@ class ArmController:
                 motion.stop()
 
     def step(self, measured: Measured, now_s: float) -> list[MotionEnded]:
-        """Advance one tick: set :attr:`goal_rad`, and check the readings.
-
-        Args:
-            measured: latest readings.
-            now_s: time of the control loop [s].
-
-        Returns:
-            Ends of the motions that this tick ends.
-        """
+        """Advance one tick: set :attr:`goal_rad`, and check the readings; return the ends of motions."""
         elapsed_s = 0.0 if self._last_step_s is None else min(max(now_s - self._last_step_s, 0.0), MAX_TICK_S)
         self._last_step_s = now_s
-        if not self.driven:
+        if not self.torque_enabled:
             self._goal_rad = self._hold_rad = measured.position_rad
             return []
-        self._forget_course()
+        self._reset_direction_if_idle()
         self._advance(measured, elapsed_s)
         yielding = self._yielding()
         found = self.guards.check(self._goal_rad, measured, self.torque_limit, now_s, yielding)
@@ -286,25 +260,25 @@ class ArmController:
         return ended + self._end_finished(measured, now_s)
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor, course or speed limit of motions; a factor or limit out of its range is ignored."""
+        """Change speed factor, direction or speed limit of motions; a factor or limit out of its range is ignored."""
         if change.speed_factor is not None and 0.0 <= change.speed_factor <= 1.0:
             self.pace = replace(self.pace, speed_factor=change.speed_factor)
-        if change.course is not None:
-            self.pace = replace(self.pace, course=change.course)
+        if change.direction is not None:
+            self.pace = replace(self.pace, direction=change.direction)
         if change.speed_limit is not None and MIN_SPEED_LIMIT <= change.speed_limit <= 1.0:
             self.pace = replace(self.pace, speed_limit=change.speed_limit)
             for motion in self._motions:
                 motion.limit_speed(change.speed_limit)
 
-    def _forget_course(self) -> None:
-        """Return to the course forward when no motion is in progress that could be paused."""
-        if self.pace.course is not Course.FORWARD and all(motion.gripping for motion in self._motions):
-            self.pace = replace(self.pace, course=Course.FORWARD)
+    def _reset_direction_if_idle(self) -> None:
+        """Return to the direction forward when no motion is in progress that could be paused."""
+        if self.pace.direction is not PlaybackDirection.FORWARD and all(motion.gripping for motion in self._motions):
+            self.pace = replace(self.pace, direction=PlaybackDirection.FORWARD)
 
     @property
     def _rate(self) -> float:
         """Rate of motions: path time per time, below 0 to go back."""
-        return self.pace.speed_factor * _DIRECTION[self.pace.course]
+        return self.pace.speed_factor * _DIRECTION[self.pace.direction]
 
     def _advance(self, measured: Measured, elapsed_s: float) -> None:
         motions = self._motions + self._braking
@@ -315,7 +289,7 @@ class ArmController:
         fastest = SLOW_RATE if hot else 1.0
         led = np.zeros(len(self._names), dtype=bool)
         for motion in motions:
-            wanted[motion.columns] = motion.advance(elapsed_s, 1.0 if motion.gripping else self._rate, fastest)
+            wanted[motion.columns] = motion.step(elapsed_s, 1.0 if motion.gripping else self._rate, fastest)
             led[motion.columns] = True
         if self._braking:
             led &= ~self._yielded
@@ -355,10 +329,10 @@ class ArmController:
 
     def _relieve(self, measured: Measured, now_s: float) -> None:
         """Limit joints that push for so long that the protection of their servos would latch."""
-        assumed = self.guards.assumptions
-        lasting_s = self._loaded.lasting(np.abs(measured.load) > assumed.sustained_torque, now_s)
-        limited = np.minimum(self._torque_limit, assumed.sustained_torque)
-        self._torque_limit = np.where(lasting_s >= assumed.relieve_after_s, limited, self._torque_limit)
+        thresholds = self.guards.thresholds
+        lasting_s = self._loaded.lasting(np.abs(measured.load) > thresholds.sustained_torque, now_s)
+        limited = np.minimum(self._torque_limit, thresholds.sustained_torque)
+        self._torque_limit = np.where(lasting_s >= thresholds.relieve_after_s, limited, self._torque_limit)
 
     def _end_finished(self, measured: Measured, now_s: float) -> list[MotionEnded]:
         ended = []
@@ -378,7 +352,7 @@ class ArmController:
             self._torque_limit[columns] = self._full_torque[columns]
             return
         grip_torque = np.minimum(
-            self._full_torque[columns] * GRIP_TORQUE_SHARE, self.guards.assumptions.sustained_torque[columns]
+            self._full_torque[columns] * GRIP_TORQUE_SHARE, self.guards.thresholds.sustained_torque[columns]
         )
         self._torque_limit[columns] = np.minimum(self._torque_limit[columns], grip_torque)
         position = gripped.position_rad[columns]
@@ -388,12 +362,9 @@ class ArmController:
         self.guards.restart()
 
     def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
-        """React to a fault: latch it, or yield.
+        """React to a fault: latch it, or yield; return the ends of motions.
 
         A latched fault is replaced only by one that takes torque off.
-
-        Returns:
-            Ends of the motions that it ends.
         """
         if self.fault is None or (found.code in RELAXING and self.fault.code not in RELAXING):
             return self.latch(found, measured)
@@ -423,7 +394,7 @@ class ArmController:
 
     def _yield_to(self, measured: Measured) -> None:
         """Move the held goal to the measured position of each joint that stalls, or rests far from its goal."""
-        yielding = np.abs(measured.position_rad - self._goal_rad) > self.guards.assumptions.goal_tolerance_rad
+        yielding = np.abs(measured.position_rad - self._goal_rad) > self.guards.thresholds.goal_tolerance_rad
         for motion in self._braking:
             # A joint on its way is behind its goal for no other reason.
             yielding[motion.columns] = False

@@ -15,15 +15,9 @@ from robot.trajectory import Vector
 class ControlCycle:
     """Control cycle on open hardware.
 
-    Args:
-        hardware: the arm's actuators.
-        clock: time of the control loop [s].
-
     Attributes:
-        hardware: as given.
         controller: controller of the arm; None until the actuators were surveyed.
         measured: latest readings; None until every joint has answered.
-        errors: errors of the actuators since the hardware was opened.
     """
 
     def __init__(self, hardware: HardwareInterface, clock: Callable[[], float]) -> None:
@@ -35,14 +29,7 @@ class ControlCycle:
         self._writing = True
 
     def tick(self) -> list[MotionEnded]:
-        """Read the joints, update the controller, and write the goals.
-
-        Returns:
-            Ends of the motions that this tick ended.
-
-        Raises:
-            PortLost: the port is gone.
-        """
+        """Read the joints, update the controller, and write the goals; return the ends of motions."""
         measured = self.hardware.read()
         self.measured = measured
         controller = self.controller
@@ -51,21 +38,17 @@ class ControlCycle:
         if controller is None or measured is None:
             return []
         ended = controller.step(measured, self._clock())
-        if controller.driven and self._writing:
+        if controller.torque_enabled and self._writing:
             self.hardware.write_goals(controller.goal_rad)
             self.hardware.write_torque_shares(controller.torque_limit)
         fault = self.hardware.check(measured.stamp_s)
-        if fault is not None and controller.driven:
+        if fault is not None and controller.torque_enabled:
             self.errors.add_finding(fault, self._clock())
             ended += controller.react(fault, measured)
         return ended
 
     def hold(self, goal_rad: Vector) -> None:
-        """Let the controller hold at goals that were written at full torque; goals far from the arm return to it.
-
-        Args:
-            goal_rad: goals of all joints, shape (joints,) [rad].
-        """
+        """Let the controller hold at goals that were written at full torque; goals far from the arm return to it."""
         if self.controller is not None:
             self.controller.hold(goal_rad, self.measured)
 

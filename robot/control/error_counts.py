@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from robot.advice import Complaint
+from robot.advice import ServoAlert
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Measured, status_names
 
@@ -14,8 +14,8 @@ SAME_ERROR_S = 5.0
 
 # Findings of register checks that are counted.
 _FOUND = {
-    FaultCode.SERVO_REBOOTED: Complaint.SERVO_REBOOTED,
-    FaultCode.TORQUE_LOST: Complaint.TORQUE_LOST,
+    FaultCode.SERVO_REBOOTED: ServoAlert.SERVO_REBOOTED,
+    FaultCode.TORQUE_LOST: ServoAlert.TORQUE_LOST,
 }
 
 
@@ -24,9 +24,6 @@ class ErrorCounts:
 
     Status flags count each time they come up; a servo that was found rebooted or relaxed counts once until it is sound
     again.
-
-    Args:
-        joint_names: order of every array.
     """
 
     def __init__(self, joint_names: Sequence[str]) -> None:
@@ -45,18 +42,13 @@ class ErrorCounts:
         self._status = status
 
     def add_finding(self, fault: Fault, now_s: float) -> None:
-        """Count what a register check has found.
-
-        Args:
-            fault: its finding.
-            now_s: time of the control loop [s].
-        """
-        complaint, joint = _FOUND.get(fault.code), self._joints.get(fault.joint)
-        if complaint is None or joint is None:
+        """Count what a register check has found."""
+        alert, joint = _FOUND.get(fault.code), self._joints.get(fault.joint)
+        if alert is None or joint is None:
             return
         last_s = self._found_s.get(fault.joint)
         if last_s is None or now_s - last_s > SAME_ERROR_S:
-            self._counts[joint][complaint.value] += 1
+            self._counts[joint][alert.value] += 1
         self._found_s[fault.joint] = now_s
 
     def of(self, joint: int) -> Mapping[str, int]:

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot.control.assumptions import Assumptions
+from robot.advice import ServoAlert, ServoWarning
+from robot.control.actuator_thresholds import ActuatorThresholds
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Actuation, Flags, Measured, StatusFlag, status_names
+from robot.hardware.interface import JUMP_RAD, Actuation, Flags, Measured, StatusFlag, status_names
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
-# A joint is stalled when it is far behind its goal, near its torque limit or drawing much current, and all but standing
-# still (60 ticks of an STS3215, and 30 a second).
+# A joint is stalled when it is far behind its goal (5 deg), near its torque limit or drawing much current, and all but
+# standing still (3 deg/s).
 STALL_ERROR_RAD = 0.092
 STALL_SPEED_RAD_S = 0.046
 STALL_LOAD_SHARE = 0.8
@@ -24,9 +25,6 @@ ALL_SILENT_AFTER_S = 0.03
 # Longer than the voltage dip of a starting motor.
 LOW_VOLTAGE_TIME_S = 0.2
 VOLTAGE_BIT_TIME_S = 2.0
-
-# Register MAX_VOLTAGE of a new 7.4 V servo.
-DEFAULT_MAX_VOLTAGE_V = 8.0
 
 _STATUS_FAULTS = (
     (StatusFlag.TEMPERATURE, FaultCode.OVERHEATED),
@@ -45,7 +43,7 @@ _SENTENCES = {
     FaultCode.BUS_SILENT: "no servo has answered for {age_s:.2f} s",
     FaultCode.VOLTAGE_LOW: "joint {name} has {volts:.1f} V; it needs {least_volts:g} V at least",
     FaultCode.VOLTAGE_HIGH: "joint {name} has {volts:.1f} V, above the {most_volts:.1f} V of its servo",
-    FaultCode.STALLED: "joint {name} pushes in vain, {error_rad:.2f} rad short of its goal",
+    FaultCode.STALLED: "joint {name} is stalled, {error_rad:.2f} rad short of its goal",
     FaultCode.TRACKING_LOST: "joint {name} is {error_rad:.2f} rad behind its goal: blocked, or too weak for the load",
 }
 
@@ -60,21 +58,17 @@ class Temperatures:
 
 
 class Persistence:
-    """Timer of a condition for each joint.
-
-    Args:
-        joints: number of joints.
-    """
+    """Timer of a condition for each joint."""
 
     def __init__(self, joints: int) -> None:
         self._never = np.full(joints, np.inf)
         self._since_s = self._never
 
     def lasting(self, condition: Flags, now_s: float) -> Vector:
-        """Update with the condition of each joint, shape (joints,).
+        """Update with the condition of each joint, and return for how long it has held.
 
         Returns:
-            Time for which it has held without a break, -inf where it does not hold, shape (joints,) [s].
+            Time without a break, -inf where the condition does not hold, shape (joints,) [s].
         """
         if not condition.any():
             self._since_s = self._never
@@ -87,15 +81,10 @@ class Guards:
     """Guards of one arm.
 
     Args:
-        joint_names: order of every array.
-        temperatures: thresholds of warnings and faults.
-        max_voltage_v: register MAX_VOLTAGE of each servo, shape (joints,) [V]; None for that of a new servo.
-        limits: thresholds of the other faults.
-        assumptions: what follows from the servos' settings; None for servos without any.
+        max_voltage_v: highest supply of each servo, shape (joints,) [V]; None for servos without such a limit.
+        thresholds: what follows from the servos' settings; None for servos without any.
 
     Attributes:
-        limits: as given.
-        assumptions: as given.
         stalled: joints that push without moving, shape (joints,).
         lost: joints that are too far behind their goals, shape (joints,).
     """
@@ -106,7 +95,7 @@ class Guards:
         temperatures: Temperatures | None = None,
         max_voltage_v: Vector | None = None,
         limits: GuardLimits | None = None,
-        assumptions: Assumptions | None = None,
+        thresholds: ActuatorThresholds | None = None,
     ) -> None:
         self._names = joint_names
         self._temperatures = temperatures or Temperatures()
@@ -114,8 +103,10 @@ class Guards:
         # No joint nearer to its goal can be stalled or lost.
         self._near_goal_rad = min(STALL_ERROR_RAD, self.limits.tracking_error_rad)
         joints = len(joint_names)
-        self.assumptions = assumptions or Assumptions.of(self.limits, Actuation.unprotected(joints), np.ones(joints))
-        self._max_voltage_v = np.full(joints, DEFAULT_MAX_VOLTAGE_V) if max_voltage_v is None else max_voltage_v
+        self.thresholds = thresholds or ActuatorThresholds.of(
+            self.limits, Actuation.unprotected(joints), np.ones(joints)
+        )
+        self._max_voltage_v = np.full(joints, np.inf) if max_voltage_v is None else max_voltage_v
         self._none: Flags = np.zeros(joints, dtype=bool)
         self._last: tuple[Measured, float] | None = None
         self.restart()
@@ -137,10 +128,7 @@ class Guards:
         """Check one tick's readings; sets :attr:`stalled` and :attr:`lost`.
 
         Args:
-            goal_rad: goals of the joints, shape (joints,) [rad].
-            measured: readings of the joints.
             torque_limit: share of full duty that each may use, shape (joints,).
-            now_s: monotonic time [s].
             yielding: joints for which a stall is no fault, shape (joints,); None for none.
 
         Returns:
@@ -152,7 +140,7 @@ class Guards:
                 self.restart()
             return self._silence_fault(goal_rad, measured)
         self._fresh = False
-        jumped = self._none if last is None else _jumped(measured, now_s, *last)
+        jumped = self._none if last is None else self._jumped(measured, now_s, *last)
         self._check_errors(goal_rad, measured, torque_limit, now_s)
         resisting = self._none if yielding is None else yielding
         status_faults = _STATUS_FAULTS if measured.status.any() else ()
@@ -170,18 +158,19 @@ class Guards:
                 return self._fault(code, flags, goal_rad, measured)
         return None
 
-    def warnings(self, measured: Measured, joint: int) -> tuple[str, ...]:
-        """Return the warnings about one joint, a sentence each."""
-        said = []
-        if measured.temperature_c[joint] >= self._temperatures.slow_c:
-            said.append(f"motions run at half speed at {measured.temperature_c[joint]:.0f} degC")
-        elif measured.temperature_c[joint] >= self._temperatures.warn_c:
-            said.append(f"warm: {measured.temperature_c[joint]:.0f} degC")
-        if names := status_names(int(measured.status[joint])):
-            said.append(f"the servo complains of {', '.join(names)}")
-        if measured.age_s[joint] > self.limits.silent_after_s:
-            said.append(f"no answer for {measured.age_s[joint]:.1f} s")
-        return tuple(said)
+    def warnings(self, measured: Measured, joint: int) -> tuple[ServoWarning, ...]:
+        """Return the warnings about one joint."""
+        warnings = []
+        temperature_c, age_s = measured.temperature_c[joint], measured.age_s[joint]
+        if temperature_c >= self._temperatures.slow_c:
+            warnings.append(ServoWarning(ServoAlert.SLOWED, f"motions run at half speed at {temperature_c:.0f} degC"))
+        elif temperature_c >= self._temperatures.warn_c:
+            warnings.append(ServoWarning(ServoAlert.WARM, f"warm: {temperature_c:.0f} degC"))
+        flags = status_names(int(measured.status[joint]))
+        warnings += [ServoWarning(ServoAlert(name), f"the servo complains of {name}") for name in flags]
+        if age_s > self.limits.silent_after_s:
+            warnings.append(ServoWarning(ServoAlert.NO_ANSWER, f"no answer for {age_s:.1f} s"))
+        return tuple(warnings)
 
     def _unremarkable(self, goal_rad: Vector, measured: Measured, before: Measured) -> bool:
         """Return True when only silence can be a fault: nothing else is one, or would be one if it lasted.
@@ -197,6 +186,12 @@ class Guards:
             and not any(volts < self.limits.min_voltage_v for volts in measured.voltage_v.tolist())
         )
 
+    def _jumped(self, measured: Measured, now_s: float, before: Measured, before_s: float) -> Flags:
+        """Find the joints that cannot have turned from their last reading to this one in the time between."""
+        gap_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
+        way_rad = np.abs(measured.position_rad - before.position_rad)
+        return np.asarray(way_rad > JUMP_RAD + self.thresholds.free_speed_rad_s * gap_s)
+
     def _silence_fault(self, goal_rad: Vector, measured: Measured) -> Fault | None:
         """Return the fault of silent servos, the same object while the same servos are silent."""
         silent = [age_s > self.limits.silent_after_s for age_s in measured.age_s.tolist()]
@@ -210,7 +205,7 @@ class Guards:
         return np.asarray(measured.age_s > self.limits.silent_after_s)
 
     def _check_errors(self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> None:
-        """Find the joints that are stalled, and those too far behind their goals."""
+        """Find the joints that are stalled, and the joints too far behind their goals."""
         error = np.abs(measured.position_rad - goal_rad)
         self.stalled = self._stalling(error, measured, torque_limit, now_s)
         lost_s = self._behind.lasting(error > self.limits.tracking_error_rad, now_s)
@@ -221,10 +216,10 @@ class Guards:
         if not far.any():
             return self._pushing.lasting(far, now_s) > 0.0
         loaded = np.abs(measured.load) > STALL_LOAD_SHARE * torque_limit
-        pushing = loaded | (np.abs(measured.current_a) > self.assumptions.stall_current_a)
+        pushing = loaded | (np.abs(measured.current_a) > self.thresholds.stall_current_a)
         standing = np.abs(measured.velocity_rad_s) < STALL_SPEED_RAD_S
         lasting_s = self._pushing.lasting(far & pushing & standing, now_s)
-        return np.asarray(lasting_s >= self.assumptions.stall_time_s)
+        return np.asarray(lasting_s >= self.thresholds.stall_time_s)
 
     def _badly_supplied(self, measured: Measured, now_s: float) -> Flags:
         low, flagged = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusFlag.VOLTAGE != 0
@@ -251,10 +246,3 @@ class Guards:
             least_volts=self.limits.min_voltage_v,
         )
         return Fault(code, sentence, "" if code is FaultCode.BUS_SILENT else self._names[joint], measured.stamp_s)
-
-
-def _jumped(measured: Measured, now_s: float, before: Measured, before_s: float) -> Flags:
-    """Find the joints that cannot have turned from their last reading to this one in the time between."""
-    gap_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
-    way_rad = np.abs(measured.position_rad - before.position_rad)
-    return np.asarray(way_rad > JUMP_RAD + FREE_SPEED_RAD_S * gap_s)

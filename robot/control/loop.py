@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
 from robot.control.checks import checked
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling, become_punctual
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling, enter_realtime
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
@@ -27,38 +27,31 @@ class HardwareSource(Protocol):
     """Source of hardware, which can be opened again when it was lost."""
 
     def open(self) -> HardwareInterface:
-        """Open the hardware.
-
-        Raises:
-            RobotError: it is missing or cannot be used.
-        """
+        """Open the hardware; raise a RobotError when it is missing or cannot be used."""
 
 
 def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
     """Build the source of an arm's hardware; a back end's libraries are imported only where it is used.
 
-    Args:
-        config: configuration of the arm.
-        clock: time of the control loop.
-
-    Raises:
-        OSError: the log or the control socket of emulated servos cannot be created.
+    Raises OSError when the log or the control socket of emulated servos cannot be created.
     """
     joint_names = config.hardware.joint_names(config.robot)
     bounds = JointBounds.of(config.robot, joint_names)
     match config.hardware:
         case FeetechConfig():
-            from robot.hardware.feetech.hardware import SerialServos
+            from robot.hardware.feetech.family import Feetech
+            from robot.hardware.servos.hardware import SerialServos
 
-            return SerialServos(config.hardware, bounds, config.guard_limits, clock)
+            return SerialServos(Feetech(config.hardware.profile), config.hardware, bounds, config.guard_limits, clock)
         case EmulatedConfig():
             from robot.emulator.in_process import EmulatedServos
 
             return EmulatedServos(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case DynamixelConfig():
-            from robot.hardware.dynamixel.hardware import SerialDynamixels
+            from robot.hardware.dynamixel.family import Dynamixel
+            from robot.hardware.servos.hardware import SerialServos
 
-            return SerialDynamixels(config.hardware, bounds, config.guard_limits, clock)
+            return SerialServos(Dynamixel(), config.hardware, bounds, config.guard_limits, clock)
         case EmulatedDynamixelConfig():
             from robot.emulator.dynamixel.in_process import EmulatedDynamixels
 
@@ -74,13 +67,7 @@ STEP_ROOM_S = 0.002
 
 
 class ArmLoop:
-    """Control loop of one arm.
-
-    Args:
-        channel: channel to the server.
-        config: hardware, limits and policies of the arm.
-        scheduling: protection of the ticks against the rest of the machine.
-    """
+    """Control loop of one arm."""
 
     def __init__(self, channel: Channel, config: ArmConfig, scheduling: Scheduling) -> None:
         self._channel = channel
@@ -105,11 +92,7 @@ class ArmLoop:
                 retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
 
     def _open(self) -> HardwareInterface:
-        """Open the hardware, and make its source before the first time.
-
-        Raises:
-            RobotError: it is missing or cannot be used.
-        """
+        """Open the hardware, and make its source before the first time."""
         if self._source is None:
             try:
                 self._source = hardware_source(self._config, self._clock)
@@ -118,11 +101,7 @@ class ArmLoop:
         return self._source.open()
 
     def _drive(self) -> None:
-        """Run ticks until the end.
-
-        Raises:
-            RobotError: the hardware is lost.
-        """
+        """Run ticks until the end."""
         pacer = Pacer(time.monotonic())
         while not self._supervisor.finished():
             skipped = self._between_ticks(pacer)
@@ -132,11 +111,7 @@ class ArmLoop:
             self._supervisor.tick(pacer, ticks=1 + skipped, server_gone=self._channel.closed)
 
     def _between_ticks(self, pacer: Pacer) -> int:
-        """Handle the server's messages, and do steps of orders, until the tick is due.
-
-        Returns:
-            Number of ticks that were skipped because the arm needed none; fewer when a message made it need them.
-        """
+        """Handle the server's messages, and do steps of orders, until the tick is due; return the skipped ticks."""
         skipped = self._supervisor.spare_ticks
         pacer.skip(skipped)
         if pacer.deadline_s - time.monotonic() <= STEP_ROOM_S:
@@ -153,7 +128,7 @@ class ArmLoop:
             else:
                 self._handle(self._channel.receive(idle_s))
             if (spare := self._supervisor.spare_ticks) < skipped:
-                pacer.hurry(skipped - spare, time.monotonic())
+                pacer.cancel_skip(skipped - spare, time.monotonic())
                 skipped = spare
         return skipped
 
@@ -185,11 +160,7 @@ def main() -> None:
 
 
 def run_forked(sock: socket.socket) -> None:
-    """Be the arm process of the server that has forked this one.
-
-    Args:
-        sock: this end of the channel.
-    """
+    """Be the arm process of the server that has forked this one."""
     leave_signals_to_server()
     channel = Channel(sock)
     send_log(channel, __name__)
@@ -197,14 +168,10 @@ def run_forked(sock: socket.socket) -> None:
 
 
 def run_arm(channel: Channel) -> None:
-    """Run an arm until its server ends it.
-
-    Args:
-        channel: channel to the server; the first message is the arm's configuration.
-    """
+    """Run an arm until its server ends it."""
     config = channel.receive_first()
     if config is not None:
-        ArmLoop(channel, checked(config), become_punctual()).run()
+        ArmLoop(channel, checked(config), enter_realtime()).run()
 
 
 if __name__ == "__main__":

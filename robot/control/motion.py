@@ -37,162 +37,6 @@ SAME_POSITION_RAD = 1e-6
 SAME_SPEED_RAD_S = 1e-4
 
 
-class Motion:
-    """Motion in progress.
-
-    Args:
-        command: accepted command.
-        names: the arm's joints, order of the controller's arrays.
-        bounds: limits of the joints.
-        limits: goal tolerance and settling time.
-        goal_tolerance_rad: tolerance of each of the arm's joints, shape (joints,) [rad]; None for that of ``limits``.
-        speed_limit: as of :meth:`limit_speed`.
-
-    Attributes:
-        command: as given.
-        columns: indices of its joints in the controller's arrays.
-        playback: its trajectory being played.
-    """
-
-    def __init__(
-        self,
-        command: Execute,
-        names: tuple[str, ...],
-        bounds: JointBounds,
-        limits: GuardLimits,
-        goal_tolerance_rad: Vector | None = None,
-        speed_limit: float = 1.0,
-    ) -> None:
-        self.command = command
-        self._limits = limits
-        self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.trajectory.joint_names])
-        wanted = np.full(len(names), limits.goal_tolerance_rad) if goal_tolerance_rad is None else goal_tolerance_rad
-        self._tolerance_rad = wanted[self.columns]
-        shares = command.trajectory.peak_speed_rad_s / bounds.max_velocity[self.columns]
-        self._peak_share = float(shares.max(initial=0.0))
-        self.limit_speed(speed_limit)
-        self.playback = Playback(command.trajectory, bounds.max_acceleration[self.columns], self._fastest)
-        self._end_reached_s: float | None = None
-        self._settled_ticks = 0
-
-    @property
-    def motion_id(self) -> int:
-        """Number of the motion, reported with its end."""
-        return self.command.motion_id
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joints that move."""
-        return self.command.trajectory.joint_names
-
-    @property
-    def start_rad(self) -> Vector:
-        """Start of its path, shape (joints,) [rad]."""
-        return self.command.trajectory.sample(0.0)[0]
-
-    @property
-    def reversible(self) -> bool:
-        """True while it can be played back to the start of its path."""
-        return not self.gripping and not self.playback.ending
-
-    @property
-    def at_start(self) -> bool:
-        """True at the start of its path."""
-        return self.playback.fraction == 0.0
-
-    @property
-    def gripping(self) -> bool:
-        """True when a stall on the way is a grip."""
-        return self.command.gripping
-
-    @property
-    def finished(self) -> bool:
-        """True when the goal no longer moves."""
-        return self.playback.finished
-
-    @property
-    def fraction(self) -> float:
-        """Share of the motion that is done, 0..1."""
-        return self.playback.fraction
-
-    @property
-    def remaining_s(self) -> float:
-        """Time to the end of the trajectory [s]."""
-        return self.playback.remaining_s
-
-    @property
-    def rate(self) -> float:
-        """Share of the planned speed at which it may be played now, 0 while it is paused."""
-        return min(abs(self.playback.pace), self.playback.ceiling)
-
-    def limit_speed(self, share: float) -> None:
-        """Play all of it so much slower that no joint is faster than a share of its velocity limit.
-
-        Args:
-            share: above 0 to 1; plans may exceed it as they may exceed the velocity limits, by VELOCITY_TOLERANCE.
-        """
-        planned = self._peak_share <= share * checks.VELOCITY_TOLERANCE
-        self._fastest = 1.0 if planned else share / self._peak_share
-
-    def stop(self) -> None:
-        """Begin to brake along the path."""
-        self.playback.stop()
-
-    def advance(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
-        """Advance by a time step.
-
-        Args:
-            elapsed_s: time step [s].
-            rate: wanted path time per time, below 0 to go back.
-            fastest: greatest rate allowed.
-
-        Returns:
-            Goals of its joints, shape (joints,) [rad].
-        """
-        self.playback.pace, self.playback.ceiling = rate, min(fastest, self._fastest)
-        return self.playback.advance(elapsed_s)
-
-    def ended(self, outcome: Outcome, message: str) -> MotionEnded:
-        """Return the motion's end."""
-        return MotionEnded(self.motion_id, outcome, message)
-
-    def end(self, goal_rad: Vector, position_rad: Vector, now_s: float) -> MotionEnded | None:
-        """Return the regular end, None while in progress: stopped, or settled at the goal, or not settled in time.
-
-        Args:
-            goal_rad: goals of all joints [rad].
-            position_rad: measured positions of all joints [rad].
-            now_s: monotonic time [s].
-        """
-        playback = self.playback
-        if not playback.finished:
-            return None
-        if not playback.completed:
-            return self.ended(Outcome.STOPPED, f"the arm stands at {playback.fraction:.0%} of the way")
-        if self._end_reached_s is None:
-            self._end_reached_s = now_s
-        error = np.abs(position_rad - goal_rad)[self.columns]
-        self._settled_ticks = self._settled_ticks + 1 if (error <= self._tolerance_rad).all() else 0
-        if self._settled_ticks >= SETTLED_TICKS:
-            return self.ended(Outcome.REACHED, "the arm is there")
-        if now_s - self._end_reached_s < self._limits.settle_timeout_s:
-            return None
-        return self._not_settled(error)
-
-    def _not_settled(self, error: Vector) -> MotionEnded:
-        worst = int(np.argmax(error - self._tolerance_rad))
-        name = self.command.trajectory.joint_names[worst]
-        if self.command.gripping:
-            return self.ended(
-                Outcome.GRIPPED, f"joint {name} holds something, {error[worst]:.3f} rad short of its goal"
-            )
-        message = (
-            f"joint {name} is still {error[worst]:.3f} rad from its goal {self._limits.settle_timeout_s:g} s after "
-            f"the end of the motion (tolerance {self._tolerance_rad[worst]:.2g} rad)"
-        )
-        return self.ended(Outcome.NOT_SETTLED, message)
-
-
 class Playback:
     """Trajectory being played.
 
@@ -201,9 +45,7 @@ class Playback:
     acceleration rate^2 * q''(s) + d(rate)/dt * q'(s).
 
     Args:
-        trajectory: trajectory to play.
         max_acceleration: limit of each of its joints, shape (joints,) [rad/s^2].
-        ceiling: fastest rate allowed, and that at the start.
 
     Attributes:
         ceiling: fastest rate allowed, in (0, 1].
@@ -247,12 +89,7 @@ class Playback:
         return max(self.trajectory.duration_s - self._path_time_s, 0.0) / rate
 
     def can_splice(self, other: Trajectory, from_s: float) -> bool:
-        """Return True when another trajectory has the same position and velocity now, and can replace this one.
-
-        Args:
-            other: trajectory of the same joints.
-            from_s: time on this one at which the other begins [s].
-        """
+        """Return True when a trajectory that begins at a time of this one [s] can replace it without a step now."""
         there_s = self._path_time_s - from_s
         if self._stopping or not 0.0 <= there_s < other.duration_s:
             return False
@@ -262,12 +99,7 @@ class Playback:
         return bool((near & (np.abs(velocity - other_velocity) <= SAME_SPEED_RAD_S)).all())
 
     def continue_from(self, former: Playback, from_s: float) -> None:
-        """Continue at the position and rate of another playback.
-
-        Args:
-            former: playback that this one replaces.
-            from_s: time on its trajectory at which this one's begins [s].
-        """
+        """Continue at position and rate of a playback on whose trajectory this one's begins at ``from_s`` [s]."""
         self._path_time_s = former._path_time_s - from_s
         self._rate = former._rate
 
@@ -301,12 +133,7 @@ class Playback:
             self._rate = 0.0
 
     def _largest_change(self, elapsed_s: float, direction: float) -> float:
-        """Return the fastest change of the rate that all joints' acceleration limits allow in this tick [1/s].
-
-        Args:
-            elapsed_s: time step [s].
-            direction: 1 to raise the rate, -1 to lower it.
-        """
+        """Return the fastest change of the rate, up (1) or down (-1), within all acceleration limits [1/s]."""
         fastest = STANDSTILL_BRAKING
         # The path's own acceleration may change within the tick, as where a joint begins to slow down.
         for path_time_s in (self._path_time_s, self._path_time_s + self._rate * elapsed_s):
@@ -319,6 +146,128 @@ class Playback:
         return fastest
 
 
+class Motion(Playback):
+    """Motion in progress: the playback of a command until its joints have settled or stopped.
+
+    Args:
+        goal_tolerance_rad: tolerance of each of the arm's joints, shape (joints,) [rad]; None for that of ``limits``.
+
+    Attributes:
+        columns: indices of its joints in the controller's arrays.
+    """
+
+    def __init__(
+        self,
+        command: Execute,
+        names: tuple[str, ...],
+        bounds: JointBounds,
+        limits: GuardLimits,
+        goal_tolerance_rad: Vector | None = None,
+        speed_limit: float = 1.0,
+    ) -> None:
+        self.command = command
+        self._limits = limits
+        self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.trajectory.joint_names])
+        wanted = np.full(len(names), limits.goal_tolerance_rad) if goal_tolerance_rad is None else goal_tolerance_rad
+        self._tolerance_rad = wanted[self.columns]
+        shares = command.trajectory.peak_speed_rad_s / bounds.max_velocity[self.columns]
+        self._peak_share = float(shares.max(initial=0.0))
+        self.limit_speed(speed_limit)
+        super().__init__(command.trajectory, bounds.max_acceleration[self.columns], self._fastest)
+        self._end_reached_s: float | None = None
+        self._settled_ticks = 0
+
+    @property
+    def motion_id(self) -> int:
+        """Number of the motion, reported with its end."""
+        return self.command.motion_id
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joints that move."""
+        return self.trajectory.joint_names
+
+    @property
+    def start_rad(self) -> Vector:
+        """Start of its path, shape (joints,) [rad]."""
+        return self.trajectory.sample(0.0)[0]
+
+    @property
+    def reversible(self) -> bool:
+        """True while it can be played back to the start of its path."""
+        return not self.gripping and not self.ending
+
+    @property
+    def at_start(self) -> bool:
+        """True at the start of its path."""
+        return self.fraction == 0.0
+
+    @property
+    def gripping(self) -> bool:
+        """True when a stall on the way is a grip."""
+        return self.command.gripping
+
+    @property
+    def rate(self) -> float:
+        """Share of the planned speed at which it may be played now, 0 while it is paused."""
+        return min(abs(self.pace), self.ceiling)
+
+    def limit_speed(self, share: float) -> None:
+        """Play all of it so much slower that no joint is faster than a share of its velocity limit.
+
+        Args:
+            share: above 0 to 1; plans may exceed it as they may exceed the velocity limits, by VELOCITY_TOLERANCE.
+        """
+        planned = self._peak_share <= share * checks.VELOCITY_TOLERANCE
+        self._fastest = 1.0 if planned else share / self._peak_share
+
+    def step(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
+        """Advance by a time step, and return the goals of its joints, shape (joints,) [rad].
+
+        Args:
+            rate: wanted path time per time, below 0 to go back.
+            fastest: greatest rate allowed.
+        """
+        self.pace, self.ceiling = rate, min(fastest, self._fastest)
+        return self.advance(elapsed_s)
+
+    def ended(self, outcome: Outcome, message: str) -> MotionEnded:
+        """Return the motion's end."""
+        return MotionEnded(self.motion_id, outcome, message)
+
+    def end(self, goal_rad: Vector, position_rad: Vector, now_s: float) -> MotionEnded | None:
+        """Return the regular end, None while in progress: stopped, or settled at the goal, or not settled in time.
+
+        Goals and measured positions are those of all joints of the arm [rad].
+        """
+        if not self.finished:
+            return None
+        if not self.completed:
+            return self.ended(Outcome.STOPPED, f"the arm stands at {self.fraction:.0%} of the way")
+        if self._end_reached_s is None:
+            self._end_reached_s = now_s
+        error = np.abs(position_rad - goal_rad)[self.columns]
+        self._settled_ticks = self._settled_ticks + 1 if (error <= self._tolerance_rad).all() else 0
+        if self._settled_ticks >= SETTLED_TICKS:
+            return self.ended(Outcome.REACHED, "the arm is there")
+        if now_s - self._end_reached_s < self._limits.settle_timeout_s:
+            return None
+        return self._not_settled(error)
+
+    def _not_settled(self, error: Vector) -> MotionEnded:
+        worst = int(np.argmax(error - self._tolerance_rad))
+        name = self.joint_names[worst]
+        if self.gripping:
+            return self.ended(
+                Outcome.GRIPPED, f"joint {name} holds something, {error[worst]:.3f} rad short of its goal"
+            )
+        message = (
+            f"joint {name} is still {error[worst]:.3f} rad from its goal {self._limits.settle_timeout_s:g} s after "
+            f"the end of the motion (tolerance {self._tolerance_rad[worst]:.2g} rad)"
+        )
+        return self.ended(Outcome.NOT_SETTLED, message)
+
+
 def splice_refusal(
     motions: Iterable[Motion | Streaming],
     command: Execute,
@@ -326,42 +275,26 @@ def splice_refusal(
     bounds: JointBounds,
     goal_rad: Vector,
 ) -> str:
-    """Check a motion that replaces another one; return the reason to refuse it, empty for none.
-
-    Args:
-        motions: motions in progress.
-        command: command with a continuation.
-        names: the arm's joints, order of the arrays.
-        bounds: limits of the joints.
-        goal_rad: goals of the latest tick, shape (joints,) [rad].
-    """
+    """Check a motion that replaces another one; return the reason to refuse it, empty for none."""
     former, continues = _former(motions, command), command.continues
     if former is None or continues is None:
         return "the motion whose place it should take is not in progress"
     if command.trajectory.joint_names != former.joint_names or command.gripping or former.gripping:
         return f"motion {former.motion_id} is one of other joints, or a grip: none can take its place"
     begins_rad = goal_rad.copy()
-    begins_rad[former.columns] = former.playback.trajectory.sample(continues.from_s)[0]
+    begins_rad[former.columns] = former.trajectory.sample(continues.from_s)[0]
     reason = checks.refusal(command.trajectory, names, bounds, begins_rad, in_motion=True)
-    if reason or former.playback.can_splice(command.trajectory, continues.from_s):
+    if reason or former.can_splice(command.trajectory, continues.from_s):
         return reason
     return f"motion {former.motion_id} is no longer where another could take its place"
 
 
 def splice(motions: MutableSequence[Motion | Streaming], motion: Motion) -> MotionEnded | None:
-    """Replace the motion that an accepted one continues, if it continues one.
-
-    Args:
-        motions: motions in progress; the replaced one is removed.
-        motion: accepted motion; it continues where the replaced one is.
-
-    Returns:
-        End of the replaced motion; None for a motion that begins at rest.
-    """
+    """Put an accepted motion in the place of the motion that it continues; return the end of the latter, if any."""
     former, continues = _former(motions, motion.command), motion.command.continues
     if former is None or continues is None:
         return None
-    motion.playback.continue_from(former.playback, continues.from_s)
+    motion.continue_from(former, continues.from_s)
     motions.remove(former)
     return former.ended(Outcome.STOPPED, f"motion {motion.motion_id} takes its place")
 

@@ -1,4 +1,4 @@
-"""Orders to the arm: sequences of steps, each of which returns a sentence or raises a RobotError."""
+"""Orders to the arm: sequences that return a sentence or raise a RobotError."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot.calibration import Calibration
-from robot.control.assumptions import Assumptions
+from robot.control.actuator_thresholds import ActuatorThresholds
 from robot.control.controller import ArmController
 from robot.control.cycle import ControlCycle
 from robot.control.guards import Guards, Temperatures
@@ -18,7 +18,7 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Measured, StatusFlag, Steps, Survey, status_names
 from robot.messages import ArmConfig, EmergencyPolicy, MotionEnded
 
-# Polling of what only ticks can change: first readings, and the end of motions that brake.
+# Polling of conditions that only ticks change: first readings, and the end of motions that brake.
 POLL_S = 0.01
 POLLS = 200
 
@@ -35,8 +35,6 @@ class Orders:
     """Orders to one arm on open hardware.
 
     Args:
-        arm: control cycle of the arm.
-        config: limits and policies of the arm.
         fault: fault latched before this hardware was opened.
         report: called with the motions that an order ends.
     """
@@ -56,11 +54,7 @@ class Orders:
         return self._early_fault if self._arm.controller is None else self._arm.controller.fault
 
     def connect(self, *, may_enable: bool) -> Steps[str]:
-        """Survey the actuators, take over those that hold, and enable the arm where permitted.
-
-        Args:
-            may_enable: True to enable an arm that is relaxed.
-        """
+        """Survey the actuators, take over the holding ones, and enable the arm where permitted."""
         hardware = self._arm.hardware
         found = yield from hardware.survey()
         measured = yield from self._first_readings()
@@ -94,8 +88,8 @@ class Orders:
         hardware, config = self._arm.hardware, self._config
         silent_after_s = max(config.guard_limits.silent_after_s, SILENT_REPLIES * found.reply_latency_s)
         limits = replace(config.guard_limits, silent_after_s=silent_after_s)
-        assumptions = Assumptions.of(limits, found.actuation, hardware.full_torque)
-        guards = Guards(hardware.joint_names, self._temperatures, found.max_voltage_v, limits, assumptions)
+        thresholds = ActuatorThresholds.of(limits, found.actuation, hardware.full_torque)
+        guards = Guards(hardware.joint_names, self._temperatures, found.max_voltage_v, limits, thresholds)
         controller = ArmController(
             hardware.joint_names,
             found.bounds,
@@ -119,7 +113,7 @@ class Orders:
         controller = self._controller()
         if controller.fault is not None:
             raise OrderRefused(f"the arm has a fault: {controller.fault}")
-        if controller.driven:
+        if controller.torque_enabled:
             return "the arm is enabled already"
         try:
             yield from self._enable(range(len(self._arm.hardware.joint_names)))
@@ -133,7 +127,7 @@ class Orders:
         controller, hardware = self._controller(), self._arm.hardware
         controller.stop()
         yield from self._until_rest(controller)
-        if controller.driven:
+        if controller.torque_enabled:
             controller.release()
             left = yield from hardware.relax(controller.torque_limit)
         else:
@@ -151,7 +145,7 @@ class Orders:
     def emergency_stop(self) -> Steps[str]:
         """Stop at once by the configured policy; torque is cut with the first step."""
         controller = self._arm.controller
-        if self._config.on_emergency_stop is EmergencyPolicy.HOLD and (controller is None or controller.driven):
+        if self._config.on_emergency_stop is EmergencyPolicy.HOLD and (controller is None or controller.torque_enabled):
             self._latch(FaultCode.EMERGENCY_STOP, "emergency stop: the arm holds where it is")
             return "the arm holds where it is"
         if controller is not None:
@@ -177,23 +171,19 @@ class Orders:
         yield POLL_S
         self._check_causes(fault)
         on = [joint for joint, flag in enumerate(driven.tolist()) if flag]
-        if controller.driven and on:
+        if controller.torque_enabled and on:
             yield from self._enable(range(len(hardware.joint_names)))
         else:
             controller.release()
             self._check_all_off((yield from hardware.switch_off(on)), fault.code)
         controller.reset()
-        return "the arm holds" if controller.driven else "the arm is relaxed"
+        return "the arm holds" if controller.torque_enabled else "the arm is relaxed"
 
     def write_calibration(self, calibration: Calibration | None) -> Steps[str]:
-        """Write a calibration into the servos of a relaxed arm; its readings then differ from this process's.
-
-        Args:
-            calibration: the calibration, of the same servos.
-        """
+        """Write a calibration into the servos of a relaxed arm; its readings then differ from this process's."""
         if calibration is None:
             raise OrderRefused("there is no calibration to write")
-        if self._controller().driven:
+        if self._controller().torque_enabled:
             raise OrderRefused("the arm holds, and a new homing offset would move its goals: relax it first")
         return (yield from self._arm.hardware.write_calibration(calibration))
 
@@ -214,7 +204,7 @@ class Orders:
         if not overloaded:
             return
         with self._arm.writing_paused():
-            goal_rad = yield from self._arm.hardware.clear_overloads(overloaded, hold=controller.driven)
+            goal_rad = yield from self._arm.hardware.clear_overloads(overloaded, hold=controller.torque_enabled)
             if goal_rad is not None:
                 self._arm.hold(goal_rad)
 

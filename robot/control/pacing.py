@@ -34,15 +34,12 @@ MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 # not: 180 MB at its start, of which it uses 36.
 MIN_LOCKABLE_BYTES = 1 << 30
 
-# Far above the rounding of monotonic times in periods, far below what anything could notice.
+# Far above the rounding of monotonic times in periods, far below any visible effect.
 ROUNDING = 1e-9
 
 
 class Pacer:
     """Pacer with absolute deadlines; a missed tick is skipped, never made up for.
-
-    Args:
-        now_s: monotonic time [s].
 
     Attributes:
         deadline_s: monotonic time at which the next tick is due [s].
@@ -64,7 +61,7 @@ class Pacer:
         """Postpone the next tick by a number of periods."""
         self.deadline_s += ticks * PERIOD_S
 
-    def hurry(self, ticks: int, now_s: float) -> None:
+    def cancel_skip(self, ticks: int, now_s: float) -> None:
         """Undo :meth:`skip`; a tick that would have been due meanwhile is due now, and not late."""
         self.deadline_s = max(self.deadline_s - ticks * PERIOD_S, now_s)
 
@@ -83,18 +80,13 @@ def percentiles(values_s: Iterable[float]) -> tuple[float, float, float]:
 
 
 class Scheduling(NamedTuple):
-    """Protection of the loop's ticks against the rest of the machine.
-
-    Attributes:
-        real_time: True if the process has real-time priority.
-        memory_locked: True if its memory cannot be swapped out.
-    """
+    """Protection of the loop's ticks against the rest of the machine."""
 
     real_time: bool = False
     memory_locked: bool = False
 
 
-def become_punctual() -> Scheduling:
+def enter_realtime() -> Scheduling:
     """Request real-time priority, and with it locked memory, and switch garbage collection off.
 
     A collection in the middle of a motion would delay ticks; the loop makes no reference cycles.

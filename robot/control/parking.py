@@ -14,7 +14,7 @@ import numpy as np
 
 from robot.control.controller import ArmController
 from robot.control.motion import Motion
-from robot.messages import PARKING_TIMEOUT_S, ChangePace, Course, Execute, MotionEnded, Outcome, ParkingPlan
+from robot.messages import PARKING_TIMEOUT_S, ChangePace, Execute, MotionEnded, Outcome, ParkingPlan, PlaybackDirection
 from robot.trajectory import Vector
 
 log = logging.getLogger("armbridge.arm")
@@ -23,7 +23,7 @@ log = logging.getLogger("armbridge.arm")
 # differ by rounding alone.
 START_TOLERANCE_RAD = 0.01
 
-# Number of the parking motion; those of the server begin at 1.
+# Number of the parking motion; the server numbers its motions from 1.
 PARKING_MOTION = 0
 
 
@@ -38,11 +38,7 @@ class Stage(Enum):
 
 
 class Parking:
-    """Parking of one arm.
-
-    Args:
-        joint_names: the arm's joints, order of the controller's arrays.
-    """
+    """Parking of one arm."""
 
     def __init__(self, joint_names: tuple[str, ...]) -> None:
         self._names = joint_names
@@ -63,7 +59,7 @@ class Parking:
         return self._stage is Stage.OVER
 
     def keep(self, plan: ParkingPlan | None) -> None:
-        """Keep a trajectory in place of the one before; None when that became invalid."""
+        """Keep a trajectory in place of the former; None when the former became invalid."""
         self._plan = plan
 
     def reset(self, controller: ArmController) -> None:
@@ -74,25 +70,14 @@ class Parking:
         self._stage = Stage.NOT_BEGUN
 
     def give_up(self, controller: ArmController, reason: str) -> None:
-        """Brake, and have the arm relaxed; do nothing when parking is over.
-
-        Args:
-            controller: controller of the arm.
-            reason: sentence for the log.
-        """
+        """Brake, and have the arm relaxed; do nothing when parking is over."""
         if self._stage is not Stage.OVER:
             log.warning("parking: %s; the arm is relaxed where it is", reason)
             controller.stop()
             self._stage = Stage.OVER
 
     def advance(self, controller: ArmController, now_s: float, *, may_move: bool) -> None:
-        """Do what is next; called once a tick.
-
-        Args:
-            controller: controller of the arm.
-            now_s: time of the control loop [s].
-            may_move: False to brake only, because the server may come back.
-        """
+        """Take the next step, once a tick; only brake while ``may_move`` is False, because the server may come back."""
         if self._stage is Stage.NOT_BEGUN:
             self._brake(controller)
         if self._stage is Stage.BRAKING and may_move:
@@ -122,25 +107,25 @@ class Parking:
         self._stage = Stage.BRAKING
         self._refusal = self._no_way_back(controller) if controller.moving else ""
         if controller.moving and not self._refusal:
-            controller.change_pace(ChangePace(course=Course.PAUSED))
+            controller.change_pace(ChangePace(direction=PlaybackDirection.PAUSED))
         else:
             controller.stop()
 
     def _begin(self, controller: ArmController) -> None:
-        if not controller.driven:
+        if not controller.torque_enabled:
             self._stage = Stage.OVER
         elif self._refusal:
             self.give_up(controller, self._refusal)
         elif controller.moving:
             log.warning("parking: the arm goes back along its path to where the motion began")
-            controller.change_pace(ChangePace(course=Course.BACK))
+            controller.change_pace(ChangePace(direction=PlaybackDirection.BACK))
             self._stage = Stage.GOING_BACK
         else:
             self._park(controller)
 
     def _no_way_back(self, controller: ArmController) -> str:
         """Return the reason why the motions in progress cannot be played back to the parking start, empty for none."""
-        if controller.pace.course is Course.PAUSED or controller.pace.speed_factor == 0.0:
+        if controller.pace.direction is PlaybackDirection.PAUSED or controller.pace.speed_factor == 0.0:
             return "the motion is paused"
         start_rad = controller.goal_rad.copy()
         for motion in controller.motions:

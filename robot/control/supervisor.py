@@ -9,17 +9,17 @@ arm's state many times a second and its health once a second.
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot.control.controller import RELAXING
+from robot.control.controller import RELAXING, ArmController
 from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling, percentiles
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.parking import Parking
+from robot.control.reports import arm_health, arm_state, disconnected
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
 from robot.hardware.clock import LoopClock
@@ -32,7 +32,6 @@ from robot.messages import (
     PARKING_TIMEOUT_S,
     TORQUE_LEFT_ON,
     ArmConfig,
-    ArmHealth,
     ArmState,
     ChangePace,
     Command,
@@ -40,13 +39,11 @@ from robot.messages import (
     EndState,
     Execute,
     Heartbeat,
-    JointHealth,
     KeepParking,
     Mode,
     MotionEnded,
     Order,
     Outcome,
-    Pace,
     Setpoint,
     Shutdown,
     Stop,
@@ -54,138 +51,13 @@ from robot.messages import (
 )
 from robot.stop_epochs import STOPPED_SINCE
 
-
-def disconnected(joint_names: tuple[str, ...], reason: str, fault: Fault | None, clock_s: float) -> ArmState:
-    """Build the state of an arm whose hardware is not open."""
-    return ArmState(time.time(), Mode.DISCONNECTED, joint_names, reason=reason, fault=fault, clock_s=clock_s)
-
-
-def arm_state(
-    arm: ControlCycle, mode: Mode, fault: Fault | None, reason: str, lateness_s: tuple[float, ...], clock_s: float
-) -> ArmState:
-    """Build the state of the arm at its latest reading.
-
-    Args:
-        arm: control cycle of the arm.
-        mode: state of its state machine.
-        fault: latched fault.
-        reason: sentence on an arm that is connected but not ready.
-        lateness_s: lateness of the ticks since the last state [s].
-        clock_s: time of the control loop [s].
-    """
-    measured, controller, names = arm.measured, arm.controller, arm.hardware.joint_names
-    if measured is None:
-        return ArmState(time.time(), mode, names, reason=reason, fault=fault, lateness_s=lateness_s, clock_s=clock_s)
-    motion = controller.motion if controller is not None else None
-    driven = controller is not None and controller.driven
-    return ArmState(
-        stamp_s=measured.stamp_s,
-        mode=mode,
-        joint_names=names,
-        reason=reason,
-        position_rad=measured.position_rad,
-        velocity_rad_s=measured.velocity_rad_s,
-        age_s=measured.age_s,
-        load=measured.load,
-        current_a=measured.current_a,
-        goal_rad=controller.goal_rad if controller is not None and driven else measured.position_rad,
-        motion_id=motion.motion_id if motion is not None else None,
-        fraction=motion.fraction if motion is not None else 0.0,
-        remaining_s=motion.remaining_s if motion is not None else 0.0,
-        motions=controller.progress if controller is not None else (),
-        pace=controller.pace if controller is not None else Pace(),
-        lateness_s=lateness_s,
-        fault=fault,
-        clock_s=clock_s,
-        driven=driven,
-    )
-
-
-def arm_health(
-    arm: ControlCycle,
-    state: ArmState,
-    port: str,
-    pacer: Pacer,
-    clock: LoopClock,
-    scheduling: Scheduling,
-) -> ArmHealth:
-    """Build the report of the arm's health.
-
-    Args:
-        arm: control cycle of the arm.
-        state: its state now.
-        port: name of its port.
-        pacer: pacer of the control loop.
-        clock: clock of the control loop.
-        scheduling: protection of the ticks against the rest of the machine.
-    """
-    controller = arm.controller
-    bounds = None if controller is None else controller.bounds
-    limits = None if bounds is None else np.stack((bounds.lower_rad, bounds.upper_rad), axis=1)
-    return ArmHealth(
-        monotonic_s=time.monotonic(),
-        mode=state.mode,
-        port=port,
-        joints=tuple(_joint_health(arm, joint) for joint in range(len(arm.hardware.joint_names))),
-        bus=arm.hardware.counters,
-        lateness_s=percentiles(pacer.lateness_s),
-        round_trip_s=percentiles(arm.hardware.round_trips_s),
-        real_time=scheduling.real_time,
-        memory_locked=scheduling.memory_locked,
-        real_time_factor=clock.real_time_factor,
-        limits_rad=limits,
-        fault=state.fault,
-        reason=state.reason,
-    )
-
-
-def _joint_health(arm: ControlCycle, joint: int) -> JointHealth:
-    condition, measured, controller = arm.hardware.condition(joint), arm.measured, arm.controller
-    if measured is None or controller is None:
-        never_heard = condition.age_s == float("inf")
-        return JointHealth(
-            joint=arm.hardware.joint_names[joint],
-            hardware_id=condition.hardware_id,
-            position_rad=float("nan"),
-            temperature_c=float("nan"),
-            voltage_v=float("nan"),
-            current_a=float("nan"),
-            load=float("nan"),
-            torque_enabled=None,
-            status=0,
-            age_s=condition.age_s,
-            silent_cycles=condition.silent_cycles,
-            errors=arm.errors.of(joint),
-            warnings=("it has not answered yet",) if never_heard else (),
-            registers=condition.registers,
-            expected=condition.expected,
-        )
-    return JointHealth(
-        joint=arm.hardware.joint_names[joint],
-        hardware_id=condition.hardware_id,
-        position_rad=float(measured.position_rad[joint]),
-        temperature_c=float(measured.temperature_c[joint]),
-        voltage_v=float(measured.voltage_v[joint]),
-        current_a=float(measured.current_a[joint]),
-        load=float(measured.load[joint]),
-        torque_enabled=condition.torque_enabled,
-        status=int(measured.status[joint]),
-        age_s=float(measured.age_s[joint]),
-        silent_cycles=condition.silent_cycles,
-        errors=arm.errors.of(joint),
-        warnings=condition.warnings + controller.guards.warnings(measured, joint),
-        registers=condition.registers,
-        expected=condition.expected,
-    )
-
-
 log = logging.getLogger("armbridge.arm")
 
 # Interval between attempts to open the hardware, and to check the servos: the first, and the longest.
 FIRST_RETRY_S = 0.2
 LONGEST_RETRY_S = 2.0
 
-# A server that is silent for no longer may come back; the arm brakes meanwhile, but parks only then.
+# A silent server may come back within this time: the arm only brakes until then, and parks afterwards.
 SILENCE_BEFORE_PARKING_S = 5.0
 
 HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
@@ -194,14 +66,13 @@ HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
 SPARE_TICKS = 1
 IDLE_SPARE_TICKS = 4
 
-# After so many ticks at rest the joints have come to where their last motion has sent them.
+# Ticks at rest after which the joints have reached the end of their last motion.
 SETTLED_TICKS = round(0.5 / PERIOD_S)
 
-# A server that is silent for so long hangs, however busy the machine is; a simulated arm can afford to wait.
+# Least watchdog timeout of a simulated arm, which a server on a busy machine must not trip.
 SIMULATED_WATCHDOG_S = 5.0
 
-# A machine that is too busy makes the server silent again and again: lines of the log at once, and in the long run
-# [1/s], one in ten minutes.
+# Log lines about a silent server: at once, and in the long run [1/s], one in ten minutes.
 SILENCE_BURST = 3
 SILENCE_LINES_PER_S = 1.0 / 600.0
 
@@ -235,11 +106,8 @@ class Supervisor:
     """Supervisor of the arm of one arm process.
 
     Args:
-        config: hardware, limits and policies of the arm.
         send: sends a message to the server; its second argument says that the message may be dropped while the server
             does not read.
-        clock: time of the control loop.
-        scheduling: protection of the ticks against the rest of the machine.
 
     Attributes:
         arm: control cycle on the open hardware; None while disconnected.
@@ -281,6 +149,10 @@ class Supervisor:
         return self._fault if self._orders is None else self._orders.fault
 
     @property
+    def _controller(self) -> ArmController | None:
+        return None if self.arm is None else self.arm.controller
+
+    @property
     def mode(self) -> Mode:
         """State of the arm's state machine."""
         if self.arm is None:
@@ -301,9 +173,9 @@ class Supervisor:
 
     def disconnect(self, reason: str) -> None:
         """End motions and orders in progress: the hardware is gone, or could not be opened."""
-        if self.arm is not None and self.arm.controller is not None:
+        if self._controller is not None:
             lost = Fault(FaultCode.BUS_LOST, reason, simulated=self._config.hardware.simulated)
-            self._report(self.arm.controller.abandon(Outcome.BUS_LOST, str(lost)))
+            self._report(self._controller.abandon(Outcome.BUS_LOST, str(lost)))
         self._fault = self.fault
         self._interrupt(reason)
         self.arm = self._orders = None
@@ -311,15 +183,11 @@ class Supervisor:
         self._send(disconnected(self._joint_names, reason, self._fault, self._clock()), True)
 
     def handle(self, message: object) -> None:
-        """Handle one message of the server.
-
-        Raises:
-            PortLost: the port is gone.
-        """
+        """Handle one message of the server."""
         self._watchdog.feed(self._clock())
         if isinstance(message, Stop):
             self._last_stop = max(self._last_stop, message.epoch)
-        controller = self.arm.controller if self.arm is not None else None
+        controller = self._controller
         if isinstance(message, Execute | Stream):
             self._move(message)
         elif isinstance(message, Setpoint) and controller is not None:
@@ -337,7 +205,7 @@ class Supervisor:
         elif isinstance(message, Shutdown):
             self._end = self._config.on_exit
             if message.hurry and self._end is EndState.PARK and controller is not None:
-                self._parking.give_up(controller, "the server is told not to wait")
+                self._parking.give_up(controller, "the server must not wait")
         elif isinstance(message, KeepParking):
             self._parking.keep(message.plan)
 
@@ -348,25 +216,15 @@ class Supervisor:
         A simulated arm at rest needs no more ticks than it reports states, and its machine has other work; the guards
         of a real arm need every tick.
         """
-        if not self._config.hardware.simulated or self.arm is None or self.arm.controller is None or self._task:
-            return 0
-        if not self.arm.controller.resting:
+        controller = self._controller
+        if not self._config.hardware.simulated or controller is None or self._task or not controller.resting:
             return 0
         if not self._observed and self._rested_ticks >= SETTLED_TICKS and self._undisturbed:
             return IDLE_SPARE_TICKS
         return SPARE_TICKS if self._ticks_per_state > SPARE_TICKS else 0
 
     def tick(self, pacer: Pacer, *, server_gone: bool, ticks: int = 1) -> None:
-        """Run one cycle of the arm.
-
-        Args:
-            pacer: pacer of the control loop.
-            server_gone: True when the server's process has ended.
-            ticks: periods since the last cycle; more than one after skipped ticks.
-
-        Raises:
-            PortLost: the port is gone.
-        """
+        """Run one cycle of the arm, ``ticks`` periods after the last one."""
         arm, now_s = self.arm, self._clock()
         if arm is None:
             return
@@ -378,11 +236,7 @@ class Supervisor:
             self._send(each, True)
         self._check_server(now_s, server_gone=server_gone)
         self._check_fault()
-        if arm.controller is None and self._task is None and now_s >= self._check_at_s and self._orders is not None:
-            self._begin(_Task(CONNECTING, self._orders.connect(may_enable=self._may_enable), None, now_s))
-        survey_due = self._orders is not None and self._orders.survey_due and self._end is None
-        if survey_due and self._task is None and now_s >= self._check_at_s and self._orders is not None:
-            self._begin(_Task(CHECKING_AGAIN, self._orders.survey(), None, now_s))
+        self._check_servos(now_s)
         resting = arm.controller is not None and arm.controller.resting
         self._rested_ticks = self._rested_ticks + ticks if resting else 0
         self._state_due -= ticks
@@ -400,14 +254,7 @@ class Supervisor:
             self._send(arm_health(arm, state, port, pacer, self._clock, self._scheduling), True)
 
     def work(self) -> float:
-        """Do one step of the sequence in progress.
-
-        Returns:
-            Time until the next step is due [s]; infinite without a sequence.
-
-        Raises:
-            PortError: the port is gone.
-        """
+        """Do one step of the sequence in progress; return the time until the next [s], infinite without one."""
         task, now_s = self._task, self._clock()
         if task is None:
             return float("inf")
@@ -427,12 +274,12 @@ class Supervisor:
         """Return True when the process may end: the server has ended, and the arm is in its end state."""
         if self._end is None:
             return False
-        controller, now_s = self.arm.controller if self.arm is not None else None, self._clock()
+        controller, now_s = self._controller, self._clock()
         if controller is None:
             self._interrupt("the server is ending")
             return True
         self._end_begun_s = self._end_begun_s or now_s
-        driven = self._end is not EndState.HOLD and controller.driven
+        driven = self._end is not EndState.HOLD and controller.torque_enabled
         if not controller.moving and self._task is None and not driven:
             return True
         timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
@@ -449,8 +296,18 @@ class Supervisor:
         )
         return True
 
+    def _check_servos(self, now_s: float) -> None:
+        """Begin to check the servos, where that is due and nothing else is in progress."""
+        orders = self._orders
+        if orders is None or self._task is not None or now_s < self._check_at_s:
+            return
+        if self._controller is None:
+            self._begin(_Task(CONNECTING, orders.connect(may_enable=self._may_enable), None, now_s))
+        elif orders.survey_due and self._end is None:
+            self._begin(_Task(CHECKING_AGAIN, orders.survey(), None, now_s))
+
     def _torque_left(self) -> str:
-        """Read where torque is on, and say what to do about it."""
+        """Describe where torque is on, with the remedy."""
         if self.arm is None:
             return ""
         hardware = self.arm.hardware
@@ -473,7 +330,7 @@ class Supervisor:
 
     def _move(self, command: Execute | Stream) -> None:
         refused, reason = Outcome.REFUSED, ""
-        controller = self.arm.controller if self.arm is not None else None
+        controller = self._controller
         if command.epoch < self._last_stop:
             refused, reason = Outcome.STOPPED, STOPPED_SINCE
         elif self.arm is None:
@@ -515,7 +372,7 @@ class Supervisor:
         self._begin(_Task(_NAMES[order], steps, command.number, now_s, urgent))
 
     def _begin(self, task: _Task) -> None:
-        """Begin a sequence in place of the one in progress, an urgent one before that one tidies up."""
+        """Begin a sequence and give up the present one; an urgent sequence begins before the present one tidies up."""
         given_up, self._task = self._task, task
         try:
             if task.urgent:
@@ -541,7 +398,7 @@ class Supervisor:
             log.log(logging.INFO if done else logging.WARNING, "%s: %s", task.name, sentence)
         if task.name not in (CONNECTING, CHECKING_AGAIN):
             return
-        if task.name == CONNECTING and self.arm is not None and self.arm.controller is not None:
+        if task.name == CONNECTING and self._controller is not None:
             self._reason, self._may_enable = "", False
             return
         if task.name == CONNECTING:
@@ -567,8 +424,8 @@ class Supervisor:
             self._reported_fault = fault
             if fault is not None:
                 log.error("%s", fault)
-        controller = self.arm.controller if self.arm is not None else None
-        if fault is not None and fault.code in RELAXING and controller is not None and controller.driven:
+        controller = self._controller
+        if fault is not None and fault.code in RELAXING and controller is not None and controller.torque_enabled:
             self._relax()
 
     def _check_server(self, now_s: float, *, server_gone: bool) -> None:
@@ -580,7 +437,7 @@ class Supervisor:
             self._log_silence(now_s)
         self._server_lost = lost
         end = self._config.on_server_lost if lost and self._end is None else self._end
-        controller = self.arm.controller if self.arm is not None else None
+        controller = self._controller
         if controller is None:
             return
         if self._parking.begun and end is not EndState.PARK:
@@ -592,7 +449,7 @@ class Supervisor:
             self._parking.advance(controller, now_s, may_move=gone)
         else:
             controller.stop()
-        if controller.driven and (end is EndState.RELAX or self._parking.over):
+        if controller.torque_enabled and (end is EndState.RELAX or self._parking.over):
             self._relax()
 
     def _log_silence(self, now_s: float) -> None:
@@ -603,10 +460,10 @@ class Supervisor:
 
     def _consequence(self, end: EndState) -> str:
         """Describe the arm's reaction to the loss of the server, for the log."""
-        controller = self.arm.controller if self.arm is not None else None
+        controller = self._controller
         if controller is not None and controller.moving:
             return "stopping"
-        if controller is not None and controller.driven and end is not EndState.HOLD:
+        if controller is not None and controller.torque_enabled and end is not EndState.HOLD:
             return "relaxing" if end is EndState.RELAX else "parking"
         return "nothing moves"
 
@@ -622,12 +479,7 @@ class Supervisor:
 
 
 class Watchdog:
-    """Watchdog on the server's messages. Pure: time is passed in.
-
-    Args:
-        timeout_s: silence after which the server counts as lost [s].
-        now_s: monotonic time [s].
-    """
+    """Watchdog on the server's messages. Pure: time is passed in."""
 
     def __init__(self, timeout_s: float, now_s: float) -> None:
         self._timeout_s = timeout_s
@@ -648,18 +500,10 @@ class Watchdog:
 
 @dataclass
 class _Task:
-    """Sequence in progress.
-
-    Attributes:
-        name: its name in refusals and logs.
-        steps: the sequence.
-        number: of the command to answer; None for a sequence that no command began.
-        ready_s: time of its next step [s].
-        urgent: True for an emergency stop, which nothing interrupts.
-    """
+    """Sequence in progress."""
 
     name: str
     steps: Steps[str]
-    number: int | None
-    ready_s: float
-    urgent: bool = False
+    number: int | None  # of the command to answer; None for a sequence that no command began
+    ready_s: float  # time of its next step [s]
+    urgent: bool = False  # True for an emergency stop, which nothing interrupts

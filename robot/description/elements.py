@@ -12,15 +12,7 @@ XACRO_NAMESPACES = ("http://www.ros.org/wiki/xacro", "http://wiki.ros.org/xacro"
 
 
 def root_of(text: str, source: str) -> ET.Element:
-    """Parse a text whose root is <robot>.
-
-    Args:
-        text: URDF or SRDF.
-        source: kind or path of the file, for errors.
-
-    Raises:
-        DescriptionError: the text is not XML, has another root, or is xacro.
-    """
+    """Parse a URDF or SRDF, whose source is named in errors; xacro is rejected."""
     try:
         root = ET.fromstring(text)  # noqa: S314 - the user's own file, given on the command line
     except ET.ParseError as error:
@@ -38,11 +30,7 @@ def root_of(text: str, source: str) -> ET.Element:
 
 
 def attribute(element: ET.Element, name: str, source: str) -> str:
-    """Return an attribute that an element must have.
-
-    Raises:
-        DescriptionError: it has none.
-    """
+    """Return an attribute that must be there."""
     value = element.get(name)
     if value is None:
         raise DescriptionError(source, f"<{element.tag}> {element.attrib} has no attribute {name!r}")
@@ -50,16 +38,7 @@ def attribute(element: ET.Element, name: str, source: str) -> str:
 
 
 def number(element: ET.Element, name: str, where: str) -> float:
-    """Return an attribute that must be a finite number.
-
-    Args:
-        element: element.
-        name: of the attribute.
-        where: file and element, for errors.
-
-    Raises:
-        DescriptionError: there is no such attribute, or it is no finite number.
-    """
+    """Return an attribute that must be a finite number; ``where`` names file and element in errors."""
     text = element.get(name)
     if text is None:
         raise DescriptionError(where, f"has no attribute {name!r}")

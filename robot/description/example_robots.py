@@ -19,31 +19,15 @@ _ENDINGS = ("", "_robot", "_reduced")
 
 @dataclass(frozen=True)
 class ExampleRobot:
-    """Files of a published robot.
-
-    Attributes:
-        urdf: path of the URDF.
-        srdf: path of the SRDF.
-        packages: folders for ``package://``.
-    """
+    """Files of a published robot."""
 
     urdf: Path
     srdf: Path
-    packages: tuple[Path, ...]
+    packages: tuple[Path, ...]  # folders for `package://`
 
 
 def find_example(name: str) -> ExampleRobot | None:
-    """Find a robot in the installed package example-robot-data.
-
-    Args:
-        name: of the robot, such as ``panda``.
-
-    Returns:
-        Its files; None without the package, or for a name that it does not have.
-
-    Raises:
-        DescriptionError: the package has a URDF of this robot, but no SRDF.
-    """
+    """Find a robot in the installed package example-robot-data; None without the package, or for an unknown name."""
     robots = _robots()
     if robots is None or name not in _urdfs(robots):
         return None

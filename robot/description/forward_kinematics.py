@@ -18,11 +18,7 @@ from robot.trajectory import Vector
 
 
 class ForwardPlacements:
-    """Forward kinematics of one robot.
-
-    Args:
-        robot: description of the arm.
-    """
+    """Forward kinematics of one robot."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._root = robot.root_link
@@ -56,23 +52,11 @@ class ForwardPlacements:
         return placed
 
     def axis(self, link: str) -> Vector:
-        """Return the axis of the joint above a link in the link's frame, a unit vector, shape (3,).
-
-        Raises:
-            KeyError: no such link, or the root link.
-        """
+        """Return the axis of the joint above a link in the link's frame, a unit vector, shape (3,)."""
         return self._by_child[link].axis
 
     def joint_transform(self, link: str, positions_rad: Mapping[str, float]) -> tuple[str, Vector]:
-        """Return the parent of a link and the link's transform to it, shape (4, 4) [m].
-
-        Args:
-            link: name of a link other than the root.
-            positions_rad: as for :meth:`transforms`.
-
-        Raises:
-            KeyError: no such link, or the root link.
-        """
+        """Return the parent of a link and the link's transform to it, shape (4, 4) [m]."""
         step = self._by_child[link]
         return step.parent, step.transform_joint_to_parent @ _moved(step, positions_rad)
 

@@ -15,12 +15,7 @@ OF_MOVING_JOINTS = ("axis", "limit", "mimic", "dynamics", "safety_controller", "
 
 
 def rotation_about(axis: Vector, angle_rad: float) -> Vector:
-    """Compute a rotation matrix by Rodrigues' formula, shape (3, 3).
-
-    Args:
-        axis: unit vector, shape (3,).
-        angle_rad: right-handed angle about it [rad].
-    """
+    """Compute a rotation matrix about a unit vector by Rodrigues' formula, shape (3, 3)."""
     x, y, z = axis.tolist()
     sin, cos = math.sin(angle_rad), math.cos(angle_rad)
     rest = 1.0 - cos
@@ -66,12 +61,7 @@ def roll_pitch_yaw(rotation: Vector) -> tuple[float, float, float]:
 
 
 def joint_motion(element: ET.Element, position: float) -> Vector:
-    """Return the motion of a URDF <joint>, shape (4, 4) [m].
-
-    Args:
-        element: the joint.
-        position: [rad, or m of a prismatic joint].
-    """
+    """Return the motion of a URDF <joint> at a position [rad, or m of a prismatic joint], shape (4, 4) [m]."""
     transform, axis = np.eye(4), unit_axis(element)
     if element.get("type") == "prismatic":
         transform[:3, 3] = position * axis
@@ -81,7 +71,7 @@ def joint_motion(element: ET.Element, position: float) -> Vector:
 
 
 def shift_origin(element: ET.Element, position: float) -> None:
-    """Move the origin of a URDF <joint> to where its position is the one given [rad, or m of a prismatic joint]."""
+    """Move the origin of a URDF <joint> by a position [rad, or m of a prismatic joint], which becomes its zero."""
     transform = origin_transform(element) @ joint_motion(element, position)
     origin = element.find("origin")
     if origin is None:
@@ -91,12 +81,7 @@ def shift_origin(element: ET.Element, position: float) -> None:
 
 
 def with_fixed_joints(urdf: str, positions: Mapping[str, float]) -> str:
-    """Return a URDF in which some joints are fixed where they stay, so that nothing knows them as joints that move.
-
-    Args:
-        urdf: text of a URDF that has been read.
-        positions: joint -> position at which it stays [rad, or m of a prismatic joint].
-    """
+    """Return a URDF in which some joints are fixed at their positions [rad, or m of a prismatic joint]."""
     root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed as a description
     for element in root.findall("joint"):
         name = element.get("name", "")

@@ -15,11 +15,7 @@ GRAVITY_M_S2 = 9.81
 
 
 class LinkWeights:
-    """Weight of the links of one robot, whose root's z axis points up.
-
-    Args:
-        robot: description of the arm.
-    """
+    """Weight of the links of one robot, whose root's z axis points up."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._forward = ForwardPlacements(robot)

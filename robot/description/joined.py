@@ -52,29 +52,16 @@ _OF_OTHERS = ("gazebo", "transmission", "ros2_control", "sensor")
 
 @dataclass(frozen=True)
 class PlacedArm:
-    """Arm at its place.
+    """Arm at its place."""
 
-    Attributes:
-        robot: its description, as by :func:`prefixed`.
-        base_xyz_m: origin of its root link in the common frame [m].
-        base_rpy_rad: fixed-axis roll, pitch and yaw of its root link there [rad].
-    """
-
-    robot: RobotModel
-    base_xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    robot: RobotModel  # its description, as by prefixed
+    base_xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # origin of its root link in the common frame [m]
+    # Fixed-axis roll, pitch and yaw of its root link there [rad].
     base_rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def prefixed(robot: RobotModel, name: str) -> RobotModel:
-    """Return an arm whose names of links, joints and groups begin with a prefix.
-
-    Args:
-        robot: the arm.
-        name: of the arm; the prefix is ``name_``.
-
-    Raises:
-        DescriptionError: a mesh is not there.
-    """
+    """Return an arm whose names of links, joints and groups begin with ``name_``."""
     prefix = f"{name}_"
     packages = robot.package_directories
     if robot.mesh_directory is not None:
@@ -83,15 +70,15 @@ def prefixed(robot: RobotModel, name: str) -> RobotModel:
         _text(_renamed_urdf(robot, name, prefix)),
         _text(_renamed_srdf(robot, name, prefix)),
         package_directories=packages,
-        hulls={prefix + link: hull for link, hull in robot.hulls.items()},
-        parts={prefix + link: shapes for link, shapes in robot.parts.items()},
-        surfaces={prefix + link: surface for link, surface in robot.surfaces.items()},
         limits={prefix + joint.name: _limits(joint) for joint in robot.joints.values() if joint.movable},
         sources=(f"URDF of arm {name}", f"SRDF of arm {name}"),
     )
     gripper = robot.gripper
     return replace(
         renamed,
+        hulls={prefix + link: hull for link, hull in robot.hulls.items()},
+        parts={prefix + link: shapes for link, shapes in robot.parts.items()},
+        surfaces={prefix + link: surface for link, surface in robot.surfaces.items()},
         gripper=None
         if gripper is None
         else Gripper(tuple(prefix + joint for joint in gripper.joints), gripper.open, gripper.closed),
@@ -102,17 +89,7 @@ def prefixed(robot: RobotModel, name: str) -> RobotModel:
 
 
 def joined(name: str, arms: Mapping[str, PlacedArm]) -> RobotModel:
-    """Return the description of several arms.
-
-    The default group, tip and gripper are those of the first.
-
-    Args:
-        name: of the whole.
-        arms: each by its name, at least one.
-
-    Raises:
-        DescriptionError: the arms do not go together.
-    """
+    """Return the description of several arms by name; the first gives default group, tip and gripper."""
     urdf, srdf = ET.Element("robot", name=name), ET.Element("robot", name=name)
     ET.SubElement(urdf, "link", name=COMMON_LINK)
     for arm, placed in arms.items():
@@ -130,15 +107,15 @@ def joined(name: str, arms: Mapping[str, PlacedArm]) -> RobotModel:
         _text(urdf),
         _text(srdf),
         package_directories=tuple(dict.fromkeys(folder for robot in robots for folder in robot.package_directories)),
-        hulls={link: hull for robot in robots for link, hull in robot.hulls.items()},
-        parts={link: shapes for robot in robots for link, shapes in robot.parts.items()},
-        surfaces={link: surface for robot in robots for link, surface in robot.surfaces.items()},
         limits={joint.name: _limits(joint) for robot in robots for joint in robot.joints.values() if joint.movable},
         sources=("URDF of all arms", "SRDF of all arms"),
     )
     first = robots[0]
     return replace(
         whole,
+        hulls={link: hull for robot in robots for link, hull in robot.hulls.items()},
+        parts={link: shapes for robot in robots for link, shapes in robot.parts.items()},
+        surfaces={link: surface for robot in robots for link, surface in robot.surfaces.items()},
         gripper=first.gripper,
         default_group=first.default_group,
         tip_link=first.tip_link,
@@ -166,7 +143,7 @@ def _mesh_name(robot: RobotModel, filename: str) -> str:
     try:
         find_mesh(filename, directory, robot.package_directories)
     except DescriptionError:
-        # One that is only seen may be missing: the start has told of it.
+        # A visual mesh may be missing; the log of the start names it.
         return filename
     return f"package://{directory.name}/{filename.removeprefix('./')}"
 
@@ -194,7 +171,7 @@ def _rename(root: ET.Element, names: Mapping[str, Sequence[str]], prefix: str) -
 
 
 def _group_of_all(robots: Sequence[RobotModel]) -> Iterator[ET.Element]:
-    """Yield the group of all arms, and its named states: those that each arm has under one name."""
+    """Yield the group of all arms, and the named states that every arm has under the same name."""
     name = BOTH_ARMS if len(robots) == 2 else ALL_ARMS
     group = ET.Element("group", name=name)
     for robot in robots:

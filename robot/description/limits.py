@@ -59,19 +59,12 @@ def within_calibration(robot: RobotModel, calibration: Calibration) -> RobotMode
 
 @dataclass(frozen=True)
 class JointBounds:
-    """Limits that the controller keeps.
+    """Limits that the controller keeps."""
 
-    Attributes:
-        lower_rad: lower soft limits, shape (joints,) [rad].
-        upper_rad: upper soft limits, shape (joints,) [rad].
-        max_velocity: velocity limits, shape (joints,) [rad/s].
-        max_acceleration: acceleration limits, shape (joints,) [rad/s^2].
-    """
-
-    lower_rad: Vector
-    upper_rad: Vector
-    max_velocity: Vector
-    max_acceleration: Vector
+    lower_rad: Vector  # lower soft limits, shape (joints,) [rad]
+    upper_rad: Vector  # upper soft limits, shape (joints,) [rad]
+    max_velocity: Vector  # velocity limits, shape (joints,) [rad/s]
+    max_acceleration: Vector  # acceleration limits, shape (joints,) [rad/s^2]
 
     @classmethod
     def of(cls, robot: RobotModel, joint_names: tuple[str, ...]) -> JointBounds:
@@ -94,7 +87,6 @@ class JointBounds:
         """Narrow the soft limits to the servos' own angle limits, less the margin.
 
         Args:
-            calibration: joints in the order of the arrays.
             angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT by servo id; (0, 0) means none.
 
         Raises:

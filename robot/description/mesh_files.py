@@ -25,11 +25,7 @@ _FOLDERS_AROUND = 4
 
 
 def package_path(environment: Mapping[str, str]) -> tuple[Path, ...]:
-    """Return the folders of packages that a ROS environment names.
-
-    Args:
-        environment: ``ROS_PACKAGE_PATH`` of ROS 1 and ``AMENT_PREFIX_PATH`` of ROS 2 count.
-    """
+    """Return the folders of packages that ``ROS_PACKAGE_PATH`` of ROS 1 and ``AMENT_PREFIX_PATH`` of ROS 2 name."""
     folders = [Path(each) for each in environment.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if each]
     prefixes = [Path(each) for each in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if each]
     return (*folders, *(prefix / "share" for prefix in prefixes))
@@ -59,11 +55,7 @@ def find_mesh(name: str, directory: Path | None, packages: Sequence[Path]) -> Pa
 
 
 def check_meshes(urdf: str, source: str, directory: Path, packages: Sequence[Path]) -> None:
-    """Check that the meshes of a URDF are there; those that are only seen are missed in the log.
-
-    Raises:
-        DescriptionError: a mesh of a <collision> is not there.
-    """
+    """Check that the meshes of collisions are there; missing visual meshes are logged."""
     unseen = []
     for link in ET.fromstring(urdf).iterfind("link"):  # noqa: S314 - already parsed by robot.description.urdf
         for use in ("collision", "visual"):
@@ -79,11 +71,7 @@ def check_meshes(urdf: str, source: str, directory: Path, packages: Sequence[Pat
 
 
 def with_mesh_paths(urdf: str, directory: Path | None, packages: Sequence[Path]) -> str:
-    """Return a URDF whose collision meshes have their paths for names.
-
-    Raises:
-        DescriptionError: a mesh is not there.
-    """
+    """Return a URDF whose collision meshes have their paths for names."""
     root = ET.fromstring(urdf)  # noqa: S314 - already parsed by robot.description.urdf
     for mesh in _meshes(root.iterfind("link/collision")):
         mesh.set("filename", str(find_mesh(mesh.get("filename", ""), directory, packages)))

@@ -30,94 +30,63 @@ CLOSED_STATES = ("closed", "close")
 # State in which an arm is parked that names none.
 PARK_STATE = "rest"
 
-# Groups that are the gripper where no end effector says so, as Panda's.
+# Names of a gripper's group in an SRDF without end effector, as Panda's.
 GRIPPER_GROUPS = ("gripper", "hand")
 
 
 @dataclass(frozen=True)
 class Gripper:
-    """Gripper of an arm.
+    """Gripper of an arm."""
 
-    Attributes:
-        joints: its joints, one or two that mirror each other.
-        open: position of each joint when it is open [rad or m].
-        closed: position of each joint when it is closed [rad or m].
-    """
-
-    joints: tuple[str, ...]
-    open: float
-    closed: float
+    joints: tuple[str, ...]  # its joints, one or two that mirror each other
+    open: float  # position of each joint when it is open [rad or m]
+    closed: float  # position of each joint when it is closed [rad or m]
 
 
 @dataclass(frozen=True)
 class Hull:
-    """Convex hull that encloses a link.
+    """Convex hull that encloses a link."""
 
-    Attributes:
-        vertices: shape (n, 3) [m], in the link's frame.
-        triangles: shape (m, 3), indices into ``vertices``.
-    """
-
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int32]
+    vertices: NDArray[np.float64]  # shape (n, 3) [m], in the link's frame
+    triangles: NDArray[np.int32]  # shape (m, 3), indices into `vertices`
 
 
 @dataclass(frozen=True)
 class LinkSurface:
-    """Where the surface of a link is, to the last triangle.
+    """Where the surface of a link is, to the last triangle."""
 
-    Attributes:
-        path: file of surfaces, see :mod:`planners.geometry.surfaces`.
-        link: name of the link in the file.
-    """
-
-    path: Path
-    link: str
+    path: Path  # file of surfaces, see planners.geometry.surfaces
+    link: str  # name of the link in the file
 
 
 @dataclass(frozen=True)
 class RobotModel:
-    """Description of an arm, shared by planners, arm process and server.
-
-    Attributes:
-        urdf: text of the URDF.
-        srdf: text of the SRDF.
-        mesh_directory: base of the URDF's relative mesh paths; None for a URDF without meshes.
-        package_directories: folders for ``package://``, beside those around the URDF.
-        links: link names, root first.
-        joints: every joint by name, in the order of the URDF.
-        groups: planning groups by name.
-        named_states: group name -> state name -> joint name -> position [rad].
-        disabled_pairs: pairs of links whose collision is not checked.
-        hulls: link name -> enclosing hull; empty when the shapes of the URDF are to be used.
-        parts: link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in
-            the link's frame; for the cases in which a hull is too wide.
-        surfaces: link name -> its surface; for the cases in which its parts are too wide.
-        planning_frame: name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
-        gripper: the gripper; None for an arm without one.
-        default_group: group of goals that name none.
-        tip_link: link that pose goals of this group move; empty for a group that is no chain.
-        park_state: name of the state in which the arm is parked; it need not exist.
-    """
+    """Description of an arm, shared by planners, arm process and server."""
 
     name: str
     urdf: str
     srdf: str
-    links: tuple[str, ...]
-    joints: Mapping[str, Joint]
+    links: tuple[str, ...]  # link names, root first
+    joints: Mapping[str, Joint]  # every joint by name, in the order of the URDF
     groups: Mapping[str, Group]
+    # Group name -> state name -> joint name -> position [rad].
     named_states: Mapping[str, Mapping[str, Mapping[str, float]]]
-    disabled_pairs: frozenset[frozenset[str]]
-    mesh_directory: Path | None = None
+    disabled_pairs: frozenset[frozenset[str]]  # pairs of links whose collision is not checked
+    mesh_directory: Path | None = None  # base of the URDF's relative mesh paths; None for a URDF without meshes
+    # Link name -> enclosing hull; empty when the shapes of the URDF are to be used.
     hulls: Mapping[str, Hull] = field(default_factory=dict)
+    # Link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in the link's
+    # frame; for the cases in which a hull is too wide.
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
+    # Link name -> its surface; for the cases in which its parts are too wide.
     surfaces: Mapping[str, LinkSurface] = field(default_factory=dict)
+    # Name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
     planning_frame: str = ""
-    package_directories: tuple[Path, ...] = ()
+    package_directories: tuple[Path, ...] = ()  # folders for `package://`, beside those around the URDF
     gripper: Gripper | None = None
-    default_group: str = ""
-    tip_link: str = ""
-    park_state: str = PARK_STATE
+    default_group: str = ""  # group of goals that name none
+    tip_link: str = ""  # link that pose goals of this group move; empty for a group that is no chain
+    park_state: str = PARK_STATE  # name of the state in which the arm is parked; it need not exist
 
     @property
     def root_link(self) -> str:
@@ -137,24 +106,13 @@ def load(
     limits: Mapping[str, JointLimits] = NO_LIMITS,
     *,
     held: Mapping[str, float] = NONE_HELD,
-    hulls: Mapping[str, Hull] | None = None,
-    parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
-    surfaces: Mapping[str, LinkSurface] | None = None,
+    needs_meshes: bool = True,
 ) -> RobotModel:
     """Read a robot from files.
 
     Args:
-        urdf_path: URDF.
-        srdf_path: SRDF.
         package_directories: folders for ``package://``, beside those of the ROS environment and around the URDF.
-        limits: limits by joint that replace those of the URDF.
-        held: as of :func:`parse`.
-        hulls: see :class:`RobotModel`; with them the meshes need not be there.
-        parts: see :class:`RobotModel`.
-        surfaces: see :class:`RobotModel`.
-
-    Raises:
-        DescriptionError: a file cannot be read or does not describe an arm, or a mesh is not there.
+        needs_meshes: False for a robot that gets hulls, so that its meshes need not be there.
     """
     return parse(
         _text(urdf_path),
@@ -163,9 +121,7 @@ def load(
         package_directories=(*package_directories, *package_path(os.environ)),
         limits=limits,
         held=held,
-        hulls=hulls,
-        parts=parts,
-        surfaces=surfaces,
+        needs_meshes=needs_meshes,
         sources=(f"URDF {urdf_path}", f"SRDF {srdf_path}"),
     )
 
@@ -176,30 +132,18 @@ def parse(
     *,
     mesh_directory: Path | None = None,
     package_directories: tuple[Path, ...] = (),
-    hulls: Mapping[str, Hull] | None = None,
-    parts: Mapping[str, tuple[NDArray[np.float64], ...]] | None = None,
-    surfaces: Mapping[str, LinkSurface] | None = None,
     limits: Mapping[str, JointLimits] = NO_LIMITS,
     held: Mapping[str, float] = NONE_HELD,
+    needs_meshes: bool = True,
     sources: tuple[str, str] = ("URDF", "SRDF"),
 ) -> RobotModel:
     """Read a robot from the texts of its URDF and SRDF.
 
     Args:
-        urdf: text of the URDF.
-        srdf: text of the SRDF.
-        mesh_directory: see :class:`RobotModel`.
-        package_directories: see :class:`RobotModel`.
-        hulls: see :class:`RobotModel`.
-        parts: see :class:`RobotModel`.
-        surfaces: see :class:`RobotModel`.
         limits: limits by joint that replace those of the URDF.
         held: joints that are not driven, and the positions at which they stay; they become fixed [rad or m].
+        needs_meshes: True to check that the meshes are there, where they have a directory.
         sources: names of the URDF and of the SRDF, for errors.
-
-    Raises:
-        DescriptionError: a text does not parse, or misses what planning needs; with a mesh directory and without
-            hulls, a mesh is not there.
     """
     tree = read_urdf(urdf, sources[0], limits)
     semantics = read_srdf(srdf, sources[1], tree)
@@ -207,7 +151,7 @@ def parse(
         urdf = with_fixed_joints(urdf, {**still, **_following_positions(tree, still)})
         tree = read_urdf(urdf, sources[0], limits)
         semantics = read_srdf(srdf, sources[1], tree)
-    if mesh_directory is not None and not hulls:
+    if mesh_directory is not None and needs_meshes:
         check_meshes(urdf, sources[0], mesh_directory, package_directories)
     default_group = _default_group(semantics)
     return RobotModel(
@@ -221,9 +165,6 @@ def parse(
         disabled_pairs=semantics.disabled_pairs,
         mesh_directory=mesh_directory,
         package_directories=package_directories,
-        hulls=hulls or {},
-        parts=parts or {},
-        surfaces=surfaces or {},
         planning_frame=semantics.planning_frame,
         gripper=_gripper(semantics, tree.joints, default_group),
         default_group=default_group,
@@ -259,8 +200,6 @@ def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> Gri
     Of several, it is that at the arm's tip. It is open and closed in its named states, or else at its limits.
 
     Args:
-        semantics: groups, named states and end effectors.
-        joints: joints by name.
         arm: group whose gripper it is.
     """
     groups = semantics.groups

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
@@ -132,11 +133,11 @@ class HardwareSection(_Table):
     baud: Annotated[int, Field(ge=9600, le=4_500_000)] = 1_000_000
     """rate of the bus [baud]."""
     calibrations: Annotated[tuple[Name, ...], Field(max_length=8)] = ()
-    """lerobot's folders of calibrations of such arms, the newest name first."""
+    """lerobot's folders of calibrations of the arm, the newest name first."""
     servos: Annotated[tuple[ServoTable, ...], Field(max_length=MAX_JOINTS)] = ()
     """the servos, in the order of the joints."""
     profile: ProfileTable | None = None
-    """settings of the servos; without this table those of the factory or of lerobot, whichever are nearer."""
+    """settings of the servos; without this table the factory's or lerobot's, whichever are nearer."""
 
     @model_validator(mode="after")
     def _servos_fit_the_kind(self) -> HardwareSection:
@@ -167,11 +168,7 @@ class RobotFile(_Table):
 
 
 def read(path: Path) -> RobotFile:
-    """Read a file.
-
-    Raises:
-        RobotFileError: it cannot be read, is no TOML, or has keys or values that are not allowed; the text names all.
-    """
+    """Read a file; the error names all keys and values that are not allowed."""
     try:
         with path.open("rb") as stream:
             text = stream.read(MAX_BYTES + 1)
@@ -205,22 +202,21 @@ def _sentence(error: ErrorDetails) -> str:
     return f"{key}: {message[:1].lower()}{message[1:]}{given}"
 
 
+# Tables by the last name of their place; the tables of joints have the joints' names.
+_TABLES: Mapping[str, type[_Table]] = {
+    "": RobotFile,
+    "robot": RobotTable,
+    "planning": PlanningTable,
+    "gripper": GripperTable,
+    "hardware": HardwareSection,
+    "servos": ServoTable,
+    "zero": ZeroTable,
+    "profile": ProfileTable,
+}
+
+
 def _keys_beside(place: list[int | str]) -> list[str]:
     """Return the keys that are allowed where an unknown one stands."""
-    annotation: Any = RobotFile
-    for part in place[:-1]:
-        if _is_table(annotation):
-            annotation = annotation.model_fields[str(part)].annotation
-        elif get_origin(annotation) in (dict, tuple):
-            annotation = next(each for each in get_args(annotation) if _holds_table(each))
-        while get_origin(annotation) not in (None, dict, tuple):
-            annotation = next((each for each in get_args(annotation) if _holds_table(each)), None)
-    return sorted(annotation.model_fields) if _is_table(annotation) else []
-
-
-def _is_table(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
-
-
-def _holds_table(annotation: Any) -> bool:
-    return _is_table(annotation) or any(_holds_table(each) for each in get_args(annotation))
+    names = [part for part in place[:-1] if isinstance(part, str)] or [""]
+    table = JointTable if names[0] == "joints" else _TABLES[names[-1]]
+    return sorted(table.model_fields)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -36,18 +37,10 @@ MAX_YAML_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class RobotFolder:
-    """An arm by its folder.
-
-    Attributes:
-        name: the folder's name.
-        title: name of the arm for people.
-        model: links, joints, groups.
-        hardware: its servos.
-        folder: where it was read.
-    """
+    """An arm by its folder."""
 
     name: str
-    title: str
+    title: str  # name of the arm for people
     model: RobotModel
     hardware: HardwareTable
     folder: Path
@@ -59,14 +52,7 @@ def built_in_names() -> list[str]:
 
 
 def find(name_or_folder: str) -> Path:
-    """Find an arm's folder.
-
-    Args:
-        name_or_folder: name of a built-in arm, or a path.
-
-    Raises:
-        DescriptionError: there is no such folder.
-    """
+    """Find the folder of a built-in arm by its name, or of another arm by its path."""
     path = Path(name_or_folder).expanduser()
     built_in = BUILT_IN / name_or_folder
     if path.name == name_or_folder and (built_in / robot_file.FILE_NAME).is_file():
@@ -83,28 +69,14 @@ def find(name_or_folder: str) -> Path:
 
 
 def built_in(name: str) -> RobotFolder:
-    """Load a built-in arm.
-
-    Raises:
-        DescriptionError: there is none of this name.
-    """
+    """Load a built-in arm."""
     return load(find(name))
 
 
 def resolve(
     name_or_folder: str, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
 ) -> RobotFolder:
-    """Load an arm by the name of a built-in one, by its folder, or by its name in the package example-robot-data.
-
-    Args:
-        name_or_folder: name or path.
-        urdf: as of :func:`load`.
-        srdf: as of :func:`load`.
-        package_directories: as of :func:`load`.
-
-    Raises:
-        DescriptionError: there is no such arm, or its files do not describe one.
-    """
+    """Load an arm by the name of a built-in one, by its folder, or by its name in the package example-robot-data."""
     try:
         folder = find(name_or_folder)
     except DescriptionError:
@@ -133,9 +105,7 @@ def load(
     """Load an arm from its folder.
 
     Args:
-        folder: the folder.
         urdf: URDF in place of the folder's, whose hulls, parts and surfaces then do not apply.
-        srdf: SRDF that goes with it.
         package_directories: folders for ``package://``, ahead of the folder's own.
 
     Raises:
@@ -154,33 +124,27 @@ def load(
     urdf = urdf or found.of(lambda: _description_file(folder, file.robot.urdf, "urdf"), None)
     srdf = srdf or found.of(lambda: _description_file(folder, file.robot.srdf, "srdf"), None)
     packages = (*package_directories, *((folder / package).resolve() for package in file.robot.packages))
-    hulls: dict[str, Hull] = {}
-    parts: dict[str, tuple[NDArray[np.float64], ...]] = {}
-    surfaces: dict[str, LinkSurface] = {}
-    if own and (hulls_file := file.robot.hulls) is not None:
-        hulls = found.of(lambda: _hulls(folder / hulls_file), hulls)
-    if own and (parts_file := file.robot.parts) is not None:
-        parts = found.of(lambda: _parts(folder / parts_file), parts)
-    if own and (surfaces_file := file.robot.surfaces) is not None:
-        surfaces = found.of(lambda: _surfaces((folder / surfaces_file).resolve()), surfaces)
-    arm = None
-    if urdf is not None and srdf is not None:
-        described = urdf, srdf
-        arm = found.of(
-            lambda: model.load(*described, packages, limits, hulls=hulls, parts=parts, surfaces=surfaces), None
-        )
+    shapes: dict[str, Any] = {}
+    readers: dict[str, Callable[[Path], Any]] = {"hulls": _hulls, "parts": _parts, "surfaces": _surfaces}
+    for key, read in readers.items():
+        named: Path | None = getattr(file.robot, key)
+        if own and named is not None:
+            shapes[key] = found.of(partial(read, (folder / named).resolve()), {})
+    if urdf is None or srdf is None:
+        raise found.error()
+    describe = partial(model.load, urdf, srdf, packages, limits, needs_meshes=not shapes.get("hulls"))
+    arm = found.of(describe, None)
     if arm is None:
         raise found.error()
-    found.add(_unknown_names(file, arm))
+    found.add(_unknown_names(file, replace(arm, **shapes)))
     if found:
         raise found.error()
     if file.held_joints:
-        arm = model.load(
-            *described, packages, limits, held=file.held_joints, hulls=hulls, parts=parts, surfaces=surfaces
-        )
+        arm = describe(held=file.held_joints)
     group = file.planning.group or arm.default_group
     arm = replace(
         arm,
+        **shapes,
         gripper=arm.gripper if file.gripper is None else _gripper(file.gripper),
         default_group=group,
         tip_link=file.planning.tip or arm.groups[group].tip_link,
@@ -192,7 +156,7 @@ def load(
 
 
 class _Problems:
-    """Problems of a folder, collected so that all are told at once."""
+    """Problems of a folder, collected so that all are reported at once."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -214,12 +178,12 @@ class _Problems:
         self._sentences += sentences
 
     def error(self) -> RobotFileError:
-        """Return the error that tells them."""
+        """Return the error that lists them."""
         return RobotFileError(self._path, self._sentences)
 
 
 def _description_file(folder: Path, named: Path | None, kind: str) -> Path:
-    """Return the folder's URDF or SRDF: the one that is named, or the only one."""
+    """Return the folder's URDF or SRDF: the named one, or the only one."""
     if named is not None:
         path = folder / named
         if not path.is_file():
@@ -233,7 +197,7 @@ def _description_file(folder: Path, named: Path | None, kind: str) -> Path:
 
 
 def _limits(folder: Path, file: RobotFile) -> dict[str, JointLimits]:
-    """Return the limits beside the URDF: MoveIt's, and in their place those of ``robot.toml``."""
+    """Return the limits that replace the URDF's: MoveIt's, and before them the limits of ``robot.toml``."""
     limits = {} if file.robot.joint_limits is None else moveit_limits(folder / file.robot.joint_limits)
     for name, table in file.joints.items():
         own = {key: value for key, value in table.model_dump().items() if value is not None}
@@ -242,12 +206,8 @@ def _limits(folder: Path, file: RobotFile) -> dict[str, JointLimits]:
 
 
 def moveit_limits(path: Path) -> dict[str, JointLimits]:
-    """Read MoveIt's joint_limits.yaml (MoveIt's tutorial on the RobotModel's limits and joint_limits_aggregator).
-
-    Raises:
-        DescriptionError: it cannot be read, or a limit is no number above 0.
-    """
-    # Imported when it is needed: most arms have no such file.
+    """Read MoveIt's joint_limits.yaml (MoveIt's tutorial on the RobotModel's limits and joint_limits_aggregator)."""
+    # Imported where it is needed: most arms have no joint_limits.yaml.
     import yaml
 
     try:

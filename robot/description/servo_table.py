@@ -14,15 +14,10 @@ HardwareKind: TypeAlias = Literal["feetech", "dynamixel", "ideal"]
 
 @dataclass(frozen=True)
 class ZeroTick:
-    """Zero given by one position.
+    """Zero given by one position."""
 
-    Attributes:
-        tick: tick at which the joint is at ``angle_rad``; None for the middle of its calibrated range.
-        angle_rad: position of the joint there [rad].
-    """
-
-    tick: int | None = None
-    angle_rad: float = 0.0
+    tick: int | None = None  # tick at which the joint is at `angle_rad`; None for the middle of its calibrated range
+    angle_rad: float = 0.0  # position of the joint there [rad]
 
 
 # With ``ends`` the ends of the calibrated range are the URDF's limits: a gripper, whose stops define both.
@@ -31,29 +26,17 @@ Zero: TypeAlias = Literal["ends"] | ZeroTick
 
 @dataclass(frozen=True)
 class ServoSpec:
-    """Servo of a joint, as the robot's folder describes it.
+    """Servo of a joint, as the robot's folder describes it."""
 
-    Attributes:
-        joint: name in the URDF.
-        servo_id: id on the bus.
-        lower_rad: lower limit of the joint in the URDF [rad].
-        upper_rad: upper limit [rad].
-        model: model of the servo, in small letters.
-        sign: 1, or -1 for a servo whose ticks fall while the joint's position rises.
-        zero: place of the joint's zero.
-        turns_freely: True for a joint without end stops.
-        gripper: True for a joint of the gripper, which may stall against what it holds.
-    """
-
-    joint: str
+    joint: str  # name in the URDF
     servo_id: int
-    lower_rad: float
-    upper_rad: float
-    model: str = "sts3215"
-    sign: int = 1
+    lower_rad: float  # lower limit of the joint in the URDF [rad]
+    upper_rad: float  # upper limit [rad]
+    model: str = "sts3215"  # model of the servo, in small letters
+    sign: int = 1  # 1, or -1 for a servo whose ticks fall while the joint's position rises
     zero: Zero = ZeroTick()
-    turns_freely: bool = False
-    gripper: bool = False
+    turns_freely: bool = False  # True for a joint without end stops
+    gripper: bool = False  # True for a joint of the gripper, which may stall against what it holds
 
     @property
     def needs_calibration(self) -> bool:
@@ -63,33 +46,21 @@ class ServoSpec:
 
 @dataclass(frozen=True)
 class ProfileSpec:
-    """Settings that the servos of an arm should have, by the names of their registers.
+    """Settings that the servos of an arm should have, by the names of their registers."""
 
-    Attributes:
-        base: profile from which they differ.
-        registers: values for every servo.
-        gripper: values for the gripper's servos.
-    """
-
-    base: Literal["factory", "lerobot"] = "factory"
-    registers: Mapping[str, int] = field(default_factory=dict)
-    gripper: Mapping[str, int] = field(default_factory=dict)
+    base: Literal["factory", "lerobot"] = "factory"  # profile from which they differ
+    registers: Mapping[str, int] = field(default_factory=dict)  # values for every servo
+    gripper: Mapping[str, int] = field(default_factory=dict)  # values for the gripper's servos
 
 
 @dataclass(frozen=True)
 class HardwareTable:
-    """Hardware of an arm.
+    """Hardware of an arm."""
 
-    Attributes:
-        kind: kind of its servos; ``ideal`` for joints without servos.
-        servos: its servos, whose order is that of every array; empty for ideal joints.
-        baud: rate of the bus [baud].
-        calibrations: folders in which lerobot keeps calibrations of such arms, the newest name first.
-        profile: settings of its servos; None for those of the factory or of lerobot, whichever are nearer.
-    """
-
-    kind: HardwareKind = "ideal"
-    servos: tuple[ServoSpec, ...] = ()
+    kind: HardwareKind = "ideal"  # kind of its servos; `ideal` for joints without servos
+    servos: tuple[ServoSpec, ...] = ()  # its servos, in the order of every array; empty for ideal joints
     baud: int = 1_000_000
+    # Folders in which lerobot keeps calibrations of the arm, the newest name first.
     calibrations: tuple[str, ...] = ()
+    # Settings of its servos; None for the factory's or lerobot's, whichever are nearer.
     profile: ProfileSpec | None = None

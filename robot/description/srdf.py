@@ -13,19 +13,12 @@ from robot.errors import DescriptionError
 
 @dataclass(frozen=True)
 class Group:
-    """Planning group of the SRDF: joints that move together.
-
-    Attributes:
-        name: of the group.
-        joints: joints with a position of their own, from the root outwards.
-        base_link: link from which the joints' chain starts; that of the first joint where they are not a chain.
-        tip_link: link to which the chain leads; empty where the joints are not one chain.
-    """
+    """Planning group of the SRDF: joints that move together."""
 
     name: str
-    joints: tuple[str, ...]
-    base_link: str
-    tip_link: str
+    joints: tuple[str, ...]  # joints with a position of their own, from the root outwards
+    base_link: str  # link from which the chain starts; without a chain, the parent of the first joint
+    tip_link: str  # link to which the chain leads; empty where the joints are not one chain
 
 
 @dataclass(frozen=True)
@@ -39,36 +32,19 @@ class EndEffector:
 
 @dataclass(frozen=True)
 class Semantics:
-    """Content of an SRDF.
+    """Content of an SRDF."""
 
-    Attributes:
-        groups: planning groups by name, those without a movable joint left out.
-        named_states: group name -> state name -> joint name -> position [rad].
-        disabled_pairs: pairs of links whose collision is not checked.
-        end_effectors: end effectors.
-        passive_joints: movable joints that nothing drives.
-        planning_frame: frame from which a virtual joint leads to the root link; without one, the root link.
-    """
-
-    groups: Mapping[str, Group]
+    groups: Mapping[str, Group]  # planning groups by name, those without a movable joint left out
+    # Group name -> state name -> joint name -> position [rad].
     named_states: Mapping[str, Mapping[str, Mapping[str, float]]]
     disabled_pairs: frozenset[frozenset[str]]
     end_effectors: tuple[EndEffector, ...]
-    passive_joints: frozenset[str]
-    planning_frame: str
+    passive_joints: frozenset[str]  # movable joints that nothing drives
+    planning_frame: str  # frame from which a virtual joint leads to the root link; without one, the root link
 
 
 def read_srdf(text: str, source: str, tree: Tree) -> Semantics:
-    """Read an SRDF.
-
-    Args:
-        text: SRDF.
-        source: kind or path of the file, for errors.
-        tree: links and joints of the URDF.
-
-    Raises:
-        DescriptionError: the text does not parse, has no group, or is that of another robot.
-    """
+    """Read an SRDF that belongs to links and joints of a URDF."""
     return _Reader(root_of(text, source), source, tree).read()
 
 

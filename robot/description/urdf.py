@@ -21,7 +21,7 @@ DEFAULT_TIME_TO_FULL_SPEED_S = 0.4
 
 @dataclass(frozen=True)
 class Mimic:
-    """Joint that follows another one: its position is ``multiplier`` times that of ``joint``, plus ``offset``."""
+    """Joint that follows ``joint``: at ``multiplier`` times its position, plus ``offset``."""
 
     joint: str
     multiplier: float
@@ -30,11 +30,7 @@ class Mimic:
 
 @dataclass(frozen=True)
 class Joint:
-    """Joint of a URDF. Positions in rad (m when prismatic); rates per second, squared and cubed.
-
-    Attributes:
-        mimic: joint that it follows, one with a position of its own; None for a joint that follows none.
-    """
+    """Joint of a URDF. Positions in rad (m when prismatic); rates per second, squared and cubed."""
 
     name: str
     type: str
@@ -45,6 +41,7 @@ class Joint:
     max_velocity: float
     max_acceleration: float
     max_jerk: float | None = None
+    # Joint that it follows, one with a position of its own; None for a joint that follows none.
     mimic: Mimic | None = None
 
     @property
@@ -72,15 +69,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of a joint from beside the URDF, whose own they replace; None for those that stay.
-
-    Attributes:
-        lower: lower limit [rad or m].
-        upper: upper limit [rad or m].
-        max_velocity: [rad/s or m/s].
-        max_acceleration: [rad/s^2 or m/s^2].
-        max_jerk: [rad/s^3 or m/s^3].
-    """
+    """Limits of a joint that replace the URDF's, in the units of :class:`Joint`; None for a limit that stays."""
 
     lower: float | None = None
     upper: float | None = None
@@ -94,30 +83,15 @@ NO_LIMITS = JointLimits()
 
 @dataclass(frozen=True)
 class Tree:
-    """Links and joints.
-
-    Attributes:
-        name: of the robot.
-        links: link names: root first, each with all that it carries before the next.
-        joints: joints by name, in the order of the URDF.
-    """
+    """Links and joints."""
 
     name: str
-    links: tuple[str, ...]
-    joints: Mapping[str, Joint]
+    links: tuple[str, ...]  # link names: root first, each with all that it carries before the next
+    joints: Mapping[str, Joint]  # joints by name, in the order of the URDF
 
 
 def read_urdf(text: str, source: str, limits: Mapping[str, JointLimits]) -> Tree:
-    """Read a URDF.
-
-    Args:
-        text: URDF.
-        source: kind or path of the file, for errors.
-        limits: limits by joint that replace those of the URDF.
-
-    Raises:
-        DescriptionError: the text does not parse, or misses what planning needs.
-    """
+    """Read a URDF; some joints have limits that replace its own."""
     robot = root_of(text, source)
     joints: dict[str, Joint] = {}
     for element in robot.iterfind("joint"):

@@ -27,11 +27,12 @@ from robot.emulator.write_log import WriteLog
 from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.hardware import FeetechHardware
+from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register, encode
-from robot.hardware.feetech.servo_map import ServoMap
 from robot.hardware.interface import HardwareInterface
 from robot.hardware.port import LOCAL_LATENCY_S, QUIET_S
+from robot.hardware.servos.hardware import ServoHardware
+from robot.hardware.servos.servo_map import full_torque
 from robot.messages import GuardLimits
 
 # One is in use at a time; the rest allows for connections that were not closed.
@@ -80,10 +81,9 @@ class EmulatedServos:
         servos = build_servos(config.calibration, start_rad, population, as_read=config.resumes)
         if config.driven and (config.resumes or not population.has_shifted):
             # As an arm process leaves them: holding, at its torque limits.
-            full_torque = ServoMap(config.calibration, bounds, guard_limits).full_torque.tolist()
-            for servo, permille in zip(servos, full_torque, strict=True):
+            for servo, share in zip(servos, full_torque(config.calibration, guard_limits), strict=True):
                 servo.power_up(holding=True)
-                servo.write(Register.TORQUE_LIMIT, encode(Register.TORQUE_LIMIT, permille))
+                servo.write(Register.TORQUE_LIMIT, encode(Register.TORQUE_LIMIT, round(share * 1000.0)))
         chance = random.Random(config.seed)  # noqa: S311 - repeatable faults, no secret
         faults = Faults(drop=config.drop, corrupt=config.corrupt, random=chance)
         log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
@@ -102,14 +102,14 @@ class EmulatedServos:
             PortError: it is unplugged.
         """
         self._port.check()
-        return FeetechHardware(
+        return ServoHardware(
+            Feetech(self._config.profile),
             Bus(self._port, self._clock),
             # Emulated servos are built from the calibration: it tells their offsets, also where it was assumed.
             replace(self._config.calibration, offsets_known=True),
             self._bounds,
             self._guard_limits,
             self._clock,
-            profile=self._config.profile,
             simulated=True,
         )
 

@@ -27,7 +27,7 @@ from robot.emulator.servo import Servo
 from robot.emulator.write_log import WriteLog
 from robot.hardware.feetech.packets import HEADER, LENGTH_OVERHEAD, checksum
 from robot.hardware.feetech.registers import Register
-from robot.hardware.half_duplex import wire_time_s
+from robot.hardware.port import wire_time_s
 
 BAUDRATE = 1_000_000
 

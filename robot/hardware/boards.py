@@ -32,17 +32,11 @@ UsbId = tuple[int, int]
 
 @dataclass(frozen=True)
 class Board:
-    """Kind of board that leads to a servo bus.
+    """Kind of board that leads to a servo bus."""
 
-    Attributes:
-        usb_id: vendor and product id of its serial chip.
-        name: chip and boards, for the reader.
-        certain: False for a chip that many devices other than servo boards have.
-    """
-
-    usb_id: UsbId
-    name: str
-    certain: bool
+    usb_id: UsbId  # vendor and product id of its serial chip
+    name: str  # chip and boards, for the reader
+    certain: bool  # False for a chip that many devices other than servo boards have
 
 
 # In order of certainty. Sources: the ids that public SO-101 projects list (phosphobot's so100.py and the constants of
@@ -58,11 +52,7 @@ KNOWN_BOARDS = (
 
 
 def find_board() -> str:
-    """Find the one known board that is plugged in; return the name of its device.
-
-    Raises:
-        PortError: none is plugged in, or several of the same certainty; the text says what to do.
-    """
+    """Return the device of the one known board that is plugged in; raises PortError for none and for several."""
     plugged_in = usb_ports()
     for certain in (True, False):
         usb_ids = {board.usb_id for board in KNOWN_BOARDS if board.certain is certain}
@@ -73,11 +63,7 @@ def find_board() -> str:
 
 
 def find_usb_id(usb_id: UsbId) -> str:
-    """Find the one device with a USB id; return its name.
-
-    Raises:
-        PortError: none is plugged in, or several; the text says what to do.
-    """
+    """Return the one device with a USB id; raises PortError for none and for several."""
     plugged_in = usb_ports()
     found = [info for info in plugged_in if (info.vid, info.pid) == usb_id]
     name = usb_id_text(usb_id)

@@ -57,11 +57,7 @@ class MachineClock(LoopClock):
 
 
 class SimulationClock(LoopClock):
-    """Clock that advances at the start of each tick only.
-
-    Args:
-        machine_s: the machine's monotonic time, which is its first [s].
-    """
+    """Clock that advances at the start of each tick only, from the machine's monotonic time on [s]."""
 
     def __init__(self, machine_s: float) -> None:
         self._now_s = self._tick_s = machine_s

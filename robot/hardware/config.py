@@ -14,13 +14,9 @@ from robot.hardware.feetech.profiles import ServoProfile
 
 @dataclass(frozen=True)
 class _ServosConfig:
-    """Servos of an arm.
+    """Servos of an arm."""
 
-    Attributes:
-        calibration: servos of the joints, whose order is that of every array.
-    """
-
-    calibration: Calibration
+    calibration: Calibration  # servos of the joints, whose order is that of every array
 
     def joint_names(self, _robot: RobotModel) -> tuple[str, ...]:
         """Return the joints that have a servo."""
@@ -29,16 +25,11 @@ class _ServosConfig:
 
 @dataclass(frozen=True)
 class _SerialConfig(_ServosConfig):
-    """Servos on a serial port.
-
-    Attributes:
-        simulated: False.
-        port: serial device, ``socket://host:port``, USB id or ``auto``.
-    """
+    """Servos on a serial port."""
 
     simulated: ClassVar[bool] = False
 
-    port: str
+    port: str  # serial device, ``socket://host:port``, USB id or ``auto``
 
     def resumed(self, _position_rad: Mapping[str, float], *, driven: bool) -> Self:  # noqa: ARG002 - as simulated joints
         """Return the same: servos stay where they are when the arm process ends."""
@@ -47,75 +38,50 @@ class _SerialConfig(_ServosConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class _SimulatedConfig:
-    """Joints of a simulation.
-
-    Attributes:
-        simulated: True.
-        start_rad: joint -> position at the start [rad]; joints not named start at 0, or at the limit nearest to it.
-        driven: True if the joints start with torque on, as an arm process leaves them.
-    """
+    """Joints of a simulation."""
 
     simulated: ClassVar[bool] = True
 
+    # Joint -> position at the start [rad]; joints not named start at 0, or at the limit nearest to it.
     start_rad: Mapping[str, float] = field(default_factory=dict)
-    driven: bool = False
+    driven: bool = False  # True if the joints start with torque on, as an arm process leaves them
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
-        """Return the joints as an arm process that has ended left them: real ones would have stayed.
-
-        Args:
-            position_rad: joint -> position that the process reported last [rad]; other joints keep their start.
-            driven: True if their torque was on.
-        """
+        """Return the joints at the positions that an arm process reported last [rad]: real ones would have stayed."""
         return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _EmulatedBusConfig(_SimulatedConfig):
-    """Bus of servos emulated inside the arm process; the calibration's ranges are the joints' mechanical stops.
+    """Bus of servos emulated inside the arm process; the calibration's ranges are the joints' mechanical stops."""
 
-    Attributes:
-        port: name in place of a port.
-        drop: probability that a reply is lost.
-        corrupt: probability that a reply has a wrong byte.
-        seed: seed of these faults.
-    """
+    port: ClassVar[str] = "simulated"  # name in place of a port
 
-    port: ClassVar[str] = "simulated"
-
-    drop: float = 0.0
-    corrupt: float = 0.0
-    seed: int = 0
+    drop: float = 0.0  # probability that a reply is lost
+    corrupt: float = 0.0  # probability that a reply has a wrong byte
+    seed: int = 0  # seed of these faults
 
 
 @dataclass(frozen=True)
 class FeetechConfig(_SerialConfig):
-    """Feetech servos on a serial port.
+    """Feetech servos on a serial port."""
 
-    Attributes:
-        profile: settings that they should have; None for those of the known profile that is nearest.
-    """
+    baud: ClassVar[int] = 1_000_000  # bits per second
 
+    # Settings that they should have; None for those of the known profile that is nearest.
     profile: ServoProfile | None = None
 
 
 @dataclass(frozen=True)
 class EmulatedConfig(_EmulatedBusConfig, _ServosConfig):
-    """Feetech servos emulated inside the arm process.
+    """Feetech servos emulated inside the arm process."""
 
-    Attributes:
-        profile: settings that the servos should have; None for those of the known profile that is nearest.
-        population: state in which the servos are found (:mod:`robot.emulator.populations`).
-        write_log: log file with a line of JSON for every write to a servo; None for no log.
-        control: path of a Unix socket for the emulator's live commands (:mod:`robot.emulator.control`).
-        resumes: True if the servos existed before, in an arm process that has ended.
-    """
-
+    # Settings that the servos should have; None for those of the known profile that is nearest.
     profile: ServoProfile | None = None
-    population: str = "factory"
-    write_log: Path | None = None
-    control: Path | None = None
-    resumes: bool = False
+    population: str = "factory"  # state in which the servos are found (:mod:`robot.emulator.populations`)
+    write_log: Path | None = None  # log file with a line of JSON for every write to a servo; None for no log
+    control: Path | None = None  # Unix socket for the emulator's live commands (:mod:`robot.emulator.control`)
+    resumes: bool = False  # True if the servos existed before, in an arm process that has ended
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
         """Return the servos as an arm process that has ended left them."""
@@ -124,13 +90,9 @@ class EmulatedConfig(_EmulatedBusConfig, _ServosConfig):
 
 @dataclass(frozen=True)
 class DynamixelConfig(_SerialConfig):
-    """Dynamixel servos of the X series on a serial port.
+    """Dynamixel servos of the X series on a serial port."""
 
-    Attributes:
-        baud: bits per second.
-    """
-
-    baud: int = 1_000_000
+    baud: int = 1_000_000  # bits per second
 
 
 @dataclass(frozen=True)
@@ -140,16 +102,11 @@ class EmulatedDynamixelConfig(_EmulatedBusConfig, _ServosConfig):
 
 @dataclass(frozen=True)
 class IdealConfig(_SimulatedConfig):
-    """Joints without actuators, which follow their goals.
+    """Joints without actuators, which follow their goals."""
 
-    Attributes:
-        port: name in place of a port.
-        lag_s: time constant with which they follow [s]; 0 follows within one tick.
-    """
+    port: ClassVar[str] = "ideal"  # name in place of a port
 
-    port: ClassVar[str] = "ideal"
-
-    lag_s: float = 0.03
+    lag_s: float = 0.03  # time constant with which they follow [s]; 0 follows within one tick
 
     def joint_names(self, robot: RobotModel) -> tuple[str, ...]:
         """Return every movable joint of the robot."""

@@ -28,12 +28,6 @@ class IdealArm(HardwareInterface):
 
     In a time dt each joint covers the share 1 - exp(-dt / lag) of the way to its goal, and no more than its velocity
     limit allows.
-
-    Args:
-        config: lag and start positions.
-        joint_names: order of every array.
-        bounds: limits of the joints.
-        clock: time of the control loop [s].
     """
 
     def __init__(

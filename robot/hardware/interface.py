@@ -21,6 +21,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.advice import ServoWarning
 from robot.calibration import Calibration
 from robot.description.limits import JointBounds
 from robot.errors import OrderRefused
@@ -35,10 +36,13 @@ Flags: TypeAlias = NDArray[np.bool_]
 # Round trips of the last second at 100 Hz.
 ROUND_TRIPS_KEPT = 100
 
-# No joint turns this far in a cycle (300 ticks of an STS3215, 46 rad/s); longer gaps allow for the free speed of an
-# STS3215 at 7.4 V.
+# No joint turns this far in a cycle (46 rad/s); longer gaps allow for the free speed of the actuators.
 JUMP_RAD = 0.46
+
+# Free speed of small servos (an STS3215 at 7.4 V), for actuators that state none.
 FREE_SPEED_RAD_S = 5.5
+
+CALIBRATION_NOT_KEPT = "a calibration is written into Feetech servos only, and this arm has others"
 
 
 class StatusFlag(IntFlag):
@@ -58,119 +62,71 @@ def status_names(status: int) -> list[str]:
 
 
 class Measured(NamedTuple):
-    """Latest good reading of every joint, each of shape (joints,); NaN where the hardware does not measure it.
-
-    Attributes:
-        position_rad: position [rad].
-        velocity_rad_s: velocity [rad/s].
-        load: share of full motor duty, signed.
-        current_a: motor current, signed [A].
-        voltage_v: supply [V].
-        temperature_c: temperature of the motors [degC].
-        status: bits of :class:`StatusFlag`.
-        age_s: age of the readings [s].
-        stamp_s: wall-clock time of the tick [s since the epoch], one number.
-    """
+    """Latest good reading of every joint, each of shape (joints,); NaN where the hardware does not measure it."""
 
     position_rad: Vector
     velocity_rad_s: Vector
-    load: Vector
-    current_a: Vector
-    voltage_v: Vector
-    temperature_c: Vector
-    status: NDArray[np.int_]
-    age_s: Vector
-    stamp_s: float = 0.0
+    load: Vector  # share of full motor duty, signed
+    current_a: Vector  # motor current, signed [A]
+    voltage_v: Vector  # supply [V]
+    temperature_c: Vector  # temperature of the motors [degC]
+    status: NDArray[np.int_]  # bits of :class:`StatusFlag`
+    age_s: Vector  # age of the readings [s]
+    stamp_s: float = 0.0  # wall-clock time of the tick [s since the epoch], one number
 
 
 class Actuation(NamedTuple):
-    """Strength of the actuators as they are set, each of shape (joints,).
+    """Strength of the actuators as they are set, each of shape (joints,)."""
 
-    Attributes:
-        stiffness: position gain as a share of the factory's; with half of it a joint droops twice as far.
-        max_torque: largest share of full duty.
-        overload_torque: share of full duty that must not last; infinite without such a protection.
-        overload_time_s: time for which it may last [s].
-        overload_current_a: current that must not last; infinite without such a protection [A].
-    """
-
-    stiffness: Vector
-    max_torque: Vector
-    overload_torque: Vector
-    overload_time_s: Vector
-    overload_current_a: Vector
+    stiffness: Vector  # position gain as a share of the factory's; with half of it a joint droops twice as far
+    max_torque: Vector  # largest share of full duty
+    overload_torque: Vector  # share of full duty that must not last; infinite without such a protection
+    overload_time_s: Vector  # time for which it may last [s]
+    overload_current_a: Vector  # current that must not last; infinite without such a protection [A]
+    stall_current_a: Vector  # current of the stalled motor at full duty [A]
+    free_speed_rad_s: Vector  # speed without load at full duty [rad/s]
 
     @classmethod
     def unprotected(cls, joints: int) -> Actuation:
-        """Return that of actuators without settings.
-
-        Args:
-            joints: their number.
-        """
+        """Return the strength of a number of actuators that have no settings."""
         ones, never = np.ones(joints), np.full(joints, np.inf)
-        return cls(ones, ones, never, never, never)
+        return cls(ones, ones, never, never, never, ones, np.full(joints, FREE_SPEED_RAD_S))
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Result of surveying the actuators, to which nothing was written.
+    """Result of surveying the actuators, to which nothing was written."""
 
-    Attributes:
-        bounds: soft limits, narrowed to the actuators' own limits.
-        driven: True for joints whose torque is on, shape (joints,).
-        goal_rad: goals of those, NaN for the others, shape (joints,) [rad].
-        max_voltage_v: highest supply of each; infinite where there is no such limit, shape (joints,) [V].
-        actuation: their strength.
-        reply_latency_s: time that the bus waits for a reply [s].
-    """
-
-    bounds: JointBounds
-    driven: Flags
-    goal_rad: Vector
-    max_voltage_v: Vector
-    actuation: Actuation
-    reply_latency_s: float
+    bounds: JointBounds  # soft limits, narrowed to the actuators' own limits
+    driven: Flags  # True for joints whose torque is on, shape (joints,)
+    goal_rad: Vector  # goals of those, NaN for the others, shape (joints,) [rad]
+    max_voltage_v: Vector  # highest supply of each; infinite where there is no such limit, shape (joints,) [V]
+    actuation: Actuation  # their strength
+    reply_latency_s: float  # time that the bus waits for a reply [s]
 
 
 @dataclass
 class BusCounters:
-    """Counters of the bus since it was opened.
+    """Counters of the bus since it was opened."""
 
-    Attributes:
-        sent: instructions written.
-        replies: valid replies received.
-        timeouts: replies that were expected and missing or invalid.
-        discarded_bytes: bytes that belonged to no valid reply.
-        retries: instructions repeated because the servo gave no valid reply.
-    """
-
-    sent: int = 0
-    replies: int = 0
-    timeouts: int = 0
-    discarded_bytes: int = 0
-    retries: int = 0
+    sent: int = 0  # instructions written
+    replies: int = 0  # valid replies received
+    timeouts: int = 0  # replies that were expected and missing or invalid
+    discarded_bytes: int = 0  # bytes that belonged to no valid reply
+    retries: int = 0  # instructions repeated because the servo gave no valid reply
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Condition of one actuator beyond its readings.
+    """Condition of one actuator beyond its readings."""
 
-    Attributes:
-        hardware_id: its name in diagnostics, as ``servo 3``.
-        torque_enabled: True if its torque was on when it was last read back; None before.
-        age_s: time since its last good reading, infinite before the first [s].
-        silent_cycles: cycles in which it did not answer.
-        warnings: warnings of the survey, a sentence each.
-        registers: its settings as surveyed, by the name of the register.
-        expected: values that those of them should have which have another, likewise.
-    """
-
-    hardware_id: str
-    torque_enabled: bool | None
-    age_s: float
-    silent_cycles: int
-    warnings: tuple[str, ...] = ()
-    registers: Mapping[str, int] = field(default_factory=dict)
+    hardware_id: str  # its name in diagnostics, as ``servo 3``
+    torque_enabled: bool | None  # True if its torque was on when it was last read back; None before
+    age_s: float  # time since its last good reading, infinite before the first [s]
+    silent_cycles: int  # cycles in which it did not answer
+    warnings: tuple[ServoWarning, ...] = ()  # warnings of the survey
+    registers: Mapping[str, int] = field(default_factory=dict)  # its settings as surveyed, by the name of the register
+    # Values that settings should have which have another, by the name of the register.
     expected: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -182,24 +138,17 @@ class HardwareInterface(ABC):
 
     Args:
         joint_names: order of every array.
-        full_torque: share of full duty that each joint may use at most, shape (joints,).
-
-    Attributes:
-        joint_names: as given.
-        full_torque: as given; a survey lowers it to what the actuators are set to give.
-        needs_survey: True from the first write of a calibration until the next survey; :meth:`enable` is refused.
-        latched_status: status flags that last until :meth:`clear_overloads` clears them.
-        counters: events on the bus; None for hardware without one.
-        round_trips_s: durations of the latest reads [s].
+        full_torque: share of full duty that each joint may use at most, shape (joints,); a survey lowers it to what the
+            actuators are set to give.
     """
 
     def __init__(self, joint_names: tuple[str, ...], full_torque: Vector) -> None:
         self.joint_names = joint_names
         self.full_torque = full_torque
-        self.needs_survey = False
-        self.latched_status = StatusFlag.OVERLOAD
-        self.counters: BusCounters | None = None
-        self.round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS_KEPT)
+        self.needs_survey = False  # from the first write of a calibration until the next survey; enabling is refused
+        self.latched_status = StatusFlag.OVERLOAD  # status flags that last until they are cleared
+        self.counters: BusCounters | None = None  # events on the bus; None for hardware without one
+        self.round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS_KEPT)  # durations of the latest reads
 
     @abstractmethod
     def survey(self) -> Steps[Survey]:
@@ -221,34 +170,22 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def write_torque_shares(self, torque_share: Vector) -> None:
-        """Write the joints' torque limits where they have changed.
-
-        Args:
-            torque_share: shares of full motor duty, 0 to 1, shape (joints,).
-        """
+        """Write the joints' torque limits where they have changed: shares of full duty, 0 to 1, shape (joints,)."""
 
     @abstractmethod
     def check(self, stamp_s: float) -> Fault | None:
         """Check one joint's actuator, in turn, against what was written to it; None when it agrees or none is due.
 
-        Args:
-            stamp_s: wall-clock time for the fault [s since the epoch].
+        The fault has the wall-clock time ``stamp_s`` [s since the epoch].
         """
 
     @abstractmethod
     def driven(self) -> Steps[Flags]:
-        """Read the joints whose torque is on, shape (joints,).
-
-        Raises:
-            NoReply: a joint does not answer.
-        """
+        """Read the joints whose torque is on, shape (joints,); raises NoReply."""
 
     @abstractmethod
     def enable(self, joints: Sequence[int]) -> Steps[Vector]:
-        """Switch torque on without a jump; joints that hold already keep their goals.
-
-        Args:
-            joints: indices in the arrays; the others are only read.
+        """Switch torque on at some indices without a jump; joints that hold already keep their goals.
 
         Returns:
             Goals of all joints, positions for those that do not hold, shape (joints,) [rad].
@@ -261,24 +198,16 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def relax(self, torque_share: Vector) -> Steps[list[str]]:
-        """Lower the torque, then switch it off and verify that.
+        """Lower the torque from some shares on, shape (joints,), then switch it off and verify that.
 
-        Args:
-            torque_share: shares to begin with, shape (joints,).
-
-        Returns:
-            Labels of the joints that may still be driven.
+        Return the labels of joints that may still be driven.
         """
 
     @abstractmethod
     def switch_off(self, joints: Sequence[int] | None = None) -> Steps[list[str]]:
-        """Switch torque off and verify that.
+        """Switch torque off at some indices, or everywhere, and verify that.
 
-        Args:
-            joints: indices in the arrays; None for all.
-
-        Returns:
-            Labels of the joints that may still be driven.
+        Return the labels of joints that may still be driven.
         """
 
     @abstractmethod
@@ -287,11 +216,7 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:
-        """Clear latched overloads, and what else is latched: torque off, and on again at the present position.
-
-        Args:
-            joints: indices of the joints with a status of :attr:`latched_status`.
-            hold: True if the arm holds; otherwise torque is off at the end.
+        """Clear the status flags of :attr:`latched_status` at some indices, where the joints are.
 
         Returns:
             Goals of all joints, shape (joints,) [rad]; None when nothing holds.
@@ -304,11 +229,7 @@ class HardwareInterface(ABC):
     def write_calibration(self, calibration: Calibration) -> Steps[str]:  # noqa: ARG002 - for those who can
         """Write a calibration into the actuators, whose torque is off; positions keep the old one until a restart.
 
-        Args:
-            calibration: calibration of the same actuators.
-
-        Returns:
-            Sentence on what was written.
+        Return a sentence on what was written.
 
         Raises:
             OrderRefused: these actuators keep no calibration of this kind.
@@ -316,7 +237,7 @@ class HardwareInterface(ABC):
             NoReply: an actuator does not answer.
         """
         yield 0.0
-        raise OrderRefused("a calibration is written into Feetech servos only, and this arm has others")
+        raise OrderRefused(CALIBRATION_NOT_KEPT)
 
     @abstractmethod
     def condition(self, joint: int) -> Condition:
@@ -332,14 +253,9 @@ class HardwareInterface(ABC):
 
 
 def run_to_end(steps: Steps[Result], wait: Callable[[float], None] = time.sleep) -> Result:
-    """Run a sequence to its end, on hardware without a control loop, as the command line does.
+    """Run a sequence to its end and return its result, on hardware without a control loop, as the command line does.
 
-    Args:
-        steps: the sequence; its exceptions propagate.
-        wait: waits for a time [s].
-
-    Returns:
-        Result of the sequence.
+    Exceptions of the sequence propagate; ``wait`` waits for a time [s].
     """
     while True:
         try:

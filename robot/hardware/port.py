@@ -28,6 +28,9 @@ from robot.hardware.boards import find_board, find_usb_id
 
 AUTO = "auto"
 
+# Start bit, eight data bits and stop bit.
+BITS_PER_BYTE = 10
+
 _USB_ID = re.compile(r"(?:usb:)?([0-9a-f]{4}):([0-9a-f]{4})", re.IGNORECASE)
 
 # A sync write of 56 bytes takes 0.6 ms; an adapter that has not taken it in 100 ms is gone or stuck.
@@ -66,51 +69,38 @@ _BUSY = frozenset({errno.EBUSY, errno.EAGAIN})
 
 
 class BusPort(Protocol):
-    """Port of a servo bus, as :class:`robot.hardware.feetech.bus.Bus` and ``scservo_sdk`` use it.
+    """Port of a servo bus, as :class:`robot.hardware.servos.bus.ServoBus` and the makers' SDKs use it.
 
-    Attributes:
-        port_name: name in errors.
-        baudrate: bits per second.
-        is_using: the SDK's lock.
-        latency_s: time that a reply may take beyond its wire time [s].
-        quiet_s: pause after which a burst of replies counts as ended [s].
-        discarded_bytes: unexpected input bytes discarded so far.
+    Every method may raise PortLost when the port is gone.
     """
 
-    port_name: str
-    baudrate: int
-    is_using: bool
-    latency_s: float
-    quiet_s: float
-    discarded_bytes: int
+    port_name: str  # name in errors
+    baudrate: int  # bits per second
+    is_using: bool  # the SDK's lock
+    latency_s: float  # time that a reply may take beyond its wire time [s]
+    quiet_s: float  # pause after which a burst of replies counts as ended [s]
+    discarded_bytes: int  # unexpected input bytes discarded so far
 
     def clearPort(self) -> None:  # noqa: N802 - the SDK's name
         """Discard the input that has arrived."""
 
     def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
-        """Write a packet; return the number of bytes written.
-
-        Raises:
-            PortLost: the port is gone.
-        """
+        """Write a packet; return the number of bytes written."""
 
     def receive(self, timeout_s: float, /) -> bytes:
-        """Return bytes as soon as some have arrived; none after ``timeout_s`` [s].
-
-        Raises:
-            PortLost: the port is gone.
-        """
+        """Return bytes as soon as some have arrived; none after ``timeout_s`` [s]."""
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
         """Close the port, even if it is gone."""
 
 
-def resolve_port(port: str) -> str:
-    """Find the device to open.
+def wire_time_s(byte_count: int, baudrate: int) -> float:
+    """Compute the time of bytes on the wire [s]."""
+    return byte_count * BITS_PER_BYTE / baudrate
 
-    Args:
-        port: path or URL, which is returned unchanged; ``auto`` for the one known servo board that is plugged in; or
-            the USB id of a board, as ``1a86:55d3`` or ``usb:1a86:55d3``.
+
+def resolve_port(port: str) -> str:
+    """Find the device to open: a path or URL as it is, or the board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``.
 
     Raises:
         PortError: no such board is plugged in, or more than one.
@@ -123,17 +113,10 @@ def resolve_port(port: str) -> str:
 
 
 def open_port(port: str, baudrate: int) -> SerialPort:
-    """Open a serial port for this process alone.
-
-    Args:
-        port: device path, or a pyserial URL such as ``socket://host:port``.
-        baudrate: bits per second, one that the servos know.
+    """Open a serial port for this process alone: a device path, or a pyserial URL such as ``socket://host:port``.
 
     Raises:
-        PortNotFound: there is no such device.
-        PortPermission: the user may not open it.
-        PortBusy: another process has it open.
-        PortError: it cannot be opened for another reason, or is no serial port.
+        PortError: it cannot be opened; PortNotFound, PortPermission and PortBusy are the usual reasons.
         ValueError: no servo knows the baud rate.
     """
     handler = SerialPort(port)
@@ -143,16 +126,7 @@ def open_port(port: str, baudrate: int) -> SerialPort:
 
 
 class SerialPort(PortHandler):
-    """Serial port to which ``scservo_sdk`` writes, and from which the bus reads.
-
-    Args:
-        port_name: device path, or a pyserial URL.
-
-    Attributes:
-        latency_s: time that a reply may take beyond its wire time [s].
-        quiet_s: pause after which a burst of replies counts as ended [s].
-        discarded_bytes: unexpected input bytes discarded so far.
-    """
+    """Serial port to which ``scservo_sdk`` writes, and from which the bus reads."""
 
     def __init__(self, port_name: str) -> None:
         super().__init__(port_name)
@@ -198,14 +172,7 @@ class SerialPort(PortHandler):
             self.discarded_bytes += len(stale)
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the SDK calls this to write
-        """Write a packet.
-
-        Returns:
-            Number of bytes written.
-
-        Raises:
-            PortLost: the device does not take it.
-        """
+        """Write a packet; return the number of bytes written."""
         data = bytes(packet)
         try:
             written = self._write_at_once(data)
@@ -217,11 +184,7 @@ class SerialPort(PortHandler):
         return written
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return bytes as soon as some have arrived; none after ``timeout_s`` [s].
-
-        Raises:
-            PortLost: the device is gone.
-        """
+        """Return bytes as soon as some have arrived; none after ``timeout_s`` [s]."""
         try:
             if self._descriptor is None:
                 return self._receive_blocking(timeout_s)

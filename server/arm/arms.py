@@ -9,14 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from robot.arm import Arm
-from robot.arm_group import ArmGroup
+from robot.arm_group import ArmGroup, joined_health, joined_state
 from robot.arm_interface import ArmInterface
 from robot.calibration import Calibration
 from robot.description.joined import PlacedArm, joined, prefixed
 from robot.description.model import RobotModel
 from robot.description.servo_table import HardwareTable
 from robot.errors import RobotError
-from robot.joined_states import joined_health, joined_state
 from robot.messages import ArmConfig, ArmHealth, ArmState
 from robot.processes import StartedChild
 from server.arm.setup import Description, arm_config

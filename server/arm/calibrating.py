@@ -143,7 +143,7 @@ class CalibrationProcedure:
         ticks = self._ticks(state)
         if ticks is None:
             dialogue.fail(f"the arm is not connected: {state.reason}")
-        elif state.driven:
+        elif state.torque_enabled:
             dialogue.fail("the arm was switched on meanwhile")
         else:
             self._session.take(ticks)

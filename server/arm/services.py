@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from robot.arm_interface import ArmInterface
-from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Course, Mode, Order
+from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Mode, Order, PlaybackDirection
 from server.arrival import arrival_epoch
 from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.local_graph import LocalGraph
@@ -114,9 +114,11 @@ RESUME = "/arm/resume"
 STEP_BACK = "/arm/step_back"
 
 _SENTENCES = {
-    Course.PAUSED: f"the arm comes to rest on its path; {RESUME} lets it go on",
-    Course.FORWARD: "the arm goes on",
-    Course.BACK: f"the arm goes back along its path until {PAUSE} or {RESUME}, at most to where it came from",
+    PlaybackDirection.PAUSED: f"the arm comes to rest on its path; {RESUME} lets it go on",
+    PlaybackDirection.FORWARD: "the arm goes on",
+    PlaybackDirection.BACK: (
+        f"the arm goes back along its path until {PAUSE} or {RESUME}, at most to where it came from"
+    ),
 }
 
 
@@ -142,9 +144,9 @@ class ArmPace:
         )
         graph.subscribe(self._node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", subscriber)
         # A pause slows the arm down to rest, which harms nobody.
-        self._offer(arm, PAUSE, Course.PAUSED, WORKING)
-        self._offer(arm, RESUME, Course.FORWARD, SWITCHING)
-        self._offer(arm, STEP_BACK, Course.BACK, SWITCHING)
+        self._offer(arm, PAUSE, PlaybackDirection.PAUSED, WORKING)
+        self._offer(arm, RESUME, PlaybackDirection.FORWARD, SWITCHING)
+        self._offer(arm, STEP_BACK, PlaybackDirection.BACK, SWITCHING)
         # It moves nothing: an operator may lower it while another client drives.
         set_limit = SPEED_LIMIT, SPEED_LIMIT_TYPE, lambda request: self._set_limit(arm, request["speed_limit"])
         graph.offer(self._node, *set_limit, rule=WORKING)
@@ -160,12 +162,12 @@ class ArmPace:
         arm.change_pace(ChangePace(speed_limit=limit))
         return {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
 
-    def _offer(self, arm: ArmInterface, name: str, course: Course, rule: Rule) -> None:
+    def _offer(self, arm: ArmInterface, name: str, direction: PlaybackDirection, rule: Rule) -> None:
         def serve(_request: dict[str, Any]) -> dict[str, Any]:
             if arm.state.mode is not Mode.MOVING:
                 return {"success": False, "message": f"no motion is in progress: the arm is {arm.state.mode.value}"}
-            arm.change_pace(ChangePace(course=course))
-            return {"success": True, "message": _SENTENCES[course]}
+            arm.change_pace(ChangePace(direction=direction))
+            return {"success": True, "message": _SENTENCES[direction]}
 
         self._graph.offer(self._node, name, "std_srvs/Trigger", serve, rule=rule)
 

@@ -78,20 +78,27 @@ class ArmStateTopics:
         self._graph = graph
         self._robot = robot
         self._node = Node("arm state")
-        # All of a state that its message tells.
-        self._told: tuple[Mode, str, Fault | None, Pace] | None = None
+        # All that the last message told.
+        self._told: tuple[Mode, str, Fault | None, Pace, int] | None = None
         self._limits: dict[str, Any] | None = None
         graph.advertise(self._node, STATE_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         graph.advertise(self._node, LIMITS_TOPIC, "moveit_msgs/KinematicSolverInfo", latch=True)
         self._publish_limits({joint.name: (joint.lower, joint.upper) for joint in robot.movable_joints})
         self.take_state(state)
 
-    def take_state(self, state: ArmState) -> None:
-        """Publish a state when it says something new."""
-        told = state.mode, state.reason, state.fault, state.pace
+    def take_state(self, state: ArmState, last_stop: int = 0) -> None:
+        """Publish a state when it says something new.
+
+        Args:
+            state: the state.
+            last_stop: stop epoch of the arm's last stop; another one tells every client of the stop.
+        """
+        told = state.mode, state.reason, state.fault, state.pace, last_stop
         if told != self._told:
             self._told = told
-            self._graph.publish(self._node, STATE_TOPIC, status(state, self._robot.name))
+            message = status(state, self._robot.name)
+            message["values"] += key_values({"last_stop": str(last_stop)})
+            self._graph.publish(self._node, STATE_TOPIC, message)
 
     def take_health(self, health: ArmHealth) -> None:
         """Publish the limits that the arm process keeps, when they are others."""
@@ -118,7 +125,7 @@ def status(state: ArmState, robot_name: str) -> dict[str, Any]:
     values = {
         "mode": state.mode.value,
         "reason": state.reason,
-        "course": state.pace.course.value,
+        "course": state.pace.direction.value,
         "speed_factor": f"{state.pace.speed_factor:g}",
         "speed_limit": f"{state.pace.speed_limit:g}",
     }

@@ -125,7 +125,7 @@ class VerificationProcedure:
             self._cancel(self._goal, "the verification has ended")
 
     async def _enable(self, dialogue: Dialogue) -> None:
-        if self._arm.state.driven and self._arm.state.mode is Mode.HOLDING:
+        if self._arm.state.torque_enabled and self._arm.state.mode is Mode.HOLDING:
             return
         dialogue.tell("enabling", "The arm begins to hold itself.")
         done = await dialogue.until(self._arm.order(Order.ENABLE, epoch=arrival_epoch()), ORDER_TIMEOUT_S + SILENT_S)

@@ -8,31 +8,22 @@ import json
 import textwrap
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from robot.calibration import Calibration
-from robot.commissioning.doctor import (
-    EXPERIMENTS,
-    Experiment,
-    Finding,
-    ServoRig,
-    Verdict,
-    judge_cycles,
-    judge_long_reads,
-    judge_scan,
-    run_experiment,
-)
-from robot.commissioning.scan import BAUDRATES, ScanResult, ServoReport, explain_missing, scan
+from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
+from robot.commissioning.experiments import EXPERIMENTS, Experiment, ServoRig, run_experiment
+from robot.commissioning.scan import BAUDRATES, ScanResult, explain_missing, scan
+from robot.commissioning.servo_registers import ServoRegisters
 from robot.commissioning.timing import measure_cycles, measure_reads
-from robot.description.limits import JointBounds
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import Register
-from robot.hardware.feetech.servo_map import ServoMap
-from robot.hardware.feetech.torque import LOWER_S, relax
+from robot.hardware.feetech.registers import PERMILLE, Register
 from robot.hardware.interface import run_to_end, status_names
 from robot.hardware.port import resolve_port
+from robot.hardware.servos.family import Limit
+from robot.hardware.servos.servo_map import full_torque
+from robot.hardware.servos.torque import LOWER_S, relax
+from robot.messages import GuardLimits
 from server.commands.options import (
     Subparsers,
     add_calibration,
@@ -95,21 +86,21 @@ def _complaints(result: ScanResult, servos: Sequence[ServoSpec], baudrate: int) 
     ]
 
 
-def _row(servo: ServoReport, names: Mapping[int, str]) -> list[object]:
-    telemetry = servo.telemetry
+def _row(servo: ServoRegisters, names: Mapping[int, str]) -> list[object]:
+    lowest, highest = servo.settings.angle_limits_ticks
     return [
         servo.servo_id,
         names.get(servo.servo_id, "?"),
-        servo.model,
-        f"{servo.firmware[0]}.{servo.firmware[1]}",
-        f"{telemetry.voltage_v:.1f}",
-        telemetry.temperature_c,
-        servo.mode,
-        telemetry.position_ticks,
-        f"{servo.angle_limits_ticks[0]}..{servo.angle_limits_ticks[1]}",
-        servo.homing_offset_ticks,
-        "on" if servo.torque_enable else "off",
-        ", ".join(status_names(telemetry.status)) or "-",
+        servo[Register.MODEL_NUMBER],
+        servo.firmware,
+        f"{servo.voltage_v:.1f}",
+        servo[Register.PRESENT_TEMPERATURE],
+        servo[Register.OPERATING_MODE],
+        servo[Register.PRESENT_POSITION],
+        f"{lowest}..{highest}",
+        servo[Register.HOMING_OFFSET],
+        "on" if servo[Register.TORQUE_ENABLE] else "off",
+        ", ".join(status_names(servo[Register.STATUS])) or "-",
     ]
 
 
@@ -291,29 +282,28 @@ def relax_arm(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> Exit
         terminal.say("no servo answers: see armbridge scan")
         return ExitCode.FAILED
     terminal.say("relaxing: support the arm ...")
-    servo_map = _servo_map(servos)
-    driven = run_to_end(relax(bus, servo_map, holding))
+    shares = full_torque(Calibration.nominal(servos), GuardLimits())
+    full = {servo.servo_id: _limit(round(share * PERMILLE)) for servo, share in zip(servos, shares, strict=True)}
+    driven = run_to_end(relax(bus, list(full), holding, full))
     if driven:
-        listed = ", ".join(servo_map.label(servo_id) for servo_id in driven)
+        listed = ", ".join(f"{servo.joint} (id {servo.servo_id})" for servo in servos if servo.servo_id in driven)
         terminal.say(f"{listed} may still be driven: torque off could not be verified. Cut the servos' supply.")
         return ExitCode.PROBLEMS
     terminal.say("torque is off on all servos")
     return ExitCode.DONE
 
 
-def _look(bus: Bus, servos: Sequence[ServoSpec]) -> tuple[dict[int, int], list[int]]:
-    """Torque limits of the servos that hold, by id [0.1 %], and the servos that do not answer."""
+def _look(bus: Bus, servos: Sequence[ServoSpec]) -> tuple[dict[int, Limit], list[int]]:
+    """Return the torque limits of the servos that hold, by id, and the servos that do not answer."""
     holding, silent = {}, []
     for joint in servos:
         try:
             if bus.read(joint.servo_id, Register.TORQUE_ENABLE):
-                holding[joint.servo_id] = bus.read(joint.servo_id, Register.TORQUE_LIMIT)
+                holding[joint.servo_id] = _limit(bus.read(joint.servo_id, Register.TORQUE_LIMIT))
         except NoReply:
             silent.append(joint.servo_id)
     return holding, silent
 
 
-def _servo_map(servos: Sequence[ServoSpec]) -> ServoMap:
-    """Return the servos by joint; their ranges do not matter where torque goes off."""
-    ones = np.ones(len(servos))
-    return ServoMap(Calibration.nominal(servos), JointBounds(-np.pi * ones, np.pi * ones, ones, ones))
+def _limit(permille: int) -> Limit:
+    return Limit(Register.TORQUE_LIMIT, permille)

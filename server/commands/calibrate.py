@@ -10,16 +10,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from robot.calibration import Calibration, find_calibration, new_calibration_path, reserved, save
-from robot.commissioning.calibrate import Difference, differences, write_to_servos
+from robot.commissioning.calibrate import differences
 from robot.commissioning.directions import asked_motions
-from robot.commissioning.scan import ServoReport, explain_missing, read_telemetry, scan
+from robot.commissioning.scan import explain_missing, read_telemetry, scan
+from robot.commissioning.servo_registers import ServoRegisters
 from robot.commissioning.session import HOLD, WRITE, Act, CalibrationSession, Step
 from robot.description import robot_folder
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError, StartupError
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, parse_telemetry
+from robot.hardware.feetech.calibration import write_to_servos
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, parse_telemetry
 from robot.hardware.interface import run_to_end
+from robot.hardware.servos.family import Difference
 from server.commands.arm import relax_arm
 from server.commands.options import Subparsers, add_robot, add_serial, guarded, open_bus, read_hardware
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
@@ -91,13 +94,13 @@ def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     path = new_calibration_path(options.file, hardware.calibrations, os.environ)
     with reserved(path, overwrite=options.overwrite), contextlib.closing(open_bus(options)) as bus:
         reports = _all_there(bus, hardware.servos, terminal)
-        offsets = {servo.servo_id: servo.homing_offset_ticks for servo in reports}
+        offsets = {servo.servo_id: servo[Register.HOMING_OFFSET] for servo in reports}
         motions = {} if options.no_directions else asked_motions(robot_folder.resolve(options.robot).model)
         session = CalibrationSession(hardware.servos, motions, recentre=options.write_servos)
         return _Conversation(session, bus, hardware.servos, offsets, path, terminal, yes=options.yes).run()
 
 
-def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> tuple[ServoReport, ...]:
+def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> tuple[ServoRegisters, ...]:
     """Read every servo of the arm.
 
     Raises:

@@ -25,7 +25,7 @@ from planners.problem import (
 )
 from planners.scene import Scene
 from robot.description.model import RobotModel
-from robot.messages import Course, MotionProgress, Pace
+from robot.messages import MotionProgress, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.queue import Joints, Performed
@@ -262,7 +262,7 @@ def splice_point_of(
         pace: of the arm's motions.
         age_s: time since the state came [s].
     """
-    if progress is None or pace.course is not Course.FORWARD:
+    if progress is None or pace.direction is not PlaybackDirection.FORWARD:
         return None
     rate = min(pace.speed_factor, progress.rate)
     now_s = progress.fraction * motion.duration_s + age_s * rate

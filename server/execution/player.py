@@ -17,7 +17,7 @@ import numpy as np
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckQuestion
 from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
-from robot.messages import ArmState, Course, MotionEnded, Outcome
+from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.execution.monitors import Questions, SceneMonitor
 from server.execution.motions import HORIZON_S, SENDING_S, STATE_AGE_S, Positions, SplicePoint, splice_point_of
@@ -191,7 +191,7 @@ class Player:
     def _played_s(self, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> float:
         """Return the part of the motion that is played for good [s]; on the way back all of it may be played again."""
         progress = self._arm.progress(ended)
-        if progress is None or self._just_begun or self._arm.state.pace.course is Course.BACK:
+        if progress is None or self._just_begun or self._arm.state.pace.direction is PlaybackDirection.BACK:
             return 0.0
         return progress.fraction * motion.trajectory.duration_s
 

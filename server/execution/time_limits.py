@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.messages import Course, Pace
+from robot.messages import Pace, PlaybackDirection
 from server.errors import RefusedError
 
 # A slower motion counts as paused: at this share of its speed a motion of 3 s takes a minute.
@@ -110,11 +110,11 @@ class ExecutionDeadline:
             elapsed_s: the time that passed [s].
             pace: of the motion meanwhile; a slow motion uses its time up as slowly.
         """
-        if pace.course is Course.FORWARD and pace.speed_factor >= MIN_SPEED_FACTOR:
+        if pace.direction is PlaybackDirection.FORWARD and pace.speed_factor >= MIN_SPEED_FACTOR:
             self._used_s += elapsed_s * pace.speed_factor
             return
         self._paused_s += elapsed_s
-        if pace.course is Course.BACK:
+        if pace.direction is PlaybackDirection.BACK:
             # The arm has to repeat the part that it moves back.
             self._used_s = max(self._used_s - elapsed_s * pace.speed_factor, 0.0)
 

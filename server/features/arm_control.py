@@ -43,7 +43,7 @@ class ArmControl(Feature):
         # Every state costs as much again where several arms are listened to by one topic alone.
         if each.graph.subscribers(JOINT_STATES):
             self._joint_states[arm].publish(read_now(each.served.arm, state))
-        self._states[arm].take_state(state)
+        self._states[arm].take_state(state, each.served.arm.last_stop)
 
     def on_health(self, arm: str, health: ArmHealth) -> None:
         self._states[arm].take_health(health)

@@ -237,12 +237,17 @@ class Client:
                 raise AssertionError(f"the session hands {operation.op} to nobody")
 
     def _refuse(self, refusal: Refusal) -> None:
-        """Tell of an operation that cannot be read; the caller or goal that waits for it fails."""
+        """Report an operation that cannot be read; whoever waits for it, or for its answer, gets a failure."""
         self.status.refuse(refusal)
-        if refusal.op == "service_response":
-            self._services.fail(refusal.id, refusal.text)
-        elif refusal.op == "action_result":
-            self._actions.fail(refusal.id, refusal.text)
+        match refusal.op:
+            case "call_service":
+                self._services.reject_call(refusal.called, refusal.id, refusal.text)
+            case "send_action_goal":
+                self._actions.reject_goal(refusal.called, refusal.id, refusal.text)
+            case "service_response":
+                self._services.fail(refusal.id, refusal.text)
+            case "action_result":
+                self._actions.fail(refusal.id, refusal.text)
 
 
 def _message_of(operation: Operation, size_bytes: int, *, light: bool) -> ReceivedMessage:

@@ -11,6 +11,7 @@ from protocol.operations import (
     ActionResult,
     AdvertiseAction,
     CancelActionGoal,
+    Mark,
     SendActionGoal,
     UnadvertiseAction,
     qualify,
@@ -38,10 +39,10 @@ class ClientActions:
         self._limits = context.session.limits
         self._offered: set[str] = set()
         # Goals that the client is to reach, by the ids that it got, none of which is ever given twice.
-        self._requested: dict[str | int | None, Goal] = {}
+        self._requested: dict[Mark, Goal] = {}
         self._numbers = itertools.count(1)
         # Goals that the client has sent: action and the client's id.
-        self._sent: dict[Goal, tuple[str, str | int | None]] = {}
+        self._sent: dict[Goal, tuple[str, Mark]] = {}
         self._values_in_flight = 0
 
     # As a provider.
@@ -105,7 +106,7 @@ class ClientActions:
             raise OperationError(operation.op, "id", "no goal of this id is on its way")
         return goal
 
-    def fail(self, id_: str | int | None, problem: str) -> None:
+    def fail(self, id_: Mark, problem: str) -> None:
         """End the goal of this id, if there is one, whose result cannot be read."""
         goal = self._requested.get(id_)
         if goal is not None:
@@ -157,8 +158,13 @@ class ClientActions:
 
     def reject(self, operation: SendActionGoal, problem: str) -> None:
         """Answer a goal that the client may not send."""
-        fields = {"op": "action_result", "action": operation.action, "values": problem, "result": False}
-        self._client.send(with_id({**fields, "status": int(GoalStatus.UNKNOWN)}, operation.id))
+        self.reject_goal(operation.action, operation.id, problem)
+
+    def reject_goal(self, action: str, id_: Mark, problem: str) -> None:
+        """Answer a goal that is not sent; ``action`` is as the client spells it."""
+        status = int(GoalStatus.UNKNOWN)
+        fields = {"op": "action_result", "action": action, "values": problem, "status": status, "result": False}
+        self._client.send(with_id(fields, id_))
 
     def cancel(self, operation: CancelActionGoal) -> None:
         """Cancel the goal of this id; one that is unknown has most likely just ended.

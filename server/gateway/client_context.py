@@ -20,6 +20,7 @@ from protocol.operations import (
     AdvertiseAction,
     AdvertiseService,
     Auth,
+    Mark,
     Operation,
     SetLevel,
     Status,
@@ -132,7 +133,7 @@ class ClientStatus:
         self._session.status("error", text, operation.id)
         self._wake()
 
-    def refuse_error(self, op: str, error: ProtocolError | GraphError, id_: str | int | None = None) -> None:
+    def refuse_error(self, op: str, error: ProtocolError | GraphError, id_: Mark = None) -> None:
         """Tell of an operation that has ended with an error."""
         # An OperationError names the operation itself.
         text = str(error) if isinstance(error, OperationError) else f"{op}: {error}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 from protocol.errors import NothingToDoError, OperationError
-from protocol.operations import AdvertiseService, CallService, ServiceResponse, UnadvertiseService, qualify
+from protocol.operations import AdvertiseService, CallService, Mark, ServiceResponse, UnadvertiseService, qualify
 from protocol.session import with_id
 from server.gateway.client_context import MAX_VALUES_IN_FLIGHT, VALUES_LIMIT, ClientContext
 from server.graph.message_types import PostponedError, ReceivedMessage
@@ -32,7 +32,7 @@ class ClientServices:
         self._offered: set[str] = set()
         # Calls that the client is to answer, by the ids that it got; no id is ever given twice, so that no late
         # response is taken for another call's.
-        self._requested: dict[str | int | None, Call] = {}
+        self._requested: dict[Mark, Call] = {}
         self._numbers = itertools.count(1)
         self._calls_in_flight = 0
         self._planning_calls = 0
@@ -87,7 +87,7 @@ class ClientServices:
         else:
             call.fail(f"Service {call.service} failed" if operation.values is None else operation.values)
 
-    def fail(self, id_: str | int | None, problem: str) -> None:
+    def fail(self, id_: Mark, problem: str) -> None:
         """End the call of this id, if there is one, whose response cannot be read."""
         call = self._requested.get(id_)
         if call is not None:
@@ -98,7 +98,11 @@ class ClientServices:
     def reject(self, operation: CallService, problem: str) -> None:
         """Answer a call that the client may not make."""
         _, id_ = _name_and_id(operation)
-        fields = {"op": "service_response", "service": operation.service, "values": problem, "result": False}
+        self.reject_call(operation.service, id_, problem)
+
+    def reject_call(self, service: str, id_: Mark, problem: str) -> None:
+        """Answer a call that is not made; ``service`` is as the client spells it."""
+        fields = {"op": "service_response", "service": service, "values": problem, "result": False}
         self._client.send(with_id(fields, id_))
 
     def call(self, operation: CallService, message: ReceivedMessage) -> None:
@@ -166,7 +170,7 @@ class ClientServices:
         return MAX_PLANNING_CALLS[Role.VIEW if identity is None else identity.role]
 
 
-def _name_and_id(operation: CallService) -> tuple[str, str | int | None]:
+def _name_and_id(operation: CallService) -> tuple[str, Mark]:
     # `/svc#7` is how rosbridge's first clients gave the id.
     service, _, id_in_name = operation.service.partition("#")
     return qualify(service), operation.id if operation.id is not None else id_in_name or None

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from protocol.errors import InterfaceError, MessageError
+from protocol.operations import Mark
 from server.errors import GraphError
 from server.graph.index import Index
 from server.graph.list_limits import CheckLists, ListLimits
@@ -87,7 +88,7 @@ class Goal(PendingRequest[Result]):
         self.type_name = type_name
         self.request = request
         self.goal_id = uuid.uuid4().bytes
-        self.sender_id: str | int | None = None
+        self.sender_id: Mark = None
         self.cancel_requested = False
         self.sender_left = False
         self._message_types = message_types
@@ -305,7 +306,7 @@ class Actions(ProviderDirectory[ActionProvider]):
         self._start(goal, offer, on_result)
         return goal
 
-    def cancel_left_behind(self, name: str, sender_id: str | int) -> None:
+    def cancel_left_behind(self, name: str, sender_id: Mark) -> None:
         """Cancel the goals of an action with this mark whose senders have left.
 
         Args:

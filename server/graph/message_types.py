@@ -262,6 +262,5 @@ class MessageTypes:
             names = [field.name for field in self.registry.message(type_name).fields]
         except InterfaceError:
             raise MessageError(f"{type_name} as an object", describe(arguments)) from None
-        if len(arguments) > len(names):
-            raise MessageError(f"at most {len(names)} arguments ({', '.join(names)})", f"{len(arguments)}")
+        # rosbridge_library drops what is beyond the fields, and so do callers who rely on it.
         return dict(zip(names, arguments, strict=False))

@@ -16,7 +16,7 @@ from typing import Any
 
 from protocol.messages import Stamp
 from robot import logs
-from robot.advice import ADVICE, Complaint, advise, complaints_in
+from robot.advice import ADVICE, ServoAlert, advise
 from robot.faults import Fault
 from robot.hardware.config import SIMULATED_PORTS
 from robot.hardware.interface import status_names
@@ -172,12 +172,13 @@ def _percentiles_ms(values_s: Sequence[float]) -> str:
 def _joint_status(joint: JointHealth, health: ArmHealth, fault: Fault | None, *, stale: bool) -> dict[str, Any]:
     level, message = LEVEL_OK, "no complaints"
     of_joint = fault if fault is not None and fault.joint == joint.joint else None
+    warnings = [warning.sentence for warning in joint.warnings]
     if of_joint is not None:
-        level, message = LEVEL_ERROR, "; ".join(("the arm's fault is about this joint", *joint.warnings))
+        level, message = LEVEL_ERROR, "; ".join(("the arm's fault is about this joint", *warnings))
     elif stale or joint.age_s > SERVO_STALE_AFTER_S:
-        level, message = LEVEL_STALE, "; ".join(joint.warnings) or "the servo is not being read"
-    elif joint.warnings:
-        level, message = LEVEL_WARN, "; ".join(joint.warnings)
+        level, message = LEVEL_STALE, "; ".join(warnings) or "the servo is not being read"
+    elif warnings:
+        level, message = LEVEL_WARN, "; ".join(warnings)
     return {
         "level": level,
         "name": f"{JOINT_PREFIX}{joint.joint}",
@@ -207,28 +208,29 @@ def _joint_values(joint: JointHealth) -> dict[str, str]:
 
 
 def _story(joint: JointHealth, health: ArmHealth, fault: Fault | None) -> dict[str, str]:
-    """Return the servo's registers, its errors by kind, and what to do about these and its complaints of now."""
+    """Return the servo's registers, its errors by kind, and what to do about these and its warnings."""
     values = {f"register/{name}": str(value) for name, value in joint.registers.items()}
     values |= {f"expected/{name}": str(value) for name, value in joint.expected.items()}
     errors = {"silent_cycles": joint.silent_cycles, **joint.errors}
     values |= {f"error/{kind}": str(count) for kind, count in errors.items()}
     advice = [] if fault is None else [str(fault)]
-    # What the fault says of itself is not said twice.
-    others = [each for each in _complaints(joint, health) if fault is None or ADVICE[each].do is not fault.code]
+    # The fault's own remedy stands in it already.
+    of_fault = {alert for alert, each in ADVICE.items() if fault is not None and each.do is fault.code}
+    others = [alert for alert in _alerts(joint, health) if alert not in of_fault]
     advice += advise(others, simulated=health.port in SIMULATED_PORTS)
     if advice:
         values["advice"] = "\n".join(advice)
     return values
 
 
-def _complaints(joint: JointHealth, health: ArmHealth) -> Iterator[Complaint]:
-    """Yield the complaints of the moment, then the errors that were counted."""
-    yield from complaints_in(joint.warnings)
-    yield from (Complaint(name) for name in status_names(joint.status))
-    yield from (Complaint(kind) for kind in joint.errors)
+def _alerts(joint: JointHealth, health: ArmHealth) -> Iterator[ServoAlert]:
+    """Yield the alerts of the moment, then the errors that were counted."""
+    yield from (warning.alert for warning in joint.warnings)
+    yield from (ServoAlert(name) for name in status_names(joint.status))
+    yield from (ServoAlert(kind) for kind in joint.errors)
     # A cycle sends a read, and writes while the arm is driven.
     if health.bus is not None and joint.silent_cycles > max(MANY_LOST, LOST_SHARE * health.bus.sent):
-        yield Complaint.SILENT_CYCLES
+        yield ServoAlert.SILENT_CYCLES
 
 
 log = logging.getLogger("armbridge.monitoring")

@@ -6,7 +6,6 @@ and warnings that came and went.
 
 from __future__ import annotations
 
-import re
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -14,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from robot.advice import ServoAlert
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
@@ -33,9 +33,6 @@ MAX_EVENTS = 300
 
 # Fields of a sample besides its time, in the order of the columns.
 QUANTITIES = ("temperature_c", "load", "voltage_v", "current_a")
-
-# Figures in warnings change from report to report.
-_FIGURE = re.compile(r"\d+(\.\d+)?")
 
 
 class Event(NamedTuple):
@@ -59,8 +56,8 @@ class ServoHistory:
         self._samples: dict[str, SampleRing] = {}
         self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._state: ArmState | None = None
-        # Warnings of each joint by their text without figures, and its errors.
-        self._warnings: dict[str, Mapping[str, str]] = {}
+        # Warnings of each joint by alert and register, and its errors.
+        self._warnings: dict[str, Mapping[tuple[ServoAlert, str], str]] = {}
         self._errors: dict[str, Mapping[str, int]] = {}
         graph.services.offer(Node("servo history"), SERVICE, SERVICE_TYPE, self._serve, rule=LOOKING)
 
@@ -91,7 +88,7 @@ class ServoHistory:
             self._compare_errors(joint)
 
     def _compare_warnings(self, joint: JointHealth) -> None:
-        warnings = {_FIGURE.sub("", warning): warning for warning in joint.warnings}
+        warnings = {(each.alert, each.register): each.sentence for each in joint.warnings}
         before = self._warnings.get(joint.joint, {})
         for kind in warnings.keys() - before.keys():
             self._add(joint.joint, f"warning: {warnings[kind]}")

@@ -61,7 +61,7 @@ class TeachingRecorder:
             return ""
         if self._time_s and state.clock_s - self._time_s[0] > MAX_DURATION_S:
             return f"a recording lasts {MAX_DURATION_S:g} s at most"
-        held_rad = state.goal_rad if state.driven and state.goal_rad is not None else state.position_rad
+        held_rad = state.goal_rad if state.torque_enabled and state.goal_rad is not None else state.position_rad
         self._time_s.append(state.clock_s)
         self._positions_rad.append(held_rad[[state.joint_names.index(name) for name in self.joint_names]])
         return ""

@@ -148,7 +148,7 @@ class Teaching:
         # Another client may have begun while the disk was asked.
         self._check_idle()
         self._recorder = TeachingRecorder(request["name"], joints)
-        self._told = _DRIVEN if state.driven else _HELD_BY_HAND
+        self._told = _DRIVEN if state.torque_enabled else _HELD_BY_HAND
         self._show()
         log.info("recording of the motion %r begins", request["name"])
         return {

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.cartesian.spline import NaturalSpline
+from planners.motions.spline import NaturalSpline
 from planners.problem import JointPathProblem
 from protocol.messages import Stamp
 from robot.description.model import RobotModel

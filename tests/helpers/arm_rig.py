@@ -13,10 +13,11 @@ from robot.control.supervisor import Supervisor
 from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.hardware import FeetechHardware
+from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register
 from robot.hardware.ideal import IdealArm
 from robot.hardware.interface import HardwareInterface, Measured, Steps
+from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import (
     ArmConfig,
     ArmHealth,
@@ -106,7 +107,8 @@ class ArmRig:
         if isinstance(config.hardware, IdealConfig):
             return IdealArm(config.hardware, NAMES, BOUNDS, self.clock)
         assert isinstance(config.hardware, FeetechConfig | EmulatedConfig)
-        return FeetechHardware(
+        return ServoHardware(
+            Feetech(),
             self.bus,
             config.hardware.calibration,
             BOUNDS,

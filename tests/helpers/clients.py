@@ -210,6 +210,12 @@ def call_on(websocket: blocking.ClientConnection, service: str, args: dict[str, 
     return values
 
 
+def publish(url: str, topic: str, type_name: str, msg: dict[str, Any]) -> None:
+    """Publish one message."""
+    with blocking.connect(url) as websocket:
+        websocket.send(json.dumps({"op": "publish", "topic": topic, "type": type_name, "msg": msg}))
+
+
 def goal(url: str, topic: str, msg: dict[str, Any]) -> dict[str, Any]:
     """Send a goal and wait for its answer."""
     with blocking.connect(url) as websocket:

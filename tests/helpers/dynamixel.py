@@ -13,9 +13,10 @@ from robot.emulator.dynamixel.in_process import EmulatedDynamixels
 from robot.emulator.dynamixel.servo import DynamixelServo
 from robot.hardware.config import DynamixelConfig, EmulatedDynamixelConfig
 from robot.hardware.dynamixel.bus import Bus
-from robot.hardware.dynamixel.hardware import DynamixelHardware
+from robot.hardware.dynamixel.family import Dynamixel
 from robot.hardware.dynamixel.registers import Register
 from robot.hardware.interface import HardwareInterface, Measured, Survey, run_to_end
+from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import ArmRig
 from tests.helpers.emulator import SteppedClock
@@ -88,9 +89,7 @@ class DynamixelsInUse:
         self, emulator: SteppedDynamixels | None = None, config: DynamixelConfig = METAL, **limits: float
     ) -> None:
         self.emulator = emulator or SteppedDynamixels()
-        self.hardware = DynamixelHardware(
-            self.emulator.open_bus(), config, BOUNDS, GuardLimits(**limits), self.emulator.clock
-        )
+        self.hardware = unread_hardware(self.emulator, config, GuardLimits(**limits))
         self.found: Survey = run_to_end(self.hardware.survey())
         self.read()
 
@@ -114,6 +113,24 @@ class DynamixelsInUse:
         return measured
 
 
+def unread_hardware(
+    emulator: SteppedDynamixels,
+    config: DynamixelConfig | EmulatedDynamixelConfig = METAL,
+    limits: GuardLimits | None = None,
+    bounds: JointBounds = BOUNDS,
+) -> ServoHardware:
+    """Hardware that was neither found nor read."""
+    return ServoHardware(
+        Dynamixel(),
+        emulator.open_bus(),
+        config.calibration,
+        bounds,
+        limits or GuardLimits(),
+        emulator.clock,
+        simulated=config.simulated,
+    )
+
+
 class DynamixelRig(ArmRig):
     """A supervisor on emulated servos, which it takes for real ones unless ``hardware`` says otherwise."""
 
@@ -125,8 +142,7 @@ class DynamixelRig(ArmRig):
     def _hardware(self) -> HardwareInterface:
         config = self.config
         assert isinstance(config.hardware, DynamixelConfig | EmulatedDynamixelConfig)
-        bus = self.dynamixels.open_bus()
-        return DynamixelHardware(bus, config.hardware, BOUNDS, config.guard_limits, self.clock)
+        return unread_hardware(self.dynamixels, config.hardware, config.guard_limits)
 
     def torque(self) -> list[int]:
         """Register TORQUE_ENABLE of every servo."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot.hardware.feetech.hardware import FeetechHardware
+from robot.hardware.feetech.family import Feetech
 from robot.hardware.interface import Measured, run_to_end
+from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION
 from tests.helpers.emulator import SteppedEmulator
@@ -31,6 +32,6 @@ class FeetechsInUse:
         return run_to_end(self.hardware.enable(range(6)), self.emulator.run)
 
 
-def unread_hardware(emulator: SteppedEmulator) -> FeetechHardware:
+def unread_hardware(emulator: SteppedEmulator) -> ServoHardware:
     """Hardware that was neither found nor read."""
-    return FeetechHardware(emulator.open_bus(), CALIBRATION, BOUNDS, GuardLimits(), emulator.clock)
+    return ServoHardware(Feetech(), emulator.open_bus(), CALIBRATION, BOUNDS, GuardLimits(), emulator.clock)

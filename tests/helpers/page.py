@@ -276,6 +276,39 @@ class OpenPage:
         return float(x), float(y)
 
 
+class Fingers:
+    """Fingers on the screen of a phone; each stays until it is lifted."""
+
+    def __init__(self, page: OpenPage) -> None:
+        self._page = page
+        self._touches = page.page.context.new_cdp_session(page.page)
+        self._down: dict[int, dict[str, Any]] = {}
+
+    def press(self, finger: int, test_id: str) -> None:
+        """Put a finger onto the middle of an element."""
+        box = self._page.box(test_id)
+        self._down[finger] = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2, "id": finger}
+        self._send("touchStart", *self._down.values())
+
+    def move(self, finger: int, right_px: float) -> None:
+        """Move a finger to the right."""
+        self._down[finger] = {**self._down[finger], "x": self._down[finger]["x"] + right_px}
+        self._send("touchMove", *self._down.values())
+
+    def lift(self, finger: int) -> None:
+        """Lift a finger, if it is down."""
+        if finger in self._down:
+            self._send("touchEnd", self._down.pop(finger))
+
+    def lift_all(self) -> None:
+        """Lift all fingers."""
+        for finger in list(self._down):
+            self.lift(finger)
+
+    def _send(self, kind: str, *points: dict[str, Any]) -> None:
+        self._touches.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+
 def at_ready(page: OpenPage, url: str) -> None:
     """Have the arm stand in the pose ready, from which it can be driven everywhere, whatever became of it before."""
     if page.state("arm.mode") == "fault":

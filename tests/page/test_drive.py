@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.page import PHONE, SHARED, OpenPage, at_ready, opened
+from tests.helpers.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
 from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
@@ -94,11 +94,11 @@ def drive(page: OpenPage, press: Callable[[], None], let_go: Callable[[], None])
 
 
 def press_until(page: OpenPage, condition: str, press: Callable[[], None], let_go: Callable[[], None]) -> None:
-    """Press an input until a condition of the state; on a busy machine the servo loop may end, and want a new press."""
+    """Press an input until a condition of the state; a busy server may refuse a command, which ends the press."""
     until_s = time.monotonic() + MOVES_WITHIN_S
     while True:
         press()
-        page.until_state(f"{condition} || s.servo_node.message.startsWith('steering was ended')")
+        page.until_state(f"{condition} || s.servo_node.code === -1")
         if page.page.evaluate(f"(() => {{ const s = window.armbridge.state(); return {condition}; }})()"):
             return
         assert time.monotonic() < until_s, page.state("servo_node")
@@ -223,22 +223,25 @@ def test_a_gamepad_moves_the_arm_while_its_dead_man_is_held(page: OpenPage) -> N
 def test_two_thumbs_drive_on_a_phone(phone: OpenPage) -> None:
     page = phone
     page.part("pad-dead-man").scroll_into_view_if_needed()
-    bar, pad = page.box("pad-dead-man"), page.box("pad-left")
-    touches = page.page.context.new_cdp_session(page.page)
-    thumb = {"x": pad["x"] + 80, "y": pad["y"] + 80, "id": 1}
-    holder = {"x": bar["x"] + 100, "y": bar["y"] + 30, "id": 2}
+    fingers = Fingers(page)
 
-    def touch(kind: str, *points: dict[str, Any]) -> None:
-        touches.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": list(points)})
+    def push_thumb() -> None:
+        fingers.press(1, "pad-left")
+        fingers.move(1, -60)
 
-    touch("touchStart", thumb)
-    touch("touchMove", {**thumb, "x": thumb["x"] - 60})
+    push_thumb()
     assert page.page.evaluate("window.sent.length") == 0
-    aside = {**thumb, "x": thumb["x"] - 60}
-    drive(page, lambda: touch("touchStart", aside, holder), lambda: touch("touchEnd", aside))
-    touch("touchEnd", aside)
+    fingers.lift(1)
+
+    def push_while_held() -> None:
+        push_thumb()
+        fingers.press(2, "pad-dead-man")
+
+    drive(page, push_while_held, fingers.lift_all)
+    fingers.lift(2)
     page.until("!Object.values(window.sent.at(-1).msg.twist.linear).some(Boolean)")
     until_still(page)
+    fingers.lift(1)
     page.shot("drive-phone")
 
 

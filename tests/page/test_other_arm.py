@@ -160,7 +160,27 @@ def test_two_arms_are_shown_and_each_is_moved_by_its_group(browser: Browser, set
             after = page.joints()
             for joint in (name for name in before if name.startswith("left_")):
                 assert after[joint] == pytest.approx(before[joint], abs=ON_SERVOS)
+        assert_both_are_moved_by_one_goal_and_not_by_hand(page, arms)
         assert page.errors == []
+
+
+def assert_both_are_moved_by_one_goal_and_not_by_hand(page: OpenPage, arms: RunningServer) -> None:
+    """Choose the group of both arms: what it cannot do is not offered."""
+    page.open_panel("move")
+    page.part("group").select_option("both_arms")
+    page.part("section-target").wait_for(state="hidden")
+    assert page.part("section-gripper").is_hidden()
+    page.part("named-home").click()
+    page.part("plan-and-move").click()
+    page.until_state("s.goal.code === 1 && s.selection.kind === 'none'")
+    assert {name: at for name, at in page.joints().items() if name.endswith("shoulder_lift")} == pytest.approx(
+        {"left_shoulder_lift": 0.0, "right_shoulder_lift": 0.0}, abs=ON_SERVOS
+    )
+    page.open_panel("drive")
+    page.until_text("drive-status", "One arm is driven at a time")
+    assert page.part("jog-z-plus").is_hidden()
+    # Nothing was asked that the server refuses.
+    assert not [line for line in arms.lines if "INVALID_LINK_NAME" in line or "has no tip" in line]
 
 
 def test_a_joint_that_slides_is_moved_by_a_number_in_millimetres(page: OpenPage) -> None:

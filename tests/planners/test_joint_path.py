@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planners.cartesian.spline import NaturalSpline
 from planners.joint_path import LIMIT_TOLERANCE_RAD
+from planners.motions.spline import NaturalSpline
 from planners.problem import JointPathProblem, MoveItErrorCode, Plan, PlanningFailure, RateLimits, RecheckQuestion
 from planners.scene import Box
 from robot.trajectory import Trajectory

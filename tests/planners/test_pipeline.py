@@ -1,13 +1,12 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 import time
 
 import numpy as np
 import pytest
 
-from planners.cartesian.following import SplinePath
-from planners.cartesian.planning import time_along
 from planners.checks import START_CONTACT_DEPTH_M
 from planners.geometry.collision import CollisionModel
 from planners.goals import (
@@ -23,6 +22,7 @@ from planners.goals import (
 )
 from planners.ik.goal_states import GoalStates
 from planners.motions.path import PROJECTED_SEARCH
+from planners.motions.path_timing import SplinePath, time_along
 from planners.pipeline import Planner, recheck
 from planners.problem import (
     VIA_POINT,
@@ -37,6 +37,8 @@ from planners.problem import (
 )
 from planners.scene import Box, Pose, Scene
 from robot.description import model
+from robot.description.robot_file import FILE_NAME
+from robot.description.robot_folder import BUILT_IN, load
 from tests.planners.invariants import (
     BLOCKED_LINES,
     assert_keeps_rates,
@@ -84,6 +86,27 @@ def test_blocked_lines_are_driven_around(setting, line):
     start, goal = line
     problem = setting.problem(JointGoal(dict(zip(setting.joints, goal, strict=True))), setting.start(start, 0.0))
     assert setting.solve(problem).method == VIA_POINT
+
+
+def test_motions_keep_the_jerk_limits_of_a_robot_file(setting, tmp_path):
+    """The jerk is the difference quotient of the sampled acceleration."""
+    jerk_rad_s3 = dict(zip(setting.joints, (40.0, 30.0, 50.0, 60.0, 70.0), strict=True))
+    shutil.copytree(BUILT_IN / "so101", tmp_path / "so101")
+    file = tmp_path / "so101" / FILE_NAME
+    text = file.read_text()
+    for name, limit in jerk_rad_s3.items():
+        text = text.replace(f"[joints.{name}]\n", f"[joints.{name}]\nmax_jerk = {limit}\n")
+    file.write_text(text)
+    start, goal = BLOCKED_LINES[0]
+    problem = setting.problem(JointGoal(dict(zip(setting.joints, goal, strict=True))), setting.start(start, 0.0))
+    trajectory = Planner(load(file.parent).model, time.process_time).plan(problem).trajectory
+    step_s = 0.001
+    accelerations = [trajectory.sample(time_s)[2] for time_s in np.arange(0.0, trajectory.duration_s, step_s)]
+    jerks = np.abs(np.diff(accelerations, axis=0)).max(axis=0) / step_s
+    limits = np.array([jerk_rad_s3[name] for name in trajectory.joint_names])
+    assert (jerks <= 1.001 * limits).all()
+    assert (jerks >= 0.4 * limits).any()
+    assert trajectory.duration_s > setting.planner.plan(problem).trajectory.duration_s
 
 
 def test_same_problem_and_seed_have_the_same_plan(setting, robot):

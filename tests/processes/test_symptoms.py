@@ -23,8 +23,8 @@ from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
 from robot.hardware import boards
 from robot.hardware.config import FeetechConfig
+from robot.hardware.feetech.family import PHASE_MULTI_TURN
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
-from robot.hardware.feetech.survey import PHASE_MULTI_TURN
 from robot.hardware.interface import StatusFlag
 from robot.hardware.port import _refusal, resolve_port
 from robot.messages import ArmState, Mode, Order
@@ -170,7 +170,7 @@ def warnings(servos: SteppedEmulator) -> str:
     """What an arm that can be driven warns of."""
     rig = holding(servos)
     rig.run(1.2)
-    return "\n".join(warning for joint in rig.health.joints for warning in joint.warnings)
+    return "\n".join(warning.sentence for joint in rig.health.joints for warning in joint.warnings)
 
 
 def store(servos: SteppedEmulator, register: Register, value: int, *ids: int) -> None:
@@ -233,7 +233,7 @@ def test_a_hot_gripper_is_a_warning_first_and_then_a_fault(servos: SteppedEmulat
     rig = holding(servos)
     servos.command(temperature={str(GRIPPER): 57})
     rig.run(1.2)
-    assert any("warm: 57 degC" in warning for joint in rig.health.joints for warning in joint.warnings)
+    assert any("warm: 57 degC" in warning.sentence for joint in rig.health.joints for warning in joint.warnings)
     servos.command(temperature={str(GRIPPER): 66})
     assert_said("The gripper is hot", fault_of(rig))
 

@@ -130,8 +130,14 @@ def test_secs_and_nsecs_are_read_as_sec_and_nanosec():
     assert completed("std_msgs/Header", {"stamp": {"secs": 3}})["stamp"] == {"sec": 3, "nanosec": 0}
 
 
-def test_both_spellings_of_one_field_are_refused():
-    assert refused("std_msgs/Header", {"stamp": {"sec": 1, "secs": 2}}).path == "stamp.sec"
+def test_of_a_stamp_in_both_spellings_the_one_of_ros_2_counts():
+    for stamp in ({"sec": 1, "secs": 2, "nsecs": 5}, {"secs": 2, "nsecs": 5, "sec": 1}):
+        assert completed("std_msgs/Header", {"stamp": stamp})["stamp"] == {"sec": 1, "nanosec": 5}
+
+
+def test_buttons_that_are_true_or_false_are_numbers_in_a_list_alone():
+    assert completed("sensor_msgs/Joy", {"buttons": [True, False, 1], "axes": [True, 0.5]})["buttons"] == [1, 0, 1]
+    assert refused("std_msgs/Int32", {"data": True}).path == "data"
 
 
 def test_fields_under_their_older_names_are_understood():

@@ -70,9 +70,9 @@ def test_fields_left_out_have_the_defaults_of_rosbridge():
     assert parse({"op": "subscribe", "topic": "/a"}) == Subscribe(
         topic="/a", type=None, throttle_rate=0, queue_length=0, fragment_size=None, compression="none", id=None
     )
-    assert parse({"op": "publish", "topic": "/a"}) == Publish(topic="/a", msg={}, latch=False, queue_size=100)
+    assert parse({"op": "publish", "topic": "/a"}) == Publish(topic="/a", msg={}, latch=False)
     advertised = parse({"op": "advertise", "topic": "/a", "type": "std_msgs/String"})
-    assert advertised == Advertise(topic="/a", type="std_msgs/String", latch=False, queue_size=100, id=None)
+    assert advertised == Advertise(topic="/a", type="std_msgs/String", latch=False, id=None)
 
 
 @pytest.mark.parametrize("mark", ["a", "", 7, -1, None])
@@ -98,13 +98,11 @@ def test_a_mandatory_field_that_is_missing_is_named():
 SENSELESS = {
     ("publish", "topic"): (42, "", "a" * (MAX_NAME_CHARACTERS + 1)),
     ("publish", "msg"): (None, [], "text"),
-    ("publish", "latch"): (1,),
-    ("publish", "id"): (True, 1.5, {}, "a" * (MAX_ID_CHARACTERS + 1)),
+    ("publish", "id"): (True, float("nan"), {}, "a" * (MAX_ID_CHARACTERS + 1)),
     ("advertise", "type"): (None,),
-    ("advertise", "queue_size"): (-1,),
     ("advertise", "qos"): ("reliable",),
     ("subscribe", "type"): (3,),
-    ("subscribe", "throttle_rate"): (-1, "100", True, float("nan"), float("inf")),
+    ("subscribe", "throttle_rate"): ("100", True, float("nan"), float("inf")),
     ("subscribe", "queue_length"): (-1, 1.5),
     ("subscribe", "fragment_size"): (0, -5, "many"),
     ("subscribe", "compression"): (7, None),
@@ -122,6 +120,18 @@ SENSELESS = {
     ("set_level", "level"): ("loud",),
     ("status", "msg"): (None,),
 }
+
+
+@pytest.mark.parametrize(
+    ("sent", "latched"), [(None, False), (1, True), (0, False), ("true", True), ("False", False), ("", False)]
+)
+def test_latch_is_what_clients_mean_by_any_value(sent: object, latched: bool) -> None:
+    assert parse({"op": "advertise", "topic": "/a", "type": "std_msgs/String", "latch": sent}).latch is latched
+
+
+@pytest.mark.parametrize("size", [None, 1.5, -1, "many"])
+def test_any_queue_size_is_accepted_since_it_has_no_effect(size: object) -> None:
+    assert parse({"op": "publish", "topic": "/a", "queue_size": size}).op == "publish"
 
 
 def test_a_known_field_of_senseless_value_is_named():

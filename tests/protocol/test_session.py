@@ -76,13 +76,13 @@ def test_an_unreadable_frame_is_refused_in_one_line(frame, text):
     assert "\n" not in refusal.text
 
 
-@pytest.mark.parametrize("mark", ["x", 7, None])
+@pytest.mark.parametrize("mark", ["x", 7, 0.8234, None])
 def test_a_refusal_carries_op_and_id(mark):
     refusal = receive(Session(), op="subscribe", topic=3, id=mark)
     assert (refusal.op, refusal.id) == ("subscribe", mark)
 
 
-@pytest.mark.parametrize("mark", [{}, [1], True, 1.5, "x" * 10_000])
+@pytest.mark.parametrize("mark", [{}, [1], True, "x" * 10_000])
 def test_a_refusal_carries_no_id_that_could_not_be_sent_back(mark):
     assert receive(Session(), op="subscribe", topic="/a", id=mark).id is None
 

@@ -140,7 +140,12 @@ def test_whole_floats_are_taken_for_octets():
     assert values.to_octets([1.0, 2], "uint8[]") == b"\x01\x02"
 
 
-@pytest.mark.parametrize("value", ["AA=", "AAA", "A-_A", "AAAA\n", "é", "no base64", 42, None, {}])
+@pytest.mark.parametrize("text", ["AQID\nBA==\n", "AQ\r\nIDBA=="])
+def test_octets_may_have_the_line_breaks_of_mime(text):
+    assert values.to_octets(text, "uint8[]") == b"\x01\x02\x03\x04"
+
+
+@pytest.mark.parametrize("value", ["AA=", "AAA", "A-_A", "AAAA ", "é", "no base64", 42, None, {}])
 def test_octets_that_are_neither_base64_nor_a_list_are_refused(value):
     with pytest.raises(MessageError, match=r"wanted uint8\[\] as base64 text"):
         values.to_octets(value, "uint8[]")

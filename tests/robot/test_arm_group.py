@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from robot.arm import Arm
-from robot.arm_group import ArmGroup
+from robot.arm_group import ArmGroup, joined_health, joined_state
 from robot.errors import OrderRefused
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import BusCounters
-from robot.joined_states import joined_health, joined_state
 from robot.messages import ArmHealth, ArmState, CommandDone, Mode, MotionEnded, MotionProgress, Order, Outcome
 from robot.trajectory import Trajectory
 from tests.helpers.fake_arm import FakeArm
@@ -57,7 +56,7 @@ def reading(names: tuple[str, ...], value: float, mode: Mode = Mode.HOLDING) -> 
         current_a=values,
         goal_rad=None if mode is Mode.RELAXED else values + 0.5,
         clock_s=value,
-        driven=mode is not Mode.RELAXED,
+        torque_enabled=mode is not Mode.RELAXED,
     )
 
 
@@ -131,7 +130,7 @@ def test_a_relaxed_leader_keeps_nobody_from_moving_and_one_with_a_fault_does() -
 def test_goals_of_an_arm_without_torque_are_where_it_is() -> None:
     state = joined_state({"left": reading(LEFT, 1.0, Mode.RELAXED), "right": reading(RIGHT, 2.0)})
     assert state.goal_rad.tolist() == [1.0, 1.0, 2.5, 2.5]
-    assert not state.driven
+    assert not state.torque_enabled
 
 
 def test_what_is_read_leaves_out_an_arm_that_is_not_connected() -> None:

@@ -66,7 +66,7 @@ class TimedArm(FakeArm):
         stopped = epoch is not None and epoch < self.last_stop
         if order is Order.ENABLE and not stopped:
             self.begun.append("torque on")
-            self.state = replace(self.state, driven=True)
+            self.state = replace(self.state, torque_enabled=True)
         done = CommandDone(0, done=not stopped, message="a stop came" if stopped else "done")
         asyncio.get_running_loop().call_later(0.01, answered.set_result, done)
         return answered
@@ -185,7 +185,7 @@ class Stage(ServerStage):
         self.stop_by_topic()
         self.call("/servo_node/reset_servo_status")
         self.arm.put()
-        self.arm.state = replace(self.arm.state, mode=Mode.HOLDING, driven=False)
+        self.arm.state = replace(self.arm.state, mode=Mode.HOLDING, torque_enabled=False)
         self.arm.begun.clear()
         self.arm.played.clear()
 

@@ -21,10 +21,11 @@ from robot.emulator.plant import Plant
 from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedDynamixelConfig
 from robot.hardware.dynamixel.bus import Bus
-from robot.hardware.dynamixel.hardware import DynamixelHardware
+from robot.hardware.dynamixel.family import Dynamixel, model_of
 from robot.hardware.dynamixel.registers import FULL_PWM, OperatingMode
-from robot.hardware.dynamixel.servo_map import ServoMap, model_of
 from robot.hardware.interface import HardwareInterface
+from robot.hardware.servos.hardware import ServoHardware
+from robot.hardware.servos.servo_map import full_torque
 from robot.messages import GuardLimits
 
 BAUDRATE = 1_000_000
@@ -66,7 +67,9 @@ class EmulatedDynamixels:
         servos = build_servos(config)
         self.bus = DynamixelBus(servos, faults, clock(), weight_of(robot, config.calibration, servos))
         if config.driven:
-            self._hold(ServoMap(config.calibration, bounds, guard_limits))
+            # As an arm process leaves them: holding, at their torque limits.
+            for servo, share in zip(servos, full_torque(config.calibration, guard_limits), strict=True):
+                servo.hold(round(share * FULL_PWM))
         self.port = DynamixelPort(self.bus, clock)
 
     def open(self) -> HardwareInterface:
@@ -77,13 +80,10 @@ class EmulatedDynamixels:
         """
         self.port.check()
         bus = Bus(self.port, self._clock)
-        return DynamixelHardware(bus, self._config, self._bounds, self._guard_limits, self._clock)
-
-    def _hold(self, servos: ServoMap) -> None:
-        """Let the servos hold at their torque limits, as an arm process leaves them."""
-        for servo in self.bus.servos:
-            share = servos.full_share(servo.servo_id)
-            servo.hold(round(share * FULL_PWM))
+        calibration = self._config.calibration
+        return ServoHardware(
+            Dynamixel(), bus, calibration, self._bounds, self._guard_limits, self._clock, simulated=True
+        )
 
 
 def build_servos(config: EmulatedDynamixelConfig) -> list[DynamixelServo]:

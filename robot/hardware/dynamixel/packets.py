@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from dynamixel_sdk import INST_STATUS
 
-from robot.hardware.half_duplex import StatusFrame as StatusFrame
+from robot.hardware.servos.bus import StatusFrame as StatusFrame
 
 HEADER = b"\xff\xff\xfd\x00"
 _HEADER_IN_BODY = b"\xff\xff\xfd"
@@ -26,7 +26,7 @@ LENGTH_OVERHEAD = 3
 # Bytes of a status packet besides its data: header, id, LEN, INST, ERR, CRC.
 STATUS_OVERHEAD_BYTES = 11
 
-# Bit of ERR that says that HARDWARE_ERROR_STATUS is not 0; the others are the number of an error of the instruction.
+# Bit of ERR: HARDWARE_ERROR_STATUS is not 0. The other bits are the number of an error of the instruction.
 ALERT = 0x80
 
 # Longest packet of the SDK.
@@ -83,11 +83,7 @@ def block_parameters(address: int, length: int) -> list[int]:
 
 
 def sync_write_parameters(address: int, data_by_id: dict[int, bytes]) -> list[int]:
-    """Build the parameters of SYNC_WRITE.
-
-    Raises:
-        ValueError: there is no data, or the servos' data differ in length.
-    """
+    """Build the parameters of SYNC_WRITE; raises ValueError for data that differ in length."""
     lengths = set(map(len, data_by_id.values()))
     if len(lengths) != 1:
         raise ValueError(f"a sync write needs data of one length for every servo, not of {sorted(lengths)} bytes")
@@ -108,19 +104,11 @@ def stuffed_bytes(received: bytes) -> int:
 
 
 def parse_status_frames(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-    """Find the replies of the expected servos in the bytes received since the instruction.
+    """Find the replies of the expected servos in the bytes received since the instruction, by id.
 
     A frame counts only if its header, id, LEN, INST and CRC fit, and its servo has not sent a different one. Noise
     between frames is skipped. A reply that reports an error of the instruction has no data, so that it counts only
     where none is expected.
-
-    Args:
-        received: all bytes since the instruction; call again with more when a reply is missing.
-        expected_ids: servos asked.
-        data_length: bytes of data in each reply.
-
-    Returns:
-        Frames by servo id.
     """
     frames: dict[int, StatusFrame] = {}
     contradicted: set[int] = set()

@@ -8,139 +8,72 @@ endian, signed ones in two's complement. The EEPROM can be written only while to
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import IntEnum
 from types import MappingProxyType
 
 from robot.hardware.interface import StatusFlag
+from robot.hardware.servos.registers import TWOS_COMPLEMENT, RegisterEnum, RegisterTable
+from robot.hardware.servos.registers import Area as Area
+
+READ_ONLY, EEPROM, RAM = Area.READ_ONLY, Area.EEPROM, Area.RAM
 
 
-class Area(Enum):
-    """Memory area of a register."""
+class Register(RegisterEnum):
+    """Registers: address of the first byte, size in bytes, memory area, and sign."""
 
-    READ_ONLY = "read only"
-    EEPROM = "EEPROM"
-    RAM = "RAM"
-
-
-class Register(IntEnum):
-    """Address of a register's first byte."""
-
-    MODEL_NUMBER = 0
-    FIRMWARE_VERSION = 6
-    ID = 7
-    BAUD_RATE = 8
-    RETURN_DELAY_TIME = 9
-    DRIVE_MODE = 10
-    OPERATING_MODE = 11
-    HOMING_OFFSET = 20
-    TEMPERATURE_LIMIT = 31
-    MAX_VOLTAGE_LIMIT = 32
-    MIN_VOLTAGE_LIMIT = 34
-    PWM_LIMIT = 36
-    CURRENT_LIMIT = 38
-    VELOCITY_LIMIT = 44
-    MAX_POSITION_LIMIT = 48
-    MIN_POSITION_LIMIT = 52
-    SHUTDOWN = 63
-    TORQUE_ENABLE = 64
-    LED = 65
-    STATUS_RETURN_LEVEL = 68
-    HARDWARE_ERROR_STATUS = 70
-    POSITION_P_GAIN = 84
-    BUS_WATCHDOG = 98
-    GOAL_PWM = 100
-    GOAL_CURRENT = 102
-    PROFILE_ACCELERATION = 108
-    PROFILE_VELOCITY = 112
-    GOAL_POSITION = 116
-    MOVING = 122
-    PRESENT_PWM = 124
-    PRESENT_CURRENT = 126
-    PRESENT_VELOCITY = 128
-    PRESENT_POSITION = 132
-    PRESENT_INPUT_VOLTAGE = 144
-    PRESENT_TEMPERATURE = 146
+    MODEL_NUMBER = 0, 2, READ_ONLY
+    FIRMWARE_VERSION = 6, 1, READ_ONLY
+    ID = 7, 1, EEPROM
+    BAUD_RATE = 8, 1, EEPROM
+    RETURN_DELAY_TIME = 9, 1, EEPROM
+    DRIVE_MODE = 10, 1, EEPROM
+    OPERATING_MODE = 11, 1, EEPROM
+    HOMING_OFFSET = 20, 4, EEPROM, TWOS_COMPLEMENT
+    TEMPERATURE_LIMIT = 31, 1, EEPROM
+    MAX_VOLTAGE_LIMIT = 32, 2, EEPROM
+    MIN_VOLTAGE_LIMIT = 34, 2, EEPROM
+    PWM_LIMIT = 36, 2, EEPROM
+    CURRENT_LIMIT = 38, 2, EEPROM
+    VELOCITY_LIMIT = 44, 4, EEPROM
+    MAX_POSITION_LIMIT = 48, 4, EEPROM
+    MIN_POSITION_LIMIT = 52, 4, EEPROM
+    SHUTDOWN = 63, 1, EEPROM
+    TORQUE_ENABLE = 64, 1, RAM
+    LED = 65, 1, RAM
+    STATUS_RETURN_LEVEL = 68, 1, RAM
+    HARDWARE_ERROR_STATUS = 70, 1, READ_ONLY
+    POSITION_P_GAIN = 84, 2, RAM
+    BUS_WATCHDOG = 98, 1, RAM, TWOS_COMPLEMENT
+    GOAL_PWM = 100, 2, RAM, TWOS_COMPLEMENT
+    GOAL_CURRENT = 102, 2, RAM, TWOS_COMPLEMENT
+    PROFILE_ACCELERATION = 108, 4, RAM
+    PROFILE_VELOCITY = 112, 4, RAM
+    GOAL_POSITION = 116, 4, RAM, TWOS_COMPLEMENT
+    MOVING = 122, 1, READ_ONLY
+    PRESENT_PWM = 124, 2, READ_ONLY, TWOS_COMPLEMENT
+    PRESENT_CURRENT = 126, 2, READ_ONLY, TWOS_COMPLEMENT
+    PRESENT_VELOCITY = 128, 4, READ_ONLY, TWOS_COMPLEMENT
+    PRESENT_POSITION = 132, 4, READ_ONLY, TWOS_COMPLEMENT
+    PRESENT_INPUT_VOLTAGE = 144, 2, READ_ONLY
+    PRESENT_TEMPERATURE = 146, 1, READ_ONLY
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Storage of a register.
-
-    Attributes:
-        size: bytes, 1, 2 or 4.
-        area: memory area.
-        signed: True for two's complement.
-    """
-
-    size: int
-    area: Area
-    signed: bool = False
-
-
-LAYOUT: Mapping[Register, Layout] = MappingProxyType(
-    {
-        Register.MODEL_NUMBER: Layout(2, Area.READ_ONLY),
-        Register.FIRMWARE_VERSION: Layout(1, Area.READ_ONLY),
-        Register.ID: Layout(1, Area.EEPROM),
-        Register.BAUD_RATE: Layout(1, Area.EEPROM),
-        Register.RETURN_DELAY_TIME: Layout(1, Area.EEPROM),
-        Register.DRIVE_MODE: Layout(1, Area.EEPROM),
-        Register.OPERATING_MODE: Layout(1, Area.EEPROM),
-        Register.HOMING_OFFSET: Layout(4, Area.EEPROM, signed=True),
-        Register.TEMPERATURE_LIMIT: Layout(1, Area.EEPROM),
-        Register.MAX_VOLTAGE_LIMIT: Layout(2, Area.EEPROM),
-        Register.MIN_VOLTAGE_LIMIT: Layout(2, Area.EEPROM),
-        Register.PWM_LIMIT: Layout(2, Area.EEPROM),
-        Register.CURRENT_LIMIT: Layout(2, Area.EEPROM),
-        Register.VELOCITY_LIMIT: Layout(4, Area.EEPROM),
-        Register.MAX_POSITION_LIMIT: Layout(4, Area.EEPROM),
-        Register.MIN_POSITION_LIMIT: Layout(4, Area.EEPROM),
-        Register.SHUTDOWN: Layout(1, Area.EEPROM),
-        Register.TORQUE_ENABLE: Layout(1, Area.RAM),
-        Register.LED: Layout(1, Area.RAM),
-        Register.STATUS_RETURN_LEVEL: Layout(1, Area.RAM),
-        Register.HARDWARE_ERROR_STATUS: Layout(1, Area.READ_ONLY),
-        Register.POSITION_P_GAIN: Layout(2, Area.RAM),
-        Register.BUS_WATCHDOG: Layout(1, Area.RAM, signed=True),
-        Register.GOAL_PWM: Layout(2, Area.RAM, signed=True),
-        Register.GOAL_CURRENT: Layout(2, Area.RAM, signed=True),
-        Register.PROFILE_ACCELERATION: Layout(4, Area.RAM),
-        Register.PROFILE_VELOCITY: Layout(4, Area.RAM),
-        Register.GOAL_POSITION: Layout(4, Area.RAM, signed=True),
-        Register.MOVING: Layout(1, Area.READ_ONLY),
-        Register.PRESENT_PWM: Layout(2, Area.READ_ONLY, signed=True),
-        Register.PRESENT_CURRENT: Layout(2, Area.READ_ONLY, signed=True),
-        Register.PRESENT_VELOCITY: Layout(4, Area.READ_ONLY, signed=True),
-        Register.PRESENT_POSITION: Layout(4, Area.READ_ONLY, signed=True),
-        Register.PRESENT_INPUT_VOLTAGE: Layout(2, Area.READ_ONLY),
-        Register.PRESENT_TEMPERATURE: Layout(1, Area.READ_ONLY),
-    }
-)
+LAYOUT = {register: register.layout for register in Register}
 
 
 @dataclass(frozen=True)
 class Model:
-    """Model of a servo.
+    """Model of a servo."""
 
-    Attributes:
-        name: name in servo tables and calibrations.
-        number: register MODEL_NUMBER.
-        stall_current_ma: stall current at the usual supply, 1.47 A at 5 V for the XL330-M288 and 1.4 A at 12 V for the
-            XL430-W250 [mA].
-        stall_torque_nm: stall torque at that supply [Nm].
-        has_current: True if it measures and limits its current.
-        watchdog_firmware: firmware from which it has the bus watchdog; e-manual, Bus Watchdog (98).
-    """
-
-    name: str
-    number: int
+    name: str  # name in servo tables and calibrations
+    number: int  # register MODEL_NUMBER
+    # Stall current at the usual supply, 1.47 A at 5 V for the XL330-M288 and 1.4 A at 12 V for the XL430-W250 [mA].
     stall_current_ma: int
-    stall_torque_nm: float
-    has_current: bool
-    watchdog_firmware: int
+    stall_torque_nm: float  # stall torque at that supply [Nm]
+    has_current: bool  # True if it measures and limits its current
+    watchdog_firmware: int  # firmware from which it has the bus watchdog; e-manual, Bus Watchdog (98)
 
 
 MODELS: Mapping[str, Model] = MappingProxyType(
@@ -207,93 +140,11 @@ def status_of(hardware_error: int) -> StatusFlag:
     return status
 
 
-def value_range(register: Register) -> tuple[int, int]:
-    """Return the lowest and highest value that a register can hold."""
-    layout = LAYOUT[register]
-    bits = 8 * layout.size
-    return (-(1 << bits - 1), (1 << bits - 1) - 1) if layout.signed else (0, (1 << bits) - 1)
-
-
-def encode(register: Register, value: int) -> bytes:
-    """Encode a value as the bytes of its register.
-
-    Raises:
-        ValueError: the register cannot hold the value.
-    """
-    lowest, highest = value_range(register)
-    if not lowest <= value <= highest:
-        raise ValueError(f"{register.name} holds {lowest} to {highest}, not {value}")
-    layout = LAYOUT[register]
-    return value.to_bytes(layout.size, "little", signed=layout.signed)
-
-
-def decode(register: Register, data: bytes) -> int:
-    """Decode the bytes of a register.
-
-    Raises:
-        ValueError: ``data`` is not as long as the register.
-    """
-    layout = LAYOUT[register]
-    if len(data) != layout.size:
-        raise ValueError(f"{register.name} has {layout.size} bytes, not {len(data)}")
-    return int.from_bytes(data, "little", signed=layout.signed)
-
+TABLE = RegisterTable(Register)
+value_range, encode, decode = TABLE.value_range, TABLE.encode, TABLE.decode
 
 # Blocks of measurements: what changes at every tick, and all up to the temperature. The two trajectory registers in
 # between (136 to 143) are not used.
-MOTION_ADDRESS = Register.PRESENT_PWM
-_MOTION = struct.Struct("<hhii")
-MOTION_BYTES = _MOTION.size
-_CLIMATE = struct.Struct("<HB")
-_CLIMATE_AT = Register.PRESENT_INPUT_VOLTAGE - MOTION_ADDRESS
-TELEMETRY_BYTES = _CLIMATE_AT + _CLIMATE.size
-
-
-# Hundreds are created a second, and a frozen one takes three times as long.
-@dataclass(slots=True)
-class Motion:
-    """Measurements of a servo that change at every tick, registers 124 to 135.
-
-    Attributes:
-        pwm: register PRESENT_PWM.
-        current: register PRESENT_CURRENT of a servo that measures it.
-        velocity: register PRESENT_VELOCITY [0.229 rev/min].
-        position_ticks: register PRESENT_POSITION, 4096 ticks a turn.
-    """
-
-    pwm: int
-    current: int
-    velocity: int
-    position_ticks: int
-
-
-@dataclass(slots=True)
-class Climate:
-    """Measurements of a servo that change slowly.
-
-    Attributes:
-        voltage_v: supply [V].
-        temperature_c: temperature inside [degC].
-    """
-
-    voltage_v: float
-    temperature_c: int
-
-
-def parse_motion(data: bytes) -> Motion:
-    """Parse the beginning of a block of measurements, from ``MOTION_ADDRESS`` on.
-
-    Raises:
-        ValueError: ``data`` has neither length of such a block.
-    """
-    if len(data) not in (MOTION_BYTES, TELEMETRY_BYTES):
-        raise ValueError(f"a block of measurements has {MOTION_BYTES} or {TELEMETRY_BYTES} bytes, not {len(data)}")
-    return Motion(*_MOTION.unpack_from(data))
-
-
-def parse_climate(data: bytes) -> Climate | None:
-    """Parse supply and temperature; None for a block that ends before them."""
-    if len(data) < TELEMETRY_BYTES:
-        return None
-    volts, temperature = _CLIMATE.unpack_from(data, _CLIMATE_AT)
-    return Climate(volts * VOLT_PER_UNIT, temperature)
+MOTION = TABLE.block(Register.PRESENT_PWM, Register.PRESENT_POSITION)
+TELEMETRY = TABLE.block(Register.PRESENT_PWM, Register.PRESENT_TEMPERATURE)
+MOTION_ADDRESS = MOTION.address

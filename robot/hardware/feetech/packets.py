@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from robot.hardware.half_duplex import StatusFrame as StatusFrame
+from robot.hardware.servos.bus import StatusFrame as StatusFrame
 
 HEADER = b"\xff\xff"
 
@@ -36,8 +36,7 @@ def checksum(body: bytes) -> int:
 def instruction_packet(servo_id: int, instruction: int, parameters: Sequence[int] = ()) -> list[int]:
     """Build an instruction for ``txPacket`` of ``scservo_sdk``, which adds header and checksum.
 
-    Raises:
-        ValueError: the packet would be longer than the SDK sends.
+    Raises ValueError for a longer packet than the SDK sends.
     """
     most = MAX_INSTRUCTION_BYTES - INSTRUCTION_OVERHEAD_BYTES
     if len(parameters) > most:
@@ -46,11 +45,7 @@ def instruction_packet(servo_id: int, instruction: int, parameters: Sequence[int
 
 
 def sync_write_parameters(address: int, data_by_id: dict[int, bytes]) -> list[int]:
-    """Build the parameters of SYNC_WRITE.
-
-    Raises:
-        ValueError: there is no data, or the servos' data differ in length.
-    """
+    """Build the parameters of SYNC_WRITE; raises ValueError for data that differ in length."""
     lengths = set(map(len, data_by_id.values()))
     if len(lengths) != 1:
         raise ValueError(f"a sync write needs data of one length for every servo, not of {sorted(lengths)} bytes")
@@ -66,20 +61,12 @@ def status_bytes(data_length: int, replies: int = 1) -> int:
 
 
 def parse_status_frames(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-    """Find the replies of the expected servos in the bytes received since the instruction.
+    """Find the replies of the expected servos, in their order, in the bytes received since the instruction, by id.
 
     A frame counts only if its header, id, LEN and checksum fit, it contains no start of another reply (the sign of a
     truncated one that swallowed its neighbour), it is followed by another header or nothing, its servo has not sent a
     different one, and it is in turn: of two frames in the wrong order either may have a disturbed id, so both are left
     out. Noise between frames is skipped.
-
-    Args:
-        received: all bytes since the instruction; call again with more when a reply is missing.
-        expected_ids: servos asked, in the order of their replies.
-        data_length: bytes of data in each reply.
-
-    Returns:
-        Frames by servo id.
     """
     frames = _parse_clean(received, expected_ids, data_length)
     return _parse_disturbed(received, expected_ids, data_length) if frames is None else frames

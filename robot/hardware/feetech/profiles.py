@@ -21,33 +21,18 @@ RETURN_DELAY_UNIT_US = 2
 
 @dataclass(frozen=True)
 class ServoProfile:
-    """Values that the settings of an arm's servos should have.
+    """Values that the settings of an arm's servos should have."""
 
-    Attributes:
-        name: its name for people.
-        registers: value of each register that the profile fixes.
-        gripper: those that are others at the gripper's servo.
-    """
-
-    name: str
-    registers: Mapping[Register, int]
-    gripper: Mapping[Register, int] = field(default_factory=dict)
+    name: str  # its name for people
+    registers: Mapping[Register, int]  # value of each register that the profile fixes
+    gripper: Mapping[Register, int] = field(default_factory=dict)  # those that are others at the gripper's servo
 
     def expected(self, *, gripper: bool) -> dict[Register, int]:
-        """Return the values that a servo should have.
-
-        Args:
-            gripper: True for a servo of the gripper.
-        """
+        """Return the values that a servo should have."""
         return {**self.registers, **(self.gripper if gripper else {})}
 
     def differences(self, settings: ServoSettings, *, gripper: bool) -> dict[Register, int]:
-        """Return the registers of a servo that have another value, with the expected one.
-
-        Args:
-            settings: what the servo holds.
-            gripper: True for a servo of the gripper.
-        """
+        """Return the registers of a servo that have another value, with the expected one."""
         expected = self.expected(gripper=gripper)
         return {register: value for register, value in expected.items() if settings[register] != value}
 
@@ -94,13 +79,9 @@ _MEANINGS: Mapping[Register, str] = MappingProxyType(
 
 
 def profile_of(spec: ProfileSpec | None) -> ServoProfile | None:
-    """Build the profile that a robot's folder describes; None for an arm that describes none.
+    """Build the profile of table ``[hardware.profile]`` in robot.toml; None for an arm without this table.
 
-    Args:
-        spec: table ``[hardware.profile]`` of robot.toml.
-
-    Raises:
-        DescriptionError: there is no such register, or it cannot hold the value.
+    Raises DescriptionError for an unknown register, and for a value that it cannot hold.
     """
     if spec is None:
         return None
@@ -114,11 +95,7 @@ def profile_of(spec: ProfileSpec | None) -> ServoProfile | None:
 
 
 def nearest_profile(servos: Iterable[tuple[ServoSettings, bool]]) -> ServoProfile:
-    """Return the profile from which an arm's servos differ least.
-
-    Args:
-        servos: what each servo holds, with True for one of the gripper.
-    """
+    """Return the profile from which an arm's servos differ least; each servo comes with True for the gripper's."""
     held = tuple(servos)
     return min(
         PROFILES.values(),
@@ -127,12 +104,7 @@ def nearest_profile(servos: Iterable[tuple[ServoSettings, bool]]) -> ServoProfil
 
 
 def meaning(register: Register, value: int) -> str:
-    """Return what a value means for the arm, empty for a register whose value says enough.
-
-    Args:
-        register: register of a servo.
-        value: its value.
-    """
+    """Return what a register's value means for the arm, empty for a value that says enough."""
     return _MEANINGS.get(register, "").format(
         value=value,
         percent=value / 10,
@@ -144,7 +116,7 @@ def meaning(register: Register, value: int) -> str:
 
 def _registers(named: Mapping[str, int], key: str) -> dict[Register, int]:
     """Convert names of registers, checked against what each can hold."""
-    settings = {register.name: register for register in LAYOUT if LAYOUT[register].area is Area.EPROM}
+    settings = {register.name: register for register in LAYOUT if LAYOUT[register].area is Area.EEPROM}
     found = {}
     for name, value in named.items():
         register = settings.get(name.upper())

@@ -8,134 +8,66 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import Enum, IntEnum
-from functools import cache
 from types import MappingProxyType
 
+from robot.hardware.servos.registers import Area as Area
+from robot.hardware.servos.registers import RegisterEnum, RegisterTable
+from robot.hardware.servos.telemetry import Telemetry as Telemetry
 
-class Area(Enum):
-    """Memory area of a register."""
-
-    READ_ONLY = "read only"
-    EPROM = "EPROM"
-    SRAM = "SRAM"
+READ_ONLY, EEPROM, RAM = Area.READ_ONLY, Area.EEPROM, Area.RAM
 
 
-class Register(IntEnum):
-    """Address of a register's first byte."""
+class Register(RegisterEnum):
+    """Registers: address of the first byte, size in bytes, memory area, and sign."""
 
-    FIRMWARE_MAJOR = 0
-    FIRMWARE_MINOR = 1
-    MODEL_NUMBER = 3
-    ID = 5
-    BAUD_RATE = 6
-    RETURN_DELAY = 7
-    RESPONSE_LEVEL = 8
-    MIN_ANGLE_LIMIT = 9
-    MAX_ANGLE_LIMIT = 11
-    MAX_TEMPERATURE = 13
-    MAX_VOLTAGE = 14
-    MIN_VOLTAGE = 15
-    MAX_TORQUE = 16
-    PHASE = 18
-    UNLOADING_CONDITION = 19
-    LED_ALARM_CONDITION = 20
-    P_GAIN = 21
-    D_GAIN = 22
-    I_GAIN = 23
-    MIN_STARTUP_FORCE = 24
-    CW_DEAD_ZONE = 26
-    CCW_DEAD_ZONE = 27
-    PROTECTION_CURRENT = 28
-    ANGULAR_RESOLUTION = 30
-    HOMING_OFFSET = 31
-    OPERATING_MODE = 33
-    PROTECTIVE_TORQUE = 34
-    PROTECTION_TIME = 35
-    OVERLOAD_TORQUE = 36
-    TORQUE_ENABLE = 40
-    ACCELERATION = 41
-    GOAL_POSITION = 42
-    GOAL_TIME = 44
-    GOAL_VELOCITY = 46
-    TORQUE_LIMIT = 48
-    LOCK = 55
-    PRESENT_POSITION = 56
-    PRESENT_VELOCITY = 58
-    PRESENT_LOAD = 60
-    PRESENT_VOLTAGE = 62
-    PRESENT_TEMPERATURE = 63
-    STATUS = 65
-    MOVING = 66
-    GOAL_POSITION_ECHO = 67
-    PRESENT_CURRENT = 69
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Storage of a register.
-
-    Attributes:
-        size: bytes, 1 or 2.
-        area: memory area.
-        sign_bit: bit that marks a negative value; None for an unsigned register.
-    """
-
-    size: int
-    area: Area
-    sign_bit: int | None = None
+    FIRMWARE_MAJOR = 0, 1, READ_ONLY
+    FIRMWARE_MINOR = 1, 1, READ_ONLY
+    MODEL_NUMBER = 3, 2, READ_ONLY
+    ID = 5, 1, EEPROM
+    BAUD_RATE = 6, 1, EEPROM
+    RETURN_DELAY = 7, 1, EEPROM
+    RESPONSE_LEVEL = 8, 1, EEPROM
+    MIN_ANGLE_LIMIT = 9, 2, EEPROM
+    MAX_ANGLE_LIMIT = 11, 2, EEPROM
+    MAX_TEMPERATURE = 13, 1, EEPROM
+    MAX_VOLTAGE = 14, 1, EEPROM
+    MIN_VOLTAGE = 15, 1, EEPROM
+    MAX_TORQUE = 16, 2, EEPROM
+    PHASE = 18, 1, EEPROM
+    UNLOADING_CONDITION = 19, 1, EEPROM
+    LED_ALARM_CONDITION = 20, 1, EEPROM
+    P_GAIN = 21, 1, EEPROM
+    D_GAIN = 22, 1, EEPROM
+    I_GAIN = 23, 1, EEPROM
+    MIN_STARTUP_FORCE = 24, 2, EEPROM
+    CW_DEAD_ZONE = 26, 1, EEPROM
+    CCW_DEAD_ZONE = 27, 1, EEPROM
+    PROTECTION_CURRENT = 28, 2, EEPROM
+    ANGULAR_RESOLUTION = 30, 1, EEPROM
+    HOMING_OFFSET = 31, 2, EEPROM, 11
+    OPERATING_MODE = 33, 1, EEPROM
+    PROTECTIVE_TORQUE = 34, 1, EEPROM
+    PROTECTION_TIME = 35, 1, EEPROM
+    OVERLOAD_TORQUE = 36, 1, EEPROM
+    TORQUE_ENABLE = 40, 1, RAM
+    ACCELERATION = 41, 1, RAM
+    GOAL_POSITION = 42, 2, RAM, 15
+    GOAL_TIME = 44, 2, RAM
+    GOAL_VELOCITY = 46, 2, RAM, 15
+    TORQUE_LIMIT = 48, 2, RAM
+    LOCK = 55, 1, RAM
+    PRESENT_POSITION = 56, 2, READ_ONLY, 15
+    PRESENT_VELOCITY = 58, 2, READ_ONLY, 15
+    PRESENT_LOAD = 60, 2, READ_ONLY, 10
+    PRESENT_VOLTAGE = 62, 1, READ_ONLY
+    PRESENT_TEMPERATURE = 63, 1, READ_ONLY
+    STATUS = 65, 1, READ_ONLY
+    MOVING = 66, 1, READ_ONLY
+    GOAL_POSITION_ECHO = 67, 2, READ_ONLY, 15
+    PRESENT_CURRENT = 69, 2, READ_ONLY, 15
 
 
-LAYOUT: Mapping[Register, Layout] = MappingProxyType(
-    {
-        Register.FIRMWARE_MAJOR: Layout(1, Area.READ_ONLY),
-        Register.FIRMWARE_MINOR: Layout(1, Area.READ_ONLY),
-        Register.MODEL_NUMBER: Layout(2, Area.READ_ONLY),
-        Register.ID: Layout(1, Area.EPROM),
-        Register.BAUD_RATE: Layout(1, Area.EPROM),
-        Register.RETURN_DELAY: Layout(1, Area.EPROM),
-        Register.RESPONSE_LEVEL: Layout(1, Area.EPROM),
-        Register.MIN_ANGLE_LIMIT: Layout(2, Area.EPROM),
-        Register.MAX_ANGLE_LIMIT: Layout(2, Area.EPROM),
-        Register.MAX_TEMPERATURE: Layout(1, Area.EPROM),
-        Register.MAX_VOLTAGE: Layout(1, Area.EPROM),
-        Register.MIN_VOLTAGE: Layout(1, Area.EPROM),
-        Register.MAX_TORQUE: Layout(2, Area.EPROM),
-        Register.PHASE: Layout(1, Area.EPROM),
-        Register.UNLOADING_CONDITION: Layout(1, Area.EPROM),
-        Register.LED_ALARM_CONDITION: Layout(1, Area.EPROM),
-        Register.P_GAIN: Layout(1, Area.EPROM),
-        Register.D_GAIN: Layout(1, Area.EPROM),
-        Register.I_GAIN: Layout(1, Area.EPROM),
-        Register.MIN_STARTUP_FORCE: Layout(2, Area.EPROM),
-        Register.CW_DEAD_ZONE: Layout(1, Area.EPROM),
-        Register.CCW_DEAD_ZONE: Layout(1, Area.EPROM),
-        Register.PROTECTION_CURRENT: Layout(2, Area.EPROM),
-        Register.ANGULAR_RESOLUTION: Layout(1, Area.EPROM),
-        Register.HOMING_OFFSET: Layout(2, Area.EPROM, sign_bit=11),
-        Register.OPERATING_MODE: Layout(1, Area.EPROM),
-        Register.PROTECTIVE_TORQUE: Layout(1, Area.EPROM),
-        Register.PROTECTION_TIME: Layout(1, Area.EPROM),
-        Register.OVERLOAD_TORQUE: Layout(1, Area.EPROM),
-        Register.TORQUE_ENABLE: Layout(1, Area.SRAM),
-        Register.ACCELERATION: Layout(1, Area.SRAM),
-        Register.GOAL_POSITION: Layout(2, Area.SRAM, sign_bit=15),
-        Register.GOAL_TIME: Layout(2, Area.SRAM),
-        Register.GOAL_VELOCITY: Layout(2, Area.SRAM, sign_bit=15),
-        Register.TORQUE_LIMIT: Layout(2, Area.SRAM),
-        Register.LOCK: Layout(1, Area.SRAM),
-        Register.PRESENT_POSITION: Layout(2, Area.READ_ONLY, sign_bit=15),
-        Register.PRESENT_VELOCITY: Layout(2, Area.READ_ONLY, sign_bit=15),
-        Register.PRESENT_LOAD: Layout(2, Area.READ_ONLY, sign_bit=10),
-        Register.PRESENT_VOLTAGE: Layout(1, Area.READ_ONLY),
-        Register.PRESENT_TEMPERATURE: Layout(1, Area.READ_ONLY),
-        Register.STATUS: Layout(1, Area.READ_ONLY),
-        Register.MOVING: Layout(1, Area.READ_ONLY),
-        Register.GOAL_POSITION_ECHO: Layout(2, Area.READ_ONLY, sign_bit=15),
-        Register.PRESENT_CURRENT: Layout(2, Area.READ_ONLY, sign_bit=15),
-    }
-)
+LAYOUT = {register: register.layout for register in Register}
 
 # Register MODEL_NUMBER of the servos whose registers are these: Feetech's STS series.
 MODELS: Mapping[str, int] = MappingProxyType({"sts3215": 777, "sts3250": 2825})
@@ -145,166 +77,55 @@ TELEMETRY_BYTES = 15
 
 GOAL_ADDRESS = Register.ACCELERATION
 
-CONTROL_ADDRESS = Register.TORQUE_ENABLE
-CONTROL_BYTES = Register.LOCK + 1 - Register.TORQUE_ENABLE
 
 VOLT_PER_UNIT = 0.1
+PERMILLE = 1000.0
 AMPERE_PER_UNIT = 0.0065
+
+# Current of a stalled STS3215 C001 at full duty (Feetech's data sheet: 2.4 A at 6 V, 2.7 A at 7.4 V).
+STALL_CURRENT_A = 2.7
 
 # The acceleration register counts in steps of 100 ticks/s^2.
 TICKS_S2_PER_ACCELERATION_UNIT = 100
 
 
-@cache
-def value_range(register: Register) -> tuple[int, int]:
-    """Return the lowest and highest value that a register can hold."""
-    layout = LAYOUT[register]
-    if layout.sign_bit is None:
-        return 0, (1 << 8 * layout.size) - 1
-    highest = (1 << layout.sign_bit) - 1
-    return -highest, highest
+TABLE = RegisterTable(Register)
+value_range, encode, decode = TABLE.value_range, TABLE.encode, TABLE.decode
 
+# Commands that a servo holds.
+CONTROL = TABLE.block(Register.TORQUE_ENABLE, Register.LOCK)
+CONTROL_ADDRESS, CONTROL_BYTES = CONTROL.address, CONTROL.length
 
-def encode(register: Register, value: int) -> bytes:
-    """Encode a value as the bytes of its register.
-
-    Raises:
-        ValueError: the register cannot hold the value.
-    """
-    layout = LAYOUT[register]
-    lowest, highest = value_range(register)
-    if not lowest <= value <= highest:
-        raise ValueError(f"{register.name} holds {lowest} to {highest}, not {value}")
-    raw = value if layout.sign_bit is None or value >= 0 else -value | 1 << layout.sign_bit
-    return raw.to_bytes(layout.size, "little")
-
-
-def decode(register: Register, data: bytes) -> int:
-    """Decode the bytes of a register.
-
-    Raises:
-        ValueError: ``data`` is not as long as the register.
-    """
-    layout = LAYOUT[register]
-    if len(data) != layout.size:
-        raise ValueError(f"{register.name} has {layout.size} bytes, not {len(data)}")
-    raw = int.from_bytes(data, "little")
-    if layout.sign_bit is None:
-        return raw
-    magnitude = raw & ((1 << layout.sign_bit) - 1)
-    return -magnitude if raw >> layout.sign_bit & 1 else magnitude
-
-
-# The telemetry block as one struct, parsed hundreds of times a second; the byte without a name is the async flag.
-_TELEMETRY = struct.Struct("<HHHBBBBBHH")
+# The telemetry block as one struct, parsed hundreds of times a second, without the async flag, MOVING and the
+# echo of the goal.
+_TELEMETRY = struct.Struct("<HHHBBxBxxxH")
 _SIGN_10, _SIGN_15 = 1 << 10, 1 << 15
 
 
-# Six hundred are created a second, and a frozen one takes three times as long.
-@dataclass(slots=True)
-class Telemetry:
-    """Measurements of a servo, registers 56 to 70.
-
-    Attributes:
-        position_ticks: present position, 4096 ticks per turn.
-        velocity_ticks_s: present velocity [ticks/s].
-        load_permille: motor duty, signed [0.1 %].
-        voltage_v: supply [V].
-        temperature_c: temperature of the motor's housing [degC].
-        status: bits of :class:`robot.hardware.interface.StatusFlag`.
-        moving: True while the servo is on its way to a goal.
-        goal_ticks_echo: goal that it follows.
-        current_a: motor current, signed [A].
-    """
-
-    position_ticks: int
-    velocity_ticks_s: int
-    load_permille: int
-    voltage_v: float
-    temperature_c: int
-    status: int
-    moving: bool
-    goal_ticks_echo: int
-    current_a: float
-
-
 def parse_telemetry(data: bytes) -> Telemetry:
-    """Parse the telemetry block, ``TELEMETRY_BYTES`` from ``TELEMETRY_ADDRESS`` on.
-
-    Raises:
-        ValueError: ``data`` has another length.
-    """
+    """Parse the telemetry block, ``TELEMETRY_BYTES`` from ``TELEMETRY_ADDRESS`` on."""
     if len(data) != TELEMETRY_BYTES:
         raise ValueError(f"the telemetry block has {TELEMETRY_BYTES} bytes, not {len(data)}")
 
-    position, velocity, load, volts, temperature, _, status, moving, echo, current = _TELEMETRY.unpack(data)
+    position, velocity, load, volts, temperature, status, current = _TELEMETRY.unpack(data)
     # Sign and magnitude; bits above the sign are ignored.
-    magnitude = load & (_SIGN_10 - 1)
+    duty = (load & (_SIGN_10 - 1)) / PERMILLE
     return Telemetry(
         position_ticks=position if position < _SIGN_15 else _SIGN_15 - position,
         velocity_ticks_s=velocity if velocity < _SIGN_15 else _SIGN_15 - velocity,
-        load_permille=-magnitude if load & _SIGN_10 else magnitude,
+        load=-duty if load & _SIGN_10 else duty,
+        current_a=(current if current < _SIGN_15 else _SIGN_15 - current) * AMPERE_PER_UNIT,
         voltage_v=volts * VOLT_PER_UNIT,
         temperature_c=temperature,
         status=status,
-        moving=moving != 0,
-        goal_ticks_echo=echo if echo < _SIGN_15 else _SIGN_15 - echo,
-        current_a=(current if current < _SIGN_15 else _SIGN_15 - current) * AMPERE_PER_UNIT,
-    )
-
-
-@dataclass(frozen=True)
-class Control:
-    """Commands that a servo holds, registers 40 to 55.
-
-    Attributes:
-        torque_on: True while its motor is driven.
-        acceleration: register ACCELERATION, 0 after power-up.
-        goal_ticks: register GOAL_POSITION.
-        torque_limit_permille: register TORQUE_LIMIT, MAX_TORQUE after power-up.
-        locked: True if changes of the EPROM do not outlive a power cut, as after power-up.
-    """
-
-    torque_on: bool
-    acceleration: int
-    goal_ticks: int
-    torque_limit_permille: int
-    locked: bool = True
-
-
-def parse_control(data: bytes) -> Control:
-    """Parse the control block, ``CONTROL_BYTES`` from ``CONTROL_ADDRESS`` on.
-
-    Raises:
-        ValueError: ``data`` has another length.
-    """
-    if len(data) != CONTROL_BYTES:
-        raise ValueError(f"the control block has {CONTROL_BYTES} bytes, not {len(data)}")
-
-    def value(register: Register) -> int:
-        """Decode a register of the block."""
-        offset = register - CONTROL_ADDRESS
-        return decode(register, data[offset : offset + LAYOUT[register].size])
-
-    return Control(
-        torque_on=value(Register.TORQUE_ENABLE) == 1,
-        acceleration=value(Register.ACCELERATION),
-        goal_ticks=value(Register.GOAL_POSITION),
-        torque_limit_permille=value(Register.TORQUE_LIMIT),
-        locked=value(Register.LOCK) == 1,
     )
 
 
 def goal_block(goal_ticks: int, velocity_ticks_s: int, acceleration: int = 254) -> bytes:
     """Build registers 41 to 47: goal, velocity cap and acceleration.
 
-    Args:
-        goal_ticks: goal position.
-        velocity_ticks_s: velocity cap [ticks/s]; 0 means as fast as the servo can.
-        acceleration: in 100 ticks/s^2, at most 254; the default lags least behind a streamed goal.
-
-    Raises:
-        ValueError: a register cannot hold its value.
+    A velocity of 0 means as fast as the servo can; the default acceleration [100 ticks/s^2] lags least behind a
+    streamed goal.
     """
     return (
         encode(Register.ACCELERATION, acceleration)

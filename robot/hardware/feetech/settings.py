@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
     LAYOUT,
+    PERMILLE,
     VOLT_PER_UNIT,
     Area,
     Register,
-    decode,
 )
+from robot.hardware.servos.registers import Block
 
 # Everything below the SRAM: identity, and the EPROM.
 SETTINGS_ADDRESS = Register.FIRMWARE_MAJOR
@@ -23,9 +24,11 @@ SETTINGS_BYTES = Register.TORQUE_ENABLE - Register.FIRMWARE_MAJOR
 SETTINGS = tuple(register for register, layout in LAYOUT.items() if register < Register.TORQUE_ENABLE)
 
 # Those of them that can be written and outlive a power cut.
-EPROM = tuple(register for register in SETTINGS if LAYOUT[register].area is Area.EPROM)
+EPROM = tuple(register for register in SETTINGS if LAYOUT[register].area is Area.EEPROM)
 
-PERMILLE = 1000.0
+# All settings in one transaction. Its even length keeps it apart from the telemetry's.
+SETTINGS_BLOCK = Block(SETTINGS_ADDRESS, SETTINGS_BYTES, SETTINGS)
+
 PERCENT = 100.0
 
 # Unit of register PROTECTION_TIME.
@@ -34,13 +37,9 @@ PROTECTION_TIME_UNIT_S = 0.01
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """Settings of one servo.
+    """Settings of one servo."""
 
-    Attributes:
-        values: value of each of :data:`SETTINGS`.
-    """
-
-    values: Mapping[Register, int]
+    values: Mapping[Register, int]  # value of each of :data:`SETTINGS`
 
     def __getitem__(self, register: Register) -> int:
         """Return the value of a register."""
@@ -87,16 +86,3 @@ class ServoSettings:
     def by_name(self) -> dict[str, int]:
         """Return the values by the names of their registers, as for people."""
         return {register.name: value for register, value in self.values.items()}
-
-
-def parse_settings(data: bytes) -> ServoSettings:
-    """Parse the settings, ``SETTINGS_BYTES`` from ``SETTINGS_ADDRESS`` on.
-
-    Raises:
-        ValueError: ``data`` has another length.
-    """
-    if len(data) != SETTINGS_BYTES:
-        raise ValueError(f"the settings have {SETTINGS_BYTES} bytes, not {len(data)}")
-    return ServoSettings(
-        {register: decode(register, data[register : register + LAYOUT[register].size]) for register in SETTINGS}
-    )

@@ -76,6 +76,9 @@ HUMBLE_NUMBERS = {
 # A client repeats a rejected command many times a second.
 LOGGED_AGAIN_S = 5.0
 
+# An epoch that is earlier than that of any stop.
+BEFORE_EVERY_STOP = -1
+
 # A client in control sends many commands a second.
 OWNERSHIP_TIMEOUT_S = 1.0
 
@@ -193,6 +196,8 @@ class CommandGate:
         self._arm = arm
         # Stop epoch of the last command.
         self._heard_epoch = 0
+        # Stop epoch of the last press of each client that announces its presses.
+        self._presses: dict[object, int] = {}
         self._selected: CommandType | None = None
         self._heard_s = -float("inf")
         self._interrupted = ""
@@ -202,14 +207,28 @@ class CommandGate:
         """Reject other types of commands, until the client in control gives it up."""
         self._selected = kind
 
+    def press(self, client: object, present: Container[object]) -> None:
+        """Take the announcement of a press: from now on a release of this client's stick is followed by another press.
+
+        Silence alone is no release then. The commands of a client whose process or network stood still have a gap too.
+
+        Args:
+            client: its publisher.
+            present: every client that announces presses and is still connected.
+        """
+        self._presses = {each: epoch for each, epoch in self._presses.items() if each in present}
+        self._presses[client] = arrival_epoch()
+
     def interrupt(self, reason: str) -> None:
         """Reject all commands until the stick is released: the arm was stopped from elsewhere."""
         self._interrupted = reason
+        self._presses = dict.fromkeys(self._presses, BEFORE_EVERY_STOP)
 
     def reset(self) -> None:
         """Accept commands again after an interruption."""
         self._interrupted = ""
         self._heard_epoch = arrival_epoch()
+        self._presses = dict.fromkeys(self._presses, self._heard_epoch)
 
     def rejection(self, client: object, kind: CommandType, now_s: float) -> CommandRejection | None:
         """Check a command; None if it is to be followed.
@@ -227,21 +246,23 @@ class CommandGate:
             return CommandRejection(f"{client} cannot steer the arm: {owner} does", from_owner=False)
         silence_s, self._heard_s = now_s - self._heard_s, now_s
         last_stop, epoch = self._arm.last_stop, arrival_epoch()
-        if silence_s > self._timeout_s and epoch >= last_stop:
+        pressed = self._presses.get(client, epoch) >= last_stop
+        if silence_s > self._timeout_s and epoch >= last_stop and pressed:
             self._interrupted = ""
         elif min(epoch, self._heard_epoch) < last_stop:
             self._interrupted = "the arm was stopped"
         self._heard_epoch = epoch
-        message = self._reason(kind)
+        message = self._reason(client, kind)
         return CommandRejection(message) if message else None
 
-    def _reason(self, kind: CommandType) -> str:
+    def _reason(self, client: object, kind: CommandType) -> str:
         if self.paused:
             return "servo is paused: unpause it by the service /servo_node/pause_servo or start_servo"
         if self._selected is not None and kind is not self._selected:
             return f"the command type {self._selected.name} was selected; this is a {kind.name} command"
         if self._interrupted:
-            return f"{self._interrupted}; let go for {self._timeout_s:g} s to steer again"
+            then = f", then publish {TIMEOUT_TOPIC} again," if client in self._presses else ""
+            return f"{self._interrupted}; let go for {self._timeout_s:g} s{then} to steer again"
         return self._busy()
 
 
@@ -371,6 +392,7 @@ class ServoNode:
             try:
                 present = self._graph.publishers(TIMEOUT_TOPIC)
                 self._timeouts.choose(published.publisher, float(published.msg["data"]), present)
+                self._gate.press(published.publisher, present)
             except RefusedError as error:
                 self._status.publish(ServoStatus.INVALID, str(error))
 

@@ -31,8 +31,11 @@ function startPage(): void {
   const authentication = new Authentication(connection, store);
   const moveGroup = new MoveGroupClient(connection, store);
   const commands = new ArmCommands(connection, store);
-  const stopCommand = new StopCommand(connection, store, () => moveGroup.cancel());
-  const jogSender = new JogSender(connection, store, (position) => void commands.moveGripper(position));
+  const jogSender = new JogSender(connection, store, commands);
+  const stopCommand = new StopCommand(connection, store, () => {
+    jogSender.releaseAll();
+    moveGroup.cancel();
+  });
   const commissioning = new CommissioningCommands(connection, store);
   const servoHistory = (joint: string): ReturnType<typeof fetchServoHistory> => fetchServoHistory(connection, joint);
   const phoneAccess = (): ReturnType<typeof fetchPhoneAccess> => fetchPhoneAccess(connection);

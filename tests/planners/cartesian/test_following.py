@@ -28,8 +28,9 @@ def following(follower, start, segments, check_point=lambda point: None, should_
     tracker = follower.tracker(start)
     path = TipPath(tracker.pose(start), segments)
     names = follower.robot.groups["arm"].joints
-    heeded = {"max_step_m": 0.005, "max_joint_step_rad": 0.0, "orientation_tolerance_rad": np.inf} | asked
-    return PathFollower(tracker, names, path, check_point=check_point, should_stop=should_stop, **heeded)
+    options = {"max_step_m": 0.005, "keep_orientation": "orientation_tolerance_rad" in asked} | asked
+    problem = follower.problem(start, *segments, **options)
+    return PathFollower(problem, tracker, names, path, check_point, should_stop)
 
 
 def shifted(follower, *offset_m):

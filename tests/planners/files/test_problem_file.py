@@ -151,7 +151,6 @@ def test_a_problem_that_failed_is_the_same_when_it_is_read_again(tmp_path, goal)
         path_constraints=CONSTRAINTS,
         planner_id="RRTConnect",
         optimization_time_s=0.1,
-        max_jerk_rad_s3={"elbow_flex": 50.0},
     )
     file = written(tmp_path / "goal-7.json", problem)
     (one,) = file.problems

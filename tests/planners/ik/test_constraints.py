@@ -46,7 +46,7 @@ def point(**changes):
         "offset_m": np.zeros(3),
         "center_m": np.zeros(3),
         "axes": np.eye(3),
-        "tolerance_m": 0.1,
+        "tolerance": 0.1,
     }
     return PointCondition(**{**fields, **changes})
 
@@ -72,46 +72,46 @@ def test_the_excess_over_a_box_is_told_for_each_axis(vector):
 def test_point_of_a_link_is_offset_in_the_links_frame():
     condition = point(offset_m=np.array([0.2, 0.0, 0.0]), center_m=np.array([1.0, 0.0, 0.0]))
     turned = placed([0.0, 0.0, np.pi / 2], [1.0, 0.0, 0.0])
-    np.testing.assert_allclose(condition.missing(turned), [0.0, -0.2, 0.0], atol=1e-12)
-    np.testing.assert_allclose(condition.beyond(condition.missing(turned)), [0.0, -0.1, 0.0], atol=1e-8)
+    np.testing.assert_allclose(condition.error(turned), [0.0, -0.2, 0.0], atol=1e-12)
+    np.testing.assert_allclose(condition.violation(condition.error(turned)), [0.0, -0.1, 0.0], atol=1e-8)
 
 
 def test_box_region_lies_along_its_own_axes():
     quarter = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
-    condition = point(axes=quarter, tolerance_m=np.array([0.3, 0.1, 0.1]))
-    assert not condition.beyond(condition.missing(placed([0, 0, 0], [0.0, 0.25, 0.0]))).any()
-    assert condition.beyond(condition.missing(placed([0, 0, 0], [0.25, 0.0, 0.0]))).any()
+    condition = point(axes=quarter, tolerance=np.array([0.3, 0.1, 0.1]))
+    assert not condition.violation(condition.error(placed([0, 0, 0], [0.0, 0.25, 0.0]))).any()
+    assert condition.violation(condition.error(placed([0, 0, 0], [0.25, 0.0, 0.0]))).any()
 
 
 @given(vectors, vectors)
 @examples(50)
-def test_turn_by_what_is_missing_meets_the_orientation(now, wanted):
+def test_turn_by_the_error_meets_the_orientation(now, wanted):
     condition = TurnCondition("tip", pin.exp3(wanted), np.full(3, 0.1))
     placement = placed(now)
-    placement.rotation = placement.rotation @ pin.exp3(condition.missing(placement))
+    placement.rotation = placement.rotation @ pin.exp3(condition.error(placement))
     np.testing.assert_allclose(placement.rotation, pin.exp3(wanted), atol=1e-6)
 
 
 @given(vectors, vectors)
 @examples(50)
-def test_turn_by_what_is_missing_brings_the_axis_into_its_direction(now, towards):
+def test_turn_by_the_error_brings_the_axis_into_its_direction(now, towards):
     direction = pin.exp3(towards)[:, 0]
     condition = AxisCondition("tip", np.array([0.0, 0.6, 0.8]), direction, 0.1)
     placement = placed(now)
-    turned = placement.rotation @ pin.exp3(condition.missing(placement))
+    turned = placement.rotation @ pin.exp3(condition.error(placement))
     np.testing.assert_allclose(turned @ condition.axis, direction, atol=1e-6)
 
 
 @pytest.mark.parametrize(("direction", "angle"), [([0.0, 0.0, 1.0], 0.0), ([0.0, 0.0, -1.0], np.pi)])
 def test_axis_that_is_parallel_or_opposite_has_a_finite_way(direction, angle):
     condition = AxisCondition("tip", np.array([0.0, 0.0, 1.0]), np.array(direction), 0.1)
-    assert np.linalg.norm(condition.missing(placed([0, 0, 0]))) == pytest.approx(angle)
+    assert np.linalg.norm(condition.error(placed([0, 0, 0]))) == pytest.approx(angle)
 
 
 def test_axis_does_not_mind_turns_about_itself():
     condition = AxisCondition("tip", np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]), np.array([0.1, 0.1, np.pi]))
-    assert not condition.beyond(condition.missing(placed([0.0, 0.0, 3.0]))).any()
-    assert condition.beyond(condition.missing(placed([0.2, 0.0, 0.0]))).any()
+    assert not condition.violation(condition.error(placed([0.0, 0.0, 3.0]))).any()
+    assert condition.violation(condition.error(placed([0.2, 0.0, 0.0]))).any()
 
 
 @pytest.mark.parametrize(
@@ -122,20 +122,20 @@ def test_axis_does_not_mind_turns_about_itself():
         AxisCondition("tip", np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), 0.1),
     ],
 )
-def test_distances_of_many_placements_are_the_lengths_of_what_is_missing(condition):
+def test_distances_of_many_placements_are_the_lengths_of_the_errors(condition):
     rng = np.random.default_rng(1)
     places = [placed(rng.uniform(-1.5, 1.5, 3), rng.uniform(-1, 1, 3)) for _ in range(20)]
     many = Placements(np.array([p.rotation for p in places]), np.array([p.translation for p in places]))
-    lengths = [np.linalg.norm(condition.missing(p)) for p in places]
+    lengths = [np.linalg.norm(condition.error(p)) for p in places]
     np.testing.assert_allclose(condition.distances(many), lengths, atol=1e-7)
 
 
 def test_joint_is_brought_to_its_position_or_into_its_range():
     condition = JointCondition("elbow", 0, 1.0, 0.5, 1.1)
-    assert condition.beyond_rad(0.7) == 0.0
-    assert condition.beyond_rad(0.3) == pytest.approx(0.2)
-    assert condition.beyond_rad(1.3) == pytest.approx(-0.2)
-    assert condition.beyond_rad(0.7, share=0.0) == pytest.approx(0.3)
+    assert condition.violation_rad(0.7) == 0.0
+    assert condition.violation_rad(0.3) == pytest.approx(0.2)
+    assert condition.violation_rad(1.3) == pytest.approx(-0.2)
+    assert condition.violation_rad(0.7, share=0.0) == pytest.approx(0.3)
 
 
 @given(vectors)
@@ -173,7 +173,7 @@ def pose_of(forward, q, link=TIP):
 
 def test_nothing_demanded_holds_everywhere(condition_set):
     assert condition_set().holds(HOME)
-    assert condition_set().beyond_m(HOME) == 0.0
+    assert condition_set().violation_m(HOME) == 0.0
 
 
 @pytest.mark.parametrize("seed", range(5))

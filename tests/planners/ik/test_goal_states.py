@@ -47,6 +47,10 @@ def no_time(_):
     return 0.0
 
 
+def query(arm, should_stop=never, constraints=None, **options):
+    return GoalQuery(arm, HOME, constraints, Budget(time.monotonic, 5.0, should_stop), **options)
+
+
 @pytest.fixture
 def results(goal_states, collision, joints):
     def make(center, tolerance_m=0.1):
@@ -148,7 +152,7 @@ def test_the_pose_of_a_free_configuration_is_reached_free_and_within_limits(
 ):
     for state in free_states:
         wanted = goal_conditions(goal_at(search, state), joints)
-        found = search.find(arm, wanted, HOME, never)
+        found = search.find(wanted, query(arm))
         assert found.solutions, state
         for q in found.solutions:
             assert ConditionSet(search.forward, wanted.required).holds(q)
@@ -159,7 +163,7 @@ def test_the_pose_of_a_free_configuration_is_reached_free_and_within_limits(
 def test_solutions_differ_and_the_soonest_comes_first(search, arm, joints, free_states):
     for state in free_states[:20]:
         goal = PositionGoal(TIP, pose_of(search.forward, state).position_m, 0.001)
-        solutions = search.find(arm, goal_conditions(goal, joints), HOME, never).solutions
+        solutions = search.find(goal_conditions(goal, joints), query(arm)).solutions
         times_s = [search.move_time_s(HOME, q) for q in solutions]
         assert times_s == sorted(times_s)
         assert len(solutions) <= MAX_SOLUTIONS
@@ -169,7 +173,7 @@ def test_solutions_differ_and_the_soonest_comes_first(search, arm, joints, free_
 
 def test_no_more_solutions_are_found_than_wanted(search, arm, joints):
     goal = PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001)
-    assert len(search.find(arm, goal_conditions(goal, joints), HOME, never, wanted=1).solutions) == 1
+    assert len(search.find(goal_conditions(goal, joints), query(arm, wanted=1)).solutions) == 1
 
 
 def test_solutions_of_a_preference_are_about_equally_good(search, arm, joints, free_states):
@@ -178,9 +182,9 @@ def test_solutions_of_a_preference_are_about_equally_good(search, arm, joints, f
         orientation = rng.normal(size=4)
         pose = Pose(pose_of(search.forward, state).position_m, tuple(orientation / np.linalg.norm(orientation)))
         wanted = goal_conditions(PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02)), joints)
-        found = search.find(arm, wanted, HOME, never)
+        found = search.find(wanted, query(arm))
         assert found.solutions
-        turned = [ConditionSet(search.forward, wanted.preferred).beyond_m(q) for q in found.solutions]
+        turned = [ConditionSet(search.forward, wanted.preferred).violation_m(q) for q in found.solutions]
         assert max(turned) - min(turned) <= 0.1 * PREFERENCE_SLACK_RAD + 1e-9
 
 
@@ -190,7 +194,7 @@ def test_nearest_orientation_is_as_near_as_sampling_finds_it(search, arm, joints
     wanted = goal_conditions(
         PoseGoal(TIP, Pose(tuple(target_m), (0.5, 0.5, 0.5, 0.5)), 0.001, (0.02, 0.02, 0.02)), joints
     )
-    found = search.find(arm, wanted, HOME, never)
+    found = search.find(wanted, query(arm))
     preferred = ConditionSet(search.forward, wanted.preferred)
     states = rng.uniform(collision.lower_rad, collision.upper_rad, (30_000, 6))
     near = np.linalg.norm(search.forward.placements(states, TIP).positions_m - target_m, axis=1) < 0.02
@@ -203,7 +207,7 @@ def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_
     states = rng.uniform(collision.lower_rad, collision.upper_rad, (20_000, 6))
     positions_m = search.forward.placements(states, TIP).positions_m
     for target_m in ((0.1, 0.0, 0.15), (0.6, 0.2, 0.3), (0.0, 0.7, 0.1)):
-        found = search.find(arm, goal_conditions(PositionGoal(TIP, target_m, 0.001), joints), HOME, never)
+        found = search.find(goal_conditions(PositionGoal(TIP, target_m, 0.001), joints), query(arm))
         order = np.argsort(np.linalg.norm(positions_m - target_m, axis=1))
         best = next(i for i in order if not collision.in_collision(states[i]))
         assert not found.solutions
@@ -213,18 +217,18 @@ def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_
 
 def test_contacts_do_not_matter_when_they_are_not_minded(search, arm, joints):
     wanted = goal_conditions(PositionGoal(TIP, (0.0, 0.0, 0.02), 0.01), joints)
-    assert search.find(arm, wanted, HOME, never).colliding
-    assert search.find(arm, wanted, HOME, never, avoid_collisions=False).solutions
+    assert search.find(wanted, query(arm)).colliding
+    assert search.find(wanted, query(arm, avoid_collisions=False)).solutions
 
 
 def test_descents_end_when_told_to(search, arm, joints):
-    found = search.find(arm, goal_conditions(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints), HOME, lambda: True)
+    found = search.find(goal_conditions(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints), query(arm, lambda: True))
     assert len(found.solutions) <= 1
 
 
 def test_same_question_has_the_same_answer(robot, collision, search, arm, joints):
     wanted = goal_conditions(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints)
-    answers = [each.find(arm, wanted, HOME, never).solutions for each in (search, GoalSearch(robot, collision), search)]
+    answers = [each.find(wanted, query(arm)).solutions for each in (search, GoalSearch(robot, collision), search)]
     np.testing.assert_array_equal(answers[0], answers[1])
     np.testing.assert_array_equal(answers[0], answers[2])
 
@@ -235,8 +239,7 @@ TIP_AT_HOME = (0.3914, 0.0, 0.2264)
 @pytest.fixture
 def find(goal_states, arm):
     def ask(goal, **options):
-        budget = Budget(time.monotonic, 5.0, options.pop("should_stop", never))
-        return goal_states.find(goal, GoalQuery(arm, HOME, options.pop("constraints", None), budget, **options))
+        return goal_states.find(goal, query(arm, **options))
 
     return ask
 
@@ -336,8 +339,7 @@ def test_object_in_the_goal_is_named(robot, arm):
     states = GoalStates(robot, collision)
     mug = SceneObject("mug", ((Box((0.08, 0.08, 0.08)), Pose()),), Pose((0.25, 0.1, 0.15)))
     assert collision.set_scene(Scene(1, (mug,))) is None
-    query = GoalQuery(arm, HOME, None, Budget(time.monotonic, 5.0, never))
-    failure = states.find(PositionGoal(TIP, (0.25, 0.1, 0.15), 0.001), query)
+    failure = states.find(PositionGoal(TIP, (0.25, 0.1, 0.15), 0.001), query(arm))
     assert isinstance(failure, PlanningFailure)
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
     assert "mug" in failure.message

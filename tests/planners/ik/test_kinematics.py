@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
-
 import numpy as np
 import pytest
 
@@ -23,11 +21,8 @@ from planners.ik.constraints import (
     goal_conditions,
 )
 from planners.ik.kinematics import (
-    MAX_POINTS,
     GoalConditions,
     Kinematics,
-    slides,
-    with_targets,
 )
 from planners.scene import Pose
 from robot.description import model
@@ -37,13 +32,10 @@ from tests.planners.ik.test_constraints import pose_of
 TIP = "gripper_frame_link"
 
 
-def test_targets_are_slides_that_no_link_of_the_robot_hangs_on(robot):
-    root = ET.fromstring(with_targets(robot))
-    joints = {joint.get("name"): joint for joint in root.iterfind("joint")}
-    assert len(slides()) == 3 * MAX_POINTS
-    assert all(joints[name].get("type") == "prismatic" for name in slides())
-    children = {joints[name].find("child").get("link") for name in slides()}
-    assert not children & set(robot.links)
+def test_points_of_two_links_that_use_the_same_frame_are_told_apart(so101):
+    goals = [PositionGoal(link, (0.2, 0.1, 0.15), 0.001, (0.01, 0.0, 0.02)) for link in (TIP, "wrist_link")]
+    descents = [so101.kinematics.descent(so101.arm, goal_conditions(goal, so101.joints)) for goal in goals]
+    assert all(so101.holds(goal, descent(HOME)) for goal, descent in zip(goals, descents, strict=True))
 
 
 HOME = np.zeros(6)

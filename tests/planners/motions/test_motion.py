@@ -8,7 +8,8 @@ import pytest
 from planners.budget import Budget
 from planners.geometry.certificate import certify
 from planners.motions.curve import TICK_S, least_time_s, polyline
-from planners.motions.motion import MAX_DURATION_S, STRAIGHT_LINE, Motion, MotionTask, find_motion, smooth
+from planners.motions.motion import STRAIGHT_LINE, Motion, MotionTask, find_motion, smooth
+from planners.motions.path_timing import MAX_DURATION_S
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits
 from tests.planners.invariants import (
     BLOCKED_LINES,

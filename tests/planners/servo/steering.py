@@ -31,6 +31,7 @@ class SteeredArm:
         start_rad: where it stands; joints not named are at 0 [rad].
         limits: how it is steered.
         period_s: time between two answers, a multiple of two ticks [s].
+        tip: the link that is steered.
     """
 
     def __init__(
@@ -40,7 +41,9 @@ class SteeredArm:
         start_rad: Mapping[str, float] = READY,
         limits: ServoLimits | None = None,
         period_s: float = PERIOD_S,
+        tip: str = TIP,
     ) -> None:
+        self._tip = tip
         self._planner = planner
         self._limits = limits or ServoLimits()
         self._period_s = period_s
@@ -62,12 +65,12 @@ class SteeredArm:
     @property
     def tip_m(self) -> np.ndarray:
         self._forward.place(np.array(list(self.positions_rad.values())))
-        return self._forward.placement(TIP).translation.copy()
+        return self._forward.placement(self._tip).translation.copy()
 
     @property
     def tip_axes(self) -> np.ndarray:
         self._forward.place(np.array(list(self.positions_rad.values())))
-        return self._forward.placement(TIP).rotation.copy()
+        return self._forward.placement(self._tip).rotation.copy()
 
     def steer(self, command: ServoCommand | Callable[[float], ServoCommand], seconds: float) -> ServoAnswer:
         """Steer for a while; returns the last answer."""
@@ -76,7 +79,7 @@ class SteeredArm:
             ahead = self.tracking.position_rad + LEAD_S * self.tracking.velocity_rad_s
             positions_rad = self._others | dict(zip(self._names, ahead.tolist(), strict=True))
             question = ServoQuestion(
-                "arm", TIP, positions_rad, self._velocity, self._period_s, wanted, self._anchor, self._limits
+                "arm", self._tip, positions_rad, self._velocity, self._period_s, wanted, self._anchor, self._limits
             )
             answer = self._planner.answer(question)
             assert isinstance(answer, ServoAnswer), answer

@@ -12,12 +12,11 @@ from robot.commissioning.calibrate import (
     calibrate,
     differences,
     needs_middle,
-    read_differences,
-    write_to_servos,
 )
 from robot.commissioning.scan import scan
 from robot.commissioning.sweep import Sweep
 from robot.errors import CalibrationError, RobotError
+from robot.hardware.feetech.calibration import read_differences, write_to_servos
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end
 from tests.helpers.emulator import SteppedEmulator

@@ -1,47 +1,46 @@
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
 
 import pytest
 
-from robot.commissioning.doctor import (
-    EXPERIMENTS,
-    GENTLE_TORQUE,
-    POWER_TIMEOUT_S,
-    STEP_S,
-    STEP_TICKS,
-    ServoRig,
-    Verdict,
-    judge_cycles,
-    judge_long_reads,
-    judge_scan,
-    run_experiment,
-)
-from robot.commissioning.scan import ScanResult, ServoReport
+from robot.commissioning.doctor import Verdict, judge_cycles, judge_long_reads, judge_scan
+from robot.commissioning.scan import ScanResult
+from robot.commissioning.servo_registers import ServoRegisters
 from robot.commissioning.timing import CycleTimes
-from robot.errors import StartupError
-from robot.hardware.feetech.registers import Register, Telemetry
-from robot.hardware.interface import StatusFlag
+from robot.hardware.feetech.registers import Register
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
-from tests.helpers.server import read_write_log
 
 NOMINAL = nominal_calibration()
-TELEMETRY = Telemetry(2048, 0, 0, 5.0, 32, 0, False, 2048, 0.0)
+SOUND = {
+    Register.MODEL_NUMBER: 777,
+    Register.FIRMWARE_MAJOR: 3,
+    Register.FIRMWARE_MINOR: 10,
+    Register.OPERATING_MODE: 0,
+    Register.PHASE: 12,
+    Register.RETURN_DELAY: 0,
+    Register.MIN_VOLTAGE: 40,
+    Register.MAX_VOLTAGE: 80,
+    Register.PRESENT_VOLTAGE: 50,
+    Register.PRESENT_TEMPERATURE: 32,
+    Register.STATUS: 0,
+}
 TIMES = CycleTimes(300, 0.002, 0.0021, 0.0003, 0, 1800)
 
 
-def report(spec, **changes):
+def report(spec, changes=()):
     joint = next(joint for joint in NOMINAL.joints if joint.joint == spec.joint)
-    telemetry = replace(TELEMETRY, **{key: changes.pop(key) for key in list(changes) if hasattr(TELEMETRY, key)})
-    limits = joint.range_min, joint.range_max
-    sound = ServoReport(spec.servo_id, 777, (3, 10), 0, limits, joint.homing_offset, 12, 0, 8.0, 0, telemetry)
-    return replace(sound, **changes)
+    calibrated = {
+        Register.MIN_ANGLE_LIMIT: joint.range_min,
+        Register.MAX_ANGLE_LIMIT: joint.range_max,
+        Register.HOMING_OFFSET: joint.homing_offset,
+    }
+    return ServoRegisters(spec.servo_id, {**SOUND, **calibrated, **dict(changes)})
 
 
-def findings(**changes):
+def findings(changes=()):
     """The findings about an arm whose third servo is not as it should be, by check."""
-    servos = tuple(report(spec, **changes if spec.servo_id == 3 else {}) for spec in SO101_SERVOS)
+    servos = tuple(report(spec, changes if spec.servo_id == 3 else ()) for spec in SO101_SERVOS)
     return {finding.check: finding for finding in judge_scan(ScanResult(servos), SO101_SERVOS, NOMINAL)}
 
 
@@ -53,22 +52,27 @@ def test_an_arm_that_is_well_is_good_in_everything():
 @pytest.mark.parametrize(
     ("changes", "check", "verdict", "words"),
     [
-        ({"model": 1284}, "model and mode", Verdict.PROBLEM, "servo 3 is model 1284"),
-        ({"mode": 3}, "model and mode", Verdict.PROBLEM, "in mode 3"),
-        ({"firmware": (3, 9)}, "firmware", Verdict.NOTE, "3: 3.9"),
-        ({"voltage_v": 4.2}, "voltage", Verdict.PROBLEM, "4.2 to 5.0 V"),
-        ({"voltage_v": 12.1}, "voltage", Verdict.PROBLEM, "too much for servos 3"),
-        ({"voltage_v": 4.55}, "voltage", Verdict.NOTE, "along the chain"),
-        ({"temperature_c": 56}, "temperature", Verdict.NOTE, "servo 3 with 56"),
-        ({"temperature_c": 66}, "temperature", Verdict.PROBLEM, "servo 3 with 66"),
-        ({"status": StatusFlag.OVERLOAD | StatusFlag.VOLTAGE}, "error bits", Verdict.PROBLEM, "3: voltage, overload"),
-        ({"phase": 28}, "phase bit 4", Verdict.PROBLEM, "servos 3 count"),
-        ({"return_delay": 250}, "return delay", Verdict.NOTE, "servo 3: 500 us"),
-        ({"homing_offset_ticks": 5}, "calibration", Verdict.PROBLEM, "elbow_flex HOMING_OFFSET 5 instead of 0"),
+        ({Register.MODEL_NUMBER: 1284}, "model and mode", Verdict.PROBLEM, "servo 3 is model 1284"),
+        ({Register.OPERATING_MODE: 3}, "model and mode", Verdict.PROBLEM, "in mode 3"),
+        ({Register.FIRMWARE_MINOR: 9}, "firmware", Verdict.NOTE, "3: 3.9"),
+        ({Register.PRESENT_VOLTAGE: 42}, "voltage", Verdict.PROBLEM, "4.2 to 5.0 V"),
+        ({Register.PRESENT_VOLTAGE: 121}, "voltage", Verdict.PROBLEM, "too much for servos 3"),
+        ({Register.PRESENT_VOLTAGE: 45}, "voltage", Verdict.NOTE, "along the chain"),
+        ({Register.PRESENT_TEMPERATURE: 56}, "temperature", Verdict.NOTE, "servo 3 with 56"),
+        ({Register.PRESENT_TEMPERATURE: 66}, "temperature", Verdict.PROBLEM, "servo 3 with 66"),
+        (
+            {Register.STATUS: 33},
+            "error bits",
+            Verdict.PROBLEM,
+            "3: voltage, overload",
+        ),
+        ({Register.PHASE: 28}, "phase bit 4", Verdict.PROBLEM, "servos 3 count"),
+        ({Register.RETURN_DELAY: 250}, "return delay", Verdict.NOTE, "servo 3: 500 us"),
+        ({Register.HOMING_OFFSET: 5}, "calibration", Verdict.PROBLEM, "elbow_flex HOMING_OFFSET 5 instead of 0"),
     ],
 )
 def test_what_is_wrong_is_found_named_and_given_a_remedy(changes, check, verdict, words):
-    found = findings(**changes)
+    found = findings(changes)
     assert found[check].verdict is verdict
     assert words in found[check].says
     assert found[check].remedy
@@ -107,140 +111,3 @@ def test_servos_that_do_not_answer_long_reads_are_named():
     bad = judge_long_reads(56, 31, [2, 5])
     assert bad.verdict is Verdict.PROBLEM
     assert "servos 2, 5 do not answer a read of registers 56 to 86" in bad.says
-
-
-IDS = (1, 2, 3, 4, 5, 6)
-GRIPPER = 6
-BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
-
-
-def rig_on(emulator, bus):
-    return ServoRig(bus, GRIPPER, IDS, emulator.clock, emulator.run)
-
-
-@pytest.fixture
-def rig(bus, emulator):
-    return rig_on(emulator, bus)
-
-
-def answer(name, rig):
-    return run_experiment(BY_NAME[name], rig)
-
-
-FOUND = {
-    "return delay register": "it works",
-    "goal register and torque": "torque off keeps the goal; torque on drives to a goal set before",
-    "lag of the position loop": "ticks is followed within",
-    "sync read past a missing servo": "those behind it answer",
-}
-
-
-@pytest.mark.parametrize("name", [each.name for each in EXPERIMENTS if not each.needs_hands])
-def test_every_experiment_has_a_finding_and_leaves_the_servos_as_it_found_them(rig, name):
-    def control():
-        return [
-            rig.bus.read(servo_id, register)
-            for servo_id in IDS
-            for register in (Register.TORQUE_ENABLE, Register.TORQUE_LIMIT, Register.RETURN_DELAY, Register.LOCK)
-        ]
-
-    before = control()
-    finding = answer(name, rig)
-    assert finding.check == name
-    assert FOUND.get(name, "") in finding.says
-    assert control() == before
-
-
-def test_no_experiment_stores_anything_or_switches_torque_on_far_from_the_goal(start_emulator, write_log):
-    emulator = start_emulator("--write-log", str(write_log))
-    rig = rig_on(emulator, emulator.open_bus())
-    for experiment in EXPERIMENTS:
-        if not experiment.needs_hands:
-            run_experiment(experiment, rig)
-    entries = read_write_log(write_log)
-    assert {servo for entry in entries for servo in entry["data"]} == {str(GRIPPER)}
-    assert not [entry for entry in entries if entry["address"] == Register.LOCK and entry["data"]["6"] == [0]]
-    goals = [e["data"]["6"][1] + 256 * e["data"]["6"][2] for e in entries if e["address"] == Register.ACCELERATION]
-    assert max(goals) - min(goals) <= 30
-
-
-def test_an_arm_that_holds_is_not_touched(rig):
-    rig.bus.write(GRIPPER, Register.TORQUE_ENABLE, 1)
-    finding = answer("lag of the position loop", rig)
-    assert finding.verdict is Verdict.OPEN
-    assert "relax the arm first" in finding.says
-    assert rig.bus.read(GRIPPER, Register.TORQUE_ENABLE) == 1
-
-
-def test_a_bus_that_stalls_behind_a_missing_servo_is_found_out(rig, emulator):
-    emulator.command(stall_behind_missing=True)
-    assert "servos 2, 3, 4, 5, 6 did not answer" in answer("sync read past a missing servo", rig).says
-
-
-def test_an_overload_that_stays_is_found_out_and_without_one_the_question_is_open(rig, emulator):
-    assert answer("overload cleared by torque off and on", rig).verdict is Verdict.OPEN
-    emulator.command(status={"3": 32})
-    assert rig.bus.read(3, Register.STATUS)
-    assert answer("overload cleared by torque off and on", rig).says == "it does not"
-
-
-@pytest.mark.parametrize(("holding", "says"), [(False, "off"), (True, "servos 2 power up with torque on")])
-def test_torque_at_power_up_is_read_after_a_power_cut(rig, emulator, holding, says):
-    if holding:
-        emulator.command(powers_up_holding=[2])
-    emulator.command_later(5.0, offline=list(IDS))
-    emulator.command_later(7.0, power_cycle=list(IDS), online=list(IDS))
-    assert answer("torque at power-up", rig).says == says
-
-
-def test_without_a_power_cut_the_finding_is_open(rig):
-    finding = answer("torque at power-up", rig)
-    assert (finding.verdict, finding.says) == (Verdict.OPEN, "the power was not cut within 60 s")
-
-
-def test_a_servo_that_falls_silent_leaves_the_question_open(rig, emulator):
-    emulator.command(offline=[GRIPPER])
-    assert answer("damping (torque 2)", rig).verdict is Verdict.OPEN
-
-
-def test_torque_is_on_gently_where_the_servo_stands_and_off_afterwards_also_after_ctrl_c(rig):
-    with contextlib.suppress(KeyboardInterrupt), rig.holding() as goal:
-        assert rig.read(Register.TORQUE_ENABLE) == 1
-        assert rig.read(Register.TORQUE_LIMIT) == GENTLE_TORQUE
-        assert abs(rig.telemetry().position_ticks - goal) <= 2
-        raise KeyboardInterrupt
-    assert rig.read(Register.TORQUE_ENABLE) == 0
-    assert rig.read(Register.TORQUE_LIMIT) == 1000
-
-
-def test_torque_does_not_come_on_far_from_the_goal_or_outside_the_angle_limits(rig):
-    far = rig.telemetry().position_ticks + STEP_TICKS + 10
-    with pytest.raises(StartupError, match="was moved"), rig.holding(far):
-        pass
-    assert rig.read(Register.TORQUE_ENABLE) == 0
-    rig.set(Register.MIN_ANGLE_LIMIT, rig.telemetry().position_ticks + 100)
-    with pytest.raises(StartupError, match="outside its angle limits"), rig.holding():
-        pass
-    assert rig.read(Register.TORQUE_ENABLE) == 0
-
-
-def test_a_step_goes_towards_the_middle_and_is_followed_and_sampled_for_as_long_as_it_may_take(rig):
-    with rig.holding() as start:
-        goal = rig.one_step_from(start)
-        samples = rig.go(goal)
-    assert goal - start == STEP_TICKS
-    assert abs(samples[-1][1].position_ticks - goal) <= 3
-    times_s = [at_s for at_s, _ in samples]
-    assert times_s == sorted(times_s)
-    assert 0.9 * STEP_S < times_s[-1] < STEP_S
-
-
-def test_waiting_for_a_servo_ends_when_it_answers_or_in_time(rig, emulator):
-    started_s = emulator.clock()
-    assert rig.await_answers(answering=True)
-    assert emulator.clock() - started_s < 0.01
-    assert not rig.await_answers(answering=False)
-    assert emulator.clock() - started_s == pytest.approx(POWER_TIMEOUT_S, abs=0.2)
-    emulator.command_later(1.0, offline=[GRIPPER])
-    assert rig.await_answers(answering=False)
-    assert emulator.clock() - started_s == pytest.approx(POWER_TIMEOUT_S + 1.0, abs=0.4)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import pytest
 
 from robot.commissioning.scan import ScanResult, explain_missing, scan
+from robot.hardware.feetech.registers import Register
 from tests.helpers.robots import SO101_SERVOS
 
 IDS = (1, 2, 3, 4, 5, 6)
@@ -19,10 +20,9 @@ def explained(*ids):
 def test_a_scan_lists_every_servo_with_what_it_measures(bus):
     result = scan(bus, IDS)
     assert [servo.servo_id for servo in result.servos] == list(IDS)
-    assert {(servo.model, servo.firmware, servo.mode, servo.torque_enable) for servo in result.servos} == {
-        (777, (3, 10), 0, 0)
-    }
-    assert all(servo.telemetry.voltage_v == pytest.approx(5.0) for servo in result.servos)
+    assert {(servo[Register.MODEL_NUMBER], servo.firmware) for servo in result.servos} == {(777, "3.10")}
+    assert {(servo[Register.OPERATING_MODE], servo[Register.TORQUE_ENABLE]) for servo in result.servos} == {(0, 0)}
+    assert all(servo.voltage_v == pytest.approx(5.0) for servo in result.servos)
     assert (result.unsteady_ids, result.garbled_bytes) == ((), 0)
     assert explain_missing(result, SO101_SERVOS) == []
 

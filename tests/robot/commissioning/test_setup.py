@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 
 import pytest
 
@@ -179,7 +180,7 @@ def test_an_unknown_model_is_refused_with_the_way_round(kit):
     kit.plug(5)
     servo = find(kit, GRIPPER)
     check_model(servo, GRIPPER)
-    unknown = type(servo)(1, 1_000_000, {**servo.registers, Register.MODEL_NUMBER: 1234})
+    unknown = replace(servo, registers={**servo.registers, Register.MODEL_NUMBER: 1234})
     with pytest.raises(StartupError, match=r"model 1234.*--any-model"):
         check_model(unknown, GRIPPER)
 

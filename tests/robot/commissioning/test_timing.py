@@ -6,7 +6,7 @@ import pytest
 
 from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.hardware.feetech.packets import status_bytes
-from robot.hardware.half_duplex import wire_time_s
+from robot.hardware.port import wire_time_s
 
 IDS = (1, 2, 3, 4, 5, 6)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.control.assumptions import Assumptions
+from robot.control.actuator_thresholds import ActuatorThresholds
 from robot.control.checks import START_TOLERANCE_RAD
 from robot.control.controller import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, ArmController
 from robot.control.guards import Guards, Temperatures
@@ -19,13 +19,13 @@ from robot.hardware.interface import Actuation, StatusFlag
 from robot.messages import (
     ChangePace,
     Continuation,
-    Course,
     Execute,
     GuardLimits,
     Mode,
     MotionEnded,
     Outcome,
     Pace,
+    PlaybackDirection,
     Setpoint,
     Stream,
 )
@@ -49,7 +49,7 @@ class Rig:
         full_torque = np.array([0.8] * 5 + [0.5])
         guards = Guards(NAMES)
         if actuation is not None:
-            guards = Guards(NAMES, assumptions=Assumptions.of(LIMITS, actuation, full_torque))
+            guards = Guards(NAMES, thresholds=ActuatorThresholds.of(LIMITS, actuation, full_torque))
         self.controller = ArmController(NAMES, BOUNDS, guards, full_torque, Temperatures(), simulated=simulated)
         self.controller.hold(np.array(hold_rad or [0.0] * 6))
         self.controller.step(reading(self.controller.goal_rad), self.now_s)
@@ -289,8 +289,8 @@ def test_progress_is_reported_while_moving(rig: Rig) -> None:
     rig.move_pan(100, 9)
     motion = rig.controller.motion
     assert motion.motion_id == 9
-    assert motion.playback.fraction == pytest.approx(0.5, abs=0.02)
-    assert motion.playback.remaining_s == pytest.approx(1.0, abs=0.02)
+    assert motion.fraction == pytest.approx(0.5, abs=0.02)
+    assert motion.remaining_s == pytest.approx(1.0, abs=0.02)
 
 
 def test_an_abandoned_motion_is_answered_once(rig: Rig) -> None:
@@ -359,6 +359,8 @@ LEROBOT = Actuation(
     overload_torque=np.array([0.8] * 5 + [0.25]),
     overload_time_s=np.full(6, 2.0),
     overload_current_a=np.array([3.25] * 5 + [1.625]),
+    stall_current_a=np.full(6, 2.7),
+    free_speed_rad_s=np.full(6, 5.5),
 )
 PUSHING = [0, 0, 0, 0, 0, -0.45]
 
@@ -468,23 +470,23 @@ def test_a_paused_motion_waits_and_goes_back_and_on_as_it_is_reported(rig: Rig) 
     rig.controller.execute(Execute(1, PAN))
     for _ in range(100):
         assert rig.tick() is None
-    rig.controller.change_pace(ChangePace(course=Course.PAUSED))
+    rig.controller.change_pace(ChangePace(direction=PlaybackDirection.PAUSED))
     for _ in range(200):
         assert rig.tick() is None
     paused_at = rig.goals[-1][0]
     assert rig.goals[-50][0] == paused_at
     assert rig.controller.mode is Mode.MOVING
-    rig.controller.change_pace(ChangePace(course=Course.BACK))
+    rig.controller.change_pace(ChangePace(direction=PlaybackDirection.BACK))
     rig.run(30)
     assert rig.goals[-1][0] < paused_at
-    rig.controller.change_pace(ChangePace(course=Course.FORWARD))
+    rig.controller.change_pace(ChangePace(direction=PlaybackDirection.FORWARD))
     assert rig.until_end()[0].outcome is Outcome.REACHED
     assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN + 1e-9).all()
 
 
 def test_a_stop_ends_a_paused_motion_at_once(rig: Rig) -> None:
     rig.move_pan(50)
-    rig.controller.change_pace(ChangePace(course=Course.PAUSED))
+    rig.controller.change_pace(ChangePace(direction=PlaybackDirection.PAUSED))
     rig.run(100)
     rig.controller.stop()
     ended = rig.tick()
@@ -492,22 +494,22 @@ def test_a_stop_ends_a_paused_motion_at_once(rig: Rig) -> None:
 
 
 def test_a_speed_factor_holds_for_motions_to_come_and_a_pause_ends_with_its_motion(rig: Rig) -> None:
-    rig.controller.change_pace(ChangePace(speed_factor=0.5, course=Course.PAUSED))
+    rig.controller.change_pace(ChangePace(speed_factor=0.5, direction=PlaybackDirection.PAUSED))
     rig.controller.execute(Execute(1, PAN))
     ended, seconds = rig.until_end()
     assert ended.outcome is Outcome.REACHED
     assert seconds == pytest.approx(4.0, abs=0.1)
-    assert rig.controller.pace == Pace(0.5, Course.FORWARD)
+    assert rig.controller.pace == Pace(0.5, PlaybackDirection.FORWARD)
 
 
 def test_a_pause_does_not_keep_the_gripper_from_gripping(rig: Rig) -> None:
     rig.move_pan(50)
-    rig.controller.change_pace(ChangePace(course=Course.PAUSED))
+    rig.controller.change_pace(ChangePace(direction=PlaybackDirection.PAUSED))
     rig.controller.execute(Execute(2, move(gripper=(0.0, 0.5)), gripping=True))
     ended, seconds = rig.until_end()
     assert (ended.motion_id, ended.outcome) == (2, Outcome.REACHED)
     assert seconds == pytest.approx(2.0, abs=0.1)
-    assert rig.controller.pace.course is Course.PAUSED
+    assert rig.controller.pace.direction is PlaybackDirection.PAUSED
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ class Moving:
         """Tick for some time; servos that are being relaxed keep their last goals."""
         for _ in range(round(seconds / PERIOD_S)):
             self.rig.tick()
-            self.goals.append(self.controller.goal_rad if self.controller.driven else self.goals[-1])
+            self.goals.append(self.controller.goal_rad if self.controller.torque_enabled else self.goals[-1])
 
     def until_fault(self, code: FaultCode) -> None:
         """Tick until the fault is latched."""

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robot.advice import ServoAlert, ServoWarning
 from robot.control.guards import (
     JUMP_RAD,
     LOW_VOLTAGE_TIME_S,
@@ -28,7 +29,7 @@ def at(joint: int, value: float, else_value: float = 0.0) -> list[float]:
 
 def seconds_until(code: FaultCode, position: Any = GOAL, limits: GuardLimits = LIMITS, **readings: Any) -> float:
     """Time for which the guards tolerate a reading before this fault [s]."""
-    guards = Guards(NAMES, limits=limits)
+    guards = Guards(NAMES, max_voltage_v=np.full(6, 8.0), limits=limits)
     for tick in range(round(3.0 / PERIOD_S)):
         fault = guards.check(GOAL, reading(position, **readings), FULL, tick * PERIOD_S)
         if fault is not None:
@@ -220,8 +221,26 @@ def test_one_tick_in_which_all_is_well_makes_a_condition_begin_anew(ill: Measure
     assert faults == [None] * len(readings)
 
 
-def test_a_warm_servo_has_a_warning_before_a_fault() -> None:
+OVERLOADED = int(StatusFlag.OVERLOAD | StatusFlag.VOLTAGE)
+
+
+@pytest.mark.parametrize(
+    ("told", "warnings"),
+    [
+        ({"temperature_c": 50.0}, []),
+        ({"temperature_c": 56.0}, [(ServoAlert.WARM, "warm: 56 degC")]),
+        ({"temperature_c": 61.0}, [(ServoAlert.SLOWED, "motions run at half speed at 61 degC")]),
+        ({"age_s": 0.5}, [(ServoAlert.NO_ANSWER, "no answer for 0.5 s")]),
+        (
+            {"status": OVERLOADED},
+            [
+                (ServoAlert.VOLTAGE, "the servo complains of voltage"),
+                (ServoAlert.OVERLOAD, "the servo complains of overload"),
+            ],
+        ),
+    ],
+    ids=["well", "warm", "hot", "silent", "flags"],
+)
+def test_warnings_come_before_faults(told: dict[str, float], warnings: list[tuple[ServoAlert, str]]) -> None:
     guards = Guards(NAMES)
-    assert guards.warnings(reading(GOAL, temperature_c=50.0), 0) == ()
-    assert "56" in guards.warnings(reading(GOAL, temperature_c=56.0), 0)[0]
-    assert "half speed" in guards.warnings(reading(GOAL, temperature_c=61.0), 0)[0]
+    assert guards.warnings(reading(GOAL, **told), 0) == tuple(ServoWarning(*warning) for warning in warnings)

@@ -174,7 +174,7 @@ LIMITS = GuardLimits()
 
 def at_its_end(limits: GuardLimits = LIMITS, **options: bool) -> tuple[Motion, np.ndarray]:
     motion = Motion(Execute(1, smooth_move({"gripper": (0.0, 1.0)}, 1.0), **options), NAMES, BOUNDS, limits)
-    motion.playback.advance(2.0)
+    motion.advance(2.0)
     return motion, np.array([0.0, 1.0])
 
 

@@ -17,7 +17,7 @@ from robot.control.pacing import (
     PERIOD_S,
     Pacer,
     Scheduling,
-    become_punctual,
+    enter_realtime,
     lock_memory,
     percentiles,
 )
@@ -60,14 +60,14 @@ def test_a_tick_that_is_skipped_puts_off_the_next_and_none_is_late() -> None:
 def test_a_skipped_tick_that_is_needed_after_all_is_taken_back() -> None:
     pacer = Pacer(0.0)
     pacer.skip(1)
-    pacer.hurry(1, 0.004)
+    pacer.cancel_skip(1, 0.004)
     assert pacer.deadline_s == pytest.approx(PERIOD_S)
 
 
 def test_a_tick_that_is_needed_when_its_time_is_over_is_due_now_and_not_late() -> None:
     pacer = Pacer(0.0)
     pacer.skip(1)
-    pacer.hurry(1, 0.013)
+    pacer.cancel_skip(1, 0.013)
     assert pacer.deadline_s == pytest.approx(0.013)
     pacer.start_tick(0.013)
     assert pacer.latest(1) == pytest.approx((0.0,))
@@ -85,7 +85,7 @@ def test_a_process_that_may_not_be_punctual_goes_on_all_the_same(monkeypatch: py
     monkeypatch.setattr("os.sched_setscheduler", refuse)
     monkeypatch.setattr("os.nice", refuse)
     try:
-        assert become_punctual() == Scheduling(real_time=False, memory_locked=False)
+        assert enter_realtime() == Scheduling(real_time=False, memory_locked=False)
         assert not gc.isenabled()
     finally:
         gc.enable()
@@ -150,7 +150,7 @@ def test_memory_is_locked_only_with_real_time_priority(monkeypatch: pytest.Monke
     monkeypatch.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     monkeypatch.setattr("robot.control.pacing.take_priority", lambda: real_time)
     try:
-        assert become_punctual() == Scheduling(real_time, real_time)
+        assert enter_realtime() == Scheduling(real_time, real_time)
     finally:
         gc.enable()
         gc.unfreeze()

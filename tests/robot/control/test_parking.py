@@ -13,13 +13,13 @@ from robot.messages import (
     END_TIMEOUT_S,
     PARKING_TIMEOUT_S,
     ChangePace,
-    Course,
     EndState,
     KeepParking,
     Mode,
     Order,
     Outcome,
     ParkingPlan,
+    PlaybackDirection,
     Shutdown,
     Stop,
     Stream,
@@ -142,7 +142,7 @@ def test_an_arm_that_cannot_be_parked_is_relaxed_with_the_reason(
     ("message", "words"),
     [
         (KeepParking(None), "the scene has changed"),
-        (Shutdown(hurry=True), "told not to wait"),
+        (Shutdown(hurry=True), "must not wait"),
         (Stop(), ""),
     ],
     ids=["another scene", "a hurry", "a stop"],
@@ -170,7 +170,7 @@ def test_a_motion_that_began_elsewhere_is_braked_and_not_played_back(rig: ArmRig
 def test_a_paused_motion_is_not_set_going_by_the_end(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
     rig.execute(pan())
     rig.run(1.0)
-    rig.supervisor.handle(ChangePace(course=Course.PAUSED))
+    rig.supervisor.handle(ChangePace(direction=PlaybackDirection.PAUSED))
     rig.run(0.5)
     lose_server(rig)
     assert sinks(rig)

@@ -21,7 +21,7 @@ def in_progress(gripping: bool = False) -> list[Motion | Streaming]:
     """One motion, half done."""
     motion = Motion(Execute(7, PATH, gripping), NAMES, BOUNDS, LIMITS)
     for _ in range(100):
-        motion.advance(0.01, 1.0, 1.0)
+        motion.step(0.01, 1.0, 1.0)
     return [motion]
 
 
@@ -46,7 +46,7 @@ def test_a_motion_that_is_the_same_for_now_takes_the_place_and_the_former_ends()
     ended = splice(motions, successor)
     assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
     assert motions == []
-    np.testing.assert_allclose(successor.advance(0.01, 1.0, 1.0), former.advance(0.01, 1.0, 1.0), atol=1e-9)
+    np.testing.assert_allclose(successor.step(0.01, 1.0, 1.0), former.step(0.01, 1.0, 1.0), atol=1e-9)
 
 
 def test_a_motion_that_continues_none_ends_none() -> None:

@@ -93,7 +93,7 @@ def run(stream: Streaming, seconds: float, velocity: tuple[float, float] | None 
     for _ in range(round(seconds / PERIOD_S)):
         if velocity is not None:
             stream.steer(np.array(velocity))
-        stream.advance(PERIOD_S, rate, 1.0)
+        stream.step(PERIOD_S, rate, 1.0)
 
 
 def test_its_joints_take_the_velocities_of_the_setpoints(stream) -> None:

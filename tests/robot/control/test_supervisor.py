@@ -13,8 +13,9 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.clock import SimulationClock
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.hardware import FeetechHardware
+from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register
+from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import (
     END_LIMIT_S,
     ArmHealth,
@@ -38,7 +39,9 @@ from tests.helpers.motions import smooth_move
 
 @pytest.fixture
 def arm(emulator: SteppedEmulator, bus: Bus) -> ControlCycle:
-    return ControlCycle(FeetechHardware(bus, CALIBRATION, BOUNDS, GuardLimits(), emulator.clock), emulator.clock)
+    return ControlCycle(
+        ServoHardware(Feetech(), bus, CALIBRATION, BOUNDS, GuardLimits(), emulator.clock), emulator.clock
+    )
 
 
 def test_a_disconnected_arm_has_a_reason_and_keeps_its_fault() -> None:
@@ -62,7 +65,7 @@ def test_an_arm_that_is_not_driven_has_its_positions_for_goals(arm: ControlCycle
     assert state.position_rad is not None
     assert state.goal_rad == pytest.approx(state.position_rad)
     assert state.current_a is not None
-    assert (state.clock_s, state.driven) == (7.0, False)
+    assert (state.clock_s, state.torque_enabled) == (7.0, False)
 
 
 def test_the_real_time_factor_is_that_of_the_loops_clock(arm: ControlCycle) -> None:
@@ -426,11 +429,11 @@ def test_states_report_the_loops_clock_and_driven(start_rig: Start) -> None:
     rig = start_rig(start_enabled=False)
     rig.until_mode(Mode.RELAXED)
     rig.run(0.1)
-    assert not rig.state.driven
+    assert not rig.state.torque_enabled
     assert rig.state.clock_s == pytest.approx(rig.clock(), abs=0.02)
     rig.order(Order.ENABLE)
     rig.run(0.1)
-    assert rig.state.driven
+    assert rig.state.torque_enabled
 
 
 def test_the_remedy_of_a_simulated_arm_that_lost_its_bus_names_no_cables(start_rig: Start) -> None:

@@ -15,10 +15,10 @@ from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.in_process import MAX_CONTROLLERS, MAX_WAITING_BYTES, CommandedPort, ControlSocket, EmulatedServos
 from robot.errors import NoReply, PortError, PortLost, StartupError
 from robot.hardware.config import EmulatedConfig
-from robot.hardware.feetech.hardware import FeetechHardware
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 from robot.hardware.interface import Measured, run_to_end
 from robot.hardware.port import LOCAL_LATENCY_S
+from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, NAMES
 from tests.helpers.emulator import ALL, COMMANDS, IDS, PING, REQUESTS, SYNC_READ, SteppedClock, SteppedEmulator, packet
@@ -212,7 +212,7 @@ def make(clock: SteppedClock) -> Iterator[Callable[..., EmulatedServos]]:
 
 
 def read(hardware: object) -> Measured:
-    assert isinstance(hardware, FeetechHardware)
+    assert isinstance(hardware, ServoHardware)
     measured = hardware.read()
     assert measured is not None
     return measured

@@ -215,7 +215,7 @@ def test_no_answer_out_of_the_cache_differs_from_a_fresh_one(events):
 
 
 def test_cached_replies_follow_registers_that_change_by_themselves():
-    """A joint that pushes in vain cuts its torque in the end."""
+    """A joint that is stalled cuts its torque in the end."""
     both, statuses = FreshAndCached(), set()
     blocked = {"obstacle": {"3": 2100}}
     for event in (

@@ -17,7 +17,7 @@ from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.robots import so101
 
 ROBOT = so101()
-STALLED = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex", 12.5)
+STALLED = Fault(FaultCode.STALLED, "joint elbow_flex is stalled", "elbow_flex", 12.5)
 
 
 class Heard:
@@ -59,6 +59,12 @@ def test_a_state_is_published_when_it_says_something_new(heard: Heard) -> None:
         heard.topics.take_state(ArmState(stamp_s, Mode.HOLDING, ("a",), position_rad=np.array([stamp_s])))
     heard.topics.take_state(ArmState(4.0, Mode.MOVING, ("a",)))
     assert [values_of(state)["mode"] for state in heard.states] == ["holding", "moving"]
+
+
+def test_every_stop_is_told_by_its_number(heard: Heard) -> None:
+    for last_stop in (3, 3, 4):
+        heard.topics.take_state(ArmState(0.0, Mode.HOLDING, ("a",)), last_stop)
+    assert [values_of(state)["last_stop"] for state in heard.states] == ["3", "4"]
 
 
 def test_a_fault_is_told_with_code_sentence_remedy_and_service(heard: Heard) -> None:

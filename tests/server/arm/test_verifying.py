@@ -48,7 +48,7 @@ class Verification:
 
     def __init__(self, goals: Goals) -> None:
         self.arm = FakeArm()
-        self.arm.state = replace(self.arm.state, driven=True)
+        self.arm.state = replace(self.arm.state, torque_enabled=True)
         self.procedure = VerificationProcedure(
             self.arm.as_arm, so101(), frozenset({"gripper"}), goals.go_to, goals.cancel
         )
@@ -94,11 +94,11 @@ async def test_a_fault_on_the_way_ends_it_and_its_goal() -> None:
     verification = Verification(goals)
     await verification.say_move()
     await until(lambda: bool(goals.asked))
-    fault = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain")
+    fault = Fault(FaultCode.STALLED, "joint elbow_flex is stalled")
     verification.procedure.take_state(
         replace(verification.arm.state, mode=Mode.FAULT, fault=fault), verification.dialogue
     )
-    with pytest.raises(ProcedureFailed, match="elbow_flex pushes in vain"):
+    with pytest.raises(ProcedureFailed, match="elbow_flex is stalled"):
         await verification.task
     verification.procedure.close()
     assert goals.cancelled == ["1"]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 
 from robot.calibration import save
-from robot.commissioning.doctor import EXPERIMENTS
+from robot.commissioning.experiments import EXPERIMENTS
 from robot.hardware.feetech.registers import Register
 from server import cli
 from server.commands.terminal import ExitCode

@@ -32,7 +32,7 @@ from robot.arm import Arm
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
-from robot.messages import ArmConfig, ArmState, ChangePace, Course, Mode, MotionEnded, Outcome
+from robot.messages import ArmConfig, ArmState, ChangePace, Mode, MotionEnded, Outcome, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, GoalExecutors, MotionRecorder
 from server.execution.failures import FailedGoals
@@ -937,10 +937,10 @@ async def test_the_arm_goes_on_by_the_plan_that_was_made_during_its_motion(
     burst.submit(to(shoulder_pan=0.0))
     try:
         await until(lambda: arm.state.mode is Mode.MOVING)
-        arm.change_pace(ChangePace(course=Course.PAUSED))
+        arm.change_pace(ChangePace(direction=PlaybackDirection.PAUSED))
         await until(lambda: burst.executor._ahead._plan is not None)
     finally:
-        arm.change_pace(ChangePace(course=Course.FORWARD))
+        arm.change_pace(ChangePace(direction=PlaybackDirection.FORWARD))
     await burst.answered(2)
     assert any("in advance" in text for text in burst.news["2"])
     first, second = (answer.performed.planned[0].positions_rad for answer in burst.answers)

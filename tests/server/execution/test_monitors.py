@@ -28,7 +28,7 @@ NAMES = ("shoulder_pan", "gripper")
 
 GOAL = np.zeros(6)
 METAL_MAX_AGE_S, SIMULATED_MAX_AGE_S = 1.0, 5.0
-STALLED = Fault(FaultCode.STALLED, "joint elbow_flex pushes in vain", "elbow_flex")
+STALLED = Fault(FaultCode.STALLED, "joint elbow_flex is stalled", "elbow_flex")
 
 UNUSABLE = {
     "disconnected": (
@@ -45,7 +45,7 @@ UNUSABLE = {
     "fault": (
         ArmState(0.0, Mode.FAULT, (), goal_rad=GOAL, fault=STALLED),
         MoveItErrorCode.CONTROL_FAILED,
-        "joint elbow_flex pushes in vain. Clear what blocks the joint, then reset the fault. .*/arm/reset_fault",
+        "joint elbow_flex is stalled. Clear what blocks the joint, then reset the fault. .*/arm/reset_fault",
     ),
 }
 

@@ -21,7 +21,7 @@ from planners.problem import (
 from planners.scene import EMPTY_SCENE, Scene
 from robot.control.checks import refusal
 from robot.description.limits import JointBounds
-from robot.messages import Course, MotionProgress, Pace
+from robot.messages import MotionProgress, Pace, PlaybackDirection
 from server.errors import RefusedError
 from server.execution.motions import (
     HORIZON_S,
@@ -163,8 +163,8 @@ def test_the_age_of_the_state_counts() -> None:
 
 STILL: dict[str, tuple[MotionProgress | None, Pace]] = {
     "not moving": (None, Pace()),
-    "paused": (HALF_WAY, Pace(course=Course.PAUSED)),
-    "going back": (HALF_WAY, Pace(course=Course.BACK)),
+    "paused": (HALF_WAY, Pace(direction=PlaybackDirection.PAUSED)),
+    "going back": (HALF_WAY, Pace(direction=PlaybackDirection.BACK)),
     "at speed 0": (HALF_WAY, Pace(0.0)),
     "about to end": (MotionProgress(1, 0.95, 0.1), Pace()),
 }

@@ -9,7 +9,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE
-from robot.messages import Course, Outcome, Pace
+from robot.messages import Outcome, Pace, PlaybackDirection
 from server.execution import player
 from server.execution import player as player_module
 from server.execution.monitors import Questions
@@ -136,7 +136,7 @@ async def test_the_scene_monitor_asks_about_the_rest_of_the_motion(stage: Stage)
 
 async def test_on_the_way_back_it_asks_about_the_whole_motion(stage: Stage) -> None:
     stage.pass_time(1.0)
-    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(course=Course.BACK))
+    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(direction=PlaybackDirection.BACK))
     assert stage.scene_monitor.questions()[0].from_s == 0.0
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.messages import Course, Pace
+from robot.messages import Pace, PlaybackDirection
 from server.execution.time_limits import MIN_SPEED_FACTOR, ArmClock, ExecutionDeadline, TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm
@@ -47,12 +47,14 @@ def test_a_slow_motion_uses_its_time_up_as_slowly() -> None:
 def test_the_way_back_is_credited() -> None:
     deadline = ExecutionDeadline(DURATION_S, LIMITS)
     deadline.pass_time(ALLOWED_S, Pace())
-    deadline.pass_time(2.0, Pace(1.0, Course.BACK))
+    deadline.pass_time(2.0, Pace(1.0, PlaybackDirection.BACK))
     deadline.pass_time(1.9, Pace())
     assert deadline.exceeded is None
 
 
-@pytest.mark.parametrize("pace", [Pace(1.0, Course.PAUSED), Pace(1.0, Course.BACK), Pace(MIN_SPEED_FACTOR / 2)])
+@pytest.mark.parametrize(
+    "pace", [Pace(1.0, PlaybackDirection.PAUSED), Pace(1.0, PlaybackDirection.BACK), Pace(MIN_SPEED_FACTOR / 2)]
+)
 def test_the_time_of_paused_and_reversed_motions_is_limited(pace: Pace) -> None:
     deadline = ExecutionDeadline(DURATION_S, LIMITS)
     deadline.pass_time(50.0, pace)

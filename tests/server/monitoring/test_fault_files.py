@@ -21,7 +21,7 @@ from tests.helpers.server import ServerOnBus, server_on_bus
 from tests.server.monitoring.watched_parts import JOINTS, arm_health
 
 START_S = 1_000_000.0
-STALLED = Fault(FaultCode.STALLED, "joint gripper pushes in vain", "gripper", START_S)
+STALLED = Fault(FaultCode.STALLED, "joint gripper is stalled", "gripper", START_S)
 HOT = Fault(FaultCode.OVERHEATED, "joint gripper is at 66 degC", "gripper", START_S)
 LOG = logging.getLogger("armbridge.test")
 

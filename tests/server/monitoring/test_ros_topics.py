@@ -11,6 +11,7 @@ import pytest
 
 from protocol.registry import Registry
 from robot import logs as changed
+from robot.advice import ServoAlert, ServoWarning
 from robot.faults import REMEDIES, SIMULATED_REMEDIES, Fault, FaultCode
 from robot.hardware.interface import BusCounters, StatusFlag
 from robot.logs import OUR_LOGGER
@@ -33,6 +34,7 @@ from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.server import ServerOnBus
 from tests.helpers.waiting import until
 
+WARM = ServoWarning(ServoAlert.WARM, "warm: 56 degC")
 SERVO = JointHealth("elbow_flex", "servo 3", 0.5, 31, 5.0, 0.1, -0.2, True, 0, 0.01, 2)
 HEALTH = ArmHealth(
     100.0,
@@ -99,7 +101,7 @@ STALLED = replace(STATE, mode=Mode.FAULT, fault=Fault(FaultCode.STALLED, "joint 
 
 # State, health, and the levels and the beginnings of the messages of the arm and of the servo.
 LEVELS = {
-    "a warning of a servo": (STATE, {"joints": (replace(SERVO, warnings=("warm: 56 degC",)),)}, 1, 1, "warm: 56 degC"),
+    "a warning of a servo": (STATE, {"joints": (replace(SERVO, warnings=(WARM,)),)}, 1, 1, "warm: 56 degC"),
     "the joint of a fault": (STALLED, {}, 2, 2, ""),
     "a fault of a slow arm": (STALLED, {"real_time_factor": 0.42}, 2, 2, ""),
 }
@@ -135,15 +137,15 @@ def test_a_joint_tells_the_registers_of_its_servo_and_what_a_setting_should_be_t
 
 
 @pytest.mark.parametrize(
-    ("joint", "complaint"),
+    ("joint", "alert"),
     [
-        (replace(SERVO, warnings=("warm: 56 degC",)), "warm: "),
+        (replace(SERVO, warnings=(WARM,)), "warm: "),
         (replace(SERVO, status=int(StatusFlag.ENCODER)), "encoder: "),
         (replace(SERVO, silent_cycles=100), "silent_cycles: "),
     ],
 )
-def test_what_a_joint_complains_of_now_has_its_advice(joint: JointHealth, complaint: str) -> None:
-    assert story(joint, bus=BusCounters(sent=1000))["advice"].startswith(complaint)
+def test_an_alert_of_the_moment_has_its_advice(joint: JointHealth, alert: str) -> None:
+    assert story(joint, bus=BusCounters(sent=1000))["advice"].startswith(alert)
 
 
 @pytest.mark.parametrize(("lost", "sent"), [(0, 100), (21, 10_000), (19, 100)])

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from protocol.registry import Registry
+from robot.advice import ServoAlert, ServoWarning
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
 from server.graph.node import Node
@@ -16,7 +17,7 @@ from tests.server.monitoring.watched_parts import JOINTS, arm_health
 
 NAN = float("nan")
 STATE = ArmState(100.0, Mode.HOLDING, JOINTS)
-STALLED = Fault(FaultCode.STALLED, "joint gripper pushes in vain", "gripper")
+STALLED = Fault(FaultCode.STALLED, "joint gripper is stalled", "gripper")
 
 
 class World:
@@ -92,7 +93,7 @@ async def test_before_the_first_report_there_is_no_history(world: World) -> None
 
 async def test_a_warning_is_an_event_when_it_comes_and_when_it_goes(world: World) -> None:
     for degrees in (55, 56, 57):
-        world.report(warnings=(f"warm: {degrees} degC",))
+        world.report(warnings=(ServoWarning(ServoAlert.WARM, f"warm: {degrees} degC"),))
     world.report()
     world.now_s += 10.0
     assert world.asked()["events"] == ["13 s ago: warning: warm: 55 degC", "10 s ago: no longer: warm: 57 degC"]
@@ -104,7 +105,7 @@ async def test_a_fault_of_a_joint_and_its_reset_are_events_of_that_joint(world: 
     for state in (STATE, replace(STATE, mode=Mode.FAULT, fault=STALLED), STATE):
         world.history.take_state(state)
     assert world.asked()["events"] == [
-        "0 s ago: fault stalled: joint gripper pushes in vain",
+        "0 s ago: fault stalled: joint gripper is stalled",
         "0 s ago: fault stalled was reset",
     ]
     assert world.asked("shoulder_pan")["events"] == []
@@ -131,7 +132,7 @@ async def test_a_lost_arm_is_an_event_of_every_joint(world: World) -> None:
 
 async def test_events_without_end_do_not_fill_the_memory(world: World) -> None:
     for number in range(MAX_EVENTS):
-        world.report(after_s=0.1, warnings=(f"warm: {number} degC",))
+        world.report(after_s=0.1, warnings=(ServoWarning(ServoAlert.WARM, f"warm: {number} degC"),))
         world.report(after_s=0.1)
     assert len(world.asked()["events"]) == MAX_EVENTS
 

@@ -29,7 +29,7 @@ def test_a_relaxed_arm_is_recorded_where_it_is_measured() -> None:
 
 def test_a_driven_arm_is_recorded_where_it_is_commanded() -> None:
     recorder = TeachingRecorder("wave", ("elbow_flex",))
-    recorder.take_state(replace(RELAXED, goal_rad=np.arange(6.0) + 0.5, driven=True))
+    recorder.take_state(replace(RELAXED, goal_rad=np.arange(6.0) + 0.5, torque_enabled=True))
     assert recorder.samples[1].tolist() == [[2.5]]
 
 

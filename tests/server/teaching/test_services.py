@@ -121,7 +121,7 @@ async def test_the_state_tells_of_the_recording_and_how_it_ended(lesson: Lesson)
 
 @pytest.mark.parametrize(("driven", "says"), [(False, "hold it"), (True, "commanded positions")])
 async def test_the_beginning_says_what_is_recorded(lesson: Lesson, driven: bool, says: str) -> None:
-    lesson.teaching.take_state(replace(RELAXED, driven=driven, goal_rad=START))
+    lesson.teaching.take_state(replace(RELAXED, torque_enabled=driven, goal_rad=START))
     assert says in (await lesson.call("/teach/begin", name="wave"))["message"]
 
 

@@ -78,7 +78,7 @@ class TickingArm(FakeArm):
             await asyncio.sleep(TICK_S)
             streaming = self._streaming
             if streaming is not None:
-                goals = streaming.advance(TICK_S, 1.0, 1.0)
+                goals = streaming.step(TICK_S, 1.0, 1.0)
                 self.put(**dict(zip(JOINTS, self.state.goal_rad, strict=True)) | dict(zip(STEERED, goals, strict=True)))
                 self.streams[-1].commanded = streaming.commanded
                 if (ended := streaming.end(goals, goals, 0.0)) is not None:

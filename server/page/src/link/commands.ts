@@ -2,11 +2,13 @@ import { armGripper, armNamespace, gripperAction } from "../logic/joints";
 import type { State, SuggestedGoal } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
-import { STATUS_ABORTED, type Connection } from "./connection";
+import { STATUS_ABORTED, type Connection, type GoalHandle } from "./connection";
 import { gripperGoal, type TriggerResponse } from "./messages";
 
 /** Requests of the user other than planned motions; every rejection becomes a notice. */
 export class ArmCommands {
+  private gripper_goal: GoalHandle<unknown> | null = null;
+
   /**
    * @param connection - connection to the server.
    * @param store - updated with notices.
@@ -25,8 +27,8 @@ export class ArmCommands {
   async savePose(name: string): Promise<boolean> {
     return this.attempt(async () => {
       const request = { name, robot: "", state: {} };
-      const { success } = await this.connection.call<{ success: boolean }>("/save_robot_state", request);
-      setNotice(this.store, "save", t(success ? "answer.saved" : "answer.not_saved", { name }));
+      const { success, refusal } = await this.connection.call<{ success: boolean }>("/save_robot_state", request);
+      setNotice(this.store, "save", t(success ? "answer.saved" : "answer.not_saved", { name, reason: refusal }));
       return success;
     });
   }
@@ -73,11 +75,22 @@ export class ArmCommands {
       const action = gripper && gripperAction(gripper, this.store.state.actions);
       if (action === null) return;
       const type = "control_msgs/action/GripperCommand";
-      const { status, values, reason } = await this.connection.goal(action, type, gripperGoal(position)).result;
+      this.gripper_goal = this.connection.goal(action, type, gripperGoal(position));
+      const { status, values, reason } = await this.gripper_goal.result;
       const refused = status === STATUS_ABORTED || values === null;
       const text = t("answer.gripper", { reason: reason || t("answer.gripper.aborted") });
       setNotice(this.store, "gripper", refused ? text : "");
     });
+  }
+
+  /** Cancel the last motion of the gripper that this page has asked for. */
+  cancelGripper(): void {
+    this.gripper_goal?.cancel();
+  }
+
+  /** Execute the plan that waits to be confirmed, or discard it. */
+  confirmGoal(execute: boolean): void {
+    this.attempt(() => this.connection.publish("/moveit_goal_confirm", "std_msgs/Bool", { data: execute }));
   }
 
   /** Cancel one goal, executing or queued, of any client. */
@@ -108,7 +121,7 @@ export class StopCommand {
   /**
    * @param connection - connection to the server.
    * @param store - updated with the acknowledgement.
-   * @param cancel - cancels this page's goal.
+   * @param cancel - releases every input of this page, and cancels its goal.
    */
   constructor(
     private readonly connection: Connection,
@@ -130,13 +143,21 @@ export class StopCommand {
 
   private async request(): Promise<State["stop"]> {
     try {
-      this.connection.publish("/stop", "std_msgs/Empty", {});
-      this.cancel();
+      this.publishStop();
       const { success, message } = await this.connection.call<TriggerResponse>("/arm/stop", {}, STOP_TIMEOUT_S);
       if (!success) return { phase: "failed", text: t("stop.failed", { reason: message }) };
       return { phase: "acknowledged", text: t("stop.acknowledged", { message: message || t("stop.stands") }) };
     } catch (error) {
       return { phase: "failed", text: t("stop.unacknowledged", { reason: (error as Error).message }) };
+    }
+  }
+
+  /** Publish the stop, and let go of all that this page holds, also without a connection. */
+  private publishStop(): void {
+    try {
+      this.connection.publish("/stop", "std_msgs/Empty", {});
+    } finally {
+      this.cancel();
     }
   }
 

@@ -137,6 +137,17 @@ test("a call ends when the link is lost, and when its time is up", async () => {
   await late;
 });
 
+test("a response that has no room for its reason gets it from the status about the same call", async () => {
+  newest().up();
+  expect(newest().ops("set_level")).toEqual([{ op: "set_level", level: "error" }]);
+  const answer = connection.call("/apply_planning_scene", {});
+  const call = newest().ops("call_service").find(({ service }) => service === "/apply_planning_scene");
+  newest().emit("status:of another call", { msg: "call_service: service /apply_planning_scene: not ours" });
+  newest().emit(`status:${call?.["id"] as string}`, { msg: "call_service: service /apply_planning_scene: no such link" });
+  newest().answer("/apply_planning_scene", { success: false });
+  expect(await answer).toEqual({ success: false, refusal: "no such link" });
+});
+
 test("a goal tells its status and result, also of one that failed", async () => {
   newest().up();
   const { result, cancel } = connection.goal<{ error_code: { val: number } }>("/move_action", "moveit_msgs/action/MoveGroup", {});

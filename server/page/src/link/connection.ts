@@ -1,4 +1,4 @@
-import { Ros, Service, Topic } from "roslib";
+import { Ros, Topic } from "roslib";
 import { t } from "../texts/texts";
 
 /** Failure to reach the server or to get its answer; the message is shown to the user. */
@@ -94,12 +94,13 @@ interface ActionResult {
   values: unknown;
 }
 
-let sent_goals = 0;
+/** Number of the last call or goal, by which its answer is known. */
+let sent_requests = 0;
 
 /** Send a goal by rosbridge's own operations, as roslib's Action turns the result of a failed goal into a text. */
 export function sendActionGoal<Result>(ros: Ros, action: string, type: string, goal: unknown): GoalHandle<Result> {
-  sent_goals += 1;
-  const id = `send_action_goal:${action}:${sent_goals}`;
+  sent_requests += 1;
+  const id = `send_action_goal:${action}:${sent_requests}`;
   const result = new Promise<Awaited<GoalHandle<Result>["result"]>>((resolve) => {
     const onMessage = (message: unknown): void => {
       const answer = message as ActionResult;
@@ -116,6 +117,36 @@ export function sendActionGoal<Result>(ros: Ros, action: string, type: string, g
     if (ros.isConnected) ros.callOnConnection({ op: "cancel_action_goal", id, action });
   };
   return { result, cancel };
+}
+
+/** Reason of a response that says only that the service has not succeeded; empty for others. */
+export interface Refusable {
+  refusal: string;
+}
+
+/** Call a service by rosbridge's own operations: roslib does not tell the id, by which the server's status names the reason. */
+function callService<Response>(
+  ros: Ros,
+  service: string,
+  args: unknown,
+  resolve: (response: Response & Refusable) => void,
+  reject: (reason: string) => void,
+): void {
+  sent_requests += 1;
+  const id = `call_service:${service}:${sent_requests}`;
+  let refusal = "";
+  // The status comes before the response (docs/protocol.md, "Status").
+  const onStatus = (status: unknown): void => {
+    refusal = (status as { msg: string }).msg.replace(/^call_service: service \S+: /, "");
+  };
+  ros.on(`status:${id}`, onStatus);
+  ros.once(id, (message) => {
+    ros.off(`status:${id}`, onStatus);
+    const { result, values } = message as unknown as { result: boolean; values: Response };
+    if (result) resolve({ ...values, refusal });
+    else reject(toText(values ?? ""));
+  });
+  ros.callOnConnection({ op: "call_service", id, service, args });
 }
 
 /** Condition of the connection. */
@@ -210,11 +241,10 @@ export class Connection {
   }
 
   /** Call a service; reject with a ConnectionError on failure, timeout or loss of the connection. */
-  async call<Response>(service: string, request: unknown, timeout_s = 8): Promise<Response> {
+  async call<Response>(service: string, request: unknown, timeout_s = 8): Promise<Response & Refusable> {
     const ros = this.requireRos();
-    const caller = new Service<unknown, Response>({ ros, name: service, serviceType: "" });
     return this.awaitAnswer(service, timeout_s, (resolve, reject) => {
-      caller.callService(request, resolve, (reason) => reject(new ConnectionError(`${service}: ${toText(reason)}`)));
+      callService<Response>(ros, service, request, resolve, (reason) => reject(new ConnectionError(`${service}: ${reason}`)));
     });
   }
 
@@ -277,6 +307,7 @@ export class Connection {
     this.failures = 0;
     const token = this.token();
     if (token !== null) ros.callOnConnection({ op: "auth", token } as never);
+    ros.callOnConnection({ op: "set_level", level: "error" } as never);
     for (const subscription of this.subscriptions) subscribeTopic(ros, subscription);
     this.onStatus({ connected: true, latency_ms: null, refused: "" });
     this.heartbeat.start();

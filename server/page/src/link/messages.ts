@@ -402,6 +402,7 @@ export function readArmState(status: DiagnosticStatus): ArmState {
     speed_factor: share("speed_factor"),
     speed_limit: share("speed_limit"),
     course: values["course"] ?? "forward",
+    last_stop: values["last_stop"] ?? "",
   };
 }
 

@@ -1,7 +1,7 @@
 import { currentPositions } from "../logic/joints";
 import { planningGroup } from "../logic/robot-info";
 import { duration_s, samplePlan } from "../logic/trajectory";
-import { noGoal, type PendingRequest, type Plan, type State } from "../state/state";
+import { noGoal, noPlan, type PendingRequest, type Plan, type State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Connection, GoalHandle } from "./connection";
@@ -46,9 +46,10 @@ export class MoveGroupClient {
     this.sent_trajectories.set(trajectory, sent);
     const message = t("answer.planned", { seconds: duration_s(trajectory).toFixed(1) });
     const { goal } = this.store.state;
-    const in_progress = ["planning", "executing"].includes(goal.state);
+    // A goal with an id is the server's, and tells of itself.
+    const in_progress = ["planning", "executing"].includes(goal.state) || (goal.state === "planned" && goal.id !== "");
     const shown = in_progress ? goal : { ...noGoal(), state: "planned", message };
-    this.store.set({ goal: shown, plan: { trajectory, tool_path: [], scrub_s: null } });
+    this.store.set({ goal: shown, plan: { ...noPlan(), trajectory, executable: true } });
     return true;
   }
 
@@ -152,16 +153,26 @@ export function subscribeDisplayedPlans(connection: Connection, store: PageStore
   connection.subscribe<DisplayTrajectory>("/display_planned_path", "moveit_msgs/DisplayTrajectory", take);
   // The latched plan comes before the first joint state.
   store.subscribe((state) => state.joints, show);
+  store.subscribe((state) => state.joints, () => dropStalePlan(store));
+}
+
+/** Drop a plan that starts elsewhere, after the arm has been driven away from its start or moved by hand. */
+function dropStalePlan(store: PageStore): void {
+  const { plan, goal, pending_request, joints } = store.state;
+  if (plan.trajectory === null || !plan.executable || joints.names.length === 0) return;
+  const in_progress = pending_request === "move" || ["queued", "planning", "executing"].includes(goal.state);
+  if (!in_progress && distanceAt(plan.trajectory, 0, store.state) > START_TOLERANCE_RAD) store.set({ plan: noPlan() });
+}
+
+/** Return the longest way of a joint from where the arm is to a plan at one of its times [rad or m]. */
+function distanceAt(plan: Plan, time_s: number, state: Pick<State, "joints">): number {
+  const current = currentPositions(state);
+  const planned = Object.entries(samplePlan(plan, time_s));
+  return Math.max(0, ...planned.map(([name, value]) => Math.abs(value - (current[name] ?? Infinity))));
 }
 
 /** Return true when a plan starts at the arm's current state, and ends elsewhere. */
 export function startsAtCurrentState(plan: Plan, state: Pick<State, "joints" | "arm">): boolean {
   if (state.arm.mode === "moving") return false;
-  const current = currentPositions(state);
-  const distance_rad = (time_s: number): number => {
-    const planned = samplePlan(plan, time_s);
-    const distances = Object.entries(planned).map(([name, value]) => Math.abs(value - (current[name] ?? Infinity)));
-    return Math.max(0, ...distances);
-  };
-  return distance_rad(0) <= START_TOLERANCE_RAD && distance_rad(duration_s(plan)) > START_TOLERANCE_RAD;
+  return distanceAt(plan, 0, state) <= START_TOLERANCE_RAD && distanceAt(plan, duration_s(plan), state) > START_TOLERANCE_RAD;
 }

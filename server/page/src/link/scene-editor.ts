@@ -169,16 +169,10 @@ export class SceneEditor {
 
   private apply(scene: object): Promise<boolean> {
     return this.attempt(async () => {
-      const { success } = await this.connection.call<{ success: boolean }>(APPLY, { scene }, APPLY_TIMEOUT_S);
-      this.edit({ result: success ? "" : this.refusal() });
+      const { success, refusal } = await this.connection.call<{ success: boolean }>(APPLY, { scene }, APPLY_TIMEOUT_S);
+      this.edit({ result: success ? "" : refusal });
       return success;
     });
-  }
-
-  /** Return the reason of the last refusal, which the response has no room for and the log has. */
-  private refusal(): string {
-    const entry = this.store.state.log.findLast(({ text }) => text.startsWith(APPLY));
-    return entry?.text.replace(`${APPLY}: `, "") ?? t("world.refused");
   }
 
   private async attempt(work: () => Promise<boolean>): Promise<boolean> {

@@ -62,8 +62,8 @@ export class SequencePlayer {
         this.checkSoon();
       },
     );
-    // A stop while the sequence waits ends no goal that would tell of it; other pages' STOP publishes this topic, too.
-    connection.subscribe("/stop", "std_msgs/Empty", () => this.stop());
+    // Anyone's stop: while the sequence waits, no goal ends that would tell of it.
+    store.subscribe((state) => state.arm.last_stop, () => this.stop());
     store.subscribe(
       (state) => state.stop.phase,
       (phase) => phase === "asked" && this.stop(),

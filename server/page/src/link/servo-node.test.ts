@@ -26,7 +26,8 @@ function sender(state: Partial<State> = {}): { jog: JogSender; sent: Sent[]; cal
     },
     call: ((_service: string, request: unknown) => Promise.resolve(called.push(request))) as never,
   };
-  return { jog: new JogSender(connection, store, (position) => void gripper.push(position)), sent, called, timeouts, store, gripper };
+  const commands = { moveGripper: async (position: number) => void gripper.push(position), cancelGripper: () => void gripper.push(Number.NaN) };
+  return { jog: new JogSender(connection, store, commands), sent, called, timeouts, store, gripper };
 }
 
 beforeEach(() => void vi.useFakeTimers());
@@ -70,12 +71,47 @@ test("everything is released at once, and the inputs hear of it", () => {
   const { jog, sent } = sender();
   const heard = vi.fn();
   jog.onReleaseAll(heard);
-  jog.releaseAll();
-  expect([heard.mock.calls.length, sent.length]).toEqual([0, 0]);
   jog.hold("key", X);
   jog.releaseAll();
   expect(sent.at(-1)?.message.twist?.linear.x).toBe(0);
   expect(heard).toHaveBeenCalledOnce();
+});
+
+test.each([
+  ["a stop of this page", ({ jog }: ReturnType<typeof sender>) => jog.releaseAll()],
+  ["anyone's stop", ({ store }: ReturnType<typeof sender>) => store.patch("arm", { last_stop: "7" })],
+  ["a command that the server refuses", ({ store }: ReturnType<typeof sender>) => store.patch("servo_node", { code: -1 })],
+])("after %s nothing moves before every input is let go", (_, end) => {
+  const page = sender();
+  const { jog, sent } = page;
+  jog.hold("key", X);
+  end(page);
+  expect([jog.active, sent.at(-1)?.message.twist?.linear.x]).toEqual([false, 0]);
+  const halted = sent.length;
+  jog.hold("key", X);
+  jog.hold("other", X);
+  jog.release("key");
+  jog.step("third", new JogStep(X, 0.01, 0.2, 0.25));
+  vi.advanceTimersByTime(1000);
+  expect(sent).toHaveLength(halted);
+  jog.release("other");
+  jog.hold("third", X);
+  expect(sent.at(-1)?.message.twist?.linear.x).toBe(1);
+});
+
+test("a page that nobody attends to waits for no release", () => {
+  const { jog, sent } = sender();
+  jog.hold("key", X);
+  jog.leave();
+  jog.hold("other", X);
+  expect(sent.at(-1)?.message.twist?.linear.x).toBe(1);
+});
+
+test("a step goes on after its press", () => {
+  const { jog } = sender();
+  jog.step("button", new JogStep(X, 0.01, 0.2, 0.25));
+  jog.release("button");
+  expect(jog.active).toBe(true);
 });
 
 test("another's control and a lost connection end it", () => {
@@ -125,13 +161,20 @@ test("the gripper goes on in small goals while it is held, up to its limit", () 
   jog.release("open");
   vi.advanceTimersByTime(1000);
   expect([gripper.length, sent.length]).toEqual([2, 0]);
+  jog.hold("close", { kind: "gripper", velocity: { opening: -1 } });
+  jog.releaseAll();
+  expect(gripper.at(-1)).toBeNaN();
 });
 
-test("commands expire early, and the page takes no control before it moves", () => {
+test("commands expire early, every press is announced, and the page takes no control before it moves", () => {
   const { jog, timeouts } = sender();
   expect(timeouts).toEqual([]);
   jog.hold("key", X);
+  jog.hold("key", X);
   expect(timeouts).toEqual([{ data: 0.08 }]);
+  jog.hold("other", A);
+  jog.release("other");
+  expect(timeouts).toHaveLength(2);
 });
 
 const TWO_ARMS: Partial<State> = {
@@ -151,6 +194,7 @@ test("of several arms that of the planning group is steered, and a change of the
   store.set({ group: "right_arm" });
   expect(sent.at(-1)).toMatchObject({ topic: "/left/servo_node/delta_joint_cmds", message: { velocities: [0] } });
   expect(jog.active).toBe(false);
+  jog.release("joint");
   jog.hold("joint", { kind: "joints", velocity: { right_a: 1 } });
   expect(sent.at(-1)?.topic).toBe("/right/servo_node/delta_joint_cmds");
 });

@@ -1,9 +1,10 @@
-import { armGripper, armJoints, armNamespace, currentPositions } from "../logic/joints";
+import { armGripper, armJoints, armNamespace, currentPositions, hasTip } from "../logic/joints";
 import { summed, type JogCommand, type JogStep } from "../logic/jog";
 import { denialReason } from "../logic/permissions";
 import { planningGroup } from "../logic/robot-info";
 import type { State } from "../state/state";
 import { setNotice, type PageStore } from "../state/store";
+import type { ArmCommands } from "./commands";
 import type { Connection } from "./connection";
 import { jointJog, twistStamped, type ServoStatusMessage, type StringMessage } from "./messages";
 
@@ -24,6 +25,9 @@ const COMMAND_TYPES = { joints: 0, tip: 1 } as const;
 
 type ArmKind = keyof typeof COMMAND_TYPES;
 
+/** moveit_msgs/ServoStatus.INVALID: a command was not followed. */
+const REFUSED = -1;
+
 /** Parts of the state that decide which arm the planning group belongs to. */
 const DESCRIPTION = ["limits", "urdf", "srdf", "group", "actions"] as const;
 
@@ -36,7 +40,7 @@ export function onArm(store: PageStore, listener: (namespace: string) => void): 
     known = namespace;
     listener(namespace);
   };
-  for (const part of DESCRIPTION) store.subscribe((state) => state[part], (_, state) => update(state));
+  store.watch(DESCRIPTION, update);
 }
 
 /** Subscribe to status and parameters of the servo node of the planning group's arm. */
@@ -74,6 +78,8 @@ export class JogSender {
   /** Frame of the tip's velocities. */
   frame: "base" | "tool" = "base";
   private readonly held = new Map<string, JogCommand>();
+  /** Inputs that were released from here while they were held, and those pressed since: nothing moves before all are let go. */
+  private readonly locked = new Set<string>();
   private readonly steps = new Map<string, JogStep>();
   private readonly release_listeners = new Set<() => void>();
   private timer: ReturnType<typeof setInterval> | undefined;
@@ -88,12 +94,12 @@ export class JogSender {
   /**
    * @param connection - connection to the server.
    * @param store - tells joints, gripper, permission; updated with notices.
-   * @param moveGripper - moves the gripper to a position [rad or m].
+   * @param gripper - moves the gripper to a position [rad or m], and cancels that.
    */
   constructor(
     private readonly connection: Pick<Connection, "publish" | "call">,
     private readonly store: PageStore,
-    private readonly moveGripper: (position: number) => void,
+    private readonly gripper_commands: Pick<ArmCommands, "moveGripper" | "cancelGripper">,
   ) {
     // What was begun with one arm does not go on with another.
     onArm(store, (namespace) => {
@@ -101,6 +107,10 @@ export class JogSender {
       this.namespace = namespace;
       this.jogged = [];
     });
+    // What the server refuses would begin by itself when its reason is gone.
+    store.subscribe((state) => state.servo_node, ({ code }) => code === REFUSED && this.arm_kind && this.releaseAll());
+    // Anyone's stop.
+    store.subscribe((state) => state.arm.last_stop, () => this.releaseAll());
   }
 
   /** True while any input is held, or a step is made. */
@@ -117,7 +127,9 @@ export class JogSender {
   hold(input: string, command: JogCommand): void {
     const is_new = !this.held.has(input);
     if (!this.isAllowed()) return this.releaseAll();
+    if (this.locked.size > 0) return void this.locked.add(input);
     this.held.set(input, command);
+    if (command.kind !== "gripper" && is_new) this.announcePress();
     if (command.kind !== "gripper" && (is_new || this.arm_kind === null)) this.selectKind(command.kind);
     if (is_new) this.send();
     this.timer ??= setInterval(() => this.send(), PERIOD_MS);
@@ -125,15 +137,20 @@ export class JogSender {
 
   /** Make one step; a further press while it is made adds nothing. */
   step(input: string, step: JogStep): void {
-    if (this.steps.has(input)) return;
+    if (this.steps.has(input) || this.locked.size > 0) return;
     const command = step.next(0, PERIOD_MS / 1000);
     if (command === null) return;
     this.hold(input, command);
     if (this.held.has(input)) this.steps.set(input, step);
   }
 
-  /** Release an input; with the last one of the arm, halt. */
+  /** Release an input; with the last one of the arm, halt. A step goes on after its press, which may be shorter. */
   release(input: string): void {
+    this.locked.delete(input);
+    if (!this.steps.has(input)) this.end(input);
+  }
+
+  private end(input: string): void {
     this.steps.delete(input);
     const released = this.held.get(input);
     if (!this.held.delete(input)) return;
@@ -143,15 +160,22 @@ export class JogSender {
     if (this.held.size === 0) this.stopTimer();
   }
 
-  /** Release every input and halt at once. */
+  /** Release every input and halt at once; nothing moves the arm before all of them are let go. */
   releaseAll(): void {
-    const was_active = this.active;
+    for (const input of this.held.keys()) if (!this.steps.has(input)) this.locked.add(input);
     this.held.clear();
     this.steps.clear();
+    if (this.gripper) this.gripper_commands.cancelGripper();
     this.gripper = null;
     this.stopTimer();
     if (this.arm_kind) this.halt();
-    if (was_active) for (const listener of this.release_listeners) listener();
+    for (const listener of this.release_listeners) listener();
+  }
+
+  /** Release every input of a page that nobody attends to: a key or finger that is let go elsewhere is not reported to it. */
+  leave(): void {
+    this.releaseAll();
+    this.locked.clear();
   }
 
   private stopTimer(): void {
@@ -165,7 +189,7 @@ export class JogSender {
 
   private isAllowed(): boolean {
     const { state } = this.store;
-    return state.link.connected && denialReason("drive", state) === "";
+    return state.link.connected && denialReason("drive", state) === "" && hasTip(state);
   }
 
   private send(): void {
@@ -182,7 +206,7 @@ export class JogSender {
     this.sent_ms = now_ms;
     for (const [input, step] of [...this.steps]) {
       const command = step.next(followed_s, PERIOD_MS / 1000);
-      if (command === null) this.release(input);
+      if (command === null) this.end(input);
       else this.held.set(input, command);
     }
   }
@@ -200,13 +224,16 @@ export class JogSender {
   private selectKind(kind: ArmKind): void {
     if (this.arm_kind === kind) return;
     this.arm_kind = kind;
-    // With every press, and not once a connection: it takes the control lease, which opening the page must not.
-    this.connection.publish(`${this.namespace}/servo_node/command_timeout`, "std_msgs/Float64", { data: COMMAND_TIMEOUT_S });
     // Not waited for: the topic already decides, and the first command should not be later for it.
     const request = { command_type: COMMAND_TYPES[kind] };
     this.connection.call(`${this.namespace}/servo_node/switch_command_type`, request).catch((error: unknown) => {
       setNotice(this.store, "link", (error as Error).message);
     });
+  }
+
+  /** Choose the timeout with every press: after a stop the server follows no press from before, however late it arrives. */
+  private announcePress(): void {
+    this.connection.publish(`${this.namespace}/servo_node/command_timeout`, "std_msgs/Float64", { data: COMMAND_TIMEOUT_S });
   }
 
   private publish(kind: ArmKind, shares: Record<string, number>): void {
@@ -224,9 +251,7 @@ export class JogSender {
       const velocities = Object.fromEntries(this.jogged.map((name) => [name, (shares[name] ?? 0) * factor]));
       this.connection.publish(`${this.namespace}/servo_node/delta_joint_cmds`, "control_msgs/JointJog", jointJog(velocities));
     } catch (error) {
-      this.held.clear();
-      this.steps.clear();
-      this.stopTimer();
+      this.releaseAll();
       setNotice(this.store, "link", (error as Error).message);
     }
   }
@@ -241,7 +266,7 @@ export class JogSender {
     const way = (opening * (gripper.open - gripper.closed) * GRIPPER_PERIOD_MS) / 1000 / GRIPPER_RANGE_S;
     const [lower, upper] = [Math.min(gripper.open, gripper.closed), Math.max(gripper.open, gripper.closed)];
     const position = Math.max(lower, Math.min(upper, present + way));
-    if (position !== this.gripper?.position) this.moveGripper(position);
+    if (position !== this.gripper?.position) void this.gripper_commands.moveGripper(position);
     this.gripper = { position, sent_ms: now_ms };
   }
 }

@@ -1,5 +1,5 @@
 import { withStatus } from "../logic/goal-history";
-import { noGoal, type GoalState, type State } from "../state/state";
+import { noGoal, noPlan, type ActiveGoal, type GoalState, type State } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import {
@@ -31,8 +31,6 @@ import { applyColors, applyPlanningScene, drawableObjects } from "./planning-sce
 
 /** Least time between two messages that are drawn [ms]: 30 per second look smooth. */
 const REDRAW_PERIOD_MS = 33;
-
-const NO_PLAN: State["plan"] = { trajectory: null, tool_path: [], scrub_s: null };
 
 /** Number of log entries that are kept. */
 const MAX_LOG_ENTRIES = 500;
@@ -112,15 +110,16 @@ export async function fetchActions(connection: Connection, store: PageStore): Pr
 /** Forget goals and commands that may have ended while the page was disconnected. */
 export function resetAfterReconnect(store: PageStore): void {
   const in_progress = ["queued", "planning", "executing"].includes(store.state.goal.state);
-  store.set({ active_goals: [], commanded_rad: {}, goal: in_progress ? noGoal() : store.state.goal });
+  const goal = in_progress ? noGoal() : store.state.goal;
+  // Another server knows nothing of the plan; the same one sends its last plan again.
+  store.set({ active_goals: [], commanded_rad: {}, goal, plan: noPlan() });
   setNotice(store, "link", "");
 }
 
 /** Return the changes of the state after a status of a goal: the goal that is shown, and all active goals. */
 export function applyGoalStatus(state: State, goal: GoalState): Partial<State> {
-  const others = state.active_goals.filter(({ id }) => id !== goal.id);
   const done = goal.state === "done";
-  const active_goals = done ? others : [...others, { id: goal.id, name: goal.source, state: goal.state }];
+  const active_goals = withActiveGoal(state.active_goals, goal);
   const in_progress = state.active_goals.some(({ id, state: stage }) => id === state.goal.id && stage !== "queued");
   // A goal that joins or leaves the queue must not hide the one that moves the arm.
   const is_queued = in_progress && goal.id !== state.goal.id && (goal.state === "queued" || done);
@@ -131,13 +130,21 @@ export function applyGoalStatus(state: State, goal: GoalState): Partial<State> {
   if (goal.code === SUCCESS) return { active_goals, goal, ...clearSelection(state) };
   // The arm stands somewhere on the path, and the plan does not start there.
   const stopped_on_path = state.goal.id === goal.id && state.goal.state === "executing";
-  return stopped_on_path ? { active_goals, goal, plan: NO_PLAN } : { active_goals, goal };
+  return stopped_on_path ? { active_goals, goal, plan: noPlan() } : { active_goals, goal };
+}
+
+/** Return the active goals after a status of one, each in its place; the same list when nothing of it has changed. */
+function withActiveGoal(goals: ActiveGoal[], { id, source: name, state }: GoalState): ActiveGoal[] {
+  if (state === "done") return goals.some((goal) => goal.id === id) ? goals.filter((goal) => goal.id !== id) : goals;
+  const known = goals.find((goal) => goal.id === id);
+  if (known === undefined) return [...goals, { id, name, state }];
+  return known.state === state ? goals : goals.map((goal) => (goal === known ? { id, name, state } : goal));
 }
 
 /** Clear the selection that a motion has reached; one that the user has made meanwhile stays. */
 function clearSelection(state: State): Partial<State> {
   if (state.target.dragging || state.selection !== state.executing_selection) return {};
-  return { selection: { kind: "none", joints_rad: null }, plan: NO_PLAN };
+  return { selection: { kind: "none", joints_rad: null }, plan: noPlan() };
 }
 
 /** Subscribe to the control of the arm, and fetch this page's identity after every connection. */

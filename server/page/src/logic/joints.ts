@@ -24,11 +24,17 @@ export function groupPoses(known: KnownJoints): State["named"] {
   return Object.fromEntries(poses);
 }
 
+/** Return false for a planning group of several arms: nothing can be asked of its tip, and one arm is driven at a time. */
+export function hasTip(known: Pick<State, "urdf" | "srdf" | "group">): boolean {
+  return planningGroup(known)?.tip !== null;
+}
+
 /** Most fingers of a gripper. */
 const MAX_FINGERS = 2;
 
 /** Return the gripper of the planning group: that of its end effector, else the joints of no group; null without one. */
 export function armGripper(known: KnownJoints): GripperInfo | null {
+  if (!hasTip(known)) return null;
   const { groups, grippers } = robotInfo(known);
   const limits = jointLimits(known);
   const parent = planningGroup(known)?.name ?? "";

@@ -52,13 +52,14 @@ export function columnOf(layout: Layout, id: string): Column | null {
   return COLUMNS.find((column) => layout.panels[column].includes(id)) ?? null;
 }
 
-/** Return a stored layout with the panels that exist; the initial one for a text that is none. */
+/** Return a stored layout with the panels that exist, those that are new since then open; the initial one for a text that is none. */
 export function parseLayout(text: string, ids: readonly string[], initial: Layout): Layout {
   try {
-    const { panels, shown } = JSON.parse(text) as Layout;
-    const known = (column: Column): string[] => panels[column].filter((id) => ids.includes(id));
-    const second = known("second").filter((id) => !panels.first.includes(id));
-    const kept = { first: [...new Set(known("first"))], second: [...new Set(second)] };
+    const { panels, shown, known = ids } = JSON.parse(text) as Layout & { known?: readonly string[] };
+    const existing = (column: Column): string[] => panels[column].filter((id) => ids.includes(id));
+    const second = existing("second").filter((id) => !panels.first.includes(id));
+    const added = ids.filter((id) => !known.includes(id));
+    const kept = { first: [...new Set([...existing("first"), ...added])], second: [...new Set(second)] };
     const of = (column: Column): string => (kept[column].includes(shown[column]) ? shown[column] : (kept[column][0] ?? ""));
     return { panels: kept, shown: { first: of("first"), second: of("second") } };
   } catch {

@@ -1,14 +1,17 @@
 import type { State } from "../state/state";
 import { t } from "../texts/texts";
 
-/** Operations with a permission of their own: moving the arm, changing its scene, changing stored settings. */
-export type Operation = "drive" | "work" | "configure";
+/** Operations with a permission of their own: moving the arm, changing its scene, changing stored settings, calibrating. */
+export type Operation = "drive" | "work" | "configure" | "commission";
 
 /** Parts of the state that permissions depend on. */
 type PermissionState = Pick<State, "identity" | "control">;
 
 const ROLES = ["view", "operate", "admin"];
-const NEEDED_ROLE: Record<Operation, string> = { drive: "operate", work: "operate", configure: "admin" };
+const NEEDED_ROLE: Record<Operation, string> = { drive: "operate", work: "operate", configure: "admin", commission: "admin" };
+
+/** Operations of the client that has the control lease. */
+const NEEDS_LEASE: readonly Operation[] = ["drive", "commission"];
 
 /** Return the server's reason to deny an operation, as a sentence; empty when it is allowed, or not yet known. */
 export function denialReason(operation: Operation, { identity, control }: PermissionState): string {
@@ -17,7 +20,7 @@ export function denialReason(operation: Operation, { identity, control }: Permis
   if (ROLES.indexOf(identity.role) < ROLES.indexOf(needed)) {
     return t("denied.role", { role: identity.role, needed });
   }
-  const another = operation === "drive" && controlHolder({ identity, control }) === "another";
+  const another = NEEDS_LEASE.includes(operation) && controlHolder({ identity, control }) === "another";
   return another ? t("control.another", { name: control.holder }) : "";
 }
 

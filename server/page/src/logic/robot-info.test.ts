@@ -44,6 +44,14 @@ test("groups are chains, joints, links and groups, and those of grippers are no 
   ]);
 });
 
+test("a group of several arms has no tip, and one of links behind each other has the last", () => {
+  const groups = `<group name="one"><joint name="left"/></group><group name="other"><joint name="right"/></group>
+    <group name="both"><group name="one"/><group name="other"/></group><group name="chain"><group name="one"/><group name="upper"/></group>`;
+  const srdf = SRDF.replace("</robot>", `${groups}</robot>`).replace(/<end_effector.*/, "");
+  const tip = (name: string): unknown => planningGroup(state(name, srdf))?.tip;
+  expect([tip("both"), tip("chain")]).toEqual([null, "hand"]);
+});
+
 test("the selected group counts, else the group arm, else the first", () => {
   expect(planningGroup(state("whole"))?.name).toBe("whole");
   expect(planningGroup(state("gone"))?.name).toBe("upper");

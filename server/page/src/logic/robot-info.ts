@@ -17,7 +17,7 @@ export interface JointGroup {
   name: string;
   /** Joints that move by themselves, in the order of the group. */
   joints: string[];
-  /** Link at its end; null for a group without joints and links. */
+  /** Link at its end; null for a group without joints and links, and for one of several arms. */
   tip: string | null;
 }
 
@@ -148,6 +148,7 @@ class JointTree {
   ): { joints: string[]; tip: string | null } {
     const joints: string[] = [];
     let tip: string | null = null;
+    let is_one_chain = true;
     // A group that contains itself has no more members than without that.
     if (visited.has(name)) return { joints, tip };
     visited.add(name);
@@ -167,10 +168,16 @@ class JointTree {
       } else if (kind === "group") {
         const inner = this.membersOf(member, groups, visited);
         joints.push(...inner.joints);
+        if (tip !== null && inner.tip !== null) is_one_chain &&= this.leadsTo(tip, inner.tip) || this.leadsTo(inner.tip, tip);
         tip = inner.tip ?? tip;
       }
     }
-    return { joints, tip };
+    return { joints, tip: is_one_chain ? tip : null };
+  }
+
+  /** Return true for a link on the way from the root to another one, or the same. */
+  private leadsTo(upper: string, lower: string): boolean {
+    return this.chain("", lower).some((joint) => this.below.get(joint) === upper);
   }
 
   private chain(base: string, tip: string): string[] {

@@ -21,7 +21,7 @@ export function holderOf(state: Pick<State, "urdf" | "srdf" | "group">): Holder 
   if (group === null) return null;
   const semantics = readXml(state.srdf ?? "");
   const effectors = childrenOf(semantics, "end_effector").map(({ attributes }) => attributes);
-  const effector = effectors.find(({ parent_group }) => parent_group === group.name) ?? effectors[0];
+  const effector = effectors.find(({ parent_group }) => parent_group === group.name) ?? (group.tip === null ? undefined : effectors[0]);
   const link = effector?.["parent_link"] || group.tip;
   if (!link) return null;
   const joints = childrenOf(readXml(state.urdf ?? ""), "joint");

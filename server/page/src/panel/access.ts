@@ -28,9 +28,7 @@ export function controlBar({ store, commands, authentication }: PanelContext): H
     release.hidden = control_holder !== "mine";
     token.hidden = role === undefined || role === "admin";
   };
-  for (const part of ["identity", "control", "link", "token"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["identity", "control", "link", "token"], show);
   return box;
 }
 
@@ -59,6 +57,6 @@ export function tokenForm({ store, authentication }: PanelContext): HTMLElement 
     if (opened) typed.focus();
   };
   form.hidden = true;
-  for (const part of ["link", "token"] as const) store.subscribe((state) => state[part], (_, state) => show(state));
+  store.watch(["link", "token"], show);
   return form;
 }

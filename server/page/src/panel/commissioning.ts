@@ -2,10 +2,10 @@ import { asksAnew, droopText, procedureTitle, rangeBar, rangeText, type BarPart 
 import { openPanel } from "../logic/layout";
 import { denialReason } from "../logic/permissions";
 import type { Commissioning, State, SweptJoint } from "../state/state";
-import { selectGoal } from "../state/store";
+import { selectGoal, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, capitalized, el, section, setText, showList } from "./dom";
+import { button, capitalized, el, keyedList, section, setText, showList, type ListItem } from "./dom";
 
 /** Time for which new answers cannot be pressed [ms]: the second click of a double click must not answer what comes next. */
 const ARMING_MS = 400;
@@ -37,13 +37,13 @@ export function commissioningSection(context: PanelContext): HTMLElement {
   const active = activePart(context);
   const findings = el("ul", { class: "findings", testid: "findings", label: t("commissioning.findings") });
   const result = el("p", { class: "result", testid: "procedure-result", role: "status" });
-  const joints = jointList(store.state);
+  const joints = jointList(store);
   const box = section("commissioning", t("commissioning.title"), false, reason, idle, active, joints.list, findings, result);
   let before: Commissioning | null = null;
   const show = (state: State): void => {
     const { commissioning } = state;
     box.hidden = commissioning === null;
-    const denied = denialReason("configure", state);
+    const denied = denialReason("commission", state);
     setText(reason, denied);
     reason.hidden = denied === "";
     if (commissioning === null) return;
@@ -58,12 +58,10 @@ export function commissioningSection(context: PanelContext): HTMLElement {
     active.hidden = !is_in_progress;
     showList(findings, commissioning.findings);
     setText(result, is_in_progress ? "" : capitalized(commissioning.result));
-    joints.show(state);
+    joints.show(commissioning.joints);
     before = commissioning;
   };
-  for (const part of ["commissioning", "identity", "joint_in_hand"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["commissioning", "identity", "control", "joint_in_hand"], show);
   return box;
 }
 
@@ -90,7 +88,7 @@ function idlePart(context: PanelContext): HTMLElement {
   store.subscribe((state) => state.link.connected, enable);
   const line = el("label", { class: "line" }, `${t("commissioning.calibration")} `, name);
   const hint = el("p", { class: "hint", text: t("commissioning.hint") });
-  return permissionFieldset(context, "configure", hint, line, el("div", { class: "buttons" }, ...buttons));
+  return permissionFieldset(context, "commission", hint, line, el("div", { class: "buttons" }, ...buttons));
 }
 
 function activePart(context: PanelContext): HTMLElement {
@@ -99,7 +97,7 @@ function activePart(context: PanelContext): HTMLElement {
   const attributes = { tabindex: "-1", "aria-live": "assertive" };
   const instruction = el("p", { class: "instruction", testid: "instruction", attributes });
   const answers = el("div", { class: "buttons", testid: "answers", role: "group", label: t("commissioning.answers") });
-  const box = el("div", { class: "step" }, instruction, permissionFieldset(context, "configure", answers));
+  const box = el("div", { class: "step" }, instruction, permissionFieldset(context, "commission", answers));
   let is_armed = false;
   let timer: ReturnType<typeof setTimeout> | undefined;
   let before: Commissioning | null = null;
@@ -126,7 +124,7 @@ function activePart(context: PanelContext): HTMLElement {
     answers.replaceChildren(...buttons);
     if (had_focus) instruction.focus();
     // Not for those who only look on. The frame after this has the section open.
-    if (!denialReason("configure", store.state)) requestAnimationFrame(() => box.scrollIntoView({ block: "nearest" }));
+    if (!denialReason("commission", store.state)) requestAnimationFrame(() => box.scrollIntoView({ block: "nearest" }));
     is_armed = false;
     clearTimeout(timer);
     timer = setTimeout(() => {
@@ -149,29 +147,18 @@ function activePart(context: PanelContext): HTMLElement {
   return box;
 }
 
-interface JointBar {
-  name: string;
-  box: HTMLElement;
-  show: (joint: SweptJoint, in_hand: boolean) => void;
-}
-
-function jointList(initial: State): { list: HTMLElement; show: (state: State) => void } {
+function jointList(store: PageStore): { list: HTMLElement; show: (joints: readonly SweptJoint[]) => void } {
   const list = el("ul", { class: "sweep", testid: "swept-joints", label: t("commissioning.joints") });
-  let bars: JointBar[] = [];
-  const show = ({ commissioning, joint_in_hand }: State): void => {
-    const joints = commissioning?.joints ?? [];
+  const showBars = keyedList<SweptJoint>(list, ({ joint }) => joint, ({ joint }) => jointBar(store, joint));
+  const show = (joints: readonly SweptJoint[]): void => {
     list.hidden = joints.length === 0;
-    if (joints.map(({ joint }) => joint).join() !== bars.map(({ name }) => name).join()) {
-      bars = joints.map(({ joint }) => jointBar(joint));
-      list.replaceChildren(...bars.map(({ box }) => box));
-    }
-    joints.forEach((joint, index) => bars[index]?.show(joint, joint.joint === joint_in_hand?.joint));
+    showBars(joints);
   };
-  show(initial);
+  show([]);
   return { list, show };
 }
 
-function jointBar(name: string): JointBar {
+function jointBar(store: PageStore, name: string): ListItem<SweptJoint> {
   const tick = el("span", { class: "tick", testid: `swept-${name}-done` });
   const text = el("span", { class: "measured", testid: `swept-${name}-text` });
   const [expected, swept, present] = [el("i", { class: "expected" }), el("i", { class: "swept" }), el("i", { class: "present" })];
@@ -180,10 +167,10 @@ function jointBar(name: string): JointBar {
   const droop = el("span", { class: "measured", testid: `swept-${name}-droop` });
   const note = el("small", { class: "hint", testid: `swept-${name}-note` });
   const head = el("div", { class: "row-head" }, el("b", { text: name }), text, droop, tick);
-  const box = el("li", { testid: `swept-${name}` }, head, bar, ticks, note);
-  const show = (joint: SweptJoint, in_hand: boolean): void => {
+  const element = el("li", { testid: `swept-${name}` }, head, bar, ticks, note);
+  const show = (joint: SweptJoint): void => {
     const shown = rangeBar(joint);
-    box.dataset["inHand"] = String(in_hand);
+    element.dataset["inHand"] = String(store.state.joint_in_hand?.joint === name);
     setText(tick, joint.done ? `✓ ${t("commissioning.done")}` : "");
     setText(text, rangeText(joint));
     setText(droop, droopText(joint.droop_rad));
@@ -201,7 +188,7 @@ function jointBar(name: string): JointBar {
     bar.setAttribute("aria-valuenow", String(joint.highest - joint.lowest));
     bar.setAttribute("aria-valuetext", joint.done ? `${rangeText(joint)}, ${t("commissioning.done")}` : rangeText(joint));
   };
-  return { name, box, show };
+  return { element, show };
 }
 
 function place(element: HTMLElement, { begin, width }: BarPart): void {

@@ -53,9 +53,7 @@ export function watchPermissions({ store }: PanelContext): void {
     const fieldsets = document.querySelectorAll<HTMLFieldSetElement>("fieldset.gate");
     for (const fieldset of fieldsets) applyPermission(fieldset, state);
   };
-  for (const part of ["identity", "control"] as const) {
-    store.subscribe((state) => state[part], (_, state) => applyAll(state));
-  }
+  store.watch(["identity", "control"], applyAll);
   store.subscribe((state) => state.link.connected, (_, state) => applyAll(state));
 }
 

@@ -65,7 +65,7 @@ export class Dock {
     store.subscribe(
       (state) => state.layout,
       (layout) => {
-        storePreference("layout", JSON.stringify(layout));
+        storePreference("layout", JSON.stringify({ ...layout, known: ids }));
         this.show();
       },
     );
@@ -92,8 +92,9 @@ export class Dock {
     for (const [id, host] of this.hosts) {
       const column = columnOf(this.layout, id);
       const shown = column !== null && this.layout.shown[column] === id;
-      if (column === null) host.remove();
-      else if (host.parentElement !== this.columns[column]) this.columns[column].append(host);
+      // Closed ones too: what updates the whole page finds them in the document.
+      const parent = this.columns[column ?? "first"];
+      if (host.parentElement !== parent) parent.append(host);
       if (host.hidden === !shown) continue;
       host.hidden = !shown;
       if (shown) host.dispatchEvent(new Event(SHOWN, { bubbles: true }));

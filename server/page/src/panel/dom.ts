@@ -65,6 +65,43 @@ export function showList(list: HTMLElement, texts: readonly string[]): void {
   list.replaceChildren(...texts.map((text) => el("li", { text })));
 }
 
+/** Item of a keyed list: its element, and the update of what it shows. */
+export interface ListItem<Value> {
+  element: HTMLElement;
+  show: (value: Value, index: number) => void;
+}
+
+/**
+ * Return a function that shows values as the children of a list; a value keeps its element as long as there is its key.
+ *
+ * So a press that lasts, the focus and a text that is being typed outlive an update.
+ */
+export function keyedList<Value>(
+  list: HTMLElement,
+  keyOf: (value: Value) => string,
+  create: (value: Value) => ListItem<Value>,
+): (values: readonly Value[]) => void {
+  const items = new Map<string, ListItem<Value>>();
+  return (values) => {
+    const keys = values.map(keyOf);
+    const focused = document.activeElement;
+    for (const [key, { element }] of items) {
+      if (keys.includes(key)) continue;
+      element.remove();
+      items.delete(key);
+    }
+    for (const [index, value] of values.entries()) {
+      const key = keys[index] ?? "";
+      const item = items.get(key) ?? create(value);
+      items.set(key, item);
+      if (list.children[index] !== item.element) list.insertBefore(item.element, list.children[index] ?? null);
+      item.show(value, index);
+    }
+    // An element that is moved loses it.
+    if (focused instanceof HTMLElement && focused !== document.activeElement && list.contains(focused)) focused.focus();
+  };
+}
+
 /** Create a collapsible section of the panel; the browser stores its open state. */
 export function section(name: string, title: string, open: boolean, ...children: (Node | string)[]): HTMLDetailsElement {
   const details = el("details", { class: "section", id: `section-${name}`, testid: `section-${name}` });
@@ -84,12 +121,13 @@ export function loadPreference(key: string, fallback: string): string {
   }
 }
 
-/** Store a preference in the browser. */
-export function storePreference(key: string, value: string): void {
+/** Store a preference in the browser; false where the browser refuses, and it lasts until the page is loaded again. */
+export function storePreference(key: string, value: string): boolean {
   try {
     localStorage.setItem(`armbridge-${key}`, value);
+    return true;
   } catch {
-    // A browser without storage: the preference lasts until the page is loaded again.
+    return false;
   }
 }
 

@@ -38,7 +38,29 @@ export function choice(
   return select;
 }
 
-/** Report the press and the release of an element by one pointer, which is captured: it may leave the element. */
+/** Ends of a press. The window hears them also of an element that is gone or disabled by then. */
+const ENDS = ["pointerup", "pointercancel", "lostpointercapture"] as const;
+
+/** Report the press and the release of a button by a pointer, or by Space or Enter while it has the focus. */
+export function watchHold(element: HTMLElement, press: () => void, release: () => void): void {
+  watchPointer(element, press, release);
+  let by_key = false;
+  const end = (): void => {
+    if (by_key) release();
+    by_key = false;
+  };
+  element.addEventListener("keydown", (event) => {
+    if (event.key !== " " && event.key !== "Enter") return;
+    event.preventDefault();
+    if (event.repeat) return;
+    by_key = true;
+    press();
+  });
+  element.addEventListener("keyup", ({ key }) => (key === " " || key === "Enter") && end());
+  element.addEventListener("blur", end);
+}
+
+/** Report the press and the release of an element by one pointer, which may leave the element and outlive it. */
 export function watchPointer(
   element: HTMLElement,
   press: (event: PointerEvent) => void,
@@ -51,15 +73,16 @@ export function watchPointer(
     held = event.pointerId;
     element.setPointerCapture(event.pointerId);
     element.dataset["held"] = "true";
+    for (const name of ENDS) window.addEventListener(name, end, { capture: true });
     press(event);
   });
   const end = ({ pointerId }: PointerEvent): void => {
     if (pointerId !== held) return;
     held = null;
     delete element.dataset["held"];
+    for (const name of ENDS) window.removeEventListener(name, end, { capture: true });
     release();
   };
-  for (const name of ["pointerup", "pointercancel", "lostpointercapture"] as const) element.addEventListener(name, end);
   element.addEventListener("pointermove", (event) => event.pointerId === held && move(event));
   // A long press would open the menu in place of moving the arm.
   element.addEventListener("contextmenu", (event) => event.preventDefault());

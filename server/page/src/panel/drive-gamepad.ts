@@ -50,7 +50,6 @@ class GamepadReader {
   /** Move nothing until the dead-man has been released and held again. */
   lock(): void {
     this.dead_man.lock();
-    this.held = [];
   }
 
   private read(): void {
@@ -63,9 +62,12 @@ class GamepadReader {
       const other = connected[0];
       return this.show(other ? t("drive.gamepad.mapping", { name: other.id }) : t("drive.gamepad.none"));
     }
-    const counts = this.dead_man.counts(isDeadManHeld(pad)) && document.hasFocus();
+    const is_held = isDeadManHeld(pad);
+    const counts = this.dead_man.counts(is_held) && document.hasFocus();
     this.show(t(counts ? "drive.gamepad.moving" : "drive.gamepad.ready", { name: pad.id }));
     const { store, jogSender } = this.context;
+    // A dead-man that is locked, and held still, is an input that has not been let go.
+    if (is_held && !counts) return;
     const commands = counts ? gamepadCommands(pad, tipAxes(armJoints(store.state).length)) : [];
     this.releaseExcept(commands.map(({ kind }) => `gamepad ${kind}`));
     for (const command of commands) {

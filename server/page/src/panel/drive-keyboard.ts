@@ -18,9 +18,7 @@ export function keyboardSection(context: PanelContext, controls: JogControls): H
     const gripper = armGripper(state) ? [keyLine(t("drive.gripper"), GRIPPER_KEYS)] : [];
     legend.replaceChildren(...tip, ...gripper, ...joints.map((name, index) => keyLine(name, jointKeys(index))));
   };
-  for (const part of ["limits", "urdf", "srdf", "group", "actions"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["limits", "urdf", "srdf", "group", "actions"], show);
   on.addEventListener("change", () => jogSender.releaseAll());
   listenForKeys(context, controls, () => on.checked, legend);
   const line = el("label", { class: "line" }, permissionFieldset(context, "drive", on), t("drive.keys.on"));

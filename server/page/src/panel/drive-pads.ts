@@ -42,9 +42,7 @@ export function padsSection(context: PanelContext, controls: JogControls): HTMLE
     right.element.setAttribute("aria-label", t("drive.pads.right", { axis }));
   };
   turning.addEventListener("change", () => show(store.state));
-  for (const part of ["limits", "urdf", "srdf", "group"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["limits", "urdf", "srdf", "group"], show);
   const pads = permissionFieldset(context, "drive", el("div", { class: "pads" }, left.element, right.element), bar);
   const hint = el("p", { class: "hint", text: t("drive.pads.hint") });
   const line = el("label", { class: "line" }, `${t("drive.pads.rotation")} `, turning);

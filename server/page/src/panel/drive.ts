@@ -1,12 +1,12 @@
 import "./drive.css";
-import { armGripper, armJoints, jointKind } from "../logic/joints";
+import { armGripper, armJoints, hasTip, jointKind } from "../logic/joints";
 import { GRIPPER_RANGE_S } from "../link/servo-node";
 import { isRotation, JogStep, scaled, tipAxes, type JogCommand, type TipAxis } from "../logic/jog";
 import type { State } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { el, labelled, loadPreference, section, setText, storePreference } from "./dom";
-import { axisText, choice, watchPointer, type JogControls } from "./drive-controls";
+import { el, keyedList, labelled, loadPreference, section, setText, storePreference } from "./dom";
+import { axisText, choice, watchHold, type JogControls } from "./drive-controls";
 import { gamepadSection } from "./drive-gamepad";
 import { keyboardSection } from "./drive-keyboard";
 import { isTouch, padsSection } from "./drive-pads";
@@ -25,20 +25,24 @@ const DESCRIPTION = ["limits", "urdf", "srdf", "group", "actions"] as const;
 export function driveSection(context: PanelContext): HTMLElement {
   const { controls, settings } = createControls(context);
   releaseWhenAway(context);
-  const buttons = permissionFieldset(context, "drive", tipSection(context, controls), jointSection(context, controls));
+  const tip = jogGrid(context, controls, tipRows);
+  const joints = jogGrid(context, controls, jointRows);
+  joints.classList.add("wide-names");
+  const sections = [section("drive-tip", t("drive.tip"), true, tip), section("drive-joints", t("drive.joints"), true, joints)];
+  const buttons = permissionFieldset(context, "drive", ...sections);
   const pads = padsSection(context, controls);
   // On a touch screen the pads come first, where the thumbs are.
   const others = [keyboardSection(context, controls), gamepadSection(context, controls)];
-  return el("div", { class: "drive", testid: "section-drive" }, statusLine(context), ...(isTouch() ? [pads, settings, buttons] : [settings, buttons, pads]), ...others);
+  const inputs = el("div", {}, ...(isTouch() ? [pads, settings, buttons] : [settings, buttons, pads]), ...others);
+  context.store.watch(DESCRIPTION, (state) => (inputs.hidden = !hasTip(state)));
+  return el("div", { class: "drive", testid: "section-drive" }, statusLine(context), inputs);
 }
 
 /** A key or finger that is released elsewhere is not reported to this page. */
 function releaseWhenAway({ jogSender }: PanelContext): void {
-  const release = (): void => jogSender.releaseAll();
-  for (const event of ["blur", "pagehide"]) window.addEventListener(event, release);
-  document.addEventListener("visibilitychange", release);
-  // In the capturing phase, so that no other element can consume the key.
-  window.addEventListener("keydown", ({ key }) => key === "Escape" && release(), { capture: true });
+  const leave = (): void => jogSender.leave();
+  for (const event of ["blur", "pagehide"]) window.addEventListener(event, leave);
+  document.addEventListener("visibilitychange", leave);
 }
 
 function createControls(context: PanelContext): { controls: JogControls; settings: HTMLElement } {
@@ -71,10 +75,7 @@ function createControls(context: PanelContext): { controls: JogControls; setting
     if (mode.value === "hold") jogSender.hold(input, scaled(command, share()));
     else step(input, command);
   };
-  const release = (input: string): void => {
-    // A step goes on after its press, which may be shorter than the step.
-    if (mode.value === "hold") jogSender.release(input);
-  };
+  const release = (input: string): void => jogSender.release(input);
   mode.addEventListener("change", () => jogSender.releaseAll());
   const speed_line = el("label", { class: "line" }, t("drive.speed"), " ", speed, shown);
   const settings = el("div", { class: "drive-settings" }, labelled(t("drive.mode"), mode), labelled(t("drive.frame"), frame), speed_line);
@@ -99,56 +100,70 @@ function degrees(angle_rad: number): number {
   return Math.round((angle_rad * 180) / Math.PI);
 }
 
+/** Return what limits the arm in words; a message without a code is what of the command was given up. */
+function statusText(code: number, message: string): string {
+  if (code === 0) return message || t("drive.hint");
+  const words = code >= -1 && code <= 6 ? t(`drive.status.${code}` as TextKey) : "";
+  return `${words} ${message}`.trim();
+}
+
 /** Create the line that says what limits the arm. */
 function statusLine({ store }: PanelContext): HTMLElement {
   const line = el("p", { class: "drive-status", testid: "drive-status", role: "status" });
-  store.subscribe(
-    (state) => state.servo_node,
-    ({ code, message }) => {
-      const key = `drive.status.${code}` as TextKey;
-      const words = code === 0 && message === "" ? t("drive.hint") : t(key);
-      setText(line, message === "" ? words : `${words} ${message}`);
-      line.dataset["code"] = String(code);
-    },
-  );
+  store.watch(["servo_node", ...DESCRIPTION], (state) => {
+    const { code, message } = state.servo_node;
+    setText(line, hasTip(state) ? statusText(code, message) : t("drive.one_arm"));
+    line.dataset["code"] = String(code);
+  });
   return line;
 }
 
-function tipSection({ store }: PanelContext, controls: JogControls): HTMLElement {
+/** Row of buttons that move the arm: along an axis of the tip, by a joint, or by the gripper. */
+interface JogRow {
+  id: string;
+  name: string;
+  /** Command of the button that raises; the other one has the opposite. */
+  command: JogCommand;
+  texts: readonly [string, string];
+}
+
+const SIGNS = ["−", "+"] as const;
+
+function tipRows(state: State): JogRow[] {
+  return tipAxes(armJoints(state).length).map((axis) => {
+    return { id: `jog-${axis}`, name: axisText(axis), command: { kind: "tip", velocity: { [axis]: 1 } }, texts: SIGNS };
+  });
+}
+
+function jointRows(state: State): JogRow[] {
+  const rows = armJoints(state).map((name): JogRow => {
+    return { id: `jog-${name}`, name, command: { kind: "joints", velocity: { [name]: 1 } }, texts: SIGNS };
+  });
+  if (armGripper(state) === null) return rows;
+  const texts = [t("drive.close"), t("drive.open")] as const;
+  return [...rows, { id: "jog-gripper", name: t("drive.gripper"), command: { kind: "gripper", velocity: { opening: 1 } }, texts }];
+}
+
+/** Create a grid of rows; a button that is held keeps its element, and is let go where its row is gone. */
+function jogGrid({ store, jogSender }: PanelContext, controls: JogControls, rows: (state: State) => JogRow[]): HTMLElement {
   const grid = el("div", { class: "jog-grid" });
-  const show = (state: State): void => {
-    const rows = tipAxes(armJoints(state).length).map((axis) => {
-      const velocity = (sign: number): JogCommand => ({ kind: "tip", velocity: { [axis]: sign } });
-      return jogRow(controls, axisText(axis), `jog-${axis}`, ["−", velocity(-1)], ["+", velocity(1)]);
-    });
-    grid.replaceChildren(...rows);
-  };
-  for (const part of DESCRIPTION) store.subscribe((state) => state[part], (_, state) => show(state));
-  return section("drive-tip", t("drive.tip"), true, grid);
+  const show = keyedList<JogRow>(grid, ({ id, name }) => `${id} ${name}`, (row) => ({ element: jogRow(controls, row), show: () => undefined }));
+  let known = "";
+  store.watch(DESCRIPTION, (state) => {
+    const shown = rows(state);
+    const ids = shown.map(({ id }) => id).join();
+    if (ids !== known) jogSender.releaseAll();
+    known = ids;
+    show(shown);
+  });
+  return grid;
 }
 
-function jointSection({ store }: PanelContext, controls: JogControls): HTMLElement {
-  const grid = el("div", { class: "jog-grid wide-names" });
-  const show = (state: State): void => {
-    const rows = armJoints(state).map((name) => {
-      const velocity = (sign: number): JogCommand => ({ kind: "joints", velocity: { [name]: sign } });
-      return jogRow(controls, name, `jog-${name}`, ["−", velocity(-1)], ["+", velocity(1)]);
-    });
-    const opening = (sign: number): JogCommand => ({ kind: "gripper", velocity: { opening: sign } });
-    const ends = [[t("drive.close"), opening(-1)], [t("drive.open"), opening(1)]] as const;
-    const gripper = armGripper(state) ? [jogRow(controls, t("drive.gripper"), "jog-gripper", ...ends)] : [];
-    grid.replaceChildren(...rows, ...gripper);
-  };
-  for (const part of DESCRIPTION) store.subscribe((state) => state[part], (_, state) => show(state));
-  return section("drive-joints", t("drive.joints"), true, grid);
-}
-
-type JogEnd = readonly [string, JogCommand];
-
-function jogRow(controls: JogControls, name: string, testid: string, minus: JogEnd, plus: JogEnd): HTMLElement {
-  const buttons = [minus, plus].map(([text, command], index) => {
-    const label = text.length > 1 ? `${name}: ${text}` : t(index === 0 ? "drive.minus" : "drive.plus", { name });
-    return holdButton(controls, text, label, `${testid}-${index === 0 ? "minus" : "plus"}`, command);
+function jogRow(controls: JogControls, { id, name, command, texts }: JogRow): HTMLElement {
+  const buttons = ([-1, 1] as const).map((sign, index) => {
+    const text = texts[index] ?? "";
+    const label = text.length > 1 ? `${name}: ${text}` : t(sign < 0 ? "drive.minus" : "drive.plus", { name });
+    return holdButton(controls, text, label, `${id}-${sign < 0 ? "minus" : "plus"}`, scaled(command, sign));
   });
   return el("div", { class: "jog-row" }, el("span", { text: name, title: name }), ...buttons);
 }
@@ -156,14 +171,7 @@ function jogRow(controls: JogControls, name: string, testid: string, minus: JogE
 /** Create a button that moves the arm while a finger, pen, mouse button or key holds it. */
 function holdButton(controls: JogControls, text: string, label: string, testid: string, command: JogCommand): HTMLElement {
   const hold = el("button", { type: "button", class: "hold", text, label, testid });
-  watchPointer(hold, () => controls.press(testid, command), () => controls.release(testid));
-  hold.addEventListener("keydown", (event) => {
-    if (event.key !== " " && event.key !== "Enter") return;
-    event.preventDefault();
-    if (!event.repeat) controls.press(testid, command);
-  });
-  hold.addEventListener("keyup", ({ key }) => (key === " " || key === "Enter") && controls.release(testid));
-  hold.addEventListener("blur", () => controls.release(testid));
+  watchHold(hold, () => controls.press(testid, command), () => controls.release(testid));
   // A screen reader's press has no release, and no pointer either.
   hold.addEventListener("click", ({ detail, isTrusted }) => detail === 0 && isTrusted && controls.step(testid, command));
   return hold;

@@ -42,8 +42,6 @@ export function firstMotion(context: PanelContext): HTMLElement {
     setText(go, t("first.go", { pose }));
   };
   box.hidden = true;
-  for (const part of ["link", "arm", "joints", "named", "limits", "plan"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["link", "arm", "joints", "named", "limits", "plan"], show);
   return box;
 }

@@ -3,6 +3,7 @@ import {
   armJoints,
   currentPositions,
   displayedPositions,
+  hasTip,
   jointKind,
   jointLimits,
   shownPosition,
@@ -15,7 +16,7 @@ import type { Orientation, Point, State } from "../state/state";
 import { selectGoal, selectTarget } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, numberField, option, section, setText, throttle, type NumberField } from "./dom";
+import { button, el, keyedList, numberField, option, section, setText, throttle, type ListItem, type NumberField } from "./dom";
 
 /** Limit of typed coordinates [m], beyond the reach of any arm on a table or a mobile base. */
 const MAX_COORDINATE_M = 5;
@@ -46,7 +47,7 @@ export function groupChoice(context: PanelContext): HTMLElement {
     }
     choice.value = planningGroup(state)?.name ?? "";
   };
-  for (const part of ["urdf", "srdf", "group"] as const) store.subscribe((state) => state[part], (_, state) => show(state));
+  store.watch(["urdf", "srdf", "group"], show);
   return box;
 }
 
@@ -77,23 +78,23 @@ export function targetSection(context: PanelContext): HTMLElement {
   const places_line = unitFields(AXES, places);
   const rotation_line = unitFields(ROTATIONS.map(([name]) => name), rotations);
   const reachability = el("p", { class: "hint", testid: "target-state", role: "status" });
+  const problems = [...places, ...rotations].map(({ problem }) => problem);
+  const box = section("target", t("target.title"), true, places_line.element, rotation_line.element, ...problems, reachability);
   const show = throttle<State>(UPDATE_PERIOD_MS, (state) => {
     const texts = targetPosition(state).map((value) => (Number.isFinite(value) ? positionText(value, length()) : ""));
     places.forEach((field, index) => field.show(texts[index] ?? ""));
     places_line.showUnit(length(), t("target.axis.unit"));
     rotation_line.showUnit(angle(), t("target.axis.unit"));
     rotation_line.element.hidden = !takesOrientation(state);
+    box.hidden = !hasTip(state);
     const angles = rollPitchYawOf(targetOrientation(state));
     rotations.forEach((field, index) => field.show(positionText(angles[index] ?? 0, angle())));
     const selected = state.selection.kind === "target";
     setText(reachability, selected ? reachabilityText(state) : t("target.hint"));
     reachability.dataset["off"] = String(selected && state.target.reachable === false);
   });
-  for (const part of ["target", "selection", "tool_m", "tool_orientation", "settings", ...DESCRIPTION] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
-  const problems = [...places, ...rotations].map(({ problem }) => problem);
-  return section("target", t("target.title"), true, places_line.element, rotation_line.element, ...problems, reachability);
+  store.watch(["target", "selection", "tool_m", "tool_orientation", "settings", ...DESCRIPTION], show);
+  return box;
 }
 
 /** Return the range of a field within a limit to either side [m or rad]. */
@@ -130,33 +131,18 @@ function reachabilityText({ target: { reachable, distance_m }, settings }: State
   return t("target.touches");
 }
 
-interface JointRow {
-  name: string;
-  box: HTMLElement;
-  show: (state: State) => void;
-}
-
 /** Create the section with one row per joint: slider, number, measured position and limits. */
 export function jointsSection(context: PanelContext): HTMLElement {
   const { store } = context;
   const list = el("div", { class: "rows", testid: "joints" });
-  let rows: JointRow[] = [];
-  const show = throttle<State>(UPDATE_PERIOD_MS, (state) => {
-    const names = armJoints(state);
-    if (names.join() !== rows.map(({ name }) => name).join()) {
-      rows = names.map((name) => jointRow(context, name));
-      list.replaceChildren(...rows.map(({ box }) => box));
-    }
-    for (const row of rows) row.show(state);
-  });
-  for (const part of ["joints", "selection", "target", "settings", ...DESCRIPTION] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  const showRows = keyedList<string>(list, String, (name) => jointRow(context, name));
+  const show = throttle<State>(UPDATE_PERIOD_MS, (state) => showRows(armJoints(state)));
+  store.watch(["joints", "selection", "target", "settings", ...DESCRIPTION], show);
   const back = button(t("joints.back"), "forget-wish", () => selectGoal(store, "none", null));
   return section("joints", t("joints.title"), true, list, back);
 }
 
-function jointRow({ store }: PanelContext, name: string): JointRow {
+function jointRow({ store }: PanelContext, name: string): ListItem<string> {
   const range = (): [number, number] => jointLimits(store.state)[name] ?? [-Math.PI, Math.PI];
   const unit = (): Unit => unitOf(jointKind(store.state, name), store.state.settings.units);
   const take = (value: number): void => {
@@ -174,8 +160,9 @@ function jointRow({ store }: PanelContext, name: string): JointRow {
   const measured = el("span", { class: "measured", testid: `joint-${name}-measured`, title: t("joints.measured") });
   const limits = el("span", { class: "limits", testid: `joint-${name}-limits` });
   const head = el("div", { class: "row-head" }, el("b", { text: name }), measured, typed.input);
-  const box = el("div", { class: "row" }, head, slider, limits, typed.problem);
-  const show = (state: State): void => {
+  const element = el("div", { class: "row" }, head, slider, limits, typed.problem);
+  const show = (): void => {
+    const { state } = store;
     const kind = jointKind(state, name);
     const shown = unitOf(kind, state.settings.units);
     const [lower, upper] = range();
@@ -185,7 +172,7 @@ function jointRow({ store }: PanelContext, name: string): JointRow {
     setText(measured, `${positionText(position(currentPositions(state)), shown)}${shown.suffix}`);
     setText(limits, kind === "continuous" ? t("joints.any") : `${positionText(lower, shown)} … ${positionText(upper, shown)}${shown.suffix}`);
   };
-  return { name, box, show };
+  return { element, show };
 }
 
 function showSlider(slider: HTMLInputElement, position: number, lower: number, upper: number, unit: Unit): void {
@@ -227,8 +214,6 @@ export function gripperSection(context: PanelContext): HTMLElement {
     const unit = unitOf(jointKind(state, finger), state.settings.units);
     setText(measured, `${positionText(position, unit)}${unit.suffix}`);
   });
-  for (const part of ["joints", "settings", "actions", ...DESCRIPTION] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["joints", "settings", "actions", ...DESCRIPTION], show);
   return box;
 }

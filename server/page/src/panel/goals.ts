@@ -2,13 +2,12 @@ import "./goals.css";
 import type { GoalRecord } from "../link/goal-history";
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
 import { goalKind, readAsked, type GoalEntry } from "../logic/goal-history";
-import type { ActiveGoal, GoalState } from "../state/state";
+import { noPlan, type ActiveGoal, type GoalState } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
 import { isShown, whenShown } from "./dock";
-import { button, el, section, setText, throttle } from "./dom";
+import { button, el, keyedList, section, setText, throttle, type ListItem } from "./dom";
 import { saveFile } from "./files";
-import { PlanReplay } from "./motion";
 
 /** Time between two updates [ms]; a goal in progress has several statuses a second. */
 const UPDATE_PERIOD_MS = 250;
@@ -19,10 +18,11 @@ export function activeGoalsSection({ store, stopCommand, commands }: PanelContex
   const empty = el("p", { class: "hint", text: t("goals.active.empty") });
   const all = button(t("goals.cancel_all"), "cancel-all", () => void stopCommand.stop(), t("goals.cancel_all.title"));
   const box = section("waiting", t("goals.active"), true, empty, list, all);
+  const show = keyedList<ActiveGoal>(list, ({ id }) => id, ({ id }) => activeItem(id, () => commands.cancelGoal(id)));
   store.subscribe(
     (state) => state.active_goals,
     (goals) => {
-      list.replaceChildren(...goals.map((goal) => activeItem(goal, () => commands.cancelGoal(goal.id))));
+      show(goals);
       empty.hidden = goals.length > 0;
       all.disabled = goals.length === 0;
     },
@@ -30,11 +30,14 @@ export function activeGoalsSection({ store, stopCommand, commands }: PanelContex
   return box;
 }
 
-function activeItem({ id, name, state }: ActiveGoal, cancel: () => void): HTMLElement {
-  const text = el("span", { text: itemText(id, name, stateText(state)) });
+function activeItem(id: string, cancel: () => void): ListItem<ActiveGoal> {
+  const text = el("span");
   const press = button(t("goals.cancel"), `cancel-${id}`, cancel);
-  press.setAttribute("aria-label", `${t("goals.cancel")}: ${text.textContent}`);
-  return el("li", { testid: `waiting-${id}` }, text, press);
+  const show = ({ name, state }: ActiveGoal): void => {
+    setText(text, itemText(id, name, stateText(state)));
+    press.setAttribute("aria-label", `${t("goals.cancel")}: ${text.textContent}`);
+  };
+  return { element: el("li", { testid: `waiting-${id}` }, text, press), show };
 }
 
 /** Create the timeline of goals, newest first, each of which opens its record. */
@@ -43,25 +46,11 @@ export function goalsSection(context: PanelContext): HTMLElement {
   const list = el("ol", { class: "timeline", testid: "goal-history" });
   const empty = el("p", { class: "hint", testid: "goal-history-empty", text: t("goals.empty") });
   const box = section("goal-history", t("goals.history"), true, empty, list);
-  const items = new Map<string, GoalItem>();
+  const showItems = keyedList<GoalEntry>(list, keyOf, (entry) => new GoalItem(context, entry));
   const show = throttle<readonly GoalEntry[]>(UPDATE_PERIOD_MS, (history) => {
     if (!isShown(list)) return;
     empty.hidden = history.length > 0;
-    const keys = new Set(history.map(keyOf));
-    for (const [key, item] of items) {
-      if (keys.has(key)) continue;
-      item.element.remove();
-      items.delete(key);
-    }
-    for (const entry of history) {
-      const item = items.get(keyOf(entry)) ?? new GoalItem(context, entry);
-      if (!items.has(keyOf(entry))) {
-        items.set(keyOf(entry), item);
-        // An item that stays in its place keeps the focus.
-        list.prepend(item.element);
-      }
-      item.show(entry);
-    }
+    showItems(history.toReversed());
   });
   store.subscribe((state) => state.goal_history, show);
   whenShown(list, () => show(store.state.goal_history));
@@ -74,7 +63,7 @@ function keyOf({ goal, began_s }: GoalEntry): string {
 }
 
 /** Goal of the timeline with its record, which is fetched when it is opened. */
-class GoalItem {
+class GoalItem implements ListItem<GoalEntry> {
   readonly element: HTMLElement;
   private readonly details = el("details", { class: "goal" });
   private readonly time = el("time");
@@ -132,8 +121,8 @@ class GoalItem {
     const plan = record?.plan;
     if (plan) {
       const ghost = button(t("goals.ghost"), `goal-ghost-${goal.id}`, () => {
-        store.set({ plan: { trajectory: plan, tool_path: [], scrub_s: 0 } });
-        new PlanReplay(store, () => undefined).toggle();
+        store.set({ plan: { ...noPlan(), trajectory: plan, scrub_s: 0 } });
+        store.patch("plan", { replaying: true });
       });
       tools.push(ghost);
     }

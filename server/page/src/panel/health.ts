@@ -27,7 +27,7 @@ export function healthSection({ store }: PanelContext): HTMLElement {
     });
     rows.replaceChildren(...items);
   });
-  for (const part of ["arm_health", "link"] as const) store.subscribe((state) => state[part], (_, state) => show(state));
+  store.watch(["arm_health", "link"], show);
   whenShown(box, () => show(store.state));
   return box;
 }

@@ -32,6 +32,6 @@ export function motionBar(context: PanelContext): HTMLElement {
     pause.disabled = arm.course === "paused";
     resume.disabled = arm.course === "forward";
   };
-  for (const part of ["arm", "goal", "link"] as const) store.subscribe((state) => state[part], (_, state) => show(state));
+  store.watch(["arm", "goal", "link"], show);
   return box;
 }

@@ -6,12 +6,14 @@ import { selectGoal, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
 import { button, el, section, setText } from "./dom";
+import { isAwaitingConfirmation } from "./status";
 
 /** Return the next step to a motion, which is also why a button is disabled. */
-export function nextStep({ link, goal, plan: { trajectory }, selection }: Pick<State, "link" | "goal" | "plan" | "selection">): string {
+export function nextStep({ link, goal, plan: { executable }, selection }: Pick<State, "link" | "goal" | "plan" | "selection">): string {
   if (!link.connected) return t("bar.offline.disabled");
   if (goal.state === "executing") return t("move.step.moving");
-  if (trajectory !== null) return t("move.step.move");
+  if (isAwaitingConfirmation(goal)) return t("move.step.confirm");
+  if (executable) return t("move.step.move");
   return t(selection.kind === "none" ? "move.step.choose" : "move.step.plan");
 }
 
@@ -25,17 +27,15 @@ export function motionSection(context: PanelContext): HTMLElement {
   const hint = el("p", { class: "hint", id: "next-step", testid: "next-step", role: "status" });
   for (const each of [plan, move, both]) each.setAttribute("aria-describedby", hint.id);
   const show = (state: State): void => {
-    const { link, goal, plan: { trajectory }, selection } = state;
+    const { link, goal, plan: { executable }, selection } = state;
     plan.disabled = both.disabled = !link.connected || selection.kind === "none";
-    move.disabled = !link.connected || trajectory === null || goal.state === "executing";
+    move.disabled = !link.connected || !executable || goal.state === "executing" || isAwaitingConfirmation(goal);
     setText(hint, nextStep(state));
     plan.title = plan.disabled ? nextStep(state) : t("move.plan.title");
     both.title = both.disabled ? nextStep(state) : t("move.both.title");
-    move.title = move.disabled ? t(trajectory === null ? "move.step.plan_first" : "move.step.moving") : t("move.move.title");
+    move.title = move.disabled ? executable ? nextStep(state) : t("move.step.plan_first") : t("move.move.title");
   };
-  for (const part of ["link", "goal", "plan", "selection"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["link", "goal", "plan", "selection"], show);
   const plan_only = permissionFieldset(context, "work", plan);
   const buttons = el("div", { class: "buttons" }, plan_only, permissionFieldset(context, "drive", move, both));
   return section("goals", t("move.title"), true, namedPoses(context), hint, buttons, speedControls(context), relaxButton(context));
@@ -64,9 +64,7 @@ function namedPoses(context: PanelContext): HTMLElement {
       }),
     );
   };
-  for (const part of ["named", "limits", "urdf", "srdf", "group"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["named", "limits", "urdf", "srdf", "group"], show);
   store.subscribe(
     (state) => state.selection,
     ({ name }) => {
@@ -172,17 +170,16 @@ export function planScrubber({ store }: PanelContext): HTMLElement {
   const attributes = { min: "0", max: "0", step: "0.01" };
   const slider = el("input", { type: "range", testid: "scrubber", label: t("scrubber.time"), attributes });
   const text = el("output", { testid: "scrubber-text" });
-  const replay = new PlanReplay(store, (playing) => setText(play, playing ? t("scrubber.halt") : t("scrubber.replay")));
-  const play = button(t("scrubber.replay"), "replay", () => replay.toggle());
-  slider.addEventListener("input", () => {
-    replay.end();
-    store.patch("plan", { scrub_s: Number(slider.value) });
-  });
+  const replay = new PlanReplay(store);
+  const play = button(t("scrubber.replay"), "replay", () => store.patch("plan", { replaying: !store.state.plan.replaying }));
+  slider.addEventListener("input", () => store.patch("plan", { replaying: false, scrub_s: Number(slider.value) }));
   const box = el("div", { class: "scrubber" }, play, slider, text);
   store.subscribe(
     (state) => state.plan,
-    ({ trajectory, scrub_s }) => {
+    ({ trajectory, scrub_s, replaying }) => {
+      replay.update();
       box.hidden = trajectory === null;
+      setText(play, t(replaying ? "scrubber.halt" : "scrubber.replay"));
       if (!trajectory) return;
       const end_s = duration_s(trajectory);
       slider.max = String(end_s);
@@ -193,35 +190,28 @@ export function planScrubber({ store }: PanelContext): HTMLElement {
   return box;
 }
 
-/** Replay of the plan by the ghost, in real time. */
-export class PlanReplay {
+/** Replay of the plan by the ghost, in real time, while the state of the plan says so. */
+class PlanReplay {
   private began_ms: number | null = null;
 
-  constructor(
-    private readonly store: PageStore,
-    private readonly onChange: (playing: boolean) => void,
-  ) {}
+  constructor(private readonly store: PageStore) {}
 
-  toggle(): void {
-    if (this.began_ms !== null) return this.end();
-    this.began_ms = performance.now();
-    this.onChange(true);
-    this.step();
-  }
-
-  end(): void {
-    this.began_ms = null;
-    this.onChange(false);
+  /** Begin or end as the plan says. */
+  update(): void {
+    const { replaying } = this.store.state.plan;
+    if (!replaying) this.began_ms = null;
+    else if (this.began_ms === null) {
+      this.began_ms = performance.now();
+      requestAnimationFrame(() => this.step());
+    }
   }
 
   private step(): void {
     const { trajectory } = this.store.state.plan;
-    if (this.began_ms === null) return;
-    if (!trajectory) return this.end();
+    if (this.began_ms === null || !trajectory) return;
     const now_s = (performance.now() - this.began_ms) / 1000;
     const end_s = duration_s(trajectory);
-    this.store.patch("plan", { scrub_s: Math.min(now_s, end_s) });
-    if (now_s >= end_s) this.end();
-    else requestAnimationFrame(() => this.step());
+    this.store.patch("plan", { scrub_s: Math.min(now_s, end_s), replaying: now_s < end_s });
+    if (now_s < end_s) requestAnimationFrame(() => this.step());
   }
 }

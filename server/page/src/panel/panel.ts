@@ -4,7 +4,7 @@ import { controlBar, tokenForm } from "./access";
 import { commissioningSection, procedureBar } from "./commissioning";
 import { watchPermissions, type PanelContext } from "./context";
 import { Dock, type Panel } from "./dock";
-import { button, el, loadPreference, setText } from "./dom";
+import { el, loadPreference, setText } from "./dom";
 import { driveSection } from "./drive";
 import { gripperSection, groupChoice, jointsSection, targetSection } from "./goal-inputs";
 import { firstMotion } from "./first-motion";
@@ -48,6 +48,7 @@ export function createPanel(context: PanelContext): void {
   const language = chosenLanguage(loadPreference("language", ""), navigator.languages);
   document.documentElement.lang = language;
   useLanguage(language);
+  document.querySelector("#view")?.setAttribute("aria-label", t("picture.label"));
   document.body.append(stopButton(context));
   const bar = document.querySelector("#bar") ?? document.body.appendChild(el("header", { id: "bar" }));
   bar.append(...statusBar(context), motionBar(context), controlBar(context), connectionPill(context));
@@ -61,7 +62,11 @@ export function createPanel(context: PanelContext): void {
 /** Create the button that stops the arm, above everything else; Esc presses it. */
 function stopButton({ store, stopCommand }: PanelContext): HTMLElement {
   const press = (): void => void stopCommand.stop();
-  const stop = button("", "stop", press, t("stop.title"));
+  const stop = el("button", { type: "button", testid: "stop", title: t("stop.title") });
+  // A second finger makes no click, and a click comes when the finger is lifted.
+  stop.addEventListener("pointerdown", press);
+  // That of a key or a screen reader has no pointer.
+  stop.addEventListener("click", ({ detail }) => detail === 0 && press());
   stop.id = "stop";
   stop.setAttribute("aria-keyshortcuts", "Escape");
   const answer = el("span", { class: "stop-answer", role: "status" });

@@ -4,6 +4,7 @@ import { denialReason } from "../logic/permissions";
 import { t, type TextKey } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
 import { button, el, loadPreference, option, setText, storePreference } from "./dom";
+import { watchHold, watchPointer } from "./drive-controls";
 import { canTrackPosition, SourceError, startOrientation, startTracking, type PoseSource } from "./phone-sources";
 
 /** Name of this input among those that drive the arm. */
@@ -47,11 +48,11 @@ class PhoneController {
     const end = button(t("phone.end"), "phone-end", () => this.end());
     track.hidden = true;
     void canTrackPosition().then((can) => (track.hidden = !can));
-    this.setClutch();
+    watchHold(this.clutch, () => this.grip(), () => this.release());
     const controls = permissionFieldset(context, "drive", this.clutch, this.padOf(), scaleLine(this.follower), this.modeLine());
     this.element = el("div", { class: "phone-controller", testid: "phone-controller" });
     this.element.append(el("div", { class: "buttons" }, track, tilt, end), this.status, controls);
-    this.releaseWhenAway();
+    context.jogSender.onReleaseAll(() => this.open());
     this.show();
   }
 
@@ -103,55 +104,16 @@ class PhoneController {
   private padOf(): HTMLElement {
     const { pad } = this;
     pad.setAttribute("aria-label", t("phone.pad"));
-    let landed: { id: number; x: number; y: number } | null = null;
+    let landed = { x: 0, y: 0 };
     const knob = pad.querySelector("i");
     const set = (right: number, up: number): void => {
       const limited = (share: number): number => Math.max(-1, Math.min(1, share));
       this.thumb = { right: limited(right), up: limited(up) };
       if (knob) knob.style.transform = `translate(${this.thumb.right * PAD_PX}px, ${-this.thumb.up * PAD_PX}px)`;
     };
-    pad.addEventListener("pointerdown", ({ pointerId, clientX, clientY }) => {
-      landed ??= { id: pointerId, x: clientX, y: clientY };
-      pad.setPointerCapture(pointerId);
-    });
-    pad.addEventListener("pointermove", ({ pointerId, clientX, clientY }) => {
-      if (landed?.id === pointerId) set((clientX - landed.x) / PAD_PX, (landed.y - clientY) / PAD_PX);
-    });
-    for (const name of ["pointerup", "pointercancel", "lostpointercapture"] as const) {
-      pad.addEventListener(name, ({ pointerId }) => {
-        if (landed?.id !== pointerId) return;
-        landed = null;
-        set(0, 0);
-      });
-    }
+    const move = ({ clientX, clientY }: PointerEvent): void => set((clientX - landed.x) / PAD_PX, (landed.y - clientY) / PAD_PX);
+    watchPointer(pad, ({ clientX: x, clientY: y }) => void (landed = { x, y }), () => set(0, 0), move);
     return pad;
-  }
-
-  private setClutch(): void {
-    const { clutch } = this;
-    let pointer: number | null = null;
-    clutch.addEventListener("pointerdown", (event) => {
-      if (pointer !== null || (event.pointerType === "mouse" && event.button !== 0)) return;
-      pointer = event.pointerId;
-      clutch.setPointerCapture(pointer);
-      this.grip();
-    });
-    for (const name of ["pointerup", "pointercancel", "lostpointercapture"] as const) {
-      clutch.addEventListener(name, ({ pointerId }) => {
-        if (pointerId !== pointer) return;
-        pointer = null;
-        this.release();
-      });
-    }
-    clutch.addEventListener("keydown", (event) => {
-      if (event.key !== " " && event.key !== "Enter") return;
-      event.preventDefault();
-      if (!event.repeat) this.grip();
-    });
-    clutch.addEventListener("keyup", ({ key }) => (key === " " || key === "Enter") && this.release());
-    clutch.addEventListener("blur", () => this.release());
-    // A long press would open the menu in place of moving the arm.
-    clutch.addEventListener("contextmenu", (event) => event.preventDefault());
   }
 
   private grip(): void {
@@ -166,11 +128,16 @@ class PhoneController {
   }
 
   private release(): void {
+    this.open();
+    this.context.jogSender.release(INPUT);
+  }
+
+  /** Open the clutch, which must be let go and held again. */
+  private open(): void {
     if (!this.follower.gripping) return;
     this.follower.release();
     clearInterval(this.timer);
     delete this.clutch.dataset["held"];
-    this.context.jogSender.release(INPUT);
     this.context.jogSender.frame = this.chosen_frame;
     this.show();
   }
@@ -193,18 +160,6 @@ class PhoneController {
   private isAllowed(): boolean {
     const { state } = this.context.store;
     return state.link.connected && denialReason("drive", state) === "";
-  }
-
-  /** Whatever ends the user's attention opens the clutch; it must be let go and held again. */
-  private releaseWhenAway(): void {
-    const release = (): void => this.release();
-    for (const event of ["blur", "pagehide"]) window.addEventListener(event, release);
-    document.addEventListener("visibilitychange", release);
-    // In the capturing phase, so that no other element can consume the key.
-    window.addEventListener("keydown", ({ key }) => key === "Escape" && release(), { capture: true });
-    this.context.jogSender.onReleaseAll(release);
-    this.context.store.subscribe((state) => state.stop.phase, (phase) => phase !== "ready" && release());
-    this.context.store.subscribe((state) => state.link.connected, release);
   }
 }
 

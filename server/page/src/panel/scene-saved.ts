@@ -1,7 +1,7 @@
 import { MAX_SCENE_FILE_BYTES } from "../logic/scene-file";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, section } from "./dom";
+import { button, el, keyedList, section } from "./dom";
 import { fileInput, saveFile } from "./files";
 
 /** Create the section of saved scenes: by name on the server, and as files of the user. */
@@ -10,10 +10,11 @@ export function savedScenesSection(context: PanelContext): HTMLElement {
   const list = el("ul", { class: "things", testid: "saved-scenes" });
   const empty = el("p", { class: "hint" });
   const form = permissionFieldset(context, "configure", saveForm(context));
+  const showItems = keyedList<string>(list, String, (name) => ({ element: savedItem(context, name), show: () => undefined }));
   store.subscribe(
     ({ editing }) => editing.saved,
     (saved) => {
-      list.replaceChildren(...(saved ?? []).map((name) => savedItem(context, name)));
+      showItems(saved ?? []);
       empty.textContent = saved === null ? t("world.saved.none_here") : t("world.saved.empty");
       empty.hidden = saved !== null && saved.length > 0;
       form.hidden = saved === null;

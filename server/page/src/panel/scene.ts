@@ -2,9 +2,10 @@ import { holderOf } from "../logic/scene-attach";
 import { MAX_NAME_LENGTH, MAX_PLACE_M, MAX_SIZE_M, MIN_SIZE_M, nameProblem, sizesOf, withSize } from "../logic/scene-objects";
 import { quaternionOf, rollPitchYawOf, type RollPitchYaw } from "../logic/rotations";
 import type { Color, Point, SceneObject, State } from "../state/state";
+import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, section, setText } from "./dom";
+import { button, el, keyedList, section, setText, type ListItem } from "./dom";
 import { measureField, measureLine, type MeasureField } from "./scene-fields";
 
 const AXES = ["x", "y", "z"] as const;
@@ -31,24 +32,20 @@ export function objectsSection(context: PanelContext): HTMLElement {
   const list = el("ul", { class: "things", testid: "objects" });
   const empty = el("p", { class: "hint", testid: "objects-empty", text: t("world.empty") });
   const editor_host = el("div", { testid: "object-editor" });
-  let shown = "";
+  const showItems = keyedList<SceneObject>(list, ({ id }) => id, ({ id }) => objectItem(store, id));
   let editor: ObjectEditor | null = null;
   const show = (state: State): void => {
     const { objects, selected_object } = state;
     const selected = objects.find(({ id }) => id === selected_object) ?? null;
-    const key = JSON.stringify([objects.map(({ id, attached, frame }) => [id, attached, frame]), selected_object]);
-    if (key !== shown) {
-      shown = key;
-      empty.hidden = objects.length > 0;
-      list.replaceChildren(...objects.map((object) => objectItem(context, object)));
-    }
+    empty.hidden = objects.length > 0;
+    showItems(objects);
     if (selected === null || editor === null || !editor.isFor(selected)) {
       editor = selected && new ObjectEditor(context, selected);
       editor_host.replaceChildren(...(editor ? [editor.element] : []));
     }
     if (selected !== null) editor?.show(selected);
   };
-  for (const part of ["objects", "selected_object"] as const) store.subscribe((state) => state[part], (_, state) => show(state));
+  store.watch(["objects", "selected_object"], show);
   store.subscribe(({ settings }) => settings.units, () => editor?.refresh());
   const shapes = el("input", { type: "checkbox", testid: "collision-shapes" });
   shapes.addEventListener("change", () => store.set({ collision_shapes: shapes.checked }));
@@ -57,12 +54,15 @@ export function objectsSection(context: PanelContext): HTMLElement {
   return section("objects", t("world.objects"), true, gate, contacts);
 }
 
-function objectItem({ store }: PanelContext, { id, attached, frame }: SceneObject): HTMLElement {
+function objectItem(store: PageStore, id: string): ListItem<SceneObject> {
   const select = (): void => store.set({ selected_object: store.state.selected_object === id ? null : id });
   const name = button(id, `object-${id}`, select);
-  name.setAttribute("aria-pressed", String(store.state.selected_object === id));
-  const held = el("small", { class: "hint", text: attached ? t("world.held", { link: frame }) : "" });
-  return el("li", {}, name, held);
+  const held = el("small", { class: "hint" });
+  const show = ({ attached, frame }: SceneObject): void => {
+    name.setAttribute("aria-pressed", String(store.state.selected_object === id));
+    setText(held, attached ? t("world.held", { link: frame }) : "");
+  };
+  return { element: el("li", {}, name, held), show };
 }
 
 /** Fields and buttons of the selected object. */

@@ -18,7 +18,7 @@ import type { JointValues, State } from "../state/state";
 import { selectGoal, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, loadPreference, numberField, option, section, setText, storePreference } from "./dom";
+import { button, el, keyedList, loadPreference, numberField, option, section, setText, storePreference, type ListItem } from "./dom";
 import { fileInput, saveFile } from "./files";
 import { programButtons } from "./sequence-export";
 
@@ -28,32 +28,14 @@ export function sequenceSection(context: PanelContext): HTMLElement {
   const empty = el("p", { class: "hint", text: t("sequence.empty") });
   const list = el("ol", { class: "waypoints", testid: "waypoints", label: t("sequence.waypoints") });
   const editing = el("fieldset", { class: "editing" }, addButtons(store), empty, list);
-  const rows = new Map<number, WaypointRow>();
-  const show = (state: State): void => {
-    const { waypoints, checks, playing } = state.sequence;
-    for (const id of rows.keys()) if (!waypoints.some((waypoint) => waypoint.id === id)) rows.delete(id);
-    const shown = waypoints.map((waypoint) => {
-      const row = rows.get(waypoint.id) ?? waypointRow(store, waypoint.id);
-      rows.set(waypoint.id, row);
-      return row;
-    });
-    arrange(list, shown.map(({ box }) => box));
-    for (const [index, row] of shown.entries()) row.show(waypoints[index] as Waypoint, checks[index], state, index);
+  const showRows = keyedList<Waypoint>(list, ({ id }) => String(id), ({ id }) => waypointRow(store, id));
+  const show = ({ sequence: { waypoints, playing } }: State): void => {
+    showRows(waypoints);
     empty.hidden = waypoints.length > 0;
     editing.disabled = playing !== null;
   };
-  for (const part of ["sequence", "settings", "urdf", "srdf", "limits"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["sequence", "settings", "urdf", "srdf", "limits"], show);
   return section("sequence", t("sequence.title"), true, editing, playControls(context));
-}
-
-/** Put elements into an order; those that stay where they are keep the focus, and so does a moved one. */
-function arrange(list: HTMLElement, wanted: readonly HTMLElement[]): void {
-  if (wanted.length === list.children.length && wanted.every((box, index) => list.children[index] === box)) return;
-  const focused = document.activeElement;
-  list.replaceChildren(...wanted);
-  if (focused instanceof HTMLElement && list.contains(focused)) focused.focus();
 }
 
 function addButtons(store: PageStore): HTMLElement {
@@ -71,9 +53,7 @@ function addButtons(store: PageStore): HTMLElement {
     goal.disabled = full || chosenJoints(state) === null;
     here.title = full ? t("sequence.full", { limit: MAX_WAYPOINTS }) : "";
   };
-  for (const part of ["joints", "sequence", "selection", "target", "urdf", "srdf", "group"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
+  store.watch(["joints", "sequence", "selection", "target", "urdf", "srdf", "group"], show);
   return el("div", { class: "buttons" }, here, goal);
 }
 
@@ -96,15 +76,10 @@ function ofGroup(state: State, values: JointValues): JointValues | null {
   return names.length > 0 && pairs.length === names.length ? Object.fromEntries(pairs) : null;
 }
 
-interface WaypointRow {
-  box: HTMLElement;
-  show: (waypoint: Waypoint, check: LegCheck | undefined, state: State, index: number) => void;
-}
-
 /** Type of what is dragged, so that nothing else can be dropped. */
 const DRAGGED = "application/x-waypoint";
 
-function waypointRow(store: PageStore, id: number): WaypointRow {
+function waypointRow(store: PageStore, id: number): ListItem<Waypoint> {
   const own = `waypoint-${id}`;
   const list = (): readonly Waypoint[] => store.state.sequence.waypoints;
   const index = (): number => list().findIndex((waypoint) => waypoint.id === id);
@@ -133,10 +108,12 @@ function waypointRow(store: PageStore, id: number): WaypointRow {
 
   const fields = el("div", { class: "waypoint-fields" }, measure(t("sequence.way"), way), measure(`${t("sequence.speed")} (%)`, speed.input), gripper_field, measure(`${t("sequence.pause")} (s)`, pause.input));
   const head = el("div", { class: "waypoint-head" }, handle, name, ghost, up, down, remove);
-  const box = el("li", { testid: own }, head, fields, speed.problem, pause.problem, check);
-  takeDrops(box, handle, id, (dragged) => setWaypoints(store, moved(list(), dragged, index())));
+  const element = el("li", { testid: own }, head, fields, speed.problem, pause.problem, check);
+  takeDrops(element, handle, id, (dragged) => setWaypoints(store, moved(list(), dragged, index())));
 
-  const show: WaypointRow["show"] = (waypoint, answer, state, at) => {
+  const show = (waypoint: Waypoint, at: number): void => {
+    const { state } = store;
+    const answer = state.sequence.checks[at];
     if (document.activeElement !== name) name.value = waypoint.name;
     // A taught motion ends where it ends: it is replaced by removing its row.
     way.disabled = waypoint.motion !== null;
@@ -148,9 +125,9 @@ function waypointRow(store: PageStore, id: number): WaypointRow {
     gripper_field.hidden = armGripper(state) === null;
     showGripper(gripper, waypoint.gripper, state);
     const { playing, waypoints } = state.sequence;
-    box.dataset["verdict"] = answer?.verdict ?? "checking";
-    if (playing?.index === at && playing.doing !== "check") box.setAttribute("aria-current", "step");
-    else box.removeAttribute("aria-current");
+    element.dataset["verdict"] = answer?.verdict ?? "checking";
+    if (playing?.index === at && playing.doing !== "check") element.setAttribute("aria-current", "step");
+    else element.removeAttribute("aria-current");
     setText(check, checkText(answer));
     up.disabled = at === 0;
     down.disabled = at === waypoints.length - 1;
@@ -158,7 +135,7 @@ function waypointRow(store: PageStore, id: number): WaypointRow {
       control.setAttribute("aria-label", `${t(word)}: ${waypoint.name}`);
     }
   };
-  return { box, show };
+  return { element, show };
 }
 
 /** Let waypoints be dropped on one, whose place they take. */
@@ -194,8 +171,9 @@ function checkText(check: LegCheck | undefined): string {
 function gripperPosition(state: State, choice: string): number | null {
   const gripper = armGripper(state);
   if (gripper === null || choice === "leave") return null;
-  const present = currentPositions(state)[gripper.joints[0] ?? ""];
-  return { open: gripper.open, closed: gripper.closed, present }[choice] ?? Number(choice);
+  // Before the first joint state the gripper's position is not known.
+  if (choice === "present") return currentPositions(state)[gripper.joints[0] ?? ""] ?? null;
+  return { open: gripper.open, closed: gripper.closed }[choice] ?? Number(choice);
 }
 
 function showGripper(choice: HTMLSelectElement, position: number | null, state: State): void {
@@ -253,10 +231,11 @@ export function savedSequencesSection({ store }: PanelContext): HTMLElement {
   store.patch("sequence", { saved: loadSaved() });
   const list = el("ul", { class: "things", testid: "saved-sequences" });
   const empty = el("p", { class: "hint", text: t("sequence.saved.empty") });
+  const showItems = keyedList<string>(list, String, (name) => ({ element: savedItem(store, name), show: () => undefined }));
   store.subscribe(
     (state) => state.sequence.saved,
     (saved) => {
-      list.replaceChildren(...Object.keys(saved).sort().map((name) => savedItem(store, name)));
+      showItems(Object.keys(saved).sort());
       empty.hidden = Object.keys(saved).length > 0;
     },
   );
@@ -274,10 +253,11 @@ function loadSaved(): Record<string, readonly Waypoint[]> {
   }
 }
 
-function keep(store: PageStore, saved: Record<string, readonly Waypoint[]>): void {
+/** Keep the saved sequences; false where the browser stores nothing, and they last until the page is loaded again. */
+function keep(store: PageStore, saved: Record<string, readonly Waypoint[]>): boolean {
   const texts = Object.entries(saved).map(([name, waypoints]) => [name, sequenceText(waypoints)] as const);
-  storePreference(SAVED, JSON.stringify(Object.fromEntries(texts)));
   store.patch("sequence", { saved });
+  return storePreference(SAVED, JSON.stringify(Object.fromEntries(texts)));
 }
 
 function saveForm(store: PageStore): HTMLElement {
@@ -288,8 +268,8 @@ function saveForm(store: PageStore): HTMLElement {
     if (waypoints.length === 0 || wanted === "") return tell(store, t("sequence.saved.needs"));
     const names = Object.keys(saved);
     if (!names.includes(wanted) && names.length >= MAX_SAVED) return tell(store, t("sequence.saved.full", { limit: MAX_SAVED }));
-    keep(store, { ...saved, [wanted]: waypoints });
-    tell(store, t("sequence.saved.done", { name: wanted }));
+    const is_kept = keep(store, { ...saved, [wanted]: waypoints });
+    tell(store, t(is_kept ? "sequence.saved.done" : "sequence.saved.refused", { name: wanted }));
     name.value = "";
   };
   name.addEventListener("keydown", (event) => event.key === "Enter" && submit());

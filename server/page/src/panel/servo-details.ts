@@ -41,7 +41,7 @@ export function servoDetails(context: PanelContext): HTMLElement {
     showList(errors, errorTexts(report));
     registers.show(report);
   });
-  for (const part of ["servos", "selected_servo"] as const) store.subscribe((state) => state[part], (_, state) => show(state));
+  store.watch(["servos", "selected_servo"], show);
   return box;
 }
 

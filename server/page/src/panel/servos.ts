@@ -1,9 +1,10 @@
 import { amperes, percent } from "../logic/servo-report";
 import type { ServoState, State } from "../state/state";
 import { t } from "../texts/texts";
+import type { PageStore } from "../state/store";
 import type { PanelContext } from "./context";
 import { isShown, whenShown } from "./dock";
-import { button, el, section, setText, throttle } from "./dom";
+import { button, el, keyedList, section, setText, throttle, type ListItem } from "./dom";
 import { servoDetails } from "./servo-details";
 
 /** Levels of diagnostic_msgs/DiagnosticStatus. */
@@ -11,12 +12,6 @@ const DIAGNOSTIC_LEVELS = ["ok", "warn", "error", "stale"];
 
 /** Time between two updates [ms]; diagnostics come once a second. */
 const UPDATE_PERIOD_MS = 500;
-
-interface ServoRow {
-  name: string;
-  row: HTMLElement;
-  show: (servo: ServoState, is_selected: boolean) => void;
-}
 
 /** Create the table of the servos' condition, each of which opens its details. */
 export function servosSection(context: PanelContext): HTMLElement {
@@ -27,37 +22,32 @@ export function servosSection(context: PanelContext): HTMLElement {
   const details = servoDetails(context);
   const empty = el("p", { class: "hint", testid: "servos-empty", text: t("servos.empty") });
   const box = section("servos", t("servos.title"), true, empty, el("div", { class: "wide" }, table), details);
-  let rows: ServoRow[] = [];
-  const select = (name: string): void => store.set({ selected_servo: store.state.selected_servo === name ? "" : name });
-  const show = throttle<State>(UPDATE_PERIOD_MS, ({ servos, selected_servo }) => {
+  const showRows = keyedList<ServoState>(body, ({ name }) => name, ({ name }) => servoRow(store, name));
+  const show = throttle<State>(UPDATE_PERIOD_MS, ({ servos }) => {
     if (!isShown(box)) return;
     empty.hidden = servos.length > 0;
     table.hidden = servos.length === 0;
-    // New rows only for other servos: they would take the focus from a button.
-    if (servos.map(({ name }) => name).join() !== rows.map(({ name }) => name).join()) {
-      rows = servos.map(({ name }) => servoRow(name, () => select(name)));
-      body.replaceChildren(...rows.map(({ row }) => row));
-    }
-    servos.forEach((servo, index) => rows[index]?.show(servo, servo.name === selected_servo));
+    showRows(servos);
   });
-  for (const part of ["servos", "selected_servo"] as const) store.subscribe((state) => state[part], (_, state) => show(state));
+  store.watch(["servos", "selected_servo"], show);
   whenShown(box, () => show(store.state));
   return box;
 }
 
-function servoRow(name: string, select: () => void): ServoRow {
+function servoRow(store: PageStore, name: string): ListItem<ServoState> {
+  const select = (): void => store.set({ selected_servo: store.state.selected_servo === name ? "" : name });
   const open = button(name, `servo-open-${name}`, select, t("servos.open"));
   const cells = Array.from({ length: 5 }, () => el("td"));
-  const row = el("tr", { testid: `servo-${name}` }, el("td", {}, open), ...cells);
-  const show = ({ level, message, values }: ServoState, is_selected: boolean): void => {
+  const element = el("tr", { testid: `servo-${name}` }, el("td", {}, open), ...cells);
+  const show = ({ level, message, values }: ServoState): void => {
     const bits = values["status_bits"] ?? "0";
     const text = level === 0 ? t("servos.ok") : message;
     const condition = bits === "0" ? text : t("servos.bits", { text, bits });
     const { temperature_c, current_a, load, torque } = values;
     const texts = [temperature_c, amperes(current_a), percent(load), torque, condition];
     cells.forEach((cell, index) => setText(cell, texts[index] ?? "–"));
-    row.dataset["level"] = DIAGNOSTIC_LEVELS[level] ?? "stale";
-    open.setAttribute("aria-expanded", String(is_selected));
+    element.dataset["level"] = DIAGNOSTIC_LEVELS[level] ?? "stale";
+    open.setAttribute("aria-expanded", String(store.state.selected_servo === name));
   };
-  return { name, row, show };
+  return { element, show };
 }

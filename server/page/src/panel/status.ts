@@ -1,8 +1,8 @@
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
-import type { ConnectionState, GoalState, State } from "../state/state";
+import type { ConnectionState, GoalState, Notice, State } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, capitalized, el, setText } from "./dom";
+import { button, capitalized, el, keyedList, setText } from "./dom";
 
 /** Label and kind of the state pill. */
 export interface Pill {
@@ -26,10 +26,16 @@ function stateName({ link, arm, goal, pending_request }: StatusInput): [string, 
   if (arm.mode === "fault") return ["fault", "fault"];
   if (arm.mode === "disconnected") return ["no_arm", "fault"];
   if (goal.state === "executing" || arm.mode === "moving") return [courseName(arm.course), "busy"];
+  if (isAwaitingConfirmation(goal)) return ["waiting", "busy"];
   if (goal.state === "planning" || pending_request === "plan") return ["planning", "busy"];
   if (arm.mode === "relaxed") return ["relaxed", "off"];
   if (goal.state === "done" && goal.code === PREEMPTED) return ["stopped", "stopped"];
   return ["idle", "idle"];
+}
+
+/** Return true for a goal of confirm mode, which is planned and waits for a person; a plan of this page has no id. */
+export function isAwaitingConfirmation({ id, state }: GoalState): boolean {
+  return state === "planned" && id !== "";
 }
 
 /** Return true before the server has told the arm's mode, and while it starts and checks the arm, which is no fault. */
@@ -84,11 +90,14 @@ export function statusBar(context: PanelContext): HTMLElement[] {
   const trigger = (service: string) => (): void => void commands.trigger(service);
   const reset = button(t("bar.reset_fault"), "reset-fault", trigger("/arm/reset_fault"), t("bar.reset_fault.title"));
   const hold = button(t("bar.hold"), "hold", trigger("/arm/enable"), t("bar.hold.title"));
-  for (const helping of [reset, hold]) helping.classList.add("primary");
+  const confirm = button(t("bar.confirm"), "confirm", () => commands.confirmGoal(true), t("bar.confirm.title"));
+  const discard = button(t("bar.discard"), "discard", () => commands.confirmGoal(false), t("bar.discard.title"));
+  for (const helping of [reset, hold, confirm]) helping.classList.add("primary");
   const show = (state: State): void => {
     const { arm, link, goal } = state;
     reset.hidden = arm.mode !== "fault" || !link.connected;
     hold.hidden = arm.mode !== "relaxed" || !link.connected;
+    confirm.hidden = discard.hidden = !isAwaitingConfirmation(goal) || !link.connected;
     const { label, kind } = statePill(state);
     setText(state_pill, label);
     state_pill.dataset["kind"] = kind;
@@ -100,10 +109,9 @@ export function statusBar(context: PanelContext): HTMLElement[] {
     suggestion.hidden = goal.suggestion === null;
     setText(suggestion, t("bar.suggestion", { place: suggestionText(goal) }));
   };
-  for (const part of ["link", "arm", "goal", "pending_request"] as const) {
-    store.subscribe((state) => state[part], (_, state) => show(state));
-  }
-  return [state_pill, message, permissionFieldset(context, "drive", suggestion, reset, hold)];
+  store.watch(["link", "arm", "goal", "pending_request"], show);
+  const confirmation = permissionFieldset(context, "work", confirm, discard);
+  return [state_pill, message, permissionFieldset(context, "drive", suggestion, reset, hold), confirmation];
 }
 
 /** Create the pill of the connection with its round-trip time. */
@@ -139,14 +147,11 @@ function suggestionText({ suggestion }: GoalState): string {
 export function noticeList({ store }: PanelContext): HTMLElement {
   const list = el("ul", { class: "notices", testid: "notices", attributes: { "aria-live": "assertive" } });
   const drop = (key: string): void => store.set({ notices: store.state.notices.filter((notice) => notice.key !== key) });
-  store.subscribe(
-    (state) => state.notices,
-    (all) => {
-      const items = all.map(({ key, text }) => {
-        return el("li", {}, el("span", { text }), button("×", `drop-${key}`, () => drop(key), t("bar.dismiss")));
-      });
-      list.replaceChildren(...items);
-    },
-  );
+  const showItems = keyedList<Notice>(list, ({ key }) => key, ({ key }) => {
+    const text = el("span");
+    const element = el("li", {}, text, button("×", `drop-${key}`, () => drop(key), t("bar.dismiss")));
+    return { element, show: (notice) => setText(text, notice.text) };
+  });
+  store.subscribe((state) => state.notices, showItems);
   return list;
 }

@@ -77,6 +77,8 @@ export interface ArmState {
   /** Share of the joints' speed limits that no motion exceeds. */
   speed_limit: number;
   course: string;
+  /** Number of the last stop, anyone's; another number means another stop. */
+  last_stop: string;
 }
 
 /** Goal that the server suggests in place of one that it rejected, ready to be published. */
@@ -135,6 +137,9 @@ export interface PlanState {
   tool_path: Point[];
   /** Time on the plan at which the ghost is shown; null means the end. */
   scrub_s: number | null;
+  /** False for the plan of a goal of the past, which is shown alone. */
+  executable: boolean;
+  replaying: boolean;
 }
 
 /** Target of the tool, which the user drags or types. */
@@ -451,7 +456,7 @@ export function emptyState(url: string): State {
     limits: {},
     arm: noArm(),
     goal: noGoal(),
-    plan: { trajectory: null, tool_path: [], scrub_s: null },
+    plan: noPlan(),
     target: { position_m: null, orientation: null, dragging: false, reachable: null, distance_m: 0, joints_rad: null },
     selection: { kind: "none", joints_rad: null },
     executing_selection: null,
@@ -492,6 +497,11 @@ export function emptyState(url: string): State {
   };
 }
 
+/** Return the plan state without a plan. */
+export function noPlan(): PlanState {
+  return { trajectory: null, tool_path: [], scrub_s: null, executable: false, replaying: false };
+}
+
 /** Return the sequence before the first waypoint. */
 export function noSequence(): SequenceState {
   return { waypoints: [], checks: [], playing: null, result: "", saved: {} };
@@ -523,5 +533,6 @@ function noArm(): ArmState {
     speed_factor: 1,
     speed_limit: 1,
     course: "forward",
+    last_stop: "",
   };
 }

@@ -48,3 +48,12 @@ test("one notice a key, replaced by a newer one and taken away by an empty one",
   setNotice(store, "b", "");
   expect(store.state.notices).toEqual([]);
 });
+
+test("several parts are watched by one listener, which is called once a change", () => {
+  const numbers = new Store({ one: 1, other: 2, third: 3 });
+  const seen: number[] = [];
+  numbers.watch(["one", "other"], ({ one, other }) => void seen.push(one + other));
+  numbers.set({ one: 2, other: 3 });
+  numbers.set({ third: 4 });
+  expect(seen).toEqual([3, 5]);
+});

@@ -1,4 +1,4 @@
-import type { GoalSelection, JointValues, Orientation, Point, State } from "./state";
+import { noPlan, type GoalSelection, type JointValues, type Orientation, type Point, type State } from "./state";
 
 /** Callback with the new value of the selected part, and with the whole state. */
 type Listener<State, Value> = (value: Value, state: State) => void;
@@ -25,7 +25,18 @@ export class Store<State extends object> {
   /** Replace parts of the state. */
   set(patch: Partial<State>): void {
     this.current = { ...this.current, ...patch };
-    for (const subscription of [...this.subscriptions]) subscription.update(this.current);
+    for (const subscription of [...this.subscriptions]) this.update(subscription);
+  }
+
+  /** Update a subscriber; the error of one is reported, and keeps nothing from the others. */
+  private update(subscription: Subscription<State>): void {
+    try {
+      subscription.update(this.current);
+    } catch (error) {
+      queueMicrotask(() => {
+        throw error;
+      });
+    }
   }
 
   /** Replace fields of one part of the state. */
@@ -52,6 +63,16 @@ export class Store<State extends object> {
     listener(known, this.current);
     return () => this.subscriptions.delete(subscription);
   }
+
+  /** Call the listener at once, and once for every replacement of any of these parts. */
+  watch(parts: readonly (keyof State)[], listener: (state: State) => void): void {
+    let known: unknown[] = [];
+    const values = (state: State): unknown[] => {
+      if (parts.some((part, index) => !Object.is(state[part], known[index]))) known = parts.map((part) => state[part]);
+      return known;
+    };
+    this.subscribe(values, (_, state) => listener(state));
+  }
 }
 
 /** Store of everything that the page shows. */
@@ -72,8 +93,6 @@ export function clearNotices(store: PageStore, prefix: string): void {
   if (others.length < notices.length) store.set({ notices: others });
 }
 
-const NO_PLAN: State["plan"] = { trajectory: null, tool_path: [], scrub_s: null };
-
 /** Select a goal, and remove the plan, which was made for another one. */
 export function selectGoal(
   store: PageStore,
@@ -81,7 +100,7 @@ export function selectGoal(
   joints_rad: JointValues | null,
   name = "",
 ): void {
-  store.set({ selection: { kind, joints_rad, name }, plan: NO_PLAN });
+  store.set({ selection: { kind, joints_rad, name }, plan: noPlan() });
 }
 
 /**
@@ -94,12 +113,12 @@ export function selectTarget(store: PageStore, position_m: Point, orientation: O
   store.set({
     selection: { kind: "target", joints_rad: null },
     target: { ...target, position_m: [...position_m], orientation },
-    plan: NO_PLAN,
+    plan: noPlan(),
   });
 }
 
 /** Select the joint group that goals are for, and remove the goal of the group before. */
 export function selectGroup(store: PageStore, group: string): void {
   if (group === store.state.group) return;
-  store.set({ group, selection: { kind: "none", joints_rad: null }, plan: NO_PLAN });
+  store.set({ group, selection: { kind: "none", joints_rad: null }, plan: noPlan() });
 }

@@ -9,7 +9,7 @@ import {
   type Object3D,
 } from "three";
 import { TransformControls } from "three/examples/jsm/controls/TransformControls.js";
-import { takesOrientation } from "../logic/joints";
+import { hasTip, takesOrientation } from "../logic/joints";
 import { denialReason } from "../logic/permissions";
 import { gripperClearance_m, HANDLE_END, HANDLE_START, handleLength_m } from "../logic/target-marker";
 import type { Orientation, Point, State } from "../state/state";
@@ -151,6 +151,7 @@ export class TargetMarker implements SceneComponent {
   }
 
   private place(state: State): Point | null {
+    if (!hasTip(state)) return null;
     if (state.selection.kind === "target" && state.target.position_m !== null) return state.target.position_m;
     return this.ghost.tool_m ?? state.tool_m;
   }

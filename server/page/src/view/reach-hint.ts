@@ -1,5 +1,5 @@
 import { BufferAttribute, BufferGeometry, Group, LineLoop, Mesh, Vector3 } from "three";
-import { armJoints, jointLimits } from "../logic/joints";
+import { armJoints, hasTip, jointLimits } from "../logic/joints";
 import { reachOutline, type ReachOutline } from "../logic/reach";
 import type { Point, State } from "../state/state";
 import type { Theme } from "./appearance";
@@ -46,7 +46,7 @@ export class ReachHint implements SceneComponent {
     const inputs = [arm, tip, state.limits, state.group, state.srdf];
     if (inputs.every((input, index) => input === this.shown[index])) return;
     this.shown = inputs;
-    this.outline = arm === null ? null : outlineOf(arm, tip, state);
+    this.outline = arm === null || !hasTip(state) ? null : outlineOf(arm, tip, state);
     this.draw();
   }
 

@@ -200,7 +200,7 @@ def test_a_second_signal_has_the_arm_relaxed_instead(parking: Parked) -> None:
     parking.server.process.send_signal(signal.SIGINT)
     assert parking.server.process.wait(SOON_S) == 0
     parking.until_gone(pid)
-    assert "told not to wait" in parking.text
+    assert "must not wait" in parking.text
     assert parking.relaxed
 
 

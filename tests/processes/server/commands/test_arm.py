@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 
-from robot.commissioning.doctor import EXPERIMENTS
+from robot.commissioning.experiments import EXPERIMENTS
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import Register
 from server import cli

@@ -7,13 +7,12 @@ import pytest
 from robot.emulator.dynamixel.servo import ACCESS_ERROR, DATA_LIMIT_ERROR, REBOOT_S
 from robot.emulator.dynamixel.servo_bus import status_packet
 from robot.errors import NoReply, StartupError
-from robot.hardware.dynamixel.bus import STEP_ATTEMPTS, Bus, Identity, ping, read, write_verified
+from robot.hardware.dynamixel.bus import Bus, reboot
 from robot.hardware.dynamixel.registers import Register, encode
 from robot.hardware.interface import run_to_end
+from robot.hardware.servos.bus import write_verified
 from tests.helpers.dynamixel import SteppedDynamixels
 from tests.helpers.emulator import SteppedClock
-
-IDS = (1, 2, 3, 4, 5, 6)
 
 
 @pytest.fixture
@@ -24,11 +23,6 @@ def servos() -> SteppedDynamixels:
 @pytest.fixture
 def bus(servos: SteppedDynamixels) -> Bus:
     return servos.open_bus()
-
-
-def test_a_ping_tells_model_and_firmware(bus: Bus) -> None:
-    assert bus.ping(1) == Identity(1060, 52)
-    assert bus.ping(6).model_number == 1200
 
 
 def test_the_number_of_a_servos_error_is_told(bus: Bus) -> None:
@@ -44,9 +38,9 @@ def test_a_hardware_error_is_no_error_of_the_instruction(bus: Bus, servos: Stepp
 
 def test_a_rebooted_servo_is_silent_for_a_while_and_forgets(bus: Bus, servos: SteppedDynamixels) -> None:
     bus.write(3, Register.BUS_WATCHDOG, 25)
-    bus.reboot(3)
+    reboot(bus, 3)
     with pytest.raises(NoReply):
-        bus.ping(3)
+        bus.ping(3, attempts=1)
     servos.run(REBOOT_S + 0.01)
     assert bus.read(3, Register.BUS_WATCHDOG) == 0
 
@@ -93,14 +87,8 @@ def test_a_reply_that_comes_too_late_is_not_taken_for_the_next() -> None:
     replies = [(0.008, status_packet(3, 0, bytes([1]))), (0.001, status_packet(3, 0, bytes([0])))]
     bus = Bus(LatePort(clock, replies), clock)
     with pytest.raises(NoReply):
-        bus.read(3, Register.LED)
+        bus.read(3, Register.LED, attempts=1)
     assert bus.read(3, Register.TORQUE_ENABLE) == 0
-
-
-def test_noise_is_counted(bus: Bus, servos: SteppedDynamixels) -> None:
-    servos.servo_bus.faults.noise = 1.0
-    bus.read(3, Register.TORQUE_ENABLE)
-    assert bus.counters.discarded_bytes > 0
 
 
 def test_a_stuffed_byte_is_no_noise(bus: Bus, servos: SteppedDynamixels) -> None:
@@ -108,31 +96,6 @@ def test_a_stuffed_byte_is_no_noise(bus: Bus, servos: SteppedDynamixels) -> None
     servos.servo(3).write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, -131073))
     assert bus.read(3, Register.GOAL_POSITION) == -131073
     assert bus.counters.discarded_bytes == 0
-
-
-def test_a_sequence_asks_again_when_a_reply_is_lost(bus: Bus, servos: SteppedDynamixels) -> None:
-    servos.servo_bus.faults.drop = 0.4
-    values = [run_to_end(read(bus, servo, Register.GOAL_PWM)) for servo in IDS]
-    assert values == [885] * 6
-    assert bus.counters.retries == bus.counters.timeouts > 0
-
-
-def test_a_sequence_gives_up_after_some_attempts(bus: Bus, servos: SteppedDynamixels) -> None:
-    servos.servo_bus.faults.offline = {3}
-    with pytest.raises(NoReply, match=f"{STEP_ATTEMPTS} instructions"):
-        run_to_end(ping(bus, 3))
-    assert bus.counters.sent == STEP_ATTEMPTS
-
-
-def test_each_step_of_a_sequence_is_one_transaction(bus: Bus) -> None:
-    assert [bus.counters.sent for _ in write_verified(bus, 3, Register.GOAL_PWM, 300)] == [0, 1]
-
-
-def test_a_write_is_verified_though_its_acknowledgement_is_lost(bus: Bus, servos: SteppedDynamixels) -> None:
-    servos.servo_bus.faults.drop = 0.4
-    for servo in IDS:
-        run_to_end(write_verified(bus, servo, Register.GOAL_PWM, 300 + servo))
-    assert servos.registers(Register.GOAL_PWM) == [301, 302, 303, 304, 305, 306]
 
 
 def test_a_value_that_is_not_taken_is_told_with_the_servos_error(bus: Bus) -> None:

@@ -7,17 +7,11 @@ import pytest
 from scservo_sdk import BROADCAST_ID, INST_WRITE
 
 from robot.emulator.servo_bus import status_packet
-from robot.errors import NoReply, StartupError
+from robot.errors import NoReply
 from robot.hardware.feetech.bus import (
-    ATTEMPTS,
     READ_LENGTHS,
-    STEP_ATTEMPTS,
     SYNC_READ_MIN_LENGTH,
     SYNC_READ_PADDINGS,
-    Bus,
-    read,
-    read_block,
-    write_verified,
 )
 from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
@@ -32,17 +26,12 @@ from robot.hardware.feetech.registers import (
     parse_telemetry,
 )
 from robot.hardware.port import QUIET_S
-from tests.helpers.arm_rig import run
+from robot.hardware.servos.bus import ATTEMPTS
 from tests.helpers.bad_lines import IDS, good_readings_on_a_bad_line, halting_for, honest, read_telemetry, value_of
-from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import nominal_calibration
 from tests.helpers.scripted_servos import ScriptedPort
 
 # On the emulated arm.
-
-
-def test_every_servo_reports_its_model(bus):
-    assert [bus.ping(servo_id) for servo_id in IDS] == [777] * 6
 
 
 def test_the_same_data_can_be_written_to_another_address(bus):
@@ -234,28 +223,3 @@ def test_every_write_is_on_the_servos_record(start_emulator, write_log):
     assert (first["instruction"], first["address"], first["data"]) == ("write", 48, {"2": [0x2C, 1]})
     assert (second["instruction"], second["address"]) == ("sync_write", 41)
     assert decode(Register.GOAL_POSITION, bytes(second["data"]["2"][1:3])) == 2100
-
-
-def test_a_step_is_one_transaction(bus: Bus) -> None:
-    for _ in write_verified(bus, 1, Register.TORQUE_LIMIT, 400):
-        sent = bus.counters.sent
-    assert bus.counters.sent <= sent + 1
-    assert bus.read(1, Register.TORQUE_LIMIT) == 400
-
-
-def test_a_silent_servo_is_asked_a_bounded_number_of_times(emulator: SteppedEmulator, bus: Bus) -> None:
-    emulator.command(offline=[1])
-    with pytest.raises(NoReply):
-        run(read(bus, 1, Register.TORQUE_ENABLE))
-    assert bus.counters.sent == STEP_ATTEMPTS
-    with pytest.raises(NoReply):
-        run(read_block(bus, 1, 40, 16))
-
-
-def test_a_register_that_keeps_another_value_is_reported(bus: Bus) -> None:
-    with pytest.raises(StartupError, match="does not take 5 in register PRESENT_TEMPERATURE"):
-        run(write_verified(bus, 1, Register.PRESENT_TEMPERATURE, 5))
-
-
-def test_a_block_is_read_in_one_piece(bus: Bus) -> None:
-    assert len(run(read_block(bus, 1, Register.TORQUE_ENABLE, 16)).data) == 16

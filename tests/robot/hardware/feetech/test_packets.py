@@ -14,7 +14,7 @@ from robot.hardware.feetech.packets import (
     status_bytes,
     sync_write_parameters,
 )
-from robot.hardware.half_duplex import wire_time_s
+from robot.hardware.port import wire_time_s
 
 IDS = (1, 2, 3)
 LENGTH = 15

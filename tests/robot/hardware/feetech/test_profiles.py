@@ -6,11 +6,11 @@ from robot.description.servo_table import ProfileSpec
 from robot.errors import DescriptionError
 from robot.hardware.feetech.profiles import FACTORY, LEROBOT, ServoProfile, meaning, nearest_profile, profile_of
 from robot.hardware.feetech.registers import Register
-from robot.hardware.feetech.settings import SETTINGS_BYTES, ServoSettings, parse_settings
+from robot.hardware.feetech.settings import SETTINGS, ServoSettings
 
 
 def held(values: dict[Register, int]) -> ServoSettings:
-    return ServoSettings({**parse_settings(bytes(SETTINGS_BYTES)).values, **values})
+    return ServoSettings({**dict.fromkeys(SETTINGS, 0), **values})
 
 
 @pytest.mark.parametrize("profile", [FACTORY, LEROBOT])

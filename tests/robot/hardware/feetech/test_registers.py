@@ -1,54 +1,25 @@
 from __future__ import annotations
 
-from itertools import pairwise
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
-    CONTROL_ADDRESS,
-    CONTROL_BYTES,
+    CONTROL,
     GOAL_ADDRESS,
     LAYOUT,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
-    Control,
     Register,
     decode,
     encode,
     goal_block,
-    parse_control,
     parse_telemetry,
 )
 from robot.hardware.interface import status_names
-
-REGISTERS = st.sampled_from(list(Register))
-
-
-@given(REGISTERS, st.data())
-def test_what_is_encoded_decodes_to_the_same_value(register, data):
-    layout = LAYOUT[register]
-    highest = 2 ** (layout.sign_bit or 8 * layout.size) - 1
-    value = data.draw(st.integers(-highest if layout.sign_bit else 0, highest))
-    encoded = encode(register, value)
-    assert len(encoded) == layout.size
-    assert decode(register, encoded) == value
-
-
-@given(REGISTERS, st.data())
-def test_a_value_that_does_not_fit_is_refused_by_name(register, data):
-    layout = LAYOUT[register]
-    highest = 2 ** (layout.sign_bit or 8 * layout.size) - 1
-    value = data.draw(st.one_of(st.integers(min_value=highest + 1), st.integers(max_value=-highest - 1)))
-    with pytest.raises(ValueError, match=f"{register.name} .* not {value}"):
-        encode(register, value)
-
-
-def test_data_of_the_wrong_length_is_refused():
-    with pytest.raises(ValueError, match="GOAL_POSITION has 2 bytes, not 1"):
-        decode(Register.GOAL_POSITION, b"\x01")
+from robot.hardware.servos.bus import read_registers
+from tests.helpers.arm_rig import run
 
 
 @pytest.mark.parametrize(
@@ -64,12 +35,6 @@ def test_the_sign_stands_in_each_registers_own_bit(register, data, value):
     assert decode(register, data) == value
 
 
-def test_no_two_registers_overlap():
-    ordered = sorted(Register)
-    assert set(ordered) == set(LAYOUT)
-    assert all(first + LAYOUT[first].size <= second for first, second in pairwise(ordered))
-
-
 def test_telemetry_has_the_units_of_the_memory_table():
     data = bytearray(TELEMETRY_BYTES)
     values = {
@@ -79,20 +44,16 @@ def test_telemetry_has_the_units_of_the_memory_table():
         Register.PRESENT_VOLTAGE: 74,
         Register.PRESENT_TEMPERATURE: 41,
         Register.STATUS: 32,
-        Register.MOVING: 1,
-        Register.GOAL_POSITION_ECHO: 2100,
         Register.PRESENT_CURRENT: -100,
     }
     for register, value in values.items():
         at = register - TELEMETRY_ADDRESS
         data[at : at + LAYOUT[register].size] = encode(register, value)
     telemetry = parse_telemetry(bytes(data))
-    assert (telemetry.position_ticks, telemetry.velocity_ticks_s, telemetry.load_permille) == (2050, -300, -120)
+    assert (telemetry.position_ticks, telemetry.velocity_ticks_s, telemetry.load) == (2050, -300, -0.12)
     assert telemetry.voltage_v == pytest.approx(7.4)
     assert telemetry.temperature_c == 41
     assert status_names(telemetry.status) == ["overload"]
-    assert telemetry.moving
-    assert telemetry.goal_ticks_echo == 2100
     assert telemetry.current_a == pytest.approx(-0.65)
 
 
@@ -107,9 +68,8 @@ def test_telemetry_is_read_as_its_registers_are(block):
     values = {
         Register.PRESENT_POSITION: parsed.position_ticks,
         Register.PRESENT_VELOCITY: parsed.velocity_ticks_s,
-        Register.PRESENT_LOAD: parsed.load_permille,
+        Register.PRESENT_LOAD: round(1000.0 * parsed.load),
         Register.STATUS: parsed.status,
-        Register.GOAL_POSITION_ECHO: parsed.goal_ticks_echo,
         Register.PRESENT_TEMPERATURE: parsed.temperature_c,
     }
     for register, value in values.items():
@@ -123,13 +83,9 @@ def test_the_control_block_has_the_commands_written_before(bus):
     bus.sync_write(GOAL_ADDRESS, {2: goal_block(1999, 100, 33)})
     bus.write(2, Register.TORQUE_LIMIT, 432)
     bus.write(2, Register.TORQUE_ENABLE, 1)
-    frame = bus.sync_read((2,), CONTROL_ADDRESS, CONTROL_BYTES)[2]
-    assert parse_control(frame.data) == Control(True, 33, 1999, 432)
-
-
-def test_a_control_block_of_another_length_is_refused():
-    with pytest.raises(ValueError, match="16 bytes, not 3"):
-        parse_control(b"abc")
+    held = run(read_registers(bus, 2, CONTROL))
+    assert held[Register.TORQUE_ENABLE] == held[Register.LOCK] == 1
+    assert (held[Register.ACCELERATION], held[Register.GOAL_POSITION], held[Register.TORQUE_LIMIT]) == (33, 1999, 432)
 
 
 @given(st.integers(-32767, 32767), st.integers(0, 32767), st.integers(0, 255))

@@ -275,6 +275,24 @@ def test_after_a_stop_or_an_interruption_a_held_stick_steers_again_when_the_stat
         assert gate_rig.said(at_s) == ""
 
 
+@pytest.mark.parametrize("end", ["a stop", "another end of the steering"])
+def test_a_client_that_announces_its_presses_steers_again_only_after_another_press(gate_rig: GateRig, end: str) -> None:
+    gate = gate_rig.gate
+    gate.press(ONE, {ONE})
+    assert gate_rig.said(0.0) == ""
+    # A gap alone, as of a page that stood still, ends nothing.
+    assert gate_rig.said(1.0) == ""
+    if end == "a stop":
+        gate_rig.arm.stop()
+    else:
+        gate.interrupt("a goal came")
+    assert f"then publish {TIMEOUT_TOPIC} again" in gate_rig.said(2.0)
+    assert gate_rig.said(3.0) != ""
+    gate.press(ONE, {ONE})
+    assert gate_rig.said(3.1) != ""
+    assert gate_rig.said(4.0) == ""
+
+
 def test_the_first_client_keeps_control_while_it_sends_commands() -> None:
     ownership = Ownership(lambda _client: True)
     assert ownership.take(ONE, 0.0)

@@ -1,0 +1,239 @@
+"""Timing of a given curve of the joints: the fastest progress along it from rest to rest, and its samples.
+
+TOPP-RA gives the least time within velocity and acceleration limits: Pham & Pham, "A New Approach to Time-Optimal Path
+Parameterization Based on Reachability Analysis", 2018.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planners.motions.lean_toppra import (
+    TOPPRA,
+    DiscretizationType,
+    JointAccelerationConstraint,
+    JointVelocityConstraintVarying,
+)
+from planners.motions.spline import NaturalSpline
+from planners.problem import RateLimits
+from robot.trajectory import Trajectory, Vector
+
+# The arm's longest trajectory: 180 000 samples at 100 Hz. A scaling of 1e-6 would make 25 million samples.
+MAX_DURATION_S = 1800.0
+
+# The servo loop runs at 100 Hz.
+SAMPLE_PERIOD_S = 0.01
+
+# Samples closer together than this lose digits in the interpolation between them.
+SHORTEST_INTERVAL_S = 0.001
+
+# Where the joints stand nothing else bounds the progress, which is about 1 where they move, in scaled units. Much more
+# makes numbers that toppra's solver takes for 0.
+FASTEST_RATE = 30.0
+
+# Where the arm can only stand, toppra's tolerance of 1e-8 in squared rates makes it crawl at up to 7e-4 of these units.
+STANDING_RATE = 1e-3
+
+# On a curve of few points the progress still has to rise and fall within this many steps.
+LEAST_GRID_STEPS = 20
+
+# The limits between grid points are kept to a few per mille with this many between two points of the curve.
+GRID_STEPS_PER_SPAN = 2
+
+
+class SplinePath:
+    """The natural cubic spline through points.
+
+    Args:
+        knots: shape (m,), m >= 2, strictly increasing parameters.
+        points: shape (m, n), finite, where the curve is there [rad].
+    """
+
+    def __init__(self, knots: Vector, points: Vector) -> None:
+        self.knots = knots
+        self.points = points
+        self._curve = NaturalSpline(knots, points)
+
+    @property
+    def grid(self) -> Vector:
+        """Parameters for timing: the second derivative is linear between them."""
+        spans = len(self.knots) - 1
+        steps = max(GRID_STEPS_PER_SPAN, -(-LEAST_GRID_STEPS // spans))
+        at = np.arange(spans * steps + 1) / steps
+        return np.interp(at, np.arange(spans + 1), self.knots)
+
+    def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
+        """Position, first or second derivative at parameters, shape (k, n)."""
+        return self._curve(path_positions, order)
+
+
+def standing(joint_names: tuple[str, ...], point: Vector) -> Trajectory:
+    """Return the motion of no duration that stays in a point, shape (n,) [rad]."""
+    rest = np.zeros((1, len(point)))
+    return Trajectory(joint_names, np.zeros(1), point[np.newaxis], rest, rest)
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Progress along a path: between knots the progress accelerates uniformly.
+
+    Attributes:
+        s: shape (k,), lengths [rad].
+        rate: shape (k,), progress there [rad/s]; 0 at both ends.
+    """
+
+    s: Vector
+    rate: Vector
+
+    @property
+    def times_s(self) -> Vector:
+        """Time of each knot, shape (k,) [s]."""
+        return np.concatenate(([0.0], np.cumsum(2.0 * np.diff(self.s) / (self.rate[:-1] + self.rate[1:]))))
+
+
+def sampled(path: SplinePath, profile: Profile, joint_names: tuple[str, ...]) -> Trajectory:
+    """Return the motion along a path, sampled at the profile's knots and at 100 Hz; its ends are exact."""
+    knots_s = profile.times_s
+    times_s = _sample_times(knots_s)
+    i = np.clip(np.searchsorted(knots_s, times_s, side="right") - 1, 0, len(knots_s) - 2)
+    since_s = times_s - knots_s[i]
+    acceleration = np.diff(profile.rate)[i] / np.diff(knots_s)[i]
+    rate = profile.rate[i] + acceleration * since_s
+    s = profile.s[i] + (profile.rate[i] + 0.5 * acceleration * since_s) * since_s
+    tangent, curvature = path(s, 1), path(s, 2)
+    positions = path(s)
+    velocities = tangent * rate[:, np.newaxis]
+    accelerations = curvature * rate[:, np.newaxis] ** 2 + tangent * acceleration[:, np.newaxis]
+    positions[[0, -1]] = path.points[[0, -1]]
+    velocities[[0, -1]] = 0.0
+    # Arrived, the arm stays: the last braking belongs to the samples before.
+    accelerations[-1] = 0.0
+    return Trajectory(joint_names, times_s, positions, velocities, accelerations)
+
+
+def _sample_times(knots_s: Vector) -> Vector:
+    """Return knots and a 100 Hz grid, without grid points beside knots and without knots beside each other."""
+    kept = [0.0]
+    for knot_s in knots_s[1:-1]:
+        if knot_s - kept[-1] > SHORTEST_INTERVAL_S and knots_s[-1] - knot_s > SHORTEST_INTERVAL_S:
+            kept.append(float(knot_s))
+    kept.append(float(knots_s[-1]))
+    knots = np.array(kept)
+    grid = np.arange(SAMPLE_PERIOD_S, knots[-1], SAMPLE_PERIOD_S)
+    after = np.searchsorted(knots, grid)
+    apart = np.minimum(grid - knots[after - 1], knots[after] - grid) > SHORTEST_INTERVAL_S
+    return np.sort(np.concatenate((knots, grid[apart])))
+
+
+def within_limits(trajectory: Trajectory, limits: RateLimits) -> Trajectory:
+    """Return the motion, slowed down until its cubic interpolation keeps the limits everywhere."""
+    span_s = np.diff(trajectory.time_s)[:, np.newaxis]
+    slope = np.diff(trajectory.positions_rad, axis=0) / span_s
+    v0, v1 = trajectory.velocities_rad_s[:-1], trajectory.velocities_rad_s[1:]
+    a0, a1 = (6.0 * slope - 4.0 * v0 - 2.0 * v1) / span_s, (2.0 * v0 + 4.0 * v1 - 6.0 * slope) / span_s
+    # Acceleration is a line over each interval and greatest at an end; velocity is a parabola, greatest there or
+    # where the line crosses zero.
+    crossing = np.clip(np.divide(a0, a0 - a1, out=np.zeros_like(a0), where=a0 != a1), 0.0, 1.0)
+    turning = v0 + span_s * crossing * (a0 + 0.5 * crossing * (a1 - a0))
+    velocity_excess = max(np.max(np.abs(v) / limits.velocity_rad_s) for v in (v0, v1, turning))
+    acceleration_excess = max(np.max(np.abs(a) / limits.acceleration_rad_s2) for a in (a0, a1))
+    stretch = max(1.0, float(velocity_excess), float(np.sqrt(acceleration_excess)))
+    return Trajectory(
+        trajectory.joint_names,
+        trajectory.time_s * stretch,
+        trajectory.positions_rad,
+        trajectory.velocities_rad_s / stretch,
+        trajectory.accelerations_rad_s2 / stretch**2,
+    )
+
+
+def toppra_profile(path: SplinePath, limits: RateLimits, top_rate: Vector | None = None) -> Profile | None:
+    """Return the fastest progress along a path from rest to rest.
+
+    Args:
+        path: its acceleration limits are kept at the points of its ``grid`` and nearly so between them.
+        limits: of the joints.
+        top_rate: further limits of the progress rate, each above 0, shape (len(path.grid),).
+
+    Returns:
+        None when the path demands an infinite acceleration, stands still, or has numbers that are not finite.
+    """
+    length = float(path.knots[-1] - path.knots[0])
+    reach_s2 = np.abs(path(path.grid, 1)) * length / limits.acceleration_rad_s2
+    unit_s = float(np.sqrt(np.max(reach_s2)))
+    if not 0.0 < unit_s < np.inf:
+        return None
+    scaled = _ScaledPath(path, length, limits.acceleration_rad_s2 * unit_s**2)
+    scaled_velocity = limits.velocity_rad_s * unit_s / scaled.joint_units_rad
+    scaled_top = np.full(len(scaled.grid), FASTEST_RATE)
+    if top_rate is not None:
+        scaled_top = np.minimum(scaled_top, top_rate * unit_s / length)
+    rate = _fastest(scaled, scaled_velocity, scaled_top)
+    # The motion may stop in a point, but has to get away from it.
+    if not np.all(rate[:-1] + rate[1:] > 2.0 * STANDING_RATE * min(1.0, scaled_top.min())):
+        return None
+    return Profile(path.grid, rate * length / unit_s)
+
+
+@dataclass(frozen=True)
+class _ScaledPath:
+    """A path for toppra, with numbers of about 1, which its tolerances are made for.
+
+    Its parameter goes from 0 to 1, and its acceleration limits are 1 in units of ``joint_units_rad``. Its last column
+    is progress itself, so that limits of the progress rate are those of a joint.
+    """
+
+    path: SplinePath
+    length: float
+    joint_units_rad: Vector
+
+    @property
+    def grid(self) -> Vector:
+        """Parameters for timing."""
+        return np.asarray((self.path.grid - self.path.knots[0]) / self.length)
+
+    @property
+    def dof(self) -> int:
+        """Number of columns."""
+        return len(self.joint_units_rad) + 1
+
+    @property
+    def path_interval(self) -> Vector:
+        """First and last parameter."""
+        return np.array([0.0, 1.0])
+
+    def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
+        """As :class:`SplinePath`."""
+        joints = self.path(self.path.knots[0] + self.length * path_positions, order)
+        progress = (path_positions, np.ones_like(path_positions), np.zeros_like(path_positions))[order]
+        return np.column_stack((joints * (self.length**order / self.joint_units_rad), progress / FASTEST_RATE**2))
+
+
+def _fastest(path: _ScaledPath, velocity: Vector, top_rate: Vector) -> Vector:
+    """Return the greatest rate at each grid point, not a number where toppra finds none."""
+    grid = path.grid
+    allowed = np.column_stack((np.tile(velocity, (len(grid), 1)), top_rate / FASTEST_RATE**2))
+    both_ways = np.stack((-allowed, allowed), axis=2)
+    constraints = [
+        JointVelocityConstraintVarying(lambda position: both_ways[np.searchsorted(grid, position)]),
+        # The scheme that looks at single points exceeds the limits up to 2.4 times between them.
+        JointAccelerationConstraint(np.ones(path.dof), DiscretizationType.Interpolation),
+    ]
+    solver = TOPPRA(constraints, path, gridpoints=grid, solver_wrapper="seidel")
+    _, rate, _ = solver.compute_parameterization(0.0, 0.0)
+    return np.full_like(grid, np.nan) if rate is None else rate
+
+
+def time_along(
+    path: SplinePath, joint_names: tuple[str, ...], limits: RateLimits, top_rate: Vector | None = None
+) -> Trajectory | None:
+    """Return the fastest motion along a path from rest to rest, whose interpolation keeps the limits as well.
+
+    Its samples are at most 10 ms apart. None where :func:`toppra_profile` has none, or one that takes too long.
+    """
+    profile = toppra_profile(path, limits, top_rate)
+    if profile is None or profile.times_s[-1] > MAX_DURATION_S:
+        return None
+    return within_limits(sampled(path, profile, joint_names), limits)

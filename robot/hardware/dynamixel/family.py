@@ -1,0 +1,241 @@
+"""Dynamixel's X series: XL430-W250 and XL330-M288.
+
+A servo in current-based position mode, the gripper where it has current control, is limited by GOAL_CURRENT, any other
+by GOAL_PWM. Every servo that is driven has its bus watchdog armed: it stops by itself when this computer fails.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from robot.advice import ServoAlert, ServoWarning
+from robot.calibration import JointCalibration
+from robot.errors import NoReply, StartupError
+from robot.hardware.dynamixel.bus import Bus, reboot
+from robot.hardware.dynamixel.packets import ALERT
+from robot.hardware.dynamixel.registers import (
+    AMPERE_PER_UNIT,
+    FULL_PWM,
+    HARDWARE_ERRORS,
+    MAX_HOMING_OFFSET_IN_POSITION_MODE,
+    MODELS,
+    MOTION,
+    PLAIN_DRIVE_MODE,
+    TABLE,
+    TELEMETRY,
+    TICKS_S2_PER_ACCELERATION_UNIT,
+    TICKS_S_PER_VELOCITY_UNIT,
+    VOLT_PER_UNIT,
+    WATCHDOG_TRIPPED,
+    WATCHDOG_UNIT_S,
+    Model,
+    OperatingMode,
+    Register,
+    status_of,
+)
+from robot.hardware.interface import StatusFlag, Steps
+from robot.hardware.servos.bus import ServoBus, StatusFrame, read, write_verified
+from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, Watchdog, label
+from robot.hardware.servos.registers import Block
+from robot.hardware.servos.survey import limits_warnings
+from robot.hardware.servos.telemetry import Telemetry
+
+# Register PROFILE_ACCELERATION, 39 rad/s^2: smoothness comes from the trajectory, and any less adds lag.
+PROFILE_ACCELERATION = round(25400 / TICKS_S2_PER_ACCELERATION_UNIT)
+
+# 0.5 s without an instruction stop a driven servo where it is. Shorter pauses are those of a busy computer, and goals
+# are streamed, so that a servo is never far from its last one.
+SILENCE_S = 0.5
+WATCHDOG = round(SILENCE_S / WATCHDOG_UNIT_S)
+
+# Time after which a rebooted servo answers again at the earliest, and intervals and number of further tries. The
+# e-manual states none; start-up takes a few tenths of a second.
+REBOOT_S = 0.3
+REBOOT_RETRY_S = 0.1
+REBOOT_TRIES = 20
+
+_MOTION = struct.Struct("<hhii")
+_SUPPLY = struct.Struct("<HB")
+_SUPPLY_AT = Register.PRESENT_INPUT_VOLTAGE - MOTION.address
+
+# What a survey reads, register by register: the addresses between them are not documented.
+_SURVEYED = (
+    Register.FIRMWARE_VERSION,
+    Register.OPERATING_MODE,
+    Register.DRIVE_MODE,
+    Register.HOMING_OFFSET,
+    Register.MIN_POSITION_LIMIT,
+    Register.MAX_POSITION_LIMIT,
+    Register.GOAL_POSITION,
+    Register.PRESENT_POSITION,
+    Register.TORQUE_ENABLE,
+    Register.MAX_VOLTAGE_LIMIT,
+    Register.PWM_LIMIT,
+)
+
+
+class Dynamixel(ServoFamily):
+    """Servos of one arm."""
+
+    bus = Bus
+    registers = TABLE
+    motion = MOTION
+    telemetry = TELEMETRY
+    read_back = TABLE.block(Register.TORQUE_ENABLE), TABLE.block(Register.BUS_WATCHDOG)
+    goal_address = Register.GOAL_POSITION
+    # A relaxed servo may set its goal to its position, which jitters.
+    goal_within_ticks = 8
+    counts_turns = True
+    watchdog = Watchdog(Register.BUS_WATCHDOG, WATCHDOG, WATCHDOG_TRIPPED, SILENCE_S)
+    error_register = Register.HARDWARE_ERROR_STATUS
+    latched_status = sum(HARDWARE_ERRORS.values(), StatusFlag(0))
+    assumes_no_offsets = True
+    none_answers_advice = ": is the arm powered, and are its servos set to 1,000,000 baud?"
+    calibrate_advice = "calibrate the arm with lerobot, and name the calibration (arm.calibration, --calibration NAME)"
+
+    def check_model(self, joint: JointCalibration, model: int) -> None:
+        """Refuse a servo of another model than robot.toml names."""
+        named = model_of(joint)
+        if model != named.number:
+            raise StartupError(f"servo {label(joint)} is model {model}, not {named.name} ({named.number})")
+
+    def survey_blocks(self, joint: JointCalibration) -> Sequence[Block[Register]]:
+        """Return registers one by one."""
+        current = (Register.CURRENT_LIMIT,) if model_of(joint).has_current else ()
+        return [TABLE.block(register) for register in (*_SURVEYED, *current)]
+
+    def check_settings(self, joint: JointCalibration, values: Values) -> None:
+        """Refuse a servo that does not follow positions as the calibration counts them."""
+        has_current, mode = model_of(joint).has_current, values[Register.OPERATING_MODE]
+        modes = [each for each in OperatingMode if has_current or each is not OperatingMode.CURRENT_BASED_POSITION]
+        to_extended = f"set register OPERATING_MODE (11) to {int(OperatingMode.EXTENDED_POSITION)}"
+        if mode not in modes:
+            known = ", ".join(str(int(each)) for each in modes)
+            raise StartupError(
+                f"servo {label(joint)} is in operating mode {mode}, not a mode of position control ({known}): "
+                f"{to_extended}"
+            )
+        offset = values[Register.HOMING_OFFSET]
+        if mode == OperatingMode.POSITION and abs(offset) > MAX_HOMING_OFFSET_IN_POSITION_MODE:
+            raise StartupError(
+                f"servo {label(joint)} is in operating mode {mode}, in which it ignores its homing offset of {offset} "
+                f"ticks (more than {MAX_HOMING_OFFSET_IN_POSITION_MODE}): {to_extended}"
+            )
+        if values[Register.DRIVE_MODE] != PLAIN_DRIVE_MODE:
+            raise StartupError(
+                f"servo {label(joint)} has drive mode {values[Register.DRIVE_MODE]}, which changes its direction, "
+                f"profile or torque: set register DRIVE_MODE (10) to {PLAIN_DRIVE_MODE}"
+            )
+
+    def compare(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> dict[int, ServoFound]:
+        """Add the warnings."""
+        each = ((joint, found[joint.servo_id]) for joint in joints)
+        return {
+            joint.servo_id: replace(servo, warnings=tuple(self._warnings(joint, servo.values))) for joint, servo in each
+        }
+
+    def position_limits_ticks(self, values: Values) -> tuple[int, int]:
+        """Return registers MIN_POSITION_LIMIT and MAX_POSITION_LIMIT."""
+        return values[Register.MIN_POSITION_LIMIT], values[Register.MAX_POSITION_LIMIT]
+
+    def goal_limits_ticks(self, values: Values, certain_ticks: tuple[int, int]) -> tuple[int, int]:
+        """Return a servo's own limits in position mode, where its turns are certain in all modes.
+
+        E-manual, Min/Max Position Limit (48, 52).
+        """
+        if values[Register.OPERATING_MODE] != OperatingMode.POSITION:
+            return certain_ticks
+        lowest, highest = self.position_limits_ticks(values)
+        return max(certain_ticks[0], lowest), min(certain_ticks[1], highest)
+
+    def max_voltage_v(self, values: Values) -> float:
+        """Return register MAX_VOLTAGE_LIMIT."""
+        return values[Register.MAX_VOLTAGE_LIMIT] * VOLT_PER_UNIT
+
+    def has_watchdog(self, joint: JointCalibration, values: Values) -> bool:
+        """Return True for a firmware that has the bus watchdog."""
+        return values[Register.FIRMWARE_VERSION] >= model_of(joint).watchdog_firmware
+
+    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
+        """Parse registers 124 to 135, or to 146 with supply and temperature."""
+        pwm, current, velocity, position = _MOTION.unpack_from(frame.data)
+        volts, temperature_c = math.nan, math.nan
+        if len(frame.data) == TELEMETRY.length:
+            volts, temperature_c = _SUPPLY.unpack_from(frame.data, _SUPPLY_AT)
+        return Telemetry(
+            position_ticks=position,
+            velocity_ticks_s=velocity * TICKS_S_PER_VELOCITY_UNIT,
+            load=pwm / FULL_PWM,
+            current_a=current * AMPERE_PER_UNIT if model_of(joint).has_current else math.nan,
+            voltage_v=volts * VOLT_PER_UNIT,
+            temperature_c=temperature_c,
+            reports_error=bool(frame.error & ALERT),
+        )
+
+    def status_of(self, error: int) -> StatusFlag:
+        """Convert register HARDWARE_ERROR_STATUS."""
+        return status_of(error)
+
+    def profile(self, speed_ticks_s: float) -> Values:
+        """Return the velocity cap, and the acceleration with the least lag."""
+        velocity = math.ceil(speed_ticks_s / TICKS_S_PER_VELOCITY_UNIT)
+        return {Register.PROFILE_ACCELERATION: PROFILE_ACCELERATION, Register.PROFILE_VELOCITY: velocity}
+
+    def limit(self, joint: JointCalibration, values: Values, share: float) -> Limit:
+        """Return the current of a servo in current-based position mode, the duty of another.
+
+        A stalled motor at a share of full duty draws that share of its stall current.
+        """
+        if values[Register.OPERATING_MODE] == OperatingMode.CURRENT_BASED_POSITION:
+            wanted = round(share * model_of(joint).stall_current_ma)
+            return Limit(Register.GOAL_CURRENT, min(wanted, values[Register.CURRENT_LIMIT]))
+        return Limit(Register.GOAL_PWM, min(round(share * FULL_PWM), values[Register.PWM_LIMIT]))
+
+    def prepare(self, bus: ServoBus, joint: JointCalibration, values: Values) -> Steps[Values]:
+        """Bring a gripper with current control into current-based position mode."""
+        mode = OperatingMode.CURRENT_BASED_POSITION
+        if not (joint.servo.gripper and model_of(joint).has_current) or values[Register.OPERATING_MODE] == mode:
+            return values
+        yield from write_verified(bus, joint.servo_id, Register.OPERATING_MODE, mode)
+        return {**values, Register.OPERATING_MODE: mode}
+
+    def clear_error(self, bus: ServoBus, joint: JointCalibration) -> Steps[None]:
+        """Reboot the servo, the only way to clear an error."""
+        yield 0.0
+        with contextlib.suppress(NoReply):
+            reboot(bus, joint.servo_id)
+        yield REBOOT_S
+        for _ in range(REBOOT_TRIES - 1):
+            with contextlib.suppress(NoReply):
+                yield from read(bus, joint.servo_id, Register.MODEL_NUMBER)
+                return
+            yield REBOOT_RETRY_S
+        yield from read(bus, joint.servo_id, Register.MODEL_NUMBER)
+
+    def has_restarted(self, found: ServoFound, values: Values, limit: Limit) -> bool:  # noqa: ARG002 - as others
+        """Return True for a disarmed watchdog."""
+        return values.get(Register.BUS_WATCHDOG) == 0
+
+    def _warnings(self, joint: JointCalibration, values: Values) -> Iterator[ServoWarning]:
+        yield from limits_warnings(joint, ServoAlert.POSITION_LIMITS, self.position_limits_ticks(values))
+        if not self.has_watchdog(joint, values):
+            sentence = (
+                f"firmware {values[Register.FIRMWARE_VERSION]} has no bus watchdog, so that the servo does not notice "
+                "when this computer fails: update it"
+            )
+            yield ServoWarning(ServoAlert.NO_WATCHDOG, sentence)
+
+
+def model_of(joint: JointCalibration) -> Model:
+    """Return the model of a joint's servo; raises StartupError for an unknown one."""
+    model = MODELS.get(joint.servo.model)
+    if model is None:
+        raise StartupError(
+            f"the servo of joint {joint.joint} is a {joint.servo.model!r} in the arm's robot.toml; known are "
+            f"{', '.join(MODELS)}"
+        )
+    return model

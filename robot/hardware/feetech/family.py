@@ -1,0 +1,227 @@
+"""Feetech's STS series: STS3215 and STS3250.
+
+A servo whose supply dips reboots, with torque off and its torque limit at register MAX_TORQUE.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from robot.advice import ServoAlert, ServoWarning
+from robot.calibration import Calibration, JointCalibration
+from robot.errors import StartupError
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.calibration import read_differences, write_to_servos
+from robot.hardware.feetech.profiles import FACTORY, ServoProfile, meaning, nearest_profile
+from robot.hardware.feetech.registers import (
+    CONTROL,
+    GOAL_ADDRESS,
+    MODELS,
+    PERMILLE,
+    STALL_CURRENT_A,
+    TABLE,
+    Register,
+    goal_block,
+    parse_telemetry,
+)
+from robot.hardware.feetech.settings import SETTINGS, SETTINGS_BLOCK, ServoSettings
+from robot.hardware.interface import FREE_SPEED_RAD_S, Actuation, Steps
+from robot.hardware.servos.bus import ServoBus, StatusFrame, write_verified
+from robot.hardware.servos.family import Difference, Limit, ServoFamily, ServoFound, Values, label
+from robot.hardware.servos.registers import Block
+from robot.hardware.servos.survey import limits_warnings
+from robot.hardware.servos.telemetry import Telemetry
+
+# Register ACCELERATION: its largest value, 39 rad/s^2. Smoothness comes from the trajectory, and any less adds lag.
+ACCELERATION = 254
+
+# Register OPERATING_MODE of a servo that follows position goals.
+POSITION_MODE = 0
+
+# Register PHASE, bit 4: positions count on beyond one turn, and overflow.
+PHASE_MULTI_TURN = 0x10
+
+# Registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT of a servo without limits.
+NO_LIMITS = (0, 0)
+
+_GOAL_AT = Register.GOAL_POSITION - GOAL_ADDRESS
+_GOAL_END = _GOAL_AT + TABLE.layout[Register.GOAL_POSITION].size
+
+
+class Feetech(ServoFamily):
+    """Servos of one arm, with the settings that they should have; by default the nearest known profile's."""
+
+    bus = Bus
+    registers = TABLE
+    motion = telemetry = TABLE.block(Register.PRESENT_POSITION, Register.PRESENT_CURRENT)
+    read_back = (CONTROL,)
+    goal_address = GOAL_ADDRESS
+    torque_on_clears_errors = True
+    none_answers_advice = ": is the arm powered, and the adapter's jumper on B?"
+    calibrate_advice = (
+        "calibrate the arm (armbridge calibrate NAME) and name the calibration (arm.calibration, --calibration NAME)"
+    )
+    recalibrate_advice = (
+        "Either calibrate the arm again (armbridge calibrate NAME --write-servos), or write the calibrated offsets and "
+        "limits back (armbridge calibrate NAME --write-back)"
+    )
+
+    def __init__(self, profile: ServoProfile | None = None) -> None:
+        self._profile = profile
+
+    def check_model(self, joint: JointCalibration, model: int) -> None:
+        """Refuse a servo whose registers are unknown."""
+        if model not in (_named_model(joint), *MODELS.values()):
+            known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
+            raise StartupError(
+                f"servo {joint.servo_id} ({joint.joint}) is model {model}, none of {known}: if it is a clone with "
+                f'their registers, write model = "{model}" for it into the robot.toml of the arm'
+            )
+
+    def survey_blocks(self, joint: JointCalibration) -> Sequence[Block[Register]]:  # noqa: ARG002 - the same for all
+        """Return settings and commands."""
+        return SETTINGS_BLOCK, CONTROL
+
+    def check_settings(self, joint: JointCalibration, values: Values) -> None:
+        """Refuse a servo that does not follow position goals."""
+        mode = values[Register.OPERATING_MODE]
+        if mode != POSITION_MODE:
+            raise StartupError(
+                f"servo {joint.servo_id} ({joint.joint}) is in operating mode {mode}, not position mode "
+                f"{POSITION_MODE}: armbridge setup --registers sets it"
+            )
+
+    def compare(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> dict[int, ServoFound]:
+        """Compare the settings with the profile, and the firmware with the other servos'."""
+        held = {joint.servo_id: _settings(found[joint.servo_id]) for joint in joints}
+        profile = self._profile or nearest_profile((held[joint.servo_id], joint.servo.gripper) for joint in joints)
+        versions = Counter(settings.firmware for settings in held.values())
+        usual_firmware = max(versions, key=lambda version: (versions[version], version))
+        compared = {}
+        for joint in joints:
+            servo = joint.servo_id
+            expected = profile.differences(held[servo], gripper=joint.servo.gripper)
+            warnings = (
+                *_warnings(joint, found[servo], usual_firmware),
+                *_profile_warnings(held[servo], expected, profile.name),
+            )
+            compared[servo] = replace(found[servo], expected=expected, warnings=warnings)
+        return compared
+
+    def position_limits_ticks(self, values: Values) -> tuple[int, int]:
+        """Return registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT."""
+        return values[Register.MIN_ANGLE_LIMIT], values[Register.MAX_ANGLE_LIMIT]
+
+    def goal_limits_ticks(self, values: Values, certain_ticks: tuple[int, int]) -> tuple[int, int]:  # noqa: ARG002
+        """Return the angle limits, to which a servo clamps its goals."""
+        limits = self.position_limits_ticks(values)
+        return TABLE.value_range(Register.GOAL_POSITION) if limits == NO_LIMITS else limits
+
+    def max_voltage_v(self, values: Values) -> float:
+        """Return register MAX_VOLTAGE."""
+        return ServoSettings(values).max_voltage_v
+
+    def actuation(self, found: Sequence[ServoFound]) -> Actuation:
+        """Return the strength that the settings leave."""
+        settings = [_settings(servo) for servo in found]
+        factory_gain = FACTORY.registers[Register.P_GAIN]
+        return Actuation(
+            stiffness=np.array([each[Register.P_GAIN] / factory_gain for each in settings]),
+            max_torque=np.array([each.max_torque for each in settings]),
+            overload_torque=np.array([each.overload_torque for each in settings]),
+            overload_time_s=np.array([each.protection_time_s for each in settings]),
+            overload_current_a=np.array([each.protection_current_a for each in settings]),
+            stall_current_a=np.full(len(found), STALL_CURRENT_A),
+            free_speed_rad_s=np.full(len(found), FREE_SPEED_RAD_S),
+        )
+
+    def settings(self, values: Values) -> dict[str, int]:
+        """Return identity and EPROM."""
+        return {register.name: values[register] for register in SETTINGS}
+
+    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:  # noqa: ARG002 - the same for all
+        """Parse registers 56 to 70; the error byte of the reply has status flags too."""
+        telemetry = parse_telemetry(frame.data)
+        telemetry.status |= frame.error
+        return telemetry
+
+    def around_goal(self, speed_ticks_s: float) -> tuple[bytes, bytes]:
+        """Return acceleration, and time and velocity cap."""
+        block = goal_block(0, math.ceil(speed_ticks_s), ACCELERATION)
+        return block[:_GOAL_AT], block[_GOAL_END:]
+
+    def limit(self, joint: JointCalibration, values: Values, share: float) -> Limit:  # noqa: ARG002 - the same for all
+        """Return register TORQUE_LIMIT."""
+        return Limit(Register.TORQUE_LIMIT, round(share * PERMILLE))
+
+    def clear_error(self, bus: ServoBus, joint: JointCalibration) -> Steps[None]:
+        """Switch torque off; a firmware with which the overload stays latched needs a power cycle."""
+        try:
+            yield from write_verified(bus, joint.servo_id, Register.TORQUE_ENABLE, 0)
+        except StartupError as error:
+            raise StartupError(
+                f"the overload of {label(joint)} stays latched, and the servo ignores torque off: switch the servos' "
+                "supply off and on"
+            ) from error
+
+    def has_restarted(self, found: ServoFound, values: Values, limit: Limit) -> bool:
+        """Return True for the torque limit of a servo after power-up."""
+        return values.get(Register.TORQUE_LIMIT) == found.values[Register.MAX_TORQUE] != limit.value
+
+    def read_differences(self, bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:
+        """Compare homing offsets and angle limits."""
+        return read_differences(bus, calibration)
+
+    def write_differences(self, bus: ServoBus, changes: Sequence[Difference]) -> Steps[None]:
+        """Write them into the EPROM."""
+        return write_to_servos(bus, changes)
+
+
+def _settings(found: ServoFound) -> ServoSettings:
+    return ServoSettings({register: found.values[register] for register in SETTINGS})
+
+
+def _named_model(joint: JointCalibration) -> int:
+    """Return the model number that the robot's folder names, by name or by number."""
+    name = joint.servo.model
+    return int(name) if name.isdecimal() else MODELS.get(name, MODELS["sts3215"])
+
+
+def _warnings(joint: JointCalibration, found: ServoFound, usual_firmware: tuple[int, int]) -> Iterator[ServoWarning]:
+    settings, limits = _settings(found), ServoSettings(found.values).angle_limits_ticks
+    if found.model != _named_model(joint):
+        sentence = f"the servo is model {found.model}, not {_named_model(joint)}: its speed and torque may be others"
+        yield ServoWarning(ServoAlert.MODEL, sentence)
+    yield from limits_warnings(joint, ServoAlert.ANGLE_LIMITS, limits)
+    if settings[Register.PHASE] & PHASE_MULTI_TURN:
+        sentence = "the servo counts several turns (register PHASE, bit 4), so that its position may overflow"
+        yield ServoWarning(ServoAlert.SEVERAL_TURNS, sentence)
+    if delay := settings[Register.RETURN_DELAY]:
+        sentence = f"{meaning(Register.RETURN_DELAY, delay)}: set register RETURN_DELAY to 0"
+        yield ServoWarning(ServoAlert.RETURN_DELAY, sentence)
+    if found.values[Register.LOCK] != 1:
+        sentence = (
+            "the servo's EPROM is unlocked (register LOCK), as lerobot leaves it, so that what is written by mistake "
+            "stays: armbridge setup --registers locks it"
+        )
+        yield ServoWarning(ServoAlert.EPROM_UNLOCKED, sentence)
+    if settings.firmware != usual_firmware:
+        sentence = "the servo has firmware {}.{}, most others {}.{}".format(*settings.firmware, *usual_firmware)
+        yield ServoWarning(ServoAlert.FIRMWARE, sentence)
+
+
+def _profile_warnings(
+    settings: ServoSettings, expected: Mapping[Register, int], profile: str
+) -> Iterator[ServoWarning]:
+    for register, value in expected.items():
+        consequence = meaning(register, settings[register])
+        sentence = (
+            f"register {register.name} is {settings[register]}, not {value} as in the profile {profile}"
+            f"{consequence and f': {consequence}'}"
+        )
+        yield ServoWarning(ServoAlert.REGISTER, sentence, register.name)

@@ -1,0 +1,197 @@
+"""Family of servos as the driver sees it: a table of registers, the bus that carries its packets, and a few methods.
+
+A new family is one module with its table, its bus (:class:`robot.hardware.servos.bus.ServoBus`) and its subclass of
+:class:`ServoFamily`; the default of a method is right for a servo without that feature.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, ClassVar, NamedTuple, TypeAlias
+
+from robot.advice import ServoWarning
+from robot.calibration import Calibration, JointCalibration
+from robot.errors import OrderRefused
+from robot.hardware.interface import CALIBRATION_NOT_KEPT, Actuation, StatusFlag, Steps
+from robot.hardware.servos.bus import ServoBus, StatusFrame
+from robot.hardware.servos.registers import Block, RegisterTable
+from robot.hardware.servos.telemetry import Telemetry
+
+Values: TypeAlias = Mapping[Any, int]
+"""Values of registers."""
+
+
+class Limit(NamedTuple):
+    """Register that limits a servo's torque, and its value."""
+
+    register: IntEnum
+    value: int
+
+
+class Watchdog(NamedTuple):
+    """Watchdog with which a servo stops where it is when the bus falls silent."""
+
+    register: IntEnum  # its register; 0 disarms it
+    armed: int  # value that arms it
+    tripped: int  # value that it has after it has stopped the servo
+    silence_s: float  # time without an instruction that trips it [s]
+
+
+@dataclass(frozen=True)
+class ServoFound:
+    """Servo as surveyed."""
+
+    model: int  # register MODEL_NUMBER
+    values: Values  # values of the registers that the survey reads
+    turns_ticks: int = 0  # whole turns to add to its positions for the calibrated ones
+    warnings: tuple[ServoWarning, ...] = ()
+    expected: Values = field(default_factory=dict)  # values that registers should have which have another
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Register of a servo that differs from the calibration."""
+
+    joint: str
+    servo_id: int
+    register: IntEnum
+    calibrated: int
+    in_servo: int
+
+
+def label(joint: JointCalibration) -> str:
+    """Return a joint and the id of its servo for people."""
+    return f"{joint.joint} (id {joint.servo_id})"
+
+
+class ServoFamily(ABC):
+    """Family of an arm's servos."""
+
+    bus: ClassVar[type[ServoBus]]  # kind of its bus
+    registers: ClassVar[RegisterTable[Any]]  # its registers
+    motion: ClassVar[Block[Any]]  # block of measurements that is read at every tick
+    telemetry: ClassVar[Block[Any]]  # block of all measurements, with supply and temperature
+    read_back: ClassVar[tuple[Block[Any], ...]]  # blocks that are compared with what was written, in turn
+    goal_address: ClassVar[int]  # address of the block that ends with the goal's data (:meth:`around_goal`)
+    goal_within_ticks: ClassVar[int] = 0  # largest difference between a goal that was written and the one read back
+    counts_turns: ClassVar[bool] = False  # True for servos that count turns until they lose their supply
+    watchdog: ClassVar[Watchdog | None] = None  # watchdog of its servos; None without one
+    error_register: ClassVar[IntEnum | None] = None  # register with the error that a reply announces; None without one
+    latched_status: ClassVar[StatusFlag] = StatusFlag.OVERLOAD  # status flags that last until :meth:`clear_error`
+    torque_on_clears_errors: ClassVar[bool] = False  # True for servos that must be driven again to be free of an error
+    assumes_no_offsets: ClassVar[bool] = False  # True if a calibration without homing offsets means offsets of 0
+    none_answers_advice: ClassVar[str] = ": is the arm powered?"  # likely cause when no servo answers
+    # What to do with an arm without calibration, and with one whose servos have another calibration.
+    calibrate_advice: ClassVar[str] = "name a calibration (arm.calibration, --calibration NAME)"
+    recalibrate_advice: ClassVar[str] = "Write the calibration to the servos, or calibrate the arm again"
+
+    # Survey.
+
+    @abstractmethod
+    def check_model(self, joint: JointCalibration, model: int) -> None:
+        """Raise StartupError for a servo whose model cannot be driven."""
+
+    @abstractmethod
+    def survey_blocks(self, joint: JointCalibration) -> Sequence[Block[Any]]:
+        """Return the blocks that a survey reads of a joint's servo.
+
+        They have TORQUE_ENABLE, GOAL_POSITION, HOMING_OFFSET, and PRESENT_POSITION of a servo that counts turns.
+        """
+
+    @abstractmethod
+    def check_settings(self, joint: JointCalibration, values: Values) -> None:
+        """Raise StartupError for a servo whose settings make its positions uncertain."""
+
+    def compare(
+        self,
+        joints: Sequence[JointCalibration],  # noqa: ARG002 - for families with settings
+        found: Mapping[int, ServoFound],
+    ) -> dict[int, ServoFound]:
+        """Return the servos of an arm, by id, with warnings about their settings."""
+        return dict(found)
+
+    @abstractmethod
+    def position_limits_ticks(self, values: Values) -> tuple[int, int]:
+        """Return the lowest and highest position that a servo's settings allow [ticks]."""
+
+    def goal_limits_ticks(
+        self,
+        values: Values,
+        certain_ticks: tuple[int, int],  # noqa: ARG002 - for families that count turns
+    ) -> tuple[int, int]:
+        """Return the lowest and highest goal that a servo takes, where its turns are certain [ticks]."""
+        return self.position_limits_ticks(values)
+
+    @abstractmethod
+    def max_voltage_v(self, values: Values) -> float:
+        """Return the highest supply that a servo is set to; infinite without such a setting [V]."""
+
+    def actuation(self, found: Sequence[ServoFound]) -> Actuation:
+        """Return the strength of servos."""
+        return Actuation.unprotected(len(found))
+
+    def settings(self, values: Values) -> dict[str, int]:  # noqa: ARG002 - for families with settings
+        """Return the settings to report, by name."""
+        return {}
+
+    def has_watchdog(self, joint: JointCalibration, values: Values) -> bool:  # noqa: ARG002 - it may depend on them
+        """Return True for a servo that has the family's watchdog."""
+        return self.watchdog is not None
+
+    # Driving.
+
+    @abstractmethod
+    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
+        """Parse the reply to a read of :attr:`motion` or :attr:`telemetry`."""
+
+    def status_of(self, error: int) -> StatusFlag:
+        """Convert :attr:`error_register` to status flags."""
+        return StatusFlag(error)
+
+    def around_goal(self, speed_ticks_s: float) -> tuple[bytes, bytes]:  # noqa: ARG002 - for families with caps
+        """Return the bytes before and after a goal in the block at :attr:`goal_address`, for a speed [ticks/s]."""
+        return b"", b""
+
+    def profile(self, speed_ticks_s: float) -> Values:  # noqa: ARG002 - for families with profiles
+        """Return the registers to write before a servo follows goals, for a speed [ticks/s]."""
+        return {}
+
+    @abstractmethod
+    def limit(self, joint: JointCalibration, values: Values, share: float) -> Limit:
+        """Return the limit of a servo's torque for a share of full duty, within the servo's own limits."""
+
+    def prepare(self, bus: ServoBus, joint: JointCalibration, values: Values) -> Steps[Values]:  # noqa: ARG002 - likewise
+        """Bring a relaxed servo into the mode in which it is driven; return its registers."""
+        yield from ()
+        return values
+
+    @abstractmethod
+    def clear_error(self, bus: ServoBus, joint: JointCalibration) -> Steps[None]:
+        """Clear a latched error; torque is off at the end.
+
+        Raises StartupError for a servo that keeps it, and NoReply.
+        """
+
+    @abstractmethod
+    def has_restarted(self, found: ServoFound, values: Values, limit: Limit) -> bool:
+        """Return True for a driven servo whose registers are as after power-up, and not the limit that was written.
+
+        The values are of a block of :attr:`read_back`.
+        """
+
+    # Calibration.
+
+    def read_differences(self, bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:  # noqa: ARG002 - likewise
+        """Compare a calibration with the servos' registers.
+
+        Raises OrderRefused for servos that keep no calibration of this kind.
+        """
+        yield 0.0
+        raise OrderRefused(CALIBRATION_NOT_KEPT)
+
+    def write_differences(self, bus: ServoBus, changes: Sequence[Difference]) -> Steps[None]:  # noqa: ARG002 - likewise
+        """Write what :meth:`read_differences` has found into servos whose torque is off."""
+        yield from ()

@@ -1,0 +1,284 @@
+"""Servos as hardware of the controller: radians and shares towards it, ticks and registers on the bus."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from robot.calibration import Calibration
+from robot.description.limits import JointBounds
+from robot.errors import NoReply, PortLost, StartupError
+from robot.faults import Fault
+from robot.hardware.config import DynamixelConfig, FeetechConfig
+from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, Steps, Survey
+from robot.hardware.port import resolve_port
+from robot.hardware.servos import torque
+from robot.hardware.servos.bus import ServoBus
+from robot.hardware.servos.family import Limit, ServoFamily, ServoFound
+from robot.hardware.servos.register_checks import RegisterChecks
+from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.survey import calibration_refusal, change_refusal, survey
+from robot.hardware.servos.torque import ServoTorque
+from robot.hardware.servos.tracker import ServoTracker
+from robot.messages import GuardLimits
+from robot.trajectory import Vector
+
+NO_ZERO = "no calibration says where the joints' zero is, and motions would go elsewhere than planned: {advice}"
+
+NEEDS_SURVEY = (
+    "a calibration was written into the servos, or its writing was broken off, and they were not checked since: the "
+    "arm is enabled only once every servo has answered to the check"
+)
+
+# Supply and temperature are read ten times a second where the reply is shorter without them.
+TELEMETRY_EVERY = 10
+
+
+class SerialServos:
+    """Servos of an arm on a serial port, as a hardware source."""
+
+    def __init__(
+        self,
+        family: ServoFamily,
+        config: FeetechConfig | DynamixelConfig,
+        bounds: JointBounds,
+        guard_limits: GuardLimits,
+        clock: Callable[[], float],
+    ) -> None:
+        self._family = family
+        self._config = config
+        self._bounds = bounds
+        self._guard_limits = guard_limits
+        self._clock = clock
+
+    def open(self) -> HardwareInterface:
+        """Open the port; see :func:`robot.hardware.port.open_port` for the errors."""
+        bus = self._family.bus.open(resolve_port(self._config.port), self._config.baud)
+        return ServoHardware(self._family, bus, self._config.calibration, self._bounds, self._guard_limits, self._clock)
+
+
+class ServoHardware(HardwareInterface):
+    """Servos of one arm on an open bus, which it closes; emulated ones have no cable and supply to check.
+
+    The order of every array is that of the calibration's joints; the clock is the control loop's [s].
+    """
+
+    def __init__(
+        self,
+        family: ServoFamily,
+        bus: ServoBus,
+        calibration: Calibration,
+        bounds: JointBounds,
+        guard_limits: GuardLimits,
+        clock: Callable[[], float],
+        *,
+        simulated: bool = False,
+    ) -> None:
+        self.bus = bus
+        self.servos = ServoMap(family, calibration, bounds, guard_limits)
+        super().__init__(self.servos.names, self.servos.full_torque)
+        self.counters = bus.counters
+        self.latched_status = family.latched_status
+        self._family = family
+        self._calibration = calibration
+        self._bounds = bounds
+        self._clock = clock
+        self._simulated = simulated
+        self._tracker = ServoTracker(family, self.servos)
+        self._cycle = 0
+        self._found: dict[int, ServoFound] = {}
+        self._first_found: dict[int, ServoFound] = {}
+        self._soft_ticks: dict[int, tuple[int, int]] = {}
+        self._checks = RegisterChecks(family, self.servos, self._found)
+        self._torque = ServoTorque(family, bus, self.servos, self._found, self._soft_ticks)
+        self._was_enabled = False
+        # The latest goals and the turns of their servos, and their blocks.
+        self._goals: list[float] = []
+        self._goal_turns_ticks: dict[int, int] = {}
+        self._goal_blocks: dict[int, bytes] = {}
+        self._shares: list[float] = []
+        self._limits: dict[int, Limit] = {}
+
+    def survey(self) -> Steps[Survey]:
+        """Survey the servos; see :meth:`HardwareInterface.survey`."""
+        self._found.update((yield from survey(self._family, self.bus, self.servos, simulated=self._simulated)))
+        self._first_found = self._first_found or dict(self._found)
+        self.needs_survey = False
+        self._shares = []
+        found = [self._found[servo] for servo in self.servos.ids]
+        actuation = self._family.actuation(found)
+        self.servos.limit_torque(actuation.max_torque)
+        self.full_torque = self.servos.full_torque
+        own_limits = {servo: self._torque.goal_limits_ticks(servo) for servo in self.servos.ids}
+        bounds = self._bounds.within_servos(self._calibration, own_limits)
+        self._soft_ticks.update(self.servos.ticks_range(bounds))
+        table = self._family.registers
+        driven = np.array([each.values[table.torque_enable] == 1 for each in found])
+        goal_rad = self.servos.positions_rad([each.values[table.goal_position] + each.turns_ticks for each in found])
+        return Survey(
+            bounds=bounds,
+            driven=driven,
+            goal_rad=np.where(driven, goal_rad, np.nan),
+            max_voltage_v=np.array([self._family.max_voltage_v(each.values) for each in found]),
+            actuation=actuation,
+            reply_latency_s=self.bus.latency_s,
+        )
+
+    def read(self) -> Measured | None:
+        """Read the servos' measurements in one transaction, and an error that one of them reports."""
+        asked = self._tracker.ids_to_ask()
+        self._cycle += 1
+        if asked:
+            whole = self._cycle % TELEMETRY_EVERY == 0 or not self._tracker.complete
+            block = self._family.telemetry if whole else self._family.motion
+            started_s = self._clock()
+            frames = self.bus.sync_read(asked, block.address, block.length)
+            self.round_trips_s.append(self._clock() - started_s)
+            self._tracker.take(asked, frames, started_s)
+        if self._family.error_register is not None and (alerting := self._tracker.alerting()):
+            servo = alerting[self._cycle % len(alerting)]
+            with contextlib.suppress(NoReply):
+                error = self.bus.read(servo, self._family.error_register, attempts=1)
+                self._tracker.take_error(servo, self._family.status_of(error))
+        return self._tracker.measured(self._clock(), time.time()) if self._tracker.complete else None
+
+    def write_goals(self, goal_rad: Vector) -> None:
+        """Write the goals, also unchanged ones: a servo may have missed them, and its watchdog waits for them."""
+        goals = goal_rad.tolist()
+        turns_ticks = self._tracker.turns_ticks()
+        if goals != self._goals or turns_ticks != self._goal_turns_ticks:
+            self._goals, self._goal_turns_ticks = goals, turns_ticks
+            self._goal_blocks = self.servos.goal_blocks(goal_rad, turns_ticks)
+        self.bus.sync_write(self._family.goal_address, self._goal_blocks)
+
+    def write_torque_shares(self, torque_share: Vector) -> None:
+        """Write the torque limits that have changed."""
+        changed = self._checks.limits_to_write(self._limits_of(torque_share))
+        if changed:
+            torque.write_limits(self.bus, changed)
+
+    def check(self, stamp_s: float) -> Fault | None:
+        """Read back registers of one servo, in turn."""
+        due = self._checks.due()
+        if due is None or self._tracker.is_silent(due[0]):
+            return None
+        servo, block = due
+        watchdog = self._family.watchdog
+        if watchdog is not None and block.address == watchdog.register and not self._torque.has_watchdog(servo):
+            return None
+        frame = self.bus.sync_read((servo,), block.address, block.length).get(servo)
+        if frame is None:
+            return None
+        return self._checks.check(servo, self.bus.registers.parse(block, frame.data), stamp_s)
+
+    def driven(self) -> Steps[Flags]:
+        """Read every servo's TORQUE_ENABLE."""
+        driven = np.zeros(len(self.servos.ids), dtype=bool)
+        for joint, servo in enumerate(self.servos.ids):
+            driven[joint] = yield from self._torque.is_on(servo)
+        return driven
+
+    def enable(self, joints: Sequence[int]) -> Steps[Vector]:
+        """Switch torque on, unless positions or the servos' calibration are uncertain."""
+        yield 0.0
+        if refusal := self._refusal():
+            raise StartupError(refusal)
+        self._was_enabled = True
+        goals = yield from self._torque.enable(self._ids(joints))
+        self._expect_full_torque()
+        return self.servos.rad_from_ticks(goals)
+
+    def relax(self, torque_share: Vector) -> Steps[list[str]]:
+        """Lower the torque limits, then switch torque off."""
+        start, full = self._limits_of(torque_share), self._torque.full_limits()
+        return self._labels((yield from torque.relax(self.bus, self.servos.ids, start, full)))
+
+    def switch_off(self, joints: Sequence[int] | None = None) -> Steps[list[str]]:
+        """Switch torque off servo by servo."""
+        ids = self.servos.ids if joints is None else self._ids(joints)
+        return self._labels((yield from torque.switch_off(self.bus, ids)))
+
+    def cut_torque(self) -> Steps[list[str]]:
+        """Broadcast torque off, then verify it servo by servo."""
+        return self._labels((yield from torque.emergency_stop(self.bus, self.servos.ids)))
+
+    def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:
+        """Clear every error with which the servos have protected themselves."""
+        overloaded = self._ids(joints)
+        for servo in overloaded:
+            yield from self._torque.clear_error(servo, hold=hold)
+            # A reboot has made it silent, but its next reading must show that the error is gone.
+            self._tracker.ask_again(servo)
+        if not hold or not overloaded:
+            return None
+        goals = {}
+        for servo in self.servos.ids:
+            goals[servo] = yield from self._torque.goal(servo)
+        self._expect_full_torque()
+        return self.servos.rad_from_ticks(goals)
+
+    def write_calibration(self, calibration: Calibration) -> Steps[str]:
+        """Write homing offsets and position limits, where they differ."""
+        changes = yield from self._family.read_differences(self.bus, calibration)
+        self.needs_survey = self.needs_survey or bool(changes)
+        yield from self._family.write_differences(self.bus, changes)
+        servos = {change.servo_id for change in changes}
+        return f"{len(changes)} registers of {len(servos)} servos were written" if changes else "nothing had to change"
+
+    def condition(self, joint: int) -> Condition:
+        """Return the condition of one servo."""
+        servo = self.servos.ids[joint]
+        found = self._found.get(servo)
+        return Condition(
+            hardware_id=f"servo {servo}",
+            torque_enabled=self._checks.torque_on.get(servo),
+            age_s=self._tracker.age_s(servo, self._clock()),
+            silent_cycles=self._tracker.silent_cycles[servo],
+            warnings=() if found is None else found.warnings,
+            registers={} if found is None else self._family.settings(found.values),
+            expected={} if found is None else {register.name: value for register, value in found.expected.items()},
+        )
+
+    def label(self, joint: int) -> str:
+        """Return the joint's name with its servo's id."""
+        return self.servos.label(self.servos.ids[joint])
+
+    def close(self) -> None:
+        """Disarm the watchdogs of servos that were driven, and close the bus; the servos keep their goals."""
+        if self._was_enabled:
+            with contextlib.suppress(PortLost):
+                self._torque.disarm_watchdogs()
+        self.bus.close()
+
+    def _refusal(self) -> str:
+        """Return the reason not to switch torque on, empty for none."""
+        if self.needs_survey:
+            return NEEDS_SURVEY
+        if not self._simulated and not self._calibration.zero_is_known:
+            return NO_ZERO.format(advice=self._family.calibrate_advice)
+        offsets_known = self._calibration.offsets_known or self._family.assumes_no_offsets
+        contradiction = calibration_refusal(self._family, self.servos, self._found) if offsets_known else ""
+        return contradiction or change_refusal(
+            self._family, self.servos, self._first_found, self._found, offsets_known=offsets_known
+        )
+
+    def _expect_full_torque(self) -> None:
+        # A servo's mode may have changed, and with it the register that limits its torque.
+        self._shares = []
+        self._checks.expect(self._torque.full_limits())
+
+    def _ids(self, joints: Sequence[int]) -> list[int]:
+        return [self.servos.ids[joint] for joint in joints]
+
+    def _labels(self, servo_ids: Sequence[int]) -> list[str]:
+        return [self.servos.label(servo) for servo in servo_ids]
+
+    def _limits_of(self, torque_share: Vector) -> dict[int, Limit]:
+        """Convert shares of full duty to torque limits by servo id; the same object while the shares are unchanged."""
+        shares = torque_share.tolist()
+        if shares != self._shares:
+            self._shares, self._limits = shares, self._torque.limits(self.servos.by_servo(torque_share))
+        return self._limits

@@ -1,0 +1,35 @@
+"""Confirm mode on the page: a goal of another client waits until a person confirms or discards it."""
+
+from __future__ import annotations
+
+import json
+import time
+
+from websockets.sync import client as blocking
+
+from tests.helpers.arm_record import MOVED_RAD, arm_record
+from tests.helpers.page import SHARED, OpenPage
+from tests.helpers.server import RunningServer
+
+SETTINGS = SHARED | {"ARMBRIDGE_GOALS__CONFIRM": "true"}
+
+PREEMPTED, SUCCESS = -7, 1
+
+
+def test_a_goal_is_discarded_or_confirmed_by_a_person(page: OpenPage, server: RunningServer) -> None:
+    assert page.part("confirm").is_hidden()
+    with blocking.connect(server.url) as client, arm_record(server.url) as record:
+        subscription = {"topic": "/moveit_goal_result", "type": "moveit_msgs/MoveItErrorCodes"}
+        client.send(json.dumps({"op": "subscribe", **subscription}))
+        for control, code in (("discard", PREEMPTED), ("confirm", SUCCESS)):
+            began_s = time.monotonic()
+            message = {"topic": "/moveit_goal_named", "type": "std_msgs/String", "msg": {"data": "ready"}}
+            client.send(json.dumps({"op": "publish", **message}))
+            page.until_text("state-pill", "CONFIRM?")
+            page.until_state("s.plan.trajectory !== null")
+            page.until_text("next-step", "Confirm or Discard")
+            assert page.part("move").is_disabled()
+            page.part(control).click()
+            assert json.loads(client.recv(timeout=60.0))["msg"]["val"] == code
+            assert (record.way_rad(began_s) > MOVED_RAD) is (control == "confirm")
+            page.until("document.querySelector('[data-testid=confirm]').hidden")

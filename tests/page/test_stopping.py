@@ -1,0 +1,165 @@
+"""A stop ends what is driven by hand, whatever is held and whoever stops; the server's record is the judge."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+from websockets.sync import client as blocking
+
+from tests.helpers.arm_record import MOVED_RAD, ArmRecord, arm_record
+from tests.helpers.clients import call, publish, values_of
+from tests.helpers.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
+from tests.helpers.server import RunningServer
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+SETTINGS = SHARED
+
+# The arm is at rest 0.33 s after a stop on a quiet machine.
+BRAKES_WITHIN_S = 1.0
+WATCHED_S = 1.5
+
+# Presses of a button until the arm moves: on a busy machine the servo loop may end a press.
+PRESSES = 20
+
+
+@pytest.fixture(scope="module")
+def record(server: RunningServer) -> Iterator[ArmRecord]:
+    with arm_record(server.url) as kept:
+        yield kept
+
+
+@pytest.fixture
+def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+    """A phone that shows Drive, with the arm in a pose from which it can be driven everywhere."""
+    with opened(browser, PHONE, has_touch=True, is_mobile=True) as open_page:
+        open_page.open(server.port)
+        open_page.part("tab-drive").click()
+        open_page.until("document.querySelectorAll('.jog-row').length > 5")
+        at_ready(open_page, server.url)
+        open_page.part("jog-wrist_flex-plus").scroll_into_view_if_needed()
+        yield open_page
+        assert open_page.errors == []
+
+
+@pytest.fixture
+def fingers(page: OpenPage) -> Iterator[Fingers]:
+    touching = Fingers(page)
+    yield touching
+    touching.lift_all()
+
+
+def move(record: ArmRecord, press: Callable[[], None], let_go: Callable[[], None]) -> None:
+    """Press an input, and keep it pressed once the arm moves."""
+    for _ in range(PRESSES):
+        began_s = time.monotonic()
+        press()
+        while time.monotonic() < began_s + 1.0:
+            time.sleep(0.02)
+            if record.way_rad(began_s) > MOVED_RAD:
+                return
+        let_go()
+        time.sleep(0.4)
+    pytest.fail("the arm does not move")
+
+
+def test_stop_works_while_another_finger_holds_a_button(page: OpenPage, fingers: Fingers, record: ArmRecord) -> None:
+    move(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
+    fingers.press(2, "stop")
+    time.sleep(BRAKES_WITHIN_S)
+    assert record.stands(WATCHED_S)
+    page.until_state("s.stop.phase !== 'asked'")
+    fingers.lift(2)
+    # No other button moves the arm before the first is let go.
+    fingers.press(2, "jog-wrist_roll-plus")
+    assert record.stands(WATCHED_S)
+    fingers.lift_all()
+    move(record, lambda: fingers.press(1, "jog-wrist_flex-plus"), lambda: fingers.lift(1))
+    fingers.lift(1)
+
+
+@pytest.mark.parametrize("stop", ["service", "topic"])
+def test_a_page_that_stood_still_moves_nothing_after_the_stop_of_another(
+    page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer, stop: str
+) -> None:
+    move(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
+    stopping = threading.Timer(0.5, stop_from_elsewhere, (server.url, stop))
+    stopping.start()
+    page.page.evaluate("(() => { const end = performance.now() + 1500; while (performance.now() < end); })()")
+    stopping.join()
+    time.sleep(0.2)
+    assert record.stands(WATCHED_S)
+    page.until_state("s.servo_node.code === -1")
+
+
+def stop_from_elsewhere(url: str, way: str) -> None:
+    if way == "service":
+        assert call(url, "/arm/stop")["success"]
+        return
+    publish(url, "/stop", "std_msgs/Empty", {})
+
+
+def test_the_gripper_stays_where_another_has_stopped_it(
+    page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer
+) -> None:
+    page.part("jog-gripper-plus").scroll_into_view_if_needed()
+    move(record, lambda: fingers.press(1, "jog-gripper-plus"), lambda: fingers.lift(1))
+    stop_from_elsewhere(server.url, "service")
+    time.sleep(BRAKES_WITHIN_S)
+    assert record.stands(WATCHED_S)
+
+
+def test_a_button_does_not_outlive_its_element(
+    page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer
+) -> None:
+    move(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
+    choose_group(page, server, "gripper")
+    fingers.lift(1)
+    time.sleep(BRAKES_WITHIN_S)
+    assert record.stands(WATCHED_S)
+    choose_group(page, server, "arm")
+
+
+def choose_group(page: OpenPage, server: RunningServer, group: str) -> None:
+    publish(server.url, "/moveit_goal_group", "std_msgs/String", {"data": group})
+    page.until_state(f"s.group === '{group}'")
+
+
+def test_a_press_of_a_quarter_of_a_second_cancels_a_goal(
+    page: OpenPage, fingers: Fingers, server: RunningServer
+) -> None:
+    page.part("tab-goals").click()
+    with blocking.connect(server.url) as websocket:
+        # Slow, so that statuses come all the while.
+        for topic, type_name, msg in (
+            ("/arm/speed_factor", "std_msgs/Float64", {"data": 0.1}),
+            ("/moveit_goal_named", "std_msgs/String", {"data": "home"}),
+            ("/moveit_goal_named", "std_msgs/String", {"data": "ready"}),
+        ):
+            websocket.send(json.dumps({"op": "publish", "topic": topic, "type": type_name, "msg": msg}))
+        status = {"op": "subscribe", "topic": "/moveit_goal_status", "type": "diagnostic_msgs/DiagnosticStatus"}
+        websocket.send(json.dumps(status))
+        page.until_state("s.active_goals.length === 2 && s.active_goals.some(({ state }) => state === 'executing')")
+        for goal_id in reversed([goal["id"] for goal in page.state("active_goals")]):
+            page.part(f"cancel-{goal_id}").focus()
+            fingers.press(1, f"cancel-{goal_id}")
+            time.sleep(0.25)
+            assert page.page.evaluate("document.activeElement.dataset.testid") == f"cancel-{goal_id}"
+            fingers.lift(1)
+            assert cancelled(websocket, goal_id)
+        websocket.send(json.dumps({"op": "publish", "topic": "/arm/speed_factor", "msg": {"data": 1.0}}))
+
+
+def cancelled(websocket: blocking.ClientConnection, goal_id: str) -> bool:
+    """Wait for the answer of a goal; return true if it was cancelled."""
+    while True:
+        status = json.loads(websocket.recv(timeout=10.0))["msg"]
+        values = values_of(status)
+        if status["hardware_id"] == goal_id and values["state"] == "done":
+            return values["code"] == "-7"

@@ -1,0 +1,395 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot.advice import ServoAlert
+from robot.errors import NoReply, StartupError
+from robot.faults import FaultCode
+from robot.hardware.dynamixel.family import WATCHDOG, Dynamixel
+from robot.hardware.dynamixel.registers import FULL_PWM, TICKS_S_PER_VELOCITY_UNIT, OperatingMode, Register, encode
+from robot.hardware.interface import StatusFlag, run_to_end
+from robot.hardware.servos.family import ServoFound
+from robot.hardware.servos.hardware import TELEMETRY_EVERY
+from robot.hardware.servos.register_checks import CYCLES_BETWEEN
+from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.survey import survey
+from robot.hardware.servos.torque import TORQUE_ON_WITHIN_TICKS, ServoTorque
+from robot.messages import Mode, Order, Outcome
+from tests.helpers.dynamixel import (
+    BOUNDS,
+    CALIBRATION,
+    METAL,
+    DynamixelRig,
+    DynamixelsInUse,
+    SteppedDynamixels,
+    unread_hardware,
+)
+from tests.helpers.motions import smooth_move
+
+FAMILY = Dynamixel()
+SERVOS = ServoMap(FAMILY, CALIBRATION, BOUNDS)
+IDS = (1, 2, 3, 4, 5, 6)
+
+# By its weight and its gear's friction a joint sinks less than this (0.5 deg).
+DROOP_TICKS = 6
+
+
+@pytest.fixture
+def dynamixels() -> SteppedDynamixels:
+    return SteppedDynamixels(start_rad={"elbow_flex": 1.1})
+
+
+# Survey.
+
+
+def surveyed(dynamixels: SteppedDynamixels) -> dict[int, ServoFound]:
+    return run_to_end(survey(FAMILY, dynamixels.open_bus(), SERVOS))
+
+
+def set_register(dynamixels: SteppedDynamixels, servo: int, register: Register, value: int) -> None:
+    assert dynamixels.servo(servo).write(register, encode(register, value)) == 0
+
+
+def test_a_servo_of_another_model_is_refused(dynamixels: SteppedDynamixels) -> None:
+    dynamixels.servo(3).set(Register.MODEL_NUMBER, 1060)
+    with pytest.raises(StartupError, match=r"elbow_flex \(id 3\) is model 1060, not xl330-m288 \(1200\)"):
+        surveyed(dynamixels)
+
+
+def test_a_servo_whose_model_nobody_knows_is_refused(dynamixels: SteppedDynamixels) -> None:
+    joint = CALIBRATION.joints[0]
+    with pytest.raises(StartupError, match=r"is a 'ax-12' in the arm's robot\.toml; known are xl430-w250, xl330-m288"):
+        FAMILY.check_model(replace(joint, servo=replace(joint.servo, model="ax-12")), 12)
+
+
+@pytest.mark.parametrize(("servo", "mode"), [(1, 1), (1, 5), (3, 0), (3, 16)])
+def test_a_servo_that_does_not_follow_positions_is_refused(
+    dynamixels: SteppedDynamixels, servo: int, mode: int
+) -> None:
+    set_register(dynamixels, servo, Register.OPERATING_MODE, mode)
+    with pytest.raises(StartupError, match=rf"operating mode {mode}.*OPERATING_MODE \(11\) to 4"):
+        surveyed(dynamixels)
+
+
+def test_a_servo_that_ignores_its_homing_offset_is_refused(dynamixels: SteppedDynamixels) -> None:
+    # Of -1700 ticks: its zero would be 150 deg wrong.
+    set_register(dynamixels, 3, Register.OPERATING_MODE, OperatingMode.POSITION)
+    with pytest.raises(StartupError, match="ignores its homing offset of -1700 ticks"):
+        surveyed(dynamixels)
+
+
+@pytest.mark.parametrize("drive_mode", [1, 4, 8])
+def test_a_drive_mode_that_changes_direction_profile_or_torque_is_refused(
+    dynamixels: SteppedDynamixels, drive_mode: int
+) -> None:
+    set_register(dynamixels, 3, Register.DRIVE_MODE, drive_mode)
+    with pytest.raises(StartupError, match=rf"drive mode {drive_mode}.*DRIVE_MODE \(10\) to 0"):
+        surveyed(dynamixels)
+
+
+def test_a_firmware_without_watchdog_is_a_warning(dynamixels: SteppedDynamixels) -> None:
+    dynamixels.servo(1).set(Register.FIRMWARE_VERSION, 37)
+    found = surveyed(dynamixels)
+    assert not FAMILY.has_watchdog(CALIBRATION.joints[0], found[1].values)
+    assert FAMILY.has_watchdog(CALIBRATION.joints[2], found[3].values)
+    (warning,) = found[1].warnings
+    assert warning.alert is ServoAlert.NO_WATCHDOG
+    assert "37 has no bus watchdog" in warning.sentence
+
+
+def test_a_servo_keeps_to_its_own_limits_in_position_mode_only(dynamixels: SteppedDynamixels) -> None:
+    certain = SERVOS.certain_ticks(2)
+    assert FAMILY.goal_limits_ticks(surveyed(dynamixels)[2].values, certain) == certain
+    set_register(dynamixels, 2, Register.OPERATING_MODE, OperatingMode.POSITION)
+    assert FAMILY.goal_limits_ticks(surveyed(dynamixels)[2].values, certain) == (1300, 2790)
+
+
+def test_the_soft_limits_end_before_the_turns_become_ambiguous(dynamixels: SteppedDynamixels) -> None:
+    wide = replace(BOUNDS, lower_rad=np.full(6, -7.0), upper_rad=np.full(6, 7.0))
+    bounds = run_to_end(unread_hardware(dynamixels, bounds=wide).survey()).bounds
+    assert max(bounds.upper_rad[:5]) < math.pi - 0.3
+    assert min(bounds.lower_rad[:5]) > -math.pi + 0.3
+
+
+# Torque.
+
+
+@pytest.fixture
+def torque(dynamixels: SteppedDynamixels) -> ServoTorque:
+    return DynamixelsInUse(dynamixels).hardware._torque
+
+
+def enable(torque: ServoTorque, dynamixels: SteppedDynamixels) -> dict[int, int]:
+    return run_to_end(torque.enable(IDS), dynamixels.run)
+
+
+def positions(dynamixels: SteppedDynamixels) -> list[float]:
+    return [servo.plant.position_ticks for servo in dynamixels.servo_bus.servos]
+
+
+def test_a_servo_that_counts_turns_holds_where_it_is(dynamixels: SteppedDynamixels) -> None:
+    dynamixels.servo(3)._turns_ticks += 2 * 4096
+    before = positions(dynamixels)
+    goals = enable(DynamixelsInUse(dynamixels).hardware._torque, dynamixels)
+    dynamixels.run(0.5)
+    assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
+    assert goals[3] == pytest.approx(CALIBRATION.joints[2].ticks_from_rad(1.1), abs=1)
+
+
+def test_the_gripper_is_limited_by_its_current_and_the_rest_by_duty(
+    torque: ServoTorque, dynamixels: SteppedDynamixels
+) -> None:
+    enable(torque, dynamixels)
+    modes = dynamixels.registers(Register.OPERATING_MODE)
+    assert modes == [OperatingMode.EXTENDED_POSITION] * 5 + [OperatingMode.CURRENT_BASED_POSITION]
+    assert dynamixels.registers(Register.GOAL_PWM) == [round(0.8 * FULL_PWM)] * 5 + [FULL_PWM]
+    assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == 735
+
+
+def test_limits_of_the_servo_itself_are_kept(dynamixels: SteppedDynamixels) -> None:
+    for servo, register, value in ((3, Register.PWM_LIMIT, 500), (6, Register.CURRENT_LIMIT, 600)):
+        dynamixels.servo(servo).write(register, encode(register, value))
+    dynamixels.servo(3).write(Register.GOAL_PWM, encode(Register.GOAL_PWM, 500))
+    enable(DynamixelsInUse(dynamixels).hardware._torque, dynamixels)
+    assert dynamixels.servo(3).value(Register.GOAL_PWM) == 500
+    assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == 600
+
+
+def test_every_servo_that_holds_has_its_profile_and_its_watchdog(
+    torque: ServoTorque, dynamixels: SteppedDynamixels
+) -> None:
+    enable(torque, dynamixels)
+    assert dynamixels.registers(Register.BUS_WATCHDOG) == [WATCHDOG] * 6
+    assert min(dynamixels.registers(Register.PROFILE_ACCELERATION)) > 0
+    for servo, velocity in zip(IDS, dynamixels.registers(Register.PROFILE_VELOCITY), strict=True):
+        assert velocity == math.ceil(SERVOS.speed_ticks_s[servo] / TICKS_S_PER_VELOCITY_UNIT)
+
+
+def test_a_firmware_without_watchdog_is_driven_without(dynamixels: SteppedDynamixels) -> None:
+    dynamixels.servo(1).set(Register.FIRMWARE_VERSION, 37)
+    servos = DynamixelsInUse(dynamixels)
+    servos.enable()
+    assert dynamixels.registers(Register.BUS_WATCHDOG) == [0] + [WATCHDOG] * 5
+    assert [servos.hardware.check(0.0) for _ in range(12 * CYCLES_BETWEEN)] == [None] * 12 * CYCLES_BETWEEN
+
+
+def test_a_servo_that_its_watchdog_has_stopped_stays_where_it_stopped(
+    torque: ServoTorque, dynamixels: SteppedDynamixels
+) -> None:
+    enable(torque, dynamixels)
+    servo = dynamixels.servo(5)
+    servo.write(Register.PROFILE_VELOCITY, encode(Register.PROFILE_VELOCITY, 10))
+    goal = servo.value(Register.GOAL_POSITION) - 1500
+    servo.write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, goal))
+    dynamixels.run(1.0)
+    assert servo.value(Register.BUS_WATCHDOG) == -1
+    stopped = servo.plant.position_ticks
+    assert abs(servo.present_ticks - goal) > 1000
+    goals = enable(DynamixelsInUse(dynamixels).hardware._torque, dynamixels)
+    dynamixels.run(0.3)
+    assert servo.plant.position_ticks == pytest.approx(stopped, abs=TORQUE_ON_WITHIN_TICKS)
+    assert goals[5] == pytest.approx(servo.present_ticks, abs=TORQUE_ON_WITHIN_TICKS)
+    assert servo.value(Register.BUS_WATCHDOG) == WATCHDOG
+
+
+def test_an_error_is_cleared_by_a_reboot_and_the_servo_holds_again(
+    torque: ServoTorque, dynamixels: SteppedDynamixels
+) -> None:
+    enable(torque, dynamixels)
+    servo = dynamixels.servo(3)
+    servo.fail(0x20)
+    assert servo.value(Register.TORQUE_ENABLE) == 0
+    before = positions(dynamixels)
+    run_to_end(torque.clear_error(3, hold=True), dynamixels.run)
+    dynamixels.run(0.2)
+    assert servo.value(Register.HARDWARE_ERROR_STATUS) == 0
+    assert servo.value(Register.TORQUE_ENABLE) == 1
+    assert servo.value(Register.BUS_WATCHDOG) == WATCHDOG
+    assert servo.value(Register.GOAL_PWM) == round(0.8 * FULL_PWM)
+    assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
+
+
+def test_a_servo_that_does_not_come_back_from_its_reboot_is_named(
+    torque: ServoTorque, dynamixels: SteppedDynamixels
+) -> None:
+    dynamixels.servo_bus.faults.offline = {3}
+    with pytest.raises(NoReply):
+        run_to_end(torque.clear_error(3, hold=True), dynamixels.run)
+
+
+# Hardware.
+
+
+@pytest.fixture
+def servos(dynamixels: SteppedDynamixels) -> DynamixelsInUse:
+    return DynamixelsInUse(dynamixels)
+
+
+@pytest.fixture
+def rig(dynamixels: SteppedDynamixels) -> DynamixelRig:
+    made = DynamixelRig(dynamixels, start_enabled=False)
+    made.until_mode(Mode.RELAXED)
+    return made
+
+
+def test_a_cycle_is_one_block_read_and_one_goal_write(rig: DynamixelRig) -> None:
+    rig.order(Order.ENABLE)
+    arm = rig.supervisor.arm
+    before = arm.hardware.counters.sent
+    for _ in range(CYCLES_BETWEEN):
+        arm.tick()
+    assert arm.hardware.counters.sent - before == CYCLES_BETWEEN * 2 + 1
+
+
+def test_an_arm_follows_a_trajectory_and_is_relaxed_again(rig: DynamixelRig) -> None:
+    rig.order(Order.ENABLE)
+    rig.until_mode(Mode.HOLDING)
+    rig.execute(smooth_move({"elbow_flex": (1.1, 0.4), "wrist_roll": (0.0, 1.5)}, 2.0))
+    rig.until(lambda: bool(rig.ended))
+    assert rig.ended[0].outcome.value == "reached"
+    assert rig.state.position_rad[[2, 4]] == pytest.approx([0.4, 1.5], abs=0.02)
+    assert rig.order(Order.RELAX).done
+    assert rig.torque() == [0] * 6
+
+
+def test_a_gripper_that_closes_on_something_has_gripped_it() -> None:
+    dynamixels = SteppedDynamixels(start_rad={"gripper": 1.2})
+    rig = DynamixelRig(dynamixels)
+    rig.until_mode(Mode.HOLDING)
+    rig.run(1.0)
+    gripper = CALIBRATION.joints[5]
+    dynamixels.servo(6).plant.block(gripper.ticks_from_rad(0.7) - gripper.homing_offset)
+    rig.execute(smooth_move({"gripper": (1.2, 0.2)}, 1.5), gripping=True)
+    rig.until(lambda: bool(rig.ended))
+    assert rig.ended[0].outcome is Outcome.GRIPPED
+    assert rig.fault_code == ""
+    rig.run(3.0)
+    assert rig.mode is Mode.HOLDING
+    # Squeezing for long takes half of the torque.
+    assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == round(0.25 * 1470)
+
+
+def test_goals_of_a_servo_that_counts_turns_are_in_its_turns(dynamixels: SteppedDynamixels) -> None:
+    dynamixels.servo(3)._turns_ticks += 4096
+    servos = DynamixelsInUse(dynamixels)
+    servos.enable()
+    servos.hardware.write_goals(np.array([0.0, 0.0, 1.2, 0.0, 0.0, 0.0]))
+    assert servos.read(0.4).position_rad[2] == pytest.approx(1.2, abs=0.01)
+
+
+def test_supply_and_temperature_are_read_less_often(servos: DynamixelsInUse) -> None:
+    servos.emulator.servo(3).voltage_v = 5.6
+    readings = [servos.read().voltage_v[2] for _ in range(2 * TELEMETRY_EVERY)]
+    assert readings[0] == pytest.approx(5.0)
+    assert readings[-1] == pytest.approx(5.6)
+
+
+def test_an_uncalibrated_arm_that_is_found_holding_goes_on_holding(dynamixels: SteppedDynamixels) -> None:
+    for servo in dynamixels.servo_bus.servos:
+        servo.hold()
+    before = positions(dynamixels)
+    rig = DynamixelRig(dynamixels, hardware=replace(METAL, calibration=replace(CALIBRATION, measured=False)))
+    rig.until_mode(Mode.FAULT)
+    rig.run(1.0)
+    assert rig.fault_code == FaultCode.STARTUP_REFUSED.value
+    assert rig.torque() == [1] * 6
+    assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
+
+
+def test_an_assumed_calibration_has_servos_without_homing_offsets(dynamixels: SteppedDynamixels) -> None:
+    servos = DynamixelsInUse(dynamixels, replace(METAL, calibration=replace(CALIBRATION, offsets_known=False)))
+    set_register(dynamixels, 3, Register.HOMING_OFFSET, -1690)
+    run_to_end(servos.hardware.survey())
+    with pytest.raises(StartupError, match=r"-1690 instead of -1700 ticks"):
+        servos.enable()
+
+
+def test_a_hardware_error_is_read_where_a_servo_reports_one(servos: DynamixelsInUse) -> None:
+    servos.emulator.servo(3).fail(0x24)
+    measured = servos.read()
+    assert measured.status.tolist() == [0, 0, int(StatusFlag.TEMPERATURE | StatusFlag.OVERLOAD), 0, 0, 0]
+
+
+@pytest.mark.parametrize(("bits", "code"), [(0x20, FaultCode.OVERLOAD), (0x04, FaultCode.OVERHEATED)])
+def test_a_servo_that_has_protected_itself_is_a_fault_that_can_be_reset(
+    dynamixels: SteppedDynamixels, bits: int, code: FaultCode
+) -> None:
+    rig = DynamixelRig(dynamixels)
+    rig.until(lambda: rig.mode is Mode.HOLDING)
+    rig.run(1.0)
+    dynamixels.servo(3).fail(bits)
+    rig.until_mode(Mode.FAULT)
+    assert rig.fault_code == code.value
+    # The rest of the arm is relaxed by itself.
+    rig.run(3.0)
+    answer = rig.order(Order.RESET_FAULT)
+    assert answer.done, answer.message
+    assert rig.order(Order.ENABLE).done
+    rig.run(0.5)
+    assert rig.mode is Mode.HOLDING
+    assert rig.torque() == [1] * 6
+
+
+def test_servos_stop_by_themselves_when_the_host_dies(servos: DynamixelsInUse) -> None:
+    servos.enable()
+    servos.hardware.write_goals(np.array([1.5, 0.0, 1.1, 0.0, 0.0, 0.0]))
+    servos.emulator.run(0.6)
+    stopped_rad = servos.read().position_rad[0]
+    servos.emulator.run(2.0)
+    assert servos.emulator.registers(Register.BUS_WATCHDOG) == [-1] * 6
+    assert servos.read().position_rad[0] == pytest.approx(stopped_rad, abs=0.05)
+    assert stopped_rad < 1.4
+    assert servos.emulator.registers(Register.TORQUE_ENABLE) == [1] * 6
+
+
+def test_servos_do_not_stop_while_the_host_reads_or_writes(servos: DynamixelsInUse) -> None:
+    servos.enable()
+    servos.hold_for(2.0)
+    assert -1 not in servos.emulator.registers(Register.BUS_WATCHDOG)
+
+
+def test_a_host_that_was_away_takes_the_stopped_servos_over(dynamixels: SteppedDynamixels) -> None:
+    DynamixelsInUse(dynamixels).enable()
+    dynamixels.run(3.0)
+    rig = DynamixelRig(dynamixels)
+    rig.until_mode(Mode.HOLDING)
+    rig.until(lambda: -1 not in dynamixels.registers(Register.BUS_WATCHDOG))
+    rig.execute(smooth_move({"wrist_roll": (rig.state.goal_rad[4], 0.8)}, 2.0))  # type: ignore[index]
+    rig.until(lambda: bool(rig.ended))
+    assert rig.ended[0].outcome.value == "reached"
+    assert rig.torque() == [1] * 6
+
+
+def test_a_servo_that_was_stopped_alone_is_a_fault_that_can_be_reset(dynamixels: SteppedDynamixels) -> None:
+    rig = DynamixelRig(dynamixels)
+    rig.until_mode(Mode.HOLDING)
+    rig.run(1.0)
+    dynamixels.servo(2).set(Register.BUS_WATCHDOG, -1)
+    rig.until_mode(Mode.FAULT)
+    assert rig.fault_code == FaultCode.SERVO_SILENT.value
+    assert rig.order(Order.RESET_FAULT).done
+    rig.run(3.0)
+    assert rig.mode is Mode.HOLDING
+    assert -1 not in dynamixels.registers(Register.BUS_WATCHDOG)
+
+
+def test_closing_leaves_the_servos_holding_without_a_watchdog(servos: DynamixelsInUse) -> None:
+    servos.enable()
+    servos.hardware.close()
+    assert servos.emulator.registers(Register.TORQUE_ENABLE) == [1] * 6
+    assert servos.emulator.registers(Register.BUS_WATCHDOG) == [0] * 6
+
+
+def test_closing_an_arm_that_was_never_driven_writes_nothing(servos: DynamixelsInUse) -> None:
+    servos.hardware.close()
+    assert servos.emulator.writes() == 0
+
+
+def test_closing_a_lost_port_is_no_error(servos: DynamixelsInUse) -> None:
+    servos.enable()
+    servos.emulator.port.unplug()
+    servos.hardware.close()

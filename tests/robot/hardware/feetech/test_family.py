@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot.advice import ServoAlert
+from robot.errors import StartupError
+from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech
+from robot.hardware.feetech.profiles import LEROBOT, ServoProfile
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
+from robot.hardware.interface import run_to_end
+from robot.hardware.servos.family import Limit, ServoFound
+from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.survey import survey
+from robot.messages import Mode
+from tests.helpers.arm_rig import BOUNDS, CALIBRATION, ArmRig, run
+from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.feetech import FeetechsInUse
+from tests.helpers.server import read_write_log
+
+FAMILY = Feetech()
+IDS = [joint.servo_id for joint in CALIBRATION.joints]
+
+
+def surveyed(bus: Bus, family: Feetech = FAMILY) -> dict[int, ServoFound]:
+    return run(survey(family, bus, ServoMap(family, CALIBRATION, BOUNDS)))
+
+
+# Survey.
+
+
+def test_a_servo_in_another_operating_mode_is_refused(bus: Bus) -> None:
+    bus.write(2, Register.OPERATING_MODE, 1)
+    with pytest.raises(StartupError, match=r"servo 2 \(shoulder_lift\) is in operating mode 1"):
+        surveyed(bus)
+
+
+def set_all(bus: Bus, profile: ServoProfile) -> None:
+    for joint in CALIBRATION.joints:
+        for register, value in profile.expected(gripper=joint.servo.gripper).items():
+            bus.write(joint.servo_id, register, value)
+
+
+def test_servos_as_lerobot_leaves_them_are_well(bus: Bus) -> None:
+    set_all(bus, LEROBOT)
+    assert {servo: found.warnings for servo, found in surveyed(bus).items()} == dict.fromkeys(IDS, ())
+
+
+def test_a_setting_that_differs_from_its_profile_is_told_with_its_consequence(bus: Bus) -> None:
+    set_all(bus, LEROBOT)
+    bus.write(3, Register.PROTECTION_TIME, 20)
+    found = surveyed(bus)
+    assert [servo for servo in IDS if found[servo].warnings] == [3]
+    (warning,) = found[3].warnings
+    expected = "register PROTECTION_TIME is 20, not 200 as in the profile lerobot: an overload latches after 0.2 s"
+    assert warning.sentence == expected
+
+
+def test_servos_are_compared_with_the_profile_of_the_arm_if_it_has_one(bus: Bus) -> None:
+    found = surveyed(bus, Feetech(LEROBOT))
+    sentences = {servo: [warning.sentence for warning in found[servo].warnings] for servo in IDS}
+    assert all("P_GAIN is 32, not 16" in " ".join(sentences[servo]) for servo in IDS)
+    assert all(found[servo].expected[Register.P_GAIN] == 16 for servo in IDS)
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "alert", "words"),
+    [
+        (Register.MIN_ANGLE_LIMIT, 100, ServoAlert.ANGLE_LIMITS, "(100, "),
+        (Register.PHASE, 12 | PHASE_MULTI_TURN, ServoAlert.SEVERAL_TURNS, "its position may overflow"),
+        (Register.RETURN_DELAY, 250, ServoAlert.RETURN_DELAY, "500 us later: set register RETURN_DELAY to 0"),
+        (Register.LOCK, 0, ServoAlert.EPROM_UNLOCKED, "EPROM is unlocked"),
+        (Register.P_GAIN, 8, ServoAlert.REGISTER, "droops further"),
+        (Register.MAX_TORQUE, 300, ServoAlert.REGISTER, "30 % of its torque"),
+    ],
+)
+def test_a_deviating_setting_is_a_warning(
+    bus: Bus, register: Register, value: int, alert: ServoAlert, words: str
+) -> None:
+    bus.write(2, register, value)
+    (warning,) = surveyed(bus)[2].warnings
+    assert warning.alert is alert
+    assert words in warning.sentence
+
+
+def test_an_arm_is_surveyed_in_few_transactions(bus: Bus) -> None:
+    before = bus.counters.sent
+    surveyed(bus)
+    # The model, the settings, and the commands.
+    assert bus.counters.sent - before == 3 * len(IDS)
+
+
+# Hardware.
+
+
+def test_a_cycle_is_one_block_read_and_one_goal_write(emulator: SteppedEmulator) -> None:
+    rig = ArmRig(emulator)
+    rig.until_mode(Mode.HOLDING)
+    arm = rig.supervisor.arm
+    assert arm is not None
+    before = rig.bus.counters.sent
+    for _ in range(16):
+        arm.tick()
+    # Every sixteenth cycle one servo is read back.
+    assert rig.bus.counters.sent - before == 16 * 2 + 1
+
+
+def test_the_soft_limits_are_narrowed_to_what_the_servos_allow(emulator: SteppedEmulator) -> None:
+    emulator.open_bus().write(1, Register.MAX_ANGLE_LIMIT, CALIBRATION.joints[0].ticks_from_rad(0.5))
+    found = FeetechsInUse(emulator).found
+    assert found.bounds.upper_rad[0] == pytest.approx(0.5, abs=0.05)
+    assert found.bounds.upper_rad[1:] == pytest.approx(BOUNDS.upper_rad[1:])
+
+
+def test_servos_without_limits_take_every_goal(emulator: SteppedEmulator) -> None:
+    for register in (Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT):
+        emulator.open_bus().write(1, register, 0)
+    assert FeetechsInUse(emulator).found.bounds.upper_rad == pytest.approx(BOUNDS.upper_rad)
+
+
+def test_a_servo_is_asked_for_no_more_than_it_is_set_to_give(emulator: SteppedEmulator) -> None:
+    emulator.open_bus().write(2, Register.MAX_TORQUE, 600)
+    hardware = FeetechsInUse(emulator).hardware
+    assert hardware.full_torque == pytest.approx([0.8, 0.6, 0.8, 0.8, 0.8, 0.5])
+    assert hardware._torque.full_limits()[2] == Limit(Register.TORQUE_LIMIT, 600)
+
+
+def test_goals_are_written_with_acceleration_and_velocity_cap(emulator: SteppedEmulator) -> None:
+    servos = FeetechsInUse(emulator)
+    servos.hardware.write_goals(np.zeros(6))
+    ticks, cap = CALIBRATION.joints[0].ticks_from_rad(0.0), servos.hardware.servos.speed_ticks_s[1]
+    block = servos.hardware.bus.sync_read((1,), GOAL_ADDRESS, 7)[1].data
+    assert block == goal_block(ticks, int(np.ceil(cap)), 254)
+
+
+def test_round_trips_are_timed_on_the_loops_clock(emulator: SteppedEmulator) -> None:
+    assert 0.001 < FeetechsInUse(emulator).hardware.round_trips_s[-1] < 0.003
+
+
+# Torque.
+
+
+def test_a_servo_that_would_clamp_its_goal_is_not_switched_on(emulator: SteppedEmulator) -> None:
+    emulator.open_bus().write(1, Register.MAX_ANGLE_LIMIT, 2000)
+    with pytest.raises(StartupError, match="shoulder_pan stands at"):
+        FeetechsInUse(emulator).enable()
+    assert not run_to_end(FeetechsInUse(emulator).hardware.driven(), emulator.run).any()
+
+
+def test_an_arm_that_holds_is_adopted_and_not_one_register_is_written(
+    start_emulator: Callable[..., SteppedEmulator], tmp_path: Path
+) -> None:
+    log = tmp_path / "writes.jsonl"
+    emulator = start_emulator("--write-log", str(log), "--start", "0.5,-0.5,0.5,0.2,0.1,0.3")
+    with contextlib.closing(emulator.open_bus()) as bus:
+        first = FeetechsInUse(emulator).enable()
+        bus.ping(1)  # the emulator has then logged all that came before
+        written = len(read_write_log(log))
+        assert FeetechsInUse(emulator).enable() == pytest.approx(first)
+        bus.ping(1)
+        assert len(read_write_log(log)) == written
+
+
+def test_the_goal_of_a_servo_that_holds_is_not_touched_however_far_it_is(emulator: SteppedEmulator, bus: Bus) -> None:
+    FeetechsInUse(emulator).enable()
+    goal = bus.read(1, Register.PRESENT_POSITION) + 800
+    # At the slowest speed the servo stays far behind this goal for long.
+    bus.sync_write(GOAL_ADDRESS, {1: goal_block(goal, 1, 254)})
+    assert FeetechsInUse(emulator).enable()[0] == pytest.approx(CALIBRATION.joints[0].rad_from_ticks(goal))
+    assert bus.read(1, Register.GOAL_POSITION) == goal
+
+
+def test_a_latched_overload_that_ignores_torque_off_needs_a_power_cycle(emulator: SteppedEmulator) -> None:
+    servos = FeetechsInUse(emulator)
+    servos.enable()
+    emulator.servo_bus.servos[2].write = lambda _address, _data: None  # type: ignore[method-assign]
+    with pytest.raises(StartupError, match=r"the overload of elbow_flex \(id 3\) stays latched"):
+        run_to_end(servos.hardware.clear_overloads([2], hold=True), emulator.run)

@@ -1,0 +1,11 @@
+from __future__ import annotations
+
+import pytest
+
+from tests.helpers.servo_families import FAMILIES, Family
+
+
+@pytest.fixture(params=FAMILIES.values(), ids=FAMILIES)
+def family(request: pytest.FixtureRequest) -> Family:
+    made: Family = request.param
+    return made

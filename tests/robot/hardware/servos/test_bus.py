@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from robot.errors import NoReply, PortLost, StartupError
+from robot.hardware.interface import run_to_end
+from robot.hardware.servos.bus import STEP_ATTEMPTS, read, read_block, read_registers, write_verified
+from tests.helpers.servo_families import IDS, Family
+
+
+def block_read(family: Family, bus: Any) -> dict[int, Any]:
+    """Positions of all servos, in one transaction."""
+    register = family.registers.Register.PRESENT_POSITION
+    frames: dict[int, Any] = bus.sync_read(IDS, register, len(family.registers.encode(register, 0)))
+    return {servo: family.registers.decode(register, frame.data) for servo, frame in frames.items()}
+
+
+def test_registers_and_blocks_of_several_servos_are_written_and_read(family: Family) -> None:
+    emulator = family.emulator()
+    bus, goal = emulator.open_bus(), family.registers.Register.GOAL_POSITION
+    bus.write(3, goal, 700)
+    assert [bus.read(servo, goal) for servo in (3, 4)] == [700, 0]
+    sent = bus.counters.sent
+    bus.sync_write(goal, {servo: family.registers.encode(goal, 100 * servo) for servo in IDS})
+    assert bus.counters.sent - sent == 1
+    assert [bus.read(servo, goal) for servo in IDS] == [100, 200, 300, 400, 500, 600]
+    sent = bus.counters.sent
+    assert list(block_read(family, bus)) == list(IDS)
+    assert bus.counters.sent - sent == 1
+    assert block_read(family, bus)[3] == bus.read(3, family.registers.Register.PRESENT_POSITION)
+
+
+def test_a_servo_that_is_gone_is_named_and_the_others_still_answer(family: Family) -> None:
+    emulator = family.emulator()
+    bus = emulator.open_bus()
+    emulator.servo_bus.faults.offline = {3}
+    with pytest.raises(NoReply, match="servo 3 ") as silent:
+        bus.read(3, family.registers.Register.TORQUE_ENABLE)
+    assert silent.value.servo_id == 3
+    assert isinstance(silent.value, TimeoutError)
+    assert bus.counters.timeouts > 0
+    assert sorted(block_read(family, bus)) == [1, 2, 4, 5, 6]
+    emulator.servo_bus.faults.offline = set()
+    assert bus.read(3, family.registers.Register.TORQUE_ENABLE) == 0
+
+
+def test_one_broadcast_switches_all_torque_off(family: Family) -> None:
+    bus, torque = family.emulator().open_bus(), family.registers.Register.TORQUE_ENABLE
+    for servo in IDS:
+        bus.write(servo, torque, 1)
+    bus.broadcast_torque_off()
+    assert [bus.read(servo, torque) for servo in IDS] == [0] * 6
+
+
+def test_a_lost_port_is_told(family: Family) -> None:
+    emulator = family.emulator()
+    bus = emulator.open_bus()
+    emulator.port.unplug()
+    with pytest.raises(PortLost):
+        bus.read(3, family.registers.Register.TORQUE_ENABLE)
+
+
+def test_a_ping_is_answered_with_the_model(family: Family) -> None:
+    bus = family.emulator().open_bus()
+    models = [family.value(family.emulator(), servo, "MODEL_NUMBER") for servo in IDS]
+    assert [bus.ping(servo) for servo in IDS] == models
+
+
+def test_noise_is_counted(family: Family) -> None:
+    emulator = family.emulator()
+    bus = emulator.open_bus()
+    emulator.servo_bus.faults.noise = 1.0
+    bus.read(3, family.registers.Register.TORQUE_ENABLE)
+    assert bus.counters.discarded_bytes > 0
+
+
+def test_a_sequence_asks_again_when_a_reply_is_lost(family: Family) -> None:
+    emulator = family.emulator()
+    bus, register = emulator.open_bus(), family.registers.Register.MODEL_NUMBER
+    emulator.servo_bus.faults.drop = 0.4
+    values = [run_to_end(read(bus, servo, register), emulator.run) for servo in IDS]
+    assert values == family.values(emulator, "MODEL_NUMBER")
+    assert bus.counters.retries == bus.counters.timeouts > 0
+
+
+def test_a_sequence_gives_up_after_some_attempts(family: Family) -> None:
+    emulator = family.emulator()
+    bus, table = emulator.open_bus(), family.driver.registers
+    emulator.servo_bus.faults.offline = {3}
+    for steps in (read(bus, 3, table.torque_enable), read_registers(bus, 3, table.block(table.goal_position))):
+        sent = bus.counters.sent
+        with pytest.raises(NoReply, match=f"{STEP_ATTEMPTS} instructions"):
+            run_to_end(steps, emulator.run)
+        assert bus.counters.sent - sent == STEP_ATTEMPTS
+
+
+def test_each_step_of_a_sequence_is_one_transaction(family: Family) -> None:
+    bus = family.emulator().open_bus()
+    steps = write_verified(bus, 3, family.registers.Register.GOAL_POSITION, 300)
+    assert [bus.counters.sent for _ in steps] == [0, 1]
+    assert bus.read(3, family.registers.Register.GOAL_POSITION) == 300
+
+
+def test_a_write_is_verified_though_its_acknowledgement_is_lost(family: Family) -> None:
+    emulator = family.emulator()
+    bus, goal = emulator.open_bus(), family.registers.Register.GOAL_POSITION
+    emulator.servo_bus.faults.drop = 0.3
+    for servo in IDS:
+        run_to_end(write_verified(bus, servo, goal, 300 + servo), emulator.run)
+    assert family.values(emulator, "GOAL_POSITION") == [301, 302, 303, 304, 305, 306]
+
+
+def test_a_register_that_keeps_another_value_is_named(family: Family) -> None:
+    bus = family.emulator().open_bus()
+    with pytest.raises(StartupError, match=r"servo 1 does not take 5 in register PRESENT_TEMPERATURE \(\d+\)"):
+        run_to_end(write_verified(bus, 1, family.registers.Register.PRESENT_TEMPERATURE, 5))
+
+
+def test_a_block_is_read_in_one_piece(family: Family) -> None:
+    bus, block = family.emulator().open_bus(), family.driver.telemetry
+    sent = bus.counters.sent
+    assert len(run_to_end(read_block(bus, 1, block.address, block.length)).data) == block.length
+    assert bus.counters.sent - sent == 1

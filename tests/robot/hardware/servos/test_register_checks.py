@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from robot.faults import Fault, FaultCode
+from robot.hardware.servos.family import Limit
+from robot.hardware.servos.register_checks import CYCLES_BETWEEN, RegisterChecks
+from tests.helpers.servo_families import DYNAMIXEL, IDS, Family
+
+
+class Checked:
+    """Checks of servos that were surveyed and driven, and the values of their registers as written."""
+
+    def __init__(self, family: Family) -> None:
+        hardware = family.in_use().hardware
+        self.limits: dict[int, Limit] = hardware._torque.full_limits()
+        self.checks = RegisterChecks(family.driver, hardware.servos, hardware._found)
+        self.checks.expect(self.limits)
+        self.family = family
+        watchdog = family.driver.watchdog
+        self.as_written: dict[Any, int] = {self.register("TORQUE_ENABLE"): 1}
+        if watchdog is None:
+            self.as_written[self.limits[2].register] = self.limits[2].value
+        else:
+            self.as_written[watchdog.register] = watchdog.armed
+        # As after power-up.
+        self.restarted = {**self.as_written, **({self.limits[2].register: 1000} if watchdog is None else {})}
+        if watchdog is not None:
+            self.restarted[watchdog.register] = 0
+
+    def register(self, name: str) -> Any:
+        return self.family.registers.Register[name]
+
+    def check(self, values: dict[Any, int], servo: int = 2) -> Fault | None:
+        return self.checks.check(servo, values, 5.0)
+
+
+@pytest.fixture
+def checked(family: Family) -> Checked:
+    return Checked(family)
+
+
+def test_every_block_of_every_servo_has_its_turn(family: Family, checked: Checked) -> None:
+    turns = len(IDS) * len(family.driver.read_back)
+    due = [checked.checks.due() for _ in range(turns * CYCLES_BETWEEN)]
+    asked = [each for each in due if each is not None]
+    assert len(asked) == turns
+    assert set(asked) == {(servo, block) for servo in IDS for block in family.driver.read_back}
+
+
+def test_a_servo_that_holds_what_was_written_is_no_fault(checked: Checked) -> None:
+    assert checked.check(checked.as_written) is None
+    assert checked.checks.torque_on == {2: True}
+
+
+def test_a_servo_that_was_relaxed_is_a_fault(checked: Checked) -> None:
+    fault = checked.check({**checked.as_written, checked.register("TORQUE_ENABLE"): 0})
+    assert fault is not None
+    assert (fault.code, fault.joint, fault.stamp_s) == (FaultCode.TORQUE_LOST, "shoulder_lift", 5.0)
+    assert checked.checks.torque_on == {2: False}
+
+
+@pytest.mark.parametrize("torque_on", [0, 1])
+def test_a_servo_that_is_as_after_power_up_has_restarted(checked: Checked, torque_on: int) -> None:
+    fault = checked.check({**checked.restarted, checked.register("TORQUE_ENABLE"): torque_on})
+    assert fault is not None
+    assert (fault.code, fault.joint, fault.stamp_s) == (FaultCode.SERVO_REBOOTED, "shoulder_lift", 5.0)
+    assert "has restarted" in fault.message
+    # It is told once, and its torque limit is written again.
+    assert checked.check({**checked.restarted, checked.register("TORQUE_ENABLE"): 1}) is None
+    assert checked.checks.limits_to_write(checked.limits) == {2: checked.limits[2]}
+
+
+def test_nothing_is_expected_of_a_servo_that_was_not_driven(checked: Checked) -> None:
+    checked.checks.expect({})
+    assert checked.check(checked.restarted) is None
+
+
+def test_only_changed_torque_limits_are_written_and_once(checked: Checked) -> None:
+    register, value = checked.limits[6]
+    wanted = {**checked.limits, 6: Limit(register, value // 2)}
+    assert checked.checks.limits_to_write(checked.limits) == {}
+    assert checked.checks.limits_to_write(wanted) == {6: wanted[6]}
+    assert checked.checks.limits_to_write(wanted) == {}
+    # A servo that has lost it gets it again.
+    assert checked.checks.check(6, {register: value // 3}, 0.0) is None
+    assert checked.checks.limits_to_write(wanted) == {6: wanted[6]}
+
+
+def test_a_servo_that_its_watchdog_has_stopped_is_a_fault() -> None:
+    checked, watchdog = Checked(DYNAMIXEL), DYNAMIXEL.driver.watchdog
+    assert watchdog is not None
+    fault = checked.check({watchdog.register: watchdog.tripped})
+    assert fault is not None
+    assert fault.code is FaultCode.SERVO_SILENT
+    assert "0.5 s" in fault.message

@@ -65,7 +65,6 @@ class Inherited:
     """Parts of a server that the process which has forked it made for several.
 
     Attributes:
-        description: the arm by its files.
         planners: path of the socket of the planners' host.
     """
 
@@ -106,7 +105,6 @@ class NewStart:
 
     Attributes:
         settings: everything that can be chosen.
-        recalibrated: the new calibration.
     """
 
     settings: Settings

@@ -83,7 +83,6 @@ class Together(Feature):
 
     Args:
         name: their name in the log.
-        features: in the order of their start.
         deadline_s: longest time for the stop of all [s].
     """
 
@@ -135,7 +134,6 @@ async def start_in_order(parts: Sequence[Part | Feature], started: list[Part | F
     """Start parts one after the other.
 
     Args:
-        parts: in the order of their start.
         started: gets each part before it is started, so that it is stopped even if its start fails.
     """
     for part in parts:
@@ -162,7 +160,6 @@ def on_hangup(
     """Handle SIGHUP: a service reloads its files, a program stops if its terminal is gone.
 
     Args:
-        reload: reads files again.
         stop: begins the stop; called if the terminal has hung up, where nobody could stop the server any more.
         is_terminal: returns True for a descriptor of a terminal that has not hung up.
     """
@@ -216,7 +213,6 @@ async def stop_in_reverse(
     """Stop each part, the last one first, whatever becomes of those before it.
 
     Args:
-        started: in the order of their start.
         total_s: longest time of all stops together, but for those beyond the total [s].
         hurry: set by whoever will not wait; each part then has HURRIED_S.
         clock: monotonic time [s].

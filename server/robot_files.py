@@ -26,11 +26,7 @@ _SCHEME = re.compile(r"^[a-z][a-z0-9+.-]*://")
 
 
 class RobotFiles:
-    """Files that clients may fetch: those below the URDF's folder, and those beside the meshes of its packages.
-
-    Args:
-        robot: the arm.
-    """
+    """Files that clients may fetch: those below the URDF's folder, and those beside the meshes of its packages."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
@@ -75,12 +71,7 @@ def package_name(robot: RobotModel) -> str:
 
 
 def with_package_urls(urdf: str, package: str) -> str:
-    """Return the URDF with a package URL in place of every mesh path, such as ``assets/base.stl``.
-
-    Args:
-        urdf: the text.
-        package: of the URLs.
-    """
+    """Return the URDF with a package URL in place of every mesh path, such as ``assets/base.stl``."""
     root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
     meshes = [mesh for mesh in root.iter("mesh") if not _SCHEME.match(mesh.get("filename", ""))]
     if not meshes:
@@ -108,18 +99,7 @@ def find_file(directory: Path | None, package: str, name: str) -> Path:
 
 
 def _checked(directory: Path, inner: str, name: str, url: str) -> Path:
-    """Return a file in a directory.
-
-    Args:
-        directory: nothing outside it is served.
-        inner: path of the file in it.
-        name: name of the file, for errors.
-        url: URL of the directory, for errors.
-
-    Raises:
-        ServiceError: there is no such file, or it is of another kind or outside the directory.
-        FileTooLargeError: the file is too large.
-    """
+    """Return a file in a directory."""
     nowhere = f"name: {name!r} is no file below {url}"
     try:
         root = directory.resolve()

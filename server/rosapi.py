@@ -61,7 +61,6 @@ class Request(NamedTuple):
     """Request of a rosapi service.
 
     Attributes:
-        values: the complete request message.
         dialect: the caller's; type names in the response are spelled in it.
     """
 
@@ -260,7 +259,6 @@ class Latest:
 
     Args:
         names: the names that it is made of.
-        make: makes it, for a dialect.
     """
 
     def __init__(self, names: TypedNames, make: Callable[[Dialect], dict[str, Any]]) -> None:
@@ -304,12 +302,7 @@ class Parameters:
         }
 
     def keep(self, name: str, value: str) -> None:
-        """Set a parameter of the server itself, without the limits that hold for clients.
-
-        Args:
-            name: fully qualified.
-            value: JSON text.
-        """
+        """Set a parameter of the server itself, without the limits that hold for clients."""
         self._size_bytes += _size_bytes(name, value) - self._stored_bytes(name)
         self._values[name] = value
         if self._names.refusal("parameter", name) is None:
@@ -360,11 +353,7 @@ class Parameters:
         return {"names": sorted(self._open)}
 
     def _allowed_name(self, request: Request) -> str:
-        """Return the name of the requested parameter.
-
-        Raises:
-            ServiceError: clients may not use it.
-        """
+        """Return the name of the requested parameter."""
         name: str = request.values["name"]
         refusal = self._names.refusal("parameter", name)
         if refusal is not None:

@@ -122,13 +122,7 @@ def plans_only(rule: Rule, goal: object) -> bool:
 
 
 class Authorizer:
-    """Check of the operations of one client; asked once an operation, before anything is done for it.
-
-    Args:
-        node: the client.
-        access: rules that all clients share.
-        graph: the topics and actions that there are.
-    """
+    """Check of the operations of one client; asked once an operation, before anything is done for it."""
 
     __slots__ = ("_access", "_goals", "_graph", "_node", "_settled")
 
@@ -260,20 +254,12 @@ class Access:
         settings: the section ``access``.
         clock: monotonic time [s].
         wall_clock: seconds since the epoch.
-        busy: returns the goal that is worked on.
         arms: by the name of each of several arms, what returns the goal that is worked on there.
 
     Attributes:
-        settings: as given.
-        clock: as given.
-        tokens: tokens and their owners.
-        one_time_tokens: tokens that let one connection in each.
         lease: control of the arm, or of all arms.
         leases_of_arms: control of each of several arms, by its name.
         drivers: clients that are connected and whose role lets them drive.
-        topics: filter of topics.
-        services: filter of services and actions.
-        params: filter of parameters.
 
     Raises:
         ConfigurationError: the tokens cannot be used.

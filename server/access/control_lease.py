@@ -43,10 +43,8 @@ class ControlLease:
         idle_s: time without a request of the holder after which the arm is free for others [s].
         wall_clock: seconds since the epoch.
         busy: returns the goal that is worked on; meanwhile the holder does not idle.
-        what: what it is the control of.
 
     Attributes:
-        policy: as given.
         excluded_by: leases that nobody else may hold when a client takes this one: of several arms that of all arms
             excludes those of each, and each of them excludes it.
         holder: the client that drives; None when the arm is free.
@@ -81,7 +79,6 @@ class ControlLease:
         """Take control, or keep it, to move the arm or to switch it.
 
         Args:
-            node: the client.
             now_s: monotonic time [s].
 
         Returns:
@@ -107,7 +104,6 @@ class ControlLease:
         """Give control back; a client that has shown a token with the role ADMIN may take it from another.
 
         Args:
-            node: the client.
             now_s: monotonic time [s].
 
         Returns:
@@ -202,8 +198,6 @@ class ControlServices:
     """Topic ``/arm/control`` (latched), and the services that take, release and ask for control.
 
     Args:
-        graph: the graph that they belong to.
-        lease: control of the arm.
         clock: monotonic time [s].
         call_later: calls something after a delay.
     """

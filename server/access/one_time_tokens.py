@@ -63,7 +63,6 @@ class OneTimeTokens:
         """Return a new token.
 
         Args:
-            asker: identity of the client that asks for it.
             role: role of the connection; empty for operate.
 
         Raises:
@@ -120,8 +119,6 @@ class OneTimeTokenService:
     """Service that issues one-time tokens, and tells where other machines find the page.
 
     Args:
-        graph: graph of the service.
-        one_time_tokens: issues them.
         tokens: the server's tokens; without any, nobody needs a token.
         page_urls: returns the URLs of the page for other machines.
     """

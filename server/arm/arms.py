@@ -37,9 +37,7 @@ class ArmFiles:
     """An arm by its files.
 
     Attributes:
-        settings: its own.
         description: with prefixed names for one of several arms.
-        config: of its process.
     """
 
     settings: ArmSettings
@@ -61,7 +59,6 @@ def read_arms(settings: Settings, alone: Description | None = None) -> dict[str,
     """Read the files of all arms, each by its name.
 
     Args:
-        settings: all of them.
         alone: the only arm, if it was read before.
 
     Raises:
@@ -179,8 +176,6 @@ class ServedArm:
     Attributes:
         name: of one of several arms; empty for the only one, and for all together.
         settings: its own; the defaults for all together.
-        description: the arm by its files.
-        arm: the arm.
         leads: True for an arm that others follow.
     """
 
@@ -215,7 +210,6 @@ class JoinedBeat:
     """Beat in which the states of several arms, whose clocks are their own, are told as one.
 
     Args:
-        names: of the arms.
         period_s: time between two states of an arm [s].
     """
 
@@ -233,7 +227,6 @@ class JoinedBeat:
         arm in bursts, which are told once.
 
         Args:
-            name: of the arm.
             now_s: monotonic time [s].
         """
         self._fresh.add(name)
@@ -256,7 +249,6 @@ class Arms:
         arm_process: process of the only arm, if it was started ahead.
 
     Attributes:
-        each: the arms.
         whole: the only arm, or all arms together.
     """
 

@@ -38,7 +38,6 @@ class Recalibrated:
 
     Attributes:
         arm: name of one of several arms; else empty.
-        file: its file.
         position_rad: positions of the joints under it, by joint [rad].
         ended: end of the procedure, to be shown by the server that starts.
     """
@@ -70,7 +69,6 @@ class CalibrationProcedure:
 
     Args:
         arm: the arm's handle.
-        served: the arm by its files and settings.
         file: calibration to write, and True if the settings name this file.
         end_goals: ends all goals of the arm and stops every motion of it, for a reason.
         start_anew: called when the calibration is written.
@@ -221,7 +219,6 @@ def calibration_file(name: str, description: Description) -> tuple[Path, bool]:
 
     Args:
         name: id of lerobot; empty for the calibration in use.
-        description: the arm by its files.
 
     Raises:
         CalibrationError: there is none in use, or the name is none.

@@ -67,11 +67,8 @@ class Dialogue:
         changed: called after every change of what is shown.
 
     Attributes:
-        procedure: as given.
-        step: present step.
         progress: share that is done, 0 to 1.
         findings: what was found, a sentence each.
-        ranges: ranges of the joints.
         droops_rad: droop of joints that was measured, by joint [rad].
     """
 
@@ -90,7 +87,6 @@ class Dialogue:
         """Ask until an answer is accepted.
 
         Args:
-            step: the step with its answers.
             accept: called with an answer, at once; raises a RobotError when it cannot go on so.
             current: the step after an answer that was not accepted, which may have other answers.
 
@@ -193,7 +189,6 @@ class Commissioning:
     """Services and topic of the procedures.
 
     Args:
-        graph: where they are.
         make: makes a procedure by its name and the name of a calibration; raises a RobotError when it cannot begin.
         ended: end of the procedure before, if it was followed by a start of the server.
     """

@@ -35,8 +35,6 @@ class ArmServices:
     Orders leave for the arm process before anything else happens: no queue, no task and no waiting in between.
 
     Args:
-        graph: the graph that they belong to.
-        arm: the arm.
         end_goals: ends the active goal and all that wait, and stops every motion, for a reason.
     """
 
@@ -128,10 +126,6 @@ class ArmPace:
     The speed factor is the driver's: a share of the planned speed of every motion, also of a slow one. The speed limit
     is the operator's: a share of the joints' velocity limits, which slows down only what would be faster, whoever moves
     the arm, and the gripper too. Guards and limits of the arm hold at every pace.
-
-    Args:
-        graph: the graph of the topic and the services.
-        arm: the arm.
     """
 
     def __init__(self, graph: LocalGraph, arm: ArmInterface) -> None:

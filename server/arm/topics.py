@@ -69,7 +69,6 @@ class ArmStateTopics:
     """Publishes the arm's mode, fault and pace, and its joint limits.
 
     Args:
-        graph: the graph of the topics.
         robot: the arm; names the hardware, and gives the limits until the servos' own are known.
         state: the arm's state at the start.
     """
@@ -90,7 +89,6 @@ class ArmStateTopics:
         """Publish a state when it says something new.
 
         Args:
-            state: the state.
             last_stop: stop epoch of the arm's last stop; another one tells every client of the stop.
         """
         told = state.mode, state.reason, state.fault, state.pace, last_stop

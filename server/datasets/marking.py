@@ -45,7 +45,6 @@ class EpisodeServices:
     which nobody else may have asked for.
 
     Args:
-        graph: where they are.
         recording: tells if the server records.
         clock: monotonic time [s].
     """

@@ -116,11 +116,6 @@ class ExecutionContext:
     """Parts that the executors of all goals share.
 
     Attributes:
-        robot: description of all arms.
-        pool: the planners.
-        scene: the planning scene.
-        current: positions of all joints.
-        time_limits: of motions.
         failed_goals: keeps goals that could not be planned; None to keep none.
         show: called with every plan before it is executed.
         confirm: waits for a user's confirmation of a plan; returns None to execute it, else the goal's answer.
@@ -140,11 +135,6 @@ class ExecutionContext:
 
 class GoalExecutor:
     """Executor of one goal at a time, from its motion to its answer.
-
-    Args:
-        arm: the part of the arms that it moves.
-        context: parts that all executors share.
-        in_progress: motions of all goals.
 
     Attributes:
         recorder: records the arm's states for the answers.
@@ -309,14 +299,7 @@ class GoalExecutor:
     # Steps of an attempt.
 
     async def _until_ready(self, joints: Joints) -> None:
-        """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal.
-
-        Args:
-            joints: of the motion.
-
-        Raises:
-            RefusedError: none can begin, or the goal was cancelled.
-        """
+        """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal."""
         await self._player.stop_outgoing()
         await self._stop_preempted(joints)
         # A goal that comes while the server starts waits for the arm.
@@ -338,9 +321,6 @@ class GoalExecutor:
         """Plan from where the arm holds, and anew when it was moved meanwhile.
 
         Other groups may be moving: they are planned for at the end of their motions.
-
-        Raises:
-            RefusedError: there is no such scene, or the goal was cancelled.
         """
         found = planned = None
         for _ in range(MAX_STARTS):
@@ -359,11 +339,7 @@ class GoalExecutor:
         return planned
 
     async def _plan_in_turn(self, request: PlannedMotion) -> tuple[PlannedSequence, Scene]:
-        """Plan after the goals of other groups that came before; return the scene as well.
-
-        Raises:
-            RefusedError: there is no such scene.
-        """
+        """Plan after the goals of other groups that came before; return the scene as well."""
         async with self._in_progress.turn:
             start_rad = self._expected_rad(request.joints)
             scene = self._scene.scene if request.scene is None else request.scene(start_rad)
@@ -398,13 +374,7 @@ class GoalExecutor:
         return None if answer is None else replace(answer, performed=planned.performed)
 
     async def _play(self, planned: PlannedSequence, version: int, report: Callable[[Progress], None]) -> Answer:
-        """Play the motions one after the other.
-
-        Args:
-            planned: the motions.
-            version: of the scene in which they were planned.
-            report: called with the progress.
-        """
+        """Play the motions one after the other."""
         motions = planned.performed.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
         self._end_rad = planned.end_rad
@@ -443,11 +413,7 @@ class GoalExecutor:
                 return await self._player.play(checked, report, self._questions(checked), self._epoch)
 
     async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:
-        """Return the first of some motions in progress that a motion may touch; None if there is none.
-
-        Raises:
-            RefusedError: the planners cannot tell.
-        """
+        """Return the first of some motions in progress that a motion may touch; None if there is none."""
         for other in beside:
             question = meeting_question(motion, other, self._expected_rad(frozenset(motion.joint_names)))
             answer = await self._pool.ask(question, self._scene.scene)
@@ -525,7 +491,6 @@ def _with_more_to_come(report: Callable[[Progress], None], to_come_s: float) -> 
     """Return the report of one motion of a sequence, whose time left is that of the sequence.
 
     Args:
-        report: of the sequence.
         to_come_s: duration of the motions after this one [s].
     """
     return lambda progress: report(replace(progress, remaining_s=progress.remaining_s + to_come_s))
@@ -549,16 +514,7 @@ def _group_of(robot: RobotModel, motion: Trajectory) -> str:
 
 
 class GoalExecutors:
-    """Executors of goals: one for each set of joints, so that a goal can replace the motion of the one before.
-
-    Args:
-        arm: all arms.
-        context: parts that all executors share.
-        kind: class of the executors.
-
-    Attributes:
-        in_progress: motions of all goals.
-    """
+    """Executors of goals: one for each set of joints, so that a goal can replace the motion of the one before."""
 
     def __init__(self, arm: ArmInterface, context: ExecutionContext, kind: type[GoalExecutor] = GoalExecutor) -> None:
         self._arm = arm

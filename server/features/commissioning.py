@@ -24,7 +24,6 @@ class Restart:
 
     Attributes:
         requested: set when the server is to start again.
-        recalibrated: the new calibration.
     """
 
     def __init__(self) -> None:
@@ -42,7 +41,6 @@ class CommissioningOfArms(Feature):
 
     Args:
         context: the server's.
-        restart: asked for after a calibration.
         recalibrated: calibration with which this server has started again; None for a first start.
         shared_calibration: True where other servers use the arms' calibration too, so that none is written.
     """
@@ -75,11 +73,7 @@ class CommissioningOfArms(Feature):
         self._of_arms[arm].take_health(health)
 
     def _begin(self, context: ArmContext, procedure: str, name: str) -> Procedure:
-        """Make a procedure.
-
-        Raises:
-            RobotError: it cannot begin.
-        """
+        """Make a procedure."""
         served, queue, arm = context.served, context.goals.queue, context.served.arm
         if isinstance(arm, ArmGroup):
             raise OrderRefused("one arm is calibrated or verified at a time: use the services below its name")

@@ -55,19 +55,9 @@ class GoalListener(Protocol):
 class Goals:
     """Way of goals to the arms.
 
-    Args:
-        graph: where they are confirmed.
-        arm: all arms.
-        planning: context of planning.
-        settings: of the server.
-
     Attributes:
         queue: of all goals; those of different arms run at the same time.
-        executors: of the goals.
         confirmation: decides if goals are to be confirmed.
-        named_states: the named states.
-        time_limits: of motions.
-        counters: counters of answered goals.
         listeners: features that take the news of goals, in their order.
     """
 
@@ -116,11 +106,7 @@ class ArmContext:
     """Context of the features of one arm, or of all arms together.
 
     Attributes:
-        served: the arm.
         graph: names of the arm.
-        parameters: of planning.
-        planning: context of planning.
-        goals: way of goals.
         node: publishes and subscribes for the arm's goals.
     """
 
@@ -210,13 +196,7 @@ class ServerContext:
     """Context of all features.
 
     Attributes:
-        settings: of the server.
-        graph: its topics, services and actions.
         arms: the whole, which is the only arm or all arms together; then each of several.
-        planning: context of planning.
-        goals: way of goals to the arms.
-        access: authentication and authorization.
-        rosapi: description of the server to clients.
     """
 
     settings: Settings
@@ -244,10 +224,7 @@ def context_of(
     """Return the context of a server.
 
     Args:
-        settings: of the server.
-        graph: its topics, services and actions.
         arms: the only arm or all arms together, and the arms one by one.
-        pool: the planners.
 
     Raises:
         ConfigurationError: the tokens cannot be used.

@@ -77,9 +77,6 @@ class Monitoring(Feature):
         recorder: the recorder; None for none.
         bridge: member of a zenoh network; None for none.
         notifier: notifier of systemd; None for a server that is not its service.
-
-    Attributes:
-        monitor: monitor of the server.
     """
 
     name = "the monitor"

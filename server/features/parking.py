@@ -300,8 +300,6 @@ class LastClient:
         arm: the arm's handle.
         settings: the section ``arm``.
         drivers: clients that are connected and may drive.
-        queue: of goals.
-        parking: parks the arm.
         clock: monotonic time [s].
     """
 

@@ -53,8 +53,6 @@ def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) ->
 
     Args:
         settings: the section ``recording``.
-        graph: what is recorded.
-        robot_name: for whoever reads the file.
 
     Raises:
         ConfigurationError: at its path is something else than a file, or its folder cannot be written to.

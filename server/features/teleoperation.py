@@ -18,9 +18,6 @@ class Following(Feature):
 
     Args:
         context: the server's.
-
-    Attributes:
-        teleoperation: its services and topics.
     """
 
     name = "teleoperation"

@@ -57,16 +57,9 @@ class Goal(PendingRequest[Result]):
     Args:
         action: fully qualified name.
         type_name: canonical name of the action's type.
-        request: the complete goal message.
-        interfaces: to complete feedback and result.
         on_feedback: gets the complete feedback messages, None when nobody wants them.
-        sender: who sent it.
 
     Attributes:
-        action: as given.
-        type_name: as given.
-        request: as given.
-        sender: as given.
         goal_id: sixteen octets that no other goal has.
         sender_id: the sender's own mark for it, None where it has none.
         cancel_requested: whether somebody has asked for the end of the goal.
@@ -169,7 +162,6 @@ class ActionProvider(Provider):
     """An action that somebody offers.
 
     Attributes:
-        start: gets each goal.
         check_lists: checks the lists of a goal message before it is completed; None for any.
         goals: those in flight by their id in base64, the oldest first.
     """
@@ -196,7 +188,6 @@ class Actions(ProviderDirectory[ActionProvider]):
     """All actions.
 
     Args:
-        interfaces: action types.
         services: where each action gets its service ``<action>/_action/cancel_goal``.
         call_later: does something after a delay.
 
@@ -231,7 +222,6 @@ class Actions(ProviderDirectory[ActionProvider]):
         """Offer an action; a client takes the place of a client that offered it before.
 
         Args:
-            node: who offers it.
             name: fully qualified name.
             type_name: the action's type.
             start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
@@ -284,7 +274,6 @@ class Actions(ProviderDirectory[ActionProvider]):
         """Send a goal.
 
         Args:
-            sender: who sends it.
             name: fully qualified name of the action.
             type_name: the action's type, as the sender knows it.
             arguments: the goal message, as in `MessageTypes.complete_arguments`.
@@ -311,7 +300,6 @@ class Actions(ProviderDirectory[ActionProvider]):
 
         Args:
             name: fully qualified name of the action.
-            sender_id: the mark that the senders gave them.
         """
         offer = self._offers.get(name)
         for goal in list(offer.goals.values()) if offer is not None else ():

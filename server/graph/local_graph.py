@@ -22,11 +22,7 @@ class LocalGraph:
     """The graph below a prefix; each method is the graph's own, with the full name in place of the one given.
 
     Args:
-        graph: the graph.
         namespace: without slashes; empty for the graph's own names.
-
-    Attributes:
-        message_types: types of the graph.
     """
 
     def __init__(self, graph: Graph, namespace: str = "") -> None:

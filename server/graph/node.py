@@ -9,7 +9,6 @@ class Node:
     """Anyone who publishes, subscribes, offers or calls: a connection, or a part of the server.
 
     Args:
-        name: how logs call it.
         remote: whether it is a client, which may not take the place of a part of the server.
         takes_goals_along: whether the goals that it has sent to actions are cancelled when it leaves.
         identity: who it is; None for a client that has yet to say so.

@@ -26,7 +26,6 @@ class Identity:
 
     Attributes:
         name: name of the token that it has shown; empty for a client that has shown none.
-        role: its rights.
     """
 
     name: str
@@ -118,7 +117,6 @@ class NameFilter:
 
         Args:
             kind: topic, service, action or parameter, for the sentence.
-            name: fully qualified.
         """
         if self._pattern is None or self._pattern.match(name):
             return None

@@ -46,7 +46,6 @@ class Response:
     """The end of a call.
 
     Attributes:
-        ok: whether the service succeeded.
         values: the complete response message; of a call that failed a sentence, or what the provider gave.
         reason: why the response says that the service has not succeeded, for types without a field for it.
     """
@@ -62,17 +61,9 @@ class Call(PendingRequest[Response]):
     Args:
         service: fully qualified name.
         type_name: canonical name of the service's type.
-        request: the complete request.
-        interfaces: to complete the response.
-        caller: who calls.
         dialect: which generation of ROS the caller wants to be told about; messages are in ROS 2 spelling all the same.
 
     Attributes:
-        service: as given.
-        type_name: as given.
-        request: as given.
-        caller: as given.
-        dialect: as given.
         caller_left: True once the caller has left.
     """
 
@@ -98,7 +89,6 @@ class Call(PendingRequest[Response]):
         """Answer with a response message; what it leaves out gets its default.
 
         Args:
-            values: the message.
             reason: as in `Response`.
 
         Raises:
@@ -179,7 +169,6 @@ class ServiceProvider(Provider):
     """A service that somebody offers.
 
     Attributes:
-        start: gets each call.
         timeout_s: how long a call may take that names no time of its own [s].
         check_lists: checks the lists of a request before it is completed; None for any.
         calls: those in flight, the oldest first.
@@ -195,7 +184,6 @@ class Services(ProviderDirectory[ServiceProvider]):
     """All services.
 
     Args:
-        interfaces: service types.
         call_later: does something after a delay.
 
     Attributes:
@@ -224,13 +212,11 @@ class Services(ProviderDirectory[ServiceProvider]):
         """Offer a service of a local part.
 
         Args:
-            node: who offers it.
             name: fully qualified name.
             type_name: the service's type.
             function: gets the complete request and returns the response, at once or when awaited. It raises
                 ServiceError with the reason when it cannot.
             timeout_s: how long a call may take that names no time of its own [s].
-            limits: of the lists in a request.
             rule: requirements of its callers; None for those of a client's service.
 
         Raises:
@@ -289,7 +275,6 @@ class Services(ProviderDirectory[ServiceProvider]):
         """Call a service.
 
         Args:
-            caller: who calls.
             name: fully qualified name.
             arguments: the request, as in `MessageTypes.complete_arguments`.
             on_response: called once, perhaps before this returns.

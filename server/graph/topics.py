@@ -114,7 +114,6 @@ class Graph:
     """All topics, services and actions.
 
     Args:
-        registry: types.
         clock: monotonic time [s].
         wall_clock: seconds since the epoch, for stamps.
         call_later: does something after a delay.
@@ -122,8 +121,6 @@ class Graph:
         unregister_timeout_s: for how long a topic that nobody uses keeps its type, and what is latched there [s].
 
     Attributes:
-        message_types: types and messages.
-        services: who offers and calls what.
         actions: who offers which, and the goals on their way.
         topic_names: the topics in use, with their types.
         rules: rules of publishing on the topics that local parts subscribe to, by name.
@@ -300,9 +297,7 @@ class Graph:
         """Complete a message, and deliver it to every subscriber; ``node`` becomes a publisher if it is none.
 
         Args:
-            node: who publishes.
             name: fully qualified name of the topic.
-            message: the message.
             latch: keep it for who subscribes later, as for a topic advertised so.
             lifespan_s: otherwise, for how long it reaches who subscribes later [s].
             as_it_is: the message is complete and valid already, as a large one of the server's own; nobody may change
@@ -350,7 +345,6 @@ class Graph:
         What is returned holds until the `revision` changes; what is latched takes the general way.
 
         Args:
-            node: who publishes.
             name: fully qualified name of the topic.
         """
         topic = self._topics.get(name)
@@ -364,7 +358,6 @@ class Graph:
         """Deliver a message to every subscriber, as :meth:`publish` does; the topic and its publisher are there.
 
         Args:
-            node: who publishes.
             name: fully qualified name of the topic.
             encoded: the message as :meth:`strict_reader` has read it.
             lifespan_s: as for :meth:`publish`.
@@ -394,7 +387,6 @@ class Graph:
         """Have a message answered that is not let through, where its topic promises an answer.
 
         Args:
-            node: who has sent it.
             name: fully qualified name of the topic.
             message: as for :meth:`publish`.
             reason: a sentence.
@@ -422,7 +414,6 @@ class Graph:
         """Deliver a message to one subscriber alone; nothing happens when it is none.
 
         Args:
-            node: who is told.
             name: fully qualified name of a topic that is advertised.
             message: as for :meth:`publish`.
 

@@ -58,7 +58,6 @@ class Diagnostics:
     """Publishes the latest health of the arm, also when no new report comes.
 
     Args:
-        graph: graph to publish on.
         robot_name: name of the hardware.
         fault_file: returns the latest file about a fault; None before.
         clock: monotonic time [s].
@@ -118,7 +117,6 @@ def diagnostic_array(
     """Return the diagnostic_msgs/DiagnosticArray: the arm first, then its servos.
 
     Args:
-        state: latest state.
         health: latest report; None before the first.
         stamp_s: wall-clock time [s since the epoch].
         robot_name: name of the hardware.
@@ -263,7 +261,6 @@ class Rosout(logging.Handler):
     """Publishes every record of the server's log, from its construction to :meth:`close`.
 
     Args:
-        graph: graph to publish on.
         loop: the event loop of the graph; records come from other threads as well.
     """
 

@@ -47,7 +47,6 @@ class ServoHistory:
     """History of an arm's servos.
 
     Args:
-        graph: graph of the service.
         clock: monotonic time [s].
     """
 

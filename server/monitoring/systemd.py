@@ -42,7 +42,6 @@ class SystemdNotifier:
         Its variables are removed from the environment: children must not send notifications for the server.
 
         Args:
-            environment: variables.
             pid: process id of the server; None for this process.
         """
         address = environment.pop("NOTIFY_SOCKET", "")

@@ -31,8 +31,6 @@ class RobotDescription:
     """Topics, parameters and file service of the description.
 
     Args:
-        graph: where topics and service are.
-        robot: the arm.
         keep_parameter: keeps a parameter for rosapi, its value as JSON text.
     """
 

@@ -48,8 +48,6 @@ class ReadGoal:
     """Request that can be carried out.
 
     Attributes:
-        message: the goal, as the message of its topic.
-        motion: the motion that it asks for.
         plan_only: true if the arm is not to move.
     """
 
@@ -62,11 +60,7 @@ class GoalCalls:
     """The service and the action ``/moveit_goal``.
 
     Args:
-        graph: where they are.
-        queue: takes the goals.
-        translator: reads their messages.
         confirmation: decides if goals are to be confirmed.
-        context: all that goals are planned with.
     """
 
     def __init__(
@@ -165,11 +159,7 @@ class GoalCalls:
         return ReadGoal(message, replace(motion, confirm=self._confirmation.enabled), request["plan_only"])
 
     def _goal_of(self, request: Message) -> tuple[Message, Callable[..., PlannedMotion]]:
-        """Return the one goal of a request as the message of its topic, and its translation.
-
-        Raises:
-            RefusedError: there is none, or more than one.
-        """
+        """Return the one goal of a request as the message of its topic, and its translation."""
         given: dict[str, tuple[Message, Callable[..., PlannedMotion]]] = {}
         if request["named"]:
             given["named"] = {"data": request["named"]}, self._translator.named
@@ -220,13 +210,7 @@ class GoalCalls:
         return await plan_steps(goal.motion.steps, start, start.scene, self._context)
 
     def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
-        """Write the answer to a goal.
-
-        Args:
-            message: its message; empty when none could be read.
-            answer: its end.
-            number: its id in the queue; empty for a goal that was only planned.
-        """
+        """Write the answer to a goal."""
         instead = suggestion(message, answer.details, self._context.robot)
         return {
             "success": answer.code is MoveItErrorCode.SUCCESS,

@@ -94,7 +94,6 @@ class Confirmation:
     """Gate between plan and motion: the arm moves when a user confirms the plan.
 
     Args:
-        graph: where topic and service are.
         enabled: true if goals on ``/moveit_goal_*`` wait at the gate.
         timeout_s: limit of their wait [s].
 
@@ -154,13 +153,7 @@ class Confirmation:
 
 
 class GoalStatusTopics:
-    """Topics for the status of all goals and the results of those on ``/moveit_goal_*``.
-
-    Args:
-        graph: where the topics are.
-        node: publishes.
-        robot: the arm, for suggestions.
-    """
+    """Topics for the status of all goals and the results of those on ``/moveit_goal_*``."""
 
     def __init__(self, graph: LocalGraph, node: Node, robot: RobotModel) -> None:
         self._graph = graph
@@ -181,8 +174,6 @@ class GoalStatusTopics:
         """Log the end of a goal, publish its final status, then the result of a goal from a topic.
 
         Args:
-            goal: the goal.
-            answer: to it.
             logged: true if its end is in the log already.
         """
         status = final_status(goal, answer, self._robot)
@@ -206,13 +197,7 @@ class GoalStatusTopics:
 
 
 def final_status(goal: QueuedGoal[Motion], answer: Answer, robot: RobotModel) -> Message:
-    """Return the final status of a goal, with the goal that would have worked where one was found.
-
-    Args:
-        goal: the goal.
-        answer: to it.
-        robot: the arm, for suggestions.
-    """
+    """Return the final status of a goal, with the goal that would have worked where one was found."""
     instead = suggestion(goal.message, answer.details, robot)
     message = answer.message if instead is None else instead.added_to(answer.message)
     succeeded = answer.code is MoveItErrorCode.SUCCESS
@@ -250,10 +235,6 @@ class GoalTopics:
     """Topics by which goals are sent, their group is chosen, and they are cancelled and stopped.
 
     Args:
-        graph: where the topics are.
-        node: subscribes.
-        queue: takes the goals.
-        translator: reads their messages.
         confirmation: decides if goals are to be confirmed.
         joints: those that the topics for stops are for; None for all.
     """
@@ -343,12 +324,7 @@ class GoalChecks:
     """The service ``/check_goals``.
 
     Args:
-        graph: where it is.
-        reports: write the results.
         translator: reads goals as those of ``/moveit_goal_*``.
-        current: the positions of the arm.
-        pool: the planners.
-        scene: the planning scene.
     """
 
     def __init__(
@@ -430,8 +406,6 @@ async def answers_in_time(
 
     Args:
         problems: of the goals, or the reasons why there is none.
-        pool: the planners.
-        scene: to check in.
     """
     until_s = time.monotonic() + max(GOAL_TIME_S * len(problems), MIN_CALL_S)
     answers = []
@@ -463,12 +437,7 @@ async def _find(
 
 
 class GoalReports:
-    """Writer of armbridge_msgs/GoalCheck messages.
-
-    Args:
-        robot: the arm.
-        parameters: of planning.
-    """
+    """Writer of armbridge_msgs/GoalCheck messages."""
 
     def __init__(self, robot: RobotModel, parameters: MoveItParameters) -> None:
         self._joints = robot.movable_joints
@@ -482,8 +451,6 @@ class GoalReports:
 
         Args:
             start_rad: positions of the joints [rad].
-            answer: of the planners.
-            tip: the link that pose goals are for.
             desired: the goal pose in the root link; None for a joint goal.
         """
         if isinstance(answer, PlanningFailure):

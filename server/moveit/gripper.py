@@ -84,7 +84,6 @@ class GripperReading:
     Attributes:
         positions: [rad or m].
         velocities: [rad/s or m/s].
-        efforts: share of full duty.
     """
 
     positions: tuple[float, ...]
@@ -111,7 +110,6 @@ class GripperLimits:
 
     Attributes:
         velocity_scaling: share of the joints' velocity limits.
-        acceleration_scaling: share of their acceleration limits.
         torque: share of full motor duty.
         time: limits of time.
     """
@@ -126,14 +124,9 @@ class Gripper:
     """The gripper of an arm.
 
     Args:
-        arm: the arm.
         joints: the joints of its fingers, one or two, which all go to the same position; their limits are kept.
-        limits: further limits of its motions.
         in_progress: gets its motions; None for a gripper without an arm that moves beside it.
         clock: monotonic time of this machine [s].
-
-    Attributes:
-        joints: as given.
     """
 
     def __init__(
@@ -194,8 +187,6 @@ class Gripper:
         """Execute a command; every wait is bounded.
 
         Args:
-            claim: of this command.
-            command: the command.
             report: called with readings on the way.
 
         Raises:
@@ -280,7 +271,6 @@ def fingers_together(
     """Plan the fastest motion of fingers to one position, in which they arrive together.
 
     Args:
-        names: of the joints.
         start: their positions, shape (joints,) [rad or m].
         end: position of each at the end [rad or m].
         max_velocity: of each, above 0 [rad/s or m/s].
@@ -323,9 +313,6 @@ class GripperCommandMessages:
 
     The position of a gripper with two sliding fingers is the gap between them, the sum of the joints' positions, as
     for Fetch's driver; otherwise it is that of each joint.
-
-    Args:
-        joints: of the fingers.
     """
 
     type_name = "control_msgs/action/GripperCommand"
@@ -354,11 +341,7 @@ class GripperCommandMessages:
 
 
 class ParallelGripperCommandMessages:
-    """Messages of control_msgs/action/ParallelGripperCommand.
-
-    Args:
-        joints: of the fingers.
-    """
+    """Messages of control_msgs/action/ParallelGripperCommand."""
 
     type_name = "control_msgs/action/ParallelGripperCommand"
 
@@ -404,14 +387,8 @@ def _checked_command(
     """Return a command within the limits.
 
     Args:
-        joints: of the fingers.
         position: as the client has it [rad or m].
-        max_effort: as the client has it.
         max_velocity: of each finger [rad/s or m/s].
-        fingers: number of fingers of whose positions the client's is the sum.
-
-    Raises:
-        RefusedError: a value is out of bounds.
     """
     lower, upper = max(joint.lower for joint in joints), min(joint.upper for joint in joints)
     unit = joints[0].unit
@@ -427,12 +404,7 @@ def _checked_command(
 
 
 class GripperActions:
-    """The gripper's actions.
-
-    Args:
-        graph: where they are.
-        gripper: executes their goals.
-    """
+    """The gripper's actions."""
 
     def __init__(self, graph: LocalGraph, gripper: Gripper) -> None:
         self._gripper = gripper

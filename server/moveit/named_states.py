@@ -209,11 +209,7 @@ class NamedStates:
         return usable
 
     def _check(self, name: str, positions_rad: Positions) -> None:
-        """Check that a state can be saved under a name.
-
-        Raises:
-            ServiceError: the name or a position is invalid.
-        """
+        """Check that a state can be saved under a name."""
         if not 1 <= len(name) <= MAX_NAME_LENGTH or not name.isprintable():
             raise ServiceError(
                 f"name: must have 1 to {MAX_NAME_LENGTH} printable characters, not {name[:MAX_NAME_LENGTH]!r}"
@@ -253,18 +249,13 @@ def default_path(content: str, robot: RobotModel, environment: Mapping[str, str]
     Args:
         content: beginning of the file's name.
         robot: the arm, whose name is in that of the file.
-        environment: environment variables.
     """
     safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in robot.name)
     return data_directory(environment) / f"{content}_{safe}.json"
 
 
 def data_directory(environment: Mapping[str, str]) -> Path:
-    """Return the directory of the server's files, in the XDG base directory for data.
-
-    Args:
-        environment: environment variables.
-    """
+    """Return the directory of the server's files, in the XDG base directory for data."""
     data_home = environment.get("XDG_DATA_HOME") or str(
         Path(environment.get("HOME", "~")).expanduser() / ".local/share"
     )
@@ -346,9 +337,6 @@ class NamedStatesServices:
     """MoveIt's warehouse services, and the latched topic ``/named_states``.
 
     Args:
-        graph: where they are.
-        robot: the arm.
-        states: the states.
         current: the positions of the arm, to be saved.
     """
 

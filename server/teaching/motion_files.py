@@ -34,7 +34,6 @@ class MotionFiles:
 
     Args:
         folder: of the files; created with the first motion.
-        robot: the arm.
     """
 
     def __init__(self, folder: Path, robot: RobotModel) -> None:

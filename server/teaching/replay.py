@@ -41,7 +41,6 @@ class Replay:
     """Contents of a goal.
 
     Attributes:
-        name: of the motion.
         speed: share of its own speed, above 0.
         reverse: true to go from its end to its start.
         repeat: number of replays after the first.
@@ -69,10 +68,6 @@ class ReplayAction:
     """The action.
 
     Args:
-        graph: where it is.
-        robot: the arm.
-        motions: taught motions.
-        queue: takes the goals.
         problems: builds the planned motion to the start.
     """
 
@@ -118,9 +113,6 @@ def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, problems: P
     """Return the motion to the start of a taught motion, and its replays.
 
     Args:
-        replay: the goal.
-        taught: its motion.
-        robot: the arm.
         problems: builds the planned motion to the start.
     """
     if replay.reverse:

@@ -57,12 +57,8 @@ class Teaching:
     """Records motions, one at a time, and keeps them by name.
 
     Args:
-        graph: where the services and the topic are.
-        robot: the arm.
         motions: where motions are kept.
         pool: the planners, which check motions.
-        scene: the planning scene.
-        current: positions of the joints.
     """
 
     def __init__(

@@ -49,11 +49,7 @@ class Follower:
     """Arm that can follow.
 
     Attributes:
-        name: of the arm.
         prefix: with which names of its joints begin; empty for an arm that is alone.
-        robot: its own description.
-        arm: the arm.
-        setup: of its servo loop.
         gripper: its gripper; None without one.
     """
 
@@ -82,8 +78,6 @@ class FollowingState:
     """State of a following.
 
     Attributes:
-        phase: the present phase.
-        message: the phase in words.
         latency_s: from the leader's reading until the arm process has the velocities that follow from it, which its
             next tick carries out [s].
         lag_rad: greatest distance of a joint's goal from its target [rad].
@@ -103,8 +97,6 @@ class FollowingContext:
 
     Attributes:
         planning: scene, frames, planners and positions of all arms.
-        queue: takes the ramps.
-        go_to: likewise.
         clock: monotonic time [s].
     """
 
@@ -118,15 +110,8 @@ class FollowingSession:
     """Following of one follower, until it ends.
 
     Args:
-        follower: the arm that follows.
-        joints: its joints and those that they follow.
-        samples: of the leader.
-        context: context of all followings.
         show: called with the state, when it changes and some times a second.
         show_targets: called with the targets at every tick of following [rad].
-
-    Attributes:
-        following: its state machine.
     """
 
     def __init__(

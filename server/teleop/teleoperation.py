@@ -55,7 +55,6 @@ def read_sample(message: Message, received_s: float) -> LeaderSample:
     """Read a sensor_msgs/JointState.
 
     Args:
-        message: the message.
         received_s: time that stands for the stamp of a message without one [s].
 
     Raises:
@@ -84,8 +83,6 @@ class Leader:
         clock: monotonic time [s].
 
     Attributes:
-        name: as given.
-        samples: its samples.
         joint_names: joints of the latest sample; empty before the first.
     """
 
@@ -157,9 +154,6 @@ class Teleoperation:
     """Has arms follow leaders, each follower one.
 
     Args:
-        graph: where the services and topics are.
-        context: context of all followings.
-        followers: arms that can follow.
         leaders: names of this server's arms that can lead.
     """
 
@@ -278,11 +272,7 @@ class Teleoperation:
         return {"success": True, "message": f"{follower.name} goes to where {name} is, then {followed}"}
 
     def _check_idle(self, follower: Follower) -> None:
-        """Refuse a follower that follows, or cannot.
-
-        Raises:
-            ServiceError: the reason.
-        """
+        """Refuse a follower that follows, or cannot."""
         if (other := self._followings.get(follower.name)) is not None:
             raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
         if follower.name in self._starting:
@@ -293,20 +283,12 @@ class Teleoperation:
             raise ServiceError(f"{follower.name} cannot follow: {error}") from error
 
     def _check_not_stopped(self, follower: Follower) -> None:
-        """Refuse a start that a stop of the arm, or of its following, has overtaken.
-
-        Raises:
-            ServiceError: such a stop has come.
-        """
+        """Refuse a start that a stop of the arm, or of its following, has overtaken."""
         if arrival_epoch() < max(follower.arm.last_stop, self._last_stops.get(follower.name, 0)):
             raise ServiceError(f"{follower.name} does not follow: a stop came after {START} was called")
 
     def _stop(self, names: Sequence[str]) -> list[str]:
-        """End the followings of some followers, those that are just starting as well; return the followers.
-
-        Raises:
-            ServiceError: none of them follows or is starting to.
-        """
+        """End the followings of some followers, those that are just starting as well; return the followers."""
         epoch = STOP_EPOCHS.begin()
         self._last_stops.update((name, epoch) for name in names)
         starting = [name for name in names if name in self._starting]
@@ -316,11 +298,7 @@ class Teleoperation:
         return [*running, *starting]
 
     async def _until_unused(self, follower: Follower) -> None:
-        """Wait until no goal moves a follower: the way to the leader of a following that has just ended may brake.
-
-        Raises:
-            ServiceError: a goal goes on.
-        """
+        """Wait until no goal moves a follower: the way to the leader of a following that has just ended may brake."""
         until_s = self._clock() + BRAKING_S
         while busy := self._queue.busy_with(follower.joints):
             if self._clock() > until_s:
@@ -329,11 +307,7 @@ class Teleoperation:
             self._check_not_stopped(follower)
 
     def _running(self, names: Sequence[str]) -> dict[str, FollowingSession]:
-        """Return the followings of some followers that have begun.
-
-        Raises:
-            ServiceError: there are none.
-        """
+        """Return the followings of some followers that have begun."""
         if not (running := self._sessions(names)):
             raise ServiceError(f"nothing follows: {START} begins")
         return running

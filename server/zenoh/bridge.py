@@ -44,8 +44,6 @@ def bridge_of(settings: ZenohSettings, graph: Graph, access: Access, max_message
 
     Args:
         settings: the section ``zenoh``.
-        graph: topics and services to share.
-        access: permissions of other machines.
         max_message_bytes: limit of an incoming message [bytes].
 
     Raises:
@@ -58,9 +56,7 @@ class Bridge:
     """Member of a zenoh network.
 
     Args:
-        graph: topics and services to share.
         settings: the section ``zenoh``; its mode is not off.
-        access: permissions of other machines.
         max_message_bytes: limit of an incoming message [bytes].
 
     Raises:
@@ -126,7 +122,6 @@ class Sharing:
     Args:
         network: network with an open session.
         settings: the section ``zenoh``.
-        authorizer: permissions of other machines.
         clock: monotonic time [s].
     """
 
@@ -214,7 +209,6 @@ class Discovery:
     Updated by zenoh's threads, and read by the event loop.
 
     Args:
-        domain_id: ROS_DOMAIN_ID.
         session: id of this server's session, which is left out.
         is_relevant: selects entities to keep; called in zenoh's threads.
     """
@@ -246,7 +240,6 @@ class Discovery:
         """Add or remove the entity of a token.
 
         Args:
-            token: the liveliness token.
             alive: False once it has vanished.
         """
         entity = Entity.parse(token) if alive else None

@@ -76,7 +76,6 @@ def submit_goal(
     Args:
         goal: the goal; it ends with the queue's answer.
         queue: queue of the arm's goals.
-        request: the motion.
         feedback: makes the feedback message of some progress, None for none.
         result: makes the result message of the answer.
     """
@@ -107,7 +106,6 @@ def cancel_with_goal(goal: Goal, cancel: Callable[[str], None]) -> None:
     A goal may end before its motion: its time is over, or a part of the server has failed.
 
     Args:
-        goal: the goal.
         cancel: cancels its motion, for a reason; does nothing when the motion has ended.
     """
     goal.when_canceled(lambda: cancel(f"cancelled by a client of {goal.action}"))
@@ -219,11 +217,7 @@ class FollowCode(IntEnum):
 
 
 class TrajectoryRefusedError(RefusedError):
-    """A trajectory that the action rejects by an error code of its own.
-
-    Attributes:
-        code: the error code.
-    """
+    """A trajectory that the action rejects by an error code of its own."""
 
     def __init__(self, code: FollowCode, message: str) -> None:
         super().__init__(PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, message))
@@ -236,7 +230,6 @@ class SegmentTolerances:
 
     Attributes:
         path: tolerances while the trajectory is played.
-        goal: tolerances at its end.
         time_s: time after the end by which the goal tolerances must be met, on the arm's clock [s].
     """
 
@@ -251,8 +244,6 @@ class TrajectoryContext:
 
     Attributes:
         planning: description and positions of all arms, and parameters.
-        queue: of goals.
-        time_limits: of motions.
     """
 
     planning: PlanningContext
@@ -279,10 +270,6 @@ class JointTrajectoryController:
     """The actions and the topic.
 
     Args:
-        graph: where they are.
-        group: the controlled joints.
-        arm: the arm.
-        context: context of its trajectories.
         name: of the controller, before ``_controller``; None for that of the group.
         industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
 
@@ -378,9 +365,6 @@ class TrajectoryGoal:
 
     Args:
         goal: the action's goal.
-        joints: the controlled joints.
-        tolerances: its tolerances.
-        robot: the arm.
     """
 
     def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances, robot: RobotModel) -> None:
@@ -401,7 +385,6 @@ class TrajectoryGoal:
         """Check the tolerances against a state of the arm.
 
         Args:
-            state: the latest state.
             cancel: ends the motion, with a reason.
         """
         if self._settling is not None:
@@ -457,8 +440,6 @@ class ControllerStatePublisher:
     """Publisher of the controller's state, with every state of the arm, while there are subscribers.
 
     Args:
-        graph: where the topics are.
-        group: the controlled joints.
         name: of the controller; None for that of the group.
     """
 
@@ -501,7 +482,6 @@ def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
 
     Args:
         goal: goal message of control_msgs/FollowJointTrajectory.
-        group: the controlled joints.
 
     Raises:
         RefusedError: a tolerance that cannot be used.
@@ -519,8 +499,6 @@ def read_tolerances(messages: Sequence[Message], field: str, joints: Sequence[st
 
     Args:
         messages: control_msgs/JointTolerance.
-        field: their field, for errors.
-        joints: the controlled joints.
 
     Raises:
         RefusedError: another joint, or a tolerance that is not a number.
@@ -541,10 +519,7 @@ def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions, r
     """Describe the first joint beyond its tolerance; empty if there is none.
 
     Args:
-        tolerances: the tolerances.
-        state: a state of the arm.
         desired_rad: position of every joint [rad].
-        robot: the arm.
     """
     if state.position_rad is None:
         return ""
@@ -566,8 +541,6 @@ def check_trajectory(
 
     Args:
         trajectory: a trajectory_msgs/JointTrajectory.
-        group: the controlled joints.
-        robot: the arm.
         present_rad: positions that the arm holds, None while they are not known [rad].
         now_s: wall-clock time [s].
 
@@ -594,7 +567,6 @@ def check_duration(trajectory: Message, limits: TimeLimits) -> None:
 
     Args:
         trajectory: a trajectory_msgs/JointTrajectory.
-        limits: of motions.
 
     Raises:
         RefusedError: it takes longer than the limit.

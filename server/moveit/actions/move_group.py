@@ -78,7 +78,6 @@ class PlanningGoal:
 
     Attributes:
         requests: moveit_msgs/MotionPlanRequest of each motion, in their order.
-        options: the options.
     """
 
     requests: Sequence[Message]
@@ -90,9 +89,7 @@ class PlanningAction:
     """Action with goals that are planned.
 
     Attributes:
-        type_name: its type.
         requests: returns the moveit_msgs/MotionPlanRequest of a goal message; raises RefusedError.
-        result: writes the result message.
     """
 
     type_name: str
@@ -110,8 +107,6 @@ class PlanningActions:
     """MoveGroup and MoveGroupSequence.
 
     Args:
-        graph: where they are.
-        context: all that goals are planned with.
         queue: queue of the arm's goals.
     """
 
@@ -164,10 +159,6 @@ class PlanningActions:
 
 def read_planning_goal(message: Message, action: PlanningAction) -> PlanningGoal:
     """Read a goal.
-
-    Args:
-        message: the goal message.
-        action: its action.
 
     Raises:
         RefusedError: options or a sequence that cannot be used.
@@ -223,10 +214,6 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
     Its problems are built once more when the goal's turn comes, for the start that the arm then has. They are built
     here for the present one, so that a goal that cannot be planned does not replace the motion of another.
 
-    Args:
-        goal: the goal.
-        context: all that it is planned with.
-
     Raises:
         RefusedError: a request that cannot be used.
     """
@@ -248,9 +235,7 @@ async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) 
     """Plan from the start state of the first request, whatever the arm does meanwhile.
 
     Args:
-        goal: the goal.
         sender: its client; positions that it assumes complete the start state.
-        context: all that it is planned with.
     """
     state, options = goal.requests[0]["start_state"], goal.options
     try:
@@ -269,10 +254,6 @@ async def plan_steps(
     """Plan motions one after the other, without moving, and show them.
 
     Args:
-        steps: make their problems.
-        start: start of the first.
-        scene: to plan in.
-        context: all that they are planned with.
         warnings: parts of the request that were ignored, a sentence each.
     """
     planned = await plan_sequence(steps, start.start_rad, scene, context.pool.ask)
@@ -286,11 +267,7 @@ async def plan_steps(
 
 
 def _check_requests(requests: Sequence[Message], start_rad: Positions, context: PlanningContext) -> tuple[str, ...]:
-    """Build the problem of every request; returns their warnings.
-
-    Raises:
-        RefusedError: a request that cannot be used.
-    """
+    """Build the problem of every request; returns their warnings."""
     built = [context.problems.motion_plan(request, start_rad) for request in requests]
     return tuple(warning for one in built for warning in one.warnings)
 
@@ -337,12 +314,7 @@ def answer_of_task(done: asyncio.Task[Answer]) -> Answer:
 
 
 class ExecuteTrajectory:
-    """ExecuteTrajectory, for trajectories of any origin.
-
-    Args:
-        graph: where it is.
-        context: context of its trajectories.
-    """
+    """ExecuteTrajectory, for trajectories of any origin."""
 
     def __init__(self, graph: Graph, context: TrajectoryContext) -> None:
         self._context = context

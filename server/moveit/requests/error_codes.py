@@ -23,7 +23,6 @@ def refused(code: MoveItErrorCode, message: str, **details: Any) -> RefusedError
     Args:
         code: value of moveit_msgs/MoveItErrorCodes.
         message: one sentence with field, value and limit.
-        details: the same as plain values.
     """
     return RefusedError(PlanningFailure(code, message, details))
 
@@ -48,9 +47,7 @@ def error_code(code: MoveItErrorCode, message: str = "", source: str = SOURCE) -
     """Write a moveit_msgs/MoveItErrorCodes.
 
     Args:
-        code: the value.
         message: one sentence.
-        source: the program that sets it.
     """
     return {"val": int(code), "message": message, "source": source}
 

@@ -52,7 +52,6 @@ def start_positions(message: Message, current_rad: Mapping[str, float] | None, r
     Args:
         message: a moveit_msgs/RobotState.
         current_rad: present positions by joint, None while they are not known [rad].
-        robot: the arm.
 
     Raises:
         RefusedError: an unknown joint, a position that cannot be, or an unknown present position.
@@ -143,7 +142,6 @@ class PlanningStart:
 
     Attributes:
         start_rad: position of every movable joint [rad].
-        scene: the scene to plan in.
         warnings: a sentence for each part of the start state that was changed or ignored.
     """
 
@@ -157,15 +155,7 @@ class PlanningContext:
     """All that services and actions plan with.
 
     Attributes:
-        robot: the arm.
-        pool: the planners.
-        forward: forward kinematics.
-        frames: look-up of frames.
-        scene_state: the planning scene.
-        current: present positions of the joints.
         assumed: joint positions that clients assume.
-        parameters: planning parameters.
-        display: topics that show plans.
         turn: held while a request is read.
         urdf_responses: complete moveit_msgs/GetGroupUrdf responses by group.
     """

@@ -115,8 +115,6 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
     """Write a moveit_msgs/PlanningScene with every field; those that were not requested are empty.
 
     Args:
-        contents: the scene.
-        robot: the arm.
         state: its moveit_msgs/RobotState without attached objects.
         components: sum of the requested moveit_msgs/PlanningSceneComponents; 0 for everything, as in MoveIt.
     """
@@ -229,12 +227,6 @@ def subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, curre
     """Apply the messages of the scene's topics; rejected ones are logged.
 
     A topic does not tell its publisher, so joints in a ``/planning_scene`` are ignored.
-
-    Args:
-        graph: where the topics are.
-        node: the subscriber.
-        state: the scene.
-        current: positions of the joints.
     """
     topics: Mapping[str, tuple[str, ReadChange]] = {
         "/planning_scene": ("moveit_msgs/msg/PlanningScene", state.diff),
@@ -265,11 +257,6 @@ class MonitoredScenePublisher:
     """Publisher of scene diffs on ``/monitored_planning_scene``; a new subscriber gets the whole scene first.
 
     Args:
-        graph: where the topic is.
-        node: the publisher.
-        robot: the arm.
-        state: the scene.
-        current: positions of the joints.
         rate_hz: changes that come faster are published together [Hz].
         clock: monotonic time [s].
         call_later: calls a function after a delay.
@@ -331,12 +318,7 @@ class SceneServices:
     """``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``.
 
     Args:
-        graph: where the services are.
-        node: their provider.
-        robot: the arm.
-        state: the scene.
         assumed: joint states that clients assume.
-        current: positions of the joints.
     """
 
     def __init__(
@@ -410,11 +392,7 @@ class SceneInterface:
     """All topics and services of the planning scene.
 
     Args:
-        graph: where they are.
-        robot: the arm.
-        state: the scene.
         assumed: joint states that clients assume.
-        current: positions of the joints.
         parameters: rate of ``/monitored_planning_scene``, and the directory of geometry files.
     """
 

@@ -46,9 +46,6 @@ class NamedScenes:
 
     Args:
         folder: of the files; created with the first scene.
-        state: the present scene.
-        robot: the arm.
-        message_types: to check what a file holds.
     """
 
     def __init__(self, folder: Path, state: SceneState, robot: RobotModel, message_types: MessageTypes) -> None:
@@ -83,7 +80,6 @@ class NamedScenes:
         """Replace the present scene by a saved one; return a sentence about it.
 
         Args:
-            name: of the scene.
             positions_rad: position of every movable joint [rad], None while they are not known.
 
         Raises:
@@ -122,8 +118,6 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
     """Offer ``/arm/scenes/list``, ``/arm/scenes/save``, ``/arm/scenes/load`` and ``/arm/scenes/delete``.
 
     Args:
-        graph: where the services are.
-        scenes: the store.
         current: positions of the joints, for objects that links hold.
     """
     node = Node("saved scenes")

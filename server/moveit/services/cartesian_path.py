@@ -86,11 +86,7 @@ def _code(plan: CartesianPlan, notes: tuple[str, ...]) -> dict[str, Any]:
 async def _without_jumps(
     plan: CartesianPlan, problem: CartesianProblem, thresholds: JumpThresholds, scene: Scene, context: PlanningContext
 ) -> CartesianPlan:
-    """Return the plan of the part before the first jump; the same plan if there is no jump.
-
-    Raises:
-        RefusedError: the part cannot be planned on its own.
-    """
+    """Return the plan of the part before the first jump; the same plan if there is no jump."""
     tip = context.forward, problem.link
     # Up to half a second of forward kinematics on a slow machine.
     jump = await asyncio.to_thread(first_jump, plan.trajectory, tip, problem.start_rad, problem.max_step_m, thresholds)
@@ -161,7 +157,6 @@ class Jump:
 
     Attributes:
         along_m: length of the tip's path before it [m].
-        joint: the joint that jumps.
         step_rad: size of the step [rad].
         limit_rad: greatest size that is no jump [rad].
     """
@@ -186,7 +181,6 @@ def first_jump(
         tip: forward kinematics, and the link that follows the path.
         others_rad: position of every movable joint; those of the motion's joints are not used [rad].
         step_m: length of a step of the tip [m].
-        thresholds: the thresholds.
     """
     configurations = _sampled(motion)
     along_m = _along_m(configurations, motion.joint_names, tip, others_rad)

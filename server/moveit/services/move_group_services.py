@@ -228,8 +228,6 @@ async def explained(
     Args:
         failure: the reason why a problem has no plan.
         problem: the problem; None when it could not be made.
-        scene: in which it was planned.
-        context: all that it is planned with.
     """
     added = await with_nearest_goal(failure, problem, scene, context.pool)
     return replace(added, message=with_suggestion(added.message, added.details, context.robot))
@@ -376,11 +374,9 @@ class MoveGroupService:
     """Service of move_group.
 
     Attributes:
-        type_name: its type.
         handler: computes the response; raises RefusedError.
         rejection: writes the response to a request that was rejected.
         complete: True if the handler writes every field of a response that may be large.
-        rule: requirements of its callers.
     """
 
     type_name: str
@@ -425,12 +421,7 @@ SERVICES: Mapping[str, MoveGroupService] = {
 
 
 def offer_services(graph: Graph, context: PlanningContext) -> None:
-    """Offer all services of move_group.
-
-    Args:
-        graph: where they are.
-        context: all that they plan with.
-    """
+    """Offer all services of move_group."""
     node = Node("moveit services")
     for name, service in SERVICES.items():
         start = _start_call(service, context)

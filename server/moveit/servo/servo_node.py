@@ -102,8 +102,6 @@ class StatusPublisher:
     """Publisher of ``/servo_node/status``, after every step of the loop and for every rejected command.
 
     Args:
-        graph: where the topic is.
-        node: the publisher.
         type_name: ``moveit_msgs/ServoStatus`` or ``std_msgs/Int8``.
         clock: monotonic time [s].
     """
@@ -213,7 +211,6 @@ class CommandGate:
         Silence alone is no release then. The commands of a client whose process or network stood still have a gap too.
 
         Args:
-            client: its publisher.
             present: every client that announces presses and is still connected.
         """
         self._presses = {each: epoch for each, epoch in self._presses.items() if each in present}
@@ -234,8 +231,6 @@ class CommandGate:
         """Check a command; None if it is to be followed.
 
         Args:
-            client: its publisher.
-            kind: its type.
             now_s: monotonic time [s].
         """
         owner = self._ownership.owner(now_s)
@@ -281,7 +276,6 @@ class CommandTimeouts:
         """Set the timeout of a client, and forget those of clients that have left.
 
         Args:
-            client: publisher of the choice.
             timeout_s: time after which its commands expire [s].
             present: every client that has a choice and is still connected.
 
@@ -310,10 +304,8 @@ class ServoNode:
     """MoveIt Servo's node.
 
     Args:
-        graph: where the topics and services are.
         parameters: group, tip, and parameters of the servo loop.
         arm: the arm, or the arms together, that it steers.
-        planning: scene, frames and planners.
         busy: returns the reason if the arm cannot be steered now, else an empty text.
     """
 

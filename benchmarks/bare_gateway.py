@@ -9,8 +9,8 @@ import sys
 import uvloop
 
 from protocol.registry import Registry
-from server.config import ServerSettings
 from server.gateway.listener import Listener
+from server.gateway.settings import ServerSettings
 from server.graph.topics import Graph
 
 

@@ -13,15 +13,14 @@ from planners.goals import JointGoal
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, PlanningProblem
 from robot.arm import Arm
-from robot.arm_interface import ArmInterface
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, MotionEnded
 from robot.trajectory import Trajectory
-from server.execution.executor import GoalExecutor, GoalExecutors
+from server.execution.executor import ExecutionContext, GoalExecutor, GoalExecutors
+from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion
-from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, QueuedGoal
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.figures import percentiles, print_table
@@ -133,11 +132,9 @@ async def _round(
     figures: Figures,
 ) -> None:
     """Send a burst of goals, and wait until all are reached."""
-    scene, answers, summaries = SceneState(robot), list[Answer](), set[str]()
+    answers, summaries = list[Answer](), set[str]()
     all_answered = asyncio.Event()
-
-    def make(part: ArmInterface, in_progress: MotionsInProgress) -> GoalExecutor:
-        return kind(part, robot, pool, scene, in_progress=in_progress)
+    context = ExecutionContext(robot, pool, SceneState(robot), CurrentState(arm, robot))
 
     def take_answer(_goal: QueuedGoal[Motion], answer: Answer) -> None:
         answers.append(answer)
@@ -145,7 +142,7 @@ async def _round(
             all_answered.set()
 
     queue: GoalQueue[Motion] = GoalQueue(
-        GoalExecutors(arm, make),
+        GoalExecutors(arm, context, kind),
         GoalPolicy.QUEUE,
         GOALS,
         lambda goal, progress: summaries.add(goal.goal_id) if "in advance" in progress.message else None,

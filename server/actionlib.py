@@ -53,7 +53,6 @@ class Tracked:
 
     Attributes:
         goal_id: its actionlib_msgs/GoalID, complete.
-        status: where it is.
         text: a sentence about that.
         ended_s: when it ended [s], None while it has not.
     """
@@ -179,7 +178,6 @@ class ActionlibBridge:
     """Keeps the topics of several actions.
 
     Args:
-        graph: where topics and actions are.
         clock: monotonic time [s].
         call_later: does something after a delay.
     """
@@ -208,8 +206,6 @@ class BridgedAction:
     """The topics of one action.
 
     Args:
-        graph: where they are.
-        name: of the action.
         type_name: canonical name of its type.
         clock: monotonic time [s].
     """

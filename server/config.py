@@ -12,12 +12,11 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from protocol.limits import MAX_SERVER_QUEUED_BYTES
-from robot.logs import LogFormat
 from robot.messages import MIN_SPEED_LIMIT, EmergencyPolicy, EndState, GuardLimits
-from server.access.settings import AccessSettings, SessionSettings
+from server.access.settings import AccessSettings
 from server.config_keys import SettingsSection
 from server.execution.queue import GoalPolicy
+from server.gateway.settings import ServerSettings
 from server.moveit.parameters import MoveItParameters
 from server.zenoh.settings import ZenohSettings
 
@@ -85,74 +84,6 @@ class GuardSettings(SettingsSection):
 
 # Of the environment variables.
 PREFIX = "ARMBRIDGE_"
-
-
-class ServerSettings(SettingsSection):
-    """Address and limits of the server."""
-
-    host: str = "127.0.0.1"
-    """address to listen on."""
-    port: int = Field(default=9090, ge=0, le=65535)
-    """TCP port; 0 takes a free one."""
-    tcp_port: int | None = Field(default=None, ge=0, le=65535)
-    """one more port, for clients that speak rosbridge over raw TCP; 0 takes a free one, None for no such port."""
-    # That of ROSIntegration's default, and of the rosbridge_tcp for which such clients were written.
-    tcp_ros_version: Literal[1, 2] = 1
-    """generation of ROS in whose spelling clients of tcp_port get messages: 1 has seq, secs and nsecs."""
-    log_level: Literal["debug", "info", "warning", "error"] = "info"
-    """least level of the log."""
-    log_format: LogFormat = "plain"
-    """lines for people, or a JSON object a line for programs."""
-    relay_unknown_types: bool = False
-    """take topics and services whose types the server does not know, and relay them unchecked."""
-    interfaces: list[Path] = Field(default_factory=list)
-    """ROS packages, or folders of them, whose msg, srv and action files the server reads for types of yours."""
-    tls_certificate: Path | None = None
-    """PEM file of the certificate, with those that lead to its issuer, for wss and https; None for neither."""
-    tls_key: Path | None = None
-    """PEM file of its key, without a passphrase; with tls_certificate only."""
-    max_clients: int = Field(default=1000, ge=1, le=100_000)
-    """connections at a time, those of a page that loads among them."""
-    # Behind a container's proxy all clients have one address.
-    max_clients_per_address: int = Field(default=800, ge=1, le=100_000)
-    """connections at a time from one address."""
-    # A page that loads is thirty connections, and a classroom may come from one address.
-    connections_per_s: float = Field(default=100.0, ge=1.0, le=10_000.0)
-    """new connections a second from one address, in the long run; ten seconds' worth of them may come at once [1/s]."""
-    ping_interval_s: float = Field(default=20.0, ge=1.0, le=3600.0)
-    """how often each client is asked whether it is still there [s]."""
-    ping_timeout_s: float = Field(default=20.0, ge=1.0, le=3600.0)
-    """time to answer; who does not is disconnected [s]."""
-    unregister_timeout_s: float = Field(default=10.0, ge=0.0, le=3600.0)
-    """for how long a topic keeps its type, and what is latched there, after the last one who used it has left: some
-    clients open a new socket between advertise and publish [s].
-    """
-    max_queued_bytes: int = Field(default=MAX_SERVER_QUEUED_BYTES, ge=65_536, le=1_000_000_000_000)
-    """all that waits for clients; beyond it, those that have read least recently lose messages of topics [bytes]."""
-    limits: SessionSettings = SessionSettings()
-    """what one client may cost."""
-
-    @model_validator(mode="after")
-    def _one_client_has_a_part(self) -> ServerSettings:
-        if self.limits.max_queued_bytes > self.max_queued_bytes:
-            raise ValueError(
-                f"limits.max_queued_bytes, {self.limits.max_queued_bytes}, is what one client may have of"
-                f" max_queued_bytes, {self.max_queued_bytes}: it must not be greater"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _key_and_certificate_come_in_pairs(self) -> ServerSettings:
-        if (self.tls_certificate is None) != (self.tls_key is None):
-            missing = "tls_key" if self.tls_key is None else "tls_certificate"
-            raise ValueError(f"tls_certificate and tls_key must be given together; {missing} is missing")
-        return self
-
-    @model_validator(mode="after")
-    def _the_ports_differ(self) -> ServerSettings:
-        if self.tcp_port and self.tcp_port == self.port:
-            raise ValueError(f"tcp_port must differ from port, both are {self.port}")
-        return self
 
 
 class ArmSettings(SettingsSection):

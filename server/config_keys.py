@@ -71,7 +71,6 @@ def every_field(model: type[BaseModel], above: str = "") -> Iterator[tuple[str, 
     """Yield the key of each setting of a model and of the sections in it, with the section's class and the field.
 
     Args:
-        model: a section, or all of them.
         above: the sections that it stands in, each with a dot behind it.
     """
     sections = []
@@ -107,12 +106,7 @@ def every_setting(model: type[BaseModel]) -> Iterator[Setting]:
 
 
 def nearest(key: str, known: Sequence[str]) -> str:
-    """The known key that was probably meant; empty when none is like it.
-
-    Args:
-        key: what was written.
-        known: what may be written.
-    """
+    """The known key that was probably meant; empty when none is like it."""
     name = _name(key)
     # The right name in the wrong section, or in none, tells more than the section does.
     same_name = [each for each in known if _name(each) == name]
@@ -128,8 +122,6 @@ def unknown(key: str, known: Sequence[str], spelling: Callable[[str], str] = str
     """The sentence that refuses a key.
 
     Args:
-        key: what was written.
-        known: what may be written.
         spelling: how both are shown; the default shows them as they are, without the section that they share.
     """
     meant = nearest(key, known)
@@ -143,7 +135,6 @@ def flattened(values: Mapping[str, Any], tables: frozenset[str], above: str = ""
     """Nested values as keys with dots.
 
     Args:
-        values: by section and key.
         tables: keys whose values are mappings themselves.
         above: the sections that they stand in, each with a dot behind it.
     """

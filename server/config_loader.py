@@ -64,14 +64,6 @@ def _check_values(values: dict[str, Any], layers: Iterable[dict[str, Any]], plac
     """Refuse wrong values of one layer, also those that a layer above overrides.
 
     Values that contradict each other are no matter here: a layer above may be what puts them right.
-
-    Args:
-        values: of the layer, by section and key.
-        layers: values of all layers, the lowest first.
-        places: place of the layer, by its keys.
-
-    Raises:
-        ConfigurationError: a value is unknown or out of range, named by its key.
     """
     try:
         Settings(**functools.reduce(_merged, (*layers, values)))

@@ -48,7 +48,6 @@ class UnsuccessfulError(ServerError):
     """A service that has not succeeded, as its response says; the response has no field for the reason.
 
     Attributes:
-        response: the response message.
         complete: True if the response has every field.
     """
 
@@ -59,11 +58,7 @@ class UnsuccessfulError(ServerError):
 
 
 class RefusedError(ServerError):
-    """A request that cannot be carried out.
-
-    Attributes:
-        failure: the answer to it.
-    """
+    """A request that cannot be carried out."""
 
     def __init__(self, failure: PlanningFailure) -> None:
         super().__init__(failure.message)

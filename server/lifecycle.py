@@ -1,16 +1,23 @@
-"""Life of the server: parts start in order and stop in reverse, each within a deadline."""
+"""Life of the server: features start in order and stop in reverse, each within a deadline."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import signal
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from robot import logs
+from robot.logs import OUR_LOGGER, LoggerLevel
+from robot.messages import ArmHealth, ArmState
+
 log = logging.getLogger("armbridge")
+
+STDIN = 0
 
 # What every later step is left, however long those before it take.
 RESERVED_S = 0.1
@@ -28,15 +35,7 @@ async def nothing() -> None:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the server with its start and its stop.
-
-    Attributes:
-        name: its name in the log.
-        start: starts it; may fail, which ends the server.
-        stop: stops it, also when its start has failed or was cancelled half-way; cancelled at its deadline.
-        deadline_s: longest time for the stop [s].
-        beyond_total: True where the time of its stop does not count towards the total of all.
-    """
+    """A step of the start, with its counterpart of the stop; the attributes are those of :class:`Feature`."""
 
     name: str
     start: Callable[[], Awaitable[None]] = nothing
@@ -45,26 +44,82 @@ class Part:
     beyond_total: bool = False
 
 
-class BackgroundTask:
+class Feature:
+    """One capability of the server: complete when constructed, started once and stopped once.
+
+    A method that a feature does not have does nothing. Features with the states of arms get those of each by its name;
+    the empty name stands for the only arm, or for all arms together.
+
+    Attributes:
+        name: its name in the log.
+        deadline_s: longest time for the stop [s].
+        beyond_total: True where the time of its stop does not count towards the total of all.
+    """
+
+    name = ""
+    deadline_s = 0.1
+    beyond_total = False
+
+    async def start(self) -> None:
+        """Start; a failure ends the server."""
+
+    async def stop(self) -> None:
+        """Stop, also after a start that has failed or was cancelled half-way; cancelled at the deadline."""
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        """Take the latest state of an arm."""
+
+    def on_health(self, arm: str, health: ArmHealth) -> None:
+        """Take the latest health of an arm."""
+
+    @property
+    def observes_states(self) -> bool:
+        """True while the feature needs the states of the arms at their full rate."""
+        return False
+
+
+class Together(Feature):
+    """Features that are started in order, and stopped in reverse within one deadline.
+
+    Args:
+        name: their name in the log.
+        deadline_s: longest time for the stop of all [s].
+    """
+
+    def __init__(self, name: str, features: Sequence[Feature], deadline_s: float) -> None:
+        self.name = name
+        self.deadline_s = deadline_s
+        self._features = features
+
+    async def start(self) -> None:
+        for feature in self._features:
+            await feature.start()
+
+    async def stop(self) -> None:
+        for feature in reversed(self._features):
+            await _stop_and_log(feature)
+
+
+class BackgroundTask(Feature):
     """A coroutine that runs beside the others from its start to its stop; the log says at once if it fails.
 
     Args:
         name: its name in the log.
         run: returns the coroutine, which runs until it is cancelled.
+        deadline_s: longest time for the stop [s].
     """
 
-    def __init__(self, name: str, run: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        self._name = name
+    def __init__(self, name: str, run: Callable[[], Coroutine[Any, Any, None]], deadline_s: float = 0.1) -> None:
+        self.name = name
+        self.deadline_s = deadline_s
         self._run = run
         self._task: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Begin to run."""
-        self._task = asyncio.create_task(self._run(), name=self._name)
+        self._task = asyncio.create_task(self._run(), name=self.name)
         self._task.add_done_callback(_log_failure)
 
     async def stop(self) -> None:
-        """Cancel the coroutine, if it was started, and wait for its end."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait([self._task])
@@ -75,11 +130,10 @@ def _log_failure(task: asyncio.Task[None]) -> None:
         log.error("%s failed", task.get_name(), exc_info=task.exception())
 
 
-async def start_in_order(parts: Sequence[Part], started: list[Part]) -> None:
+async def start_in_order(parts: Sequence[Part | Feature], started: list[Part | Feature]) -> None:
     """Start parts one after the other.
 
     Args:
-        parts: in the order of their start.
         started: gets each part before it is started, so that it is stopped even if its start fails.
     """
     for part in parts:
@@ -98,6 +152,35 @@ def stop_signals() -> tuple[asyncio.Event, asyncio.Event]:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, take)
     return ending, hurry
+
+
+def on_hangup(
+    reload: Callable[[], None], stop: Callable[[], None], is_terminal: Callable[[int], bool] = os.isatty
+) -> None:
+    """Handle SIGHUP: a service reloads its files, a program stops if its terminal is gone.
+
+    Args:
+        stop: begins the stop; called if the terminal has hung up, where nobody could stop the server any more.
+        is_terminal: returns True for a descriptor of a terminal that has not hung up.
+    """
+    began_in_terminal = is_terminal(STDIN)
+
+    def handle() -> None:
+        (stop if began_in_terminal and not is_terminal(STDIN) else reload)()
+
+    asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, handle)
+
+
+def on_debug_signal() -> None:
+    """Handle SIGUSR1: debug lines on, and off again."""
+    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, toggle_debug)
+
+
+def toggle_debug() -> None:
+    """Set the log's level to debug, or back to that of the settings."""
+    debug = logging.getLogger(OUR_LOGGER).level != logging.DEBUG
+    logs.change(LoggerLevel(OUR_LOGGER, logging.DEBUG if debug else logging.NOTSET))
+    log.warning("SIGUSR1: the log's level is %s", "debug now" if debug else "again what the settings say")
 
 
 async def first_of(*events: asyncio.Event) -> None:
@@ -122,7 +205,7 @@ async def unless_ended(ending: asyncio.Event, starting: Coroutine[Any, Any, None
 
 
 async def stop_in_reverse(
-    started: Sequence[Part],
+    started: Sequence[Part | Feature],
     total_s: float,
     hurry: asyncio.Event | None = None,
     clock: Callable[[], float] = time.monotonic,
@@ -130,14 +213,14 @@ async def stop_in_reverse(
     """Stop each part, the last one first, whatever becomes of those before it.
 
     Args:
-        started: in the order of their start.
         total_s: longest time of all stops together, but for those beyond the total [s].
         hurry: set by whoever will not wait; each part then has HURRIED_S.
         clock: monotonic time [s].
     """
     hurry = hurry or asyncio.Event()
     until_s = clock() + total_s
-    for left, part in zip(reversed(range(len(started))), reversed(started), strict=True):
+    stopped = [part for part in started if _has_stop(part)]
+    for left, part in zip(reversed(range(len(stopped))), reversed(stopped), strict=True):
         began_s = clock()
         if part.beyond_total:
             await _stop(part, part.deadline_s, hurry)
@@ -157,7 +240,11 @@ def allowance_s(deadline_s: float, left_s: float, parts_left: int) -> float:
     return min(deadline_s, max(RESERVED_S, left_s - RESERVED_S * parts_left))
 
 
-async def _stop(part: Part, allowed_s: float, hurry: asyncio.Event) -> None:
+def _has_stop(part: Part | Feature) -> bool:
+    return type(part).stop is not Feature.stop if isinstance(part, Feature) else part.stop is not nothing
+
+
+async def _stop(part: Part | Feature, allowed_s: float, hurry: asyncio.Event) -> None:
     began_s = time.monotonic()
     stopping = asyncio.create_task(_stop_and_log(part), name=f"stop {part.name}")
     if not await _done_in_time(stopping, allowed_s, hurry):
@@ -183,7 +270,7 @@ async def _until(event: asyncio.Event) -> None:
     await event.wait()
 
 
-async def _stop_and_log(part: Part) -> None:
+async def _stop_and_log(part: Part | Feature) -> None:
     try:
         await part.stop()
     except Exception:  # a bug in stopping one part must not keep the others, and the arm, from stopping

@@ -18,10 +18,10 @@ from protocol.messages import Stamp
 from protocol.operations import qualify
 from protocol.registry import Kind
 from protocol.type_descriptions import full_text, typedefs
-from server.access.permissions import NameFilter
 from server.errors import ServiceError
 from server.graph.index import TypedNames
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, LOOKING, NameFilter
 from server.graph.services import Call, failure_told
 from server.graph.topics import Graph
 
@@ -61,7 +61,6 @@ class Request(NamedTuple):
     """Request of a rosapi service.
 
     Attributes:
-        values: the complete request message.
         dialect: the caller's; type names in the response are spelled in it.
     """
 
@@ -72,6 +71,9 @@ class Request(NamedTuple):
         """Return the fully qualified name in a field of the request."""
         return qualify(self.values[field])
 
+
+# Services that change parameters.
+CHANGING = frozenset(("set_param", "delete_param"))
 
 # Returns the complete response, which nobody changes from then on; raises ServiceError to fail the call.
 Handler: TypeAlias = Callable[[Request], dict[str, Any]]
@@ -142,7 +144,8 @@ class RosApi:
             **self.parameters.handlers,
         }
         for name, (type_name, handler) in handlers.items():
-            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler))
+            rule = CONFIGURING if name in CHANGING else LOOKING
+            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler), rule=rule)
 
     # Topics.
 
@@ -256,7 +259,6 @@ class Latest:
 
     Args:
         names: the names that it is made of.
-        make: makes it, for a dialect.
     """
 
     def __init__(self, names: TypedNames, make: Callable[[Dialect], dict[str, Any]]) -> None:
@@ -300,12 +302,7 @@ class Parameters:
         }
 
     def keep(self, name: str, value: str) -> None:
-        """Set a parameter of the server itself, without the limits that hold for clients.
-
-        Args:
-            name: fully qualified.
-            value: JSON text.
-        """
+        """Set a parameter of the server itself, without the limits that hold for clients."""
         self._size_bytes += _size_bytes(name, value) - self._stored_bytes(name)
         self._values[name] = value
         if self._names.refusal("parameter", name) is None:
@@ -356,11 +353,7 @@ class Parameters:
         return {"names": sorted(self._open)}
 
     def _allowed_name(self, request: Request) -> str:
-        """Return the name of the requested parameter.
-
-        Raises:
-            ServiceError: clients may not use it.
-        """
+        """Return the name of the requested parameter."""
         name: str = request.values["name"]
         refusal = self._names.refusal("parameter", name)
         if refusal is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from graphlib import TopologicalSorter
 
@@ -139,3 +140,24 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     found = {name_of(path): imports(path).when_loaded for room in ROOMS for path in paths(room)}
     order = TopologicalSorter({name: names & found.keys() for name, names in found.items()})
     order.prepare()
+
+
+def test_no_folders_of_the_server_import_each_other_in_a_circle() -> None:
+    """A module beside the folders counts as a folder of its own; imports for type checking alone count as well."""
+    found: dict[str, set[str]] = defaultdict(set)
+    for path in paths("server"):
+        names = imports(path).names | imports(path).sources
+        found[folder_of(name_of(path))] |= {folder_of(name) for name in names if name.startswith("server.")}
+    assert {"server.gateway", "server.graph", "server.moveit"} <= found.keys()
+    order = TopologicalSorter({folder: others - {folder, "server"} for folder, others in found.items()})
+    order.prepare()
+
+
+def folder_of(name: str) -> str:
+    """Return the folder of server/ that a module is in, or the module itself beside them."""
+    return ".".join(name.split(".")[:2])
+
+
+def test_the_gateway_knows_nothing_of_moveit() -> None:
+    found = importing(["server"], lambda name, _room: name.startswith("server.moveit"))
+    assert [each for each in found if each.startswith("server/gateway/")] == []

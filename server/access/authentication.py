@@ -15,10 +15,10 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from protocol.operations import Auth
-from server.access.permissions import Identity, Role
 from server.access.rate_limits import client_key
 from server.access.settings import MAX_TOKENS, AccessSettings
 from server.errors import ConfigurationError, sentence_of
+from server.graph.permissions import Identity, Role
 
 log = logging.getLogger("armbridge.access")
 
@@ -46,12 +46,10 @@ class Tokens:
     """Table of the tokens and their owners.
 
     Args:
-        tokens: owners, by the text of the token.
         anonymous: identity of clients without a token; None when they may do nothing.
 
     Attributes:
         any: True when there are tokens.
-        anonymous: as given.
     """
 
     def __init__(self, tokens: dict[str, Identity], anonymous: Identity | None) -> None:
@@ -92,11 +90,7 @@ class Tokens:
 
 
 class RosauthVerifier:
-    """Verifier of rosauth's proofs of a token, which do not show it; each proof counts once.
-
-    Args:
-        tokens: the secrets in them.
-    """
+    """Verifier of rosauth's proofs of a token, which do not show it; each proof counts once."""
 
     def __init__(self, tokens: Tokens) -> None:
         self._tokens = tokens
@@ -210,11 +204,7 @@ def _anonymous(settings: AccessSettings, *, any_tokens: bool) -> Identity | None
 
 
 def _read(file: Path) -> AccessSettings:
-    """Read the tokens in a file; no error shows any of them.
-
-    Raises:
-        ConfigurationError: it cannot be used.
-    """
+    """Read the tokens in a file; no error shows any of them."""
     try:
         if file.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH):
             log.warning("access.token_file: %s can be read by other users of this machine; chmod 600 it", file)

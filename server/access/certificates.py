@@ -86,7 +86,6 @@ class Outcome:
 
     Attributes:
         names: names and addresses in the certificate.
-        ends: end of its validity.
         authority_name: name of the authority, as phones show it.
         fingerprint: of the authority, SHA-256 as phones show it.
         made_authority: True when the authority is new, so that phones do not know it yet.

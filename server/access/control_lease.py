@@ -10,12 +10,12 @@ from datetime import UTC, datetime
 from importlib import metadata
 from typing import Any, Literal, TypeAlias
 
-from server.access.permissions import Role
-from server.arm.topics import LEVEL_OK, key_values
+from server.diagnostic_values import LEVEL_OK, key_values
 from server.execution.queue import RunningGoal
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import LOOKING, WORKING, Role
 from server.graph.services import Call, answer
-from server.graph.topics import Graph
 from server.timers import CallLater, call_later
 
 Policy: TypeAlias = Literal["lease", "shared"]
@@ -43,10 +43,8 @@ class ControlLease:
         idle_s: time without a request of the holder after which the arm is free for others [s].
         wall_clock: seconds since the epoch.
         busy: returns the goal that is worked on; meanwhile the holder does not idle.
-        what: what it is the control of.
 
     Attributes:
-        policy: as given.
         excluded_by: leases that nobody else may hold when a client takes this one: of several arms that of all arms
             excludes those of each, and each of them excludes it.
         holder: the client that drives; None when the arm is free.
@@ -81,7 +79,6 @@ class ControlLease:
         """Take control, or keep it, to move the arm or to switch it.
 
         Args:
-            node: the client.
             now_s: monotonic time [s].
 
         Returns:
@@ -107,7 +104,6 @@ class ControlLease:
         """Give control back; a client that has shown a token with the role ADMIN may take it from another.
 
         Args:
-            node: the client.
             now_s: monotonic time [s].
 
         Returns:
@@ -202,15 +198,13 @@ class ControlServices:
     """Topic ``/arm/control`` (latched), and the services that take, release and ask for control.
 
     Args:
-        graph: the graph that they belong to.
-        lease: control of the arm.
         clock: monotonic time [s].
         call_later: calls something after a delay.
     """
 
     def __init__(
         self,
-        graph: Graph,
+        graph: LocalGraph,
         lease: ControlLease,
         clock: Callable[[], float] = time.monotonic,
         call_later: CallLater = call_later,
@@ -221,9 +215,12 @@ class ControlServices:
         self._call_later = call_later
         self._node = Node("arm control")
         graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
-        services = {TAKE_SERVICE: self._take, RELEASE_SERVICE: self._release, WHO_SERVICE: self._who}
-        for name, serve in services.items():
-            graph.services.offer_calls(self._node, name, "std_srvs/Trigger", serve)
+        for name, serve, rule in (
+            (TAKE_SERVICE, self._take, WORKING),
+            (RELEASE_SERVICE, self._release, WORKING),
+            (WHO_SERVICE, self._who, LOOKING),
+        ):
+            graph.offer_calls(self._node, name, "std_srvs/Trigger", serve, rule=rule)
         lease.watch(self._publish)
         self._publish()
         self._timer = call_later(BEAT_S, self._beat)

@@ -12,8 +12,8 @@ from hashlib import sha256
 from typing import Any
 
 from server.access.authentication import Tokens
-from server.access.permissions import Identity, Role
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, Identity, Role
 from server.graph.services import Call, answer
 from server.graph.topics import Graph
 
@@ -63,7 +63,6 @@ class OneTimeTokens:
         """Return a new token.
 
         Args:
-            asker: identity of the client that asks for it.
             role: role of the connection; empty for operate.
 
         Raises:
@@ -120,8 +119,6 @@ class OneTimeTokenService:
     """Service that issues one-time tokens, and tells where other machines find the page.
 
     Args:
-        graph: graph of the service.
-        one_time_tokens: issues them.
         tokens: the server's tokens; without any, nobody needs a token.
         page_urls: returns the URLs of the page for other machines.
     """
@@ -136,7 +133,7 @@ class OneTimeTokenService:
         self._one_time_tokens = one_time_tokens
         self._tokens = tokens
         self._page_urls = page_urls
-        graph.services.offer_calls(Node("one-time tokens"), SERVICE, SERVICE_TYPE, self._serve)
+        graph.services.offer_calls(Node("one-time tokens"), SERVICE, SERVICE_TYPE, self._serve, rule=CONFIGURING)
 
     def _serve(self, call: Call) -> None:
         answer(call, lambda request: self._issue(call, request["role"]))

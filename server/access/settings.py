@@ -136,10 +136,6 @@ def check_tokens(tokens: Mapping[str, str]) -> None:
 def check_token(token: str, whose: str = "") -> None:
     """Check a token against the limits.
 
-    Args:
-        token: its text.
-        whose: begins the refusal.
-
     Raises:
         ValueError: it is no good; the text never has it.
     """

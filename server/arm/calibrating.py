@@ -16,6 +16,7 @@ from robot.commissioning.directions import asked_motions
 from robot.commissioning.session import Act, CalibrationSession
 from robot.errors import CalibrationError, OrderRefused
 from robot.messages import ArmHealth, ArmState, Mode, Order
+from server.arm.arms import ServedArm, without_prefix
 from server.arm.commissioning import Dialogue, Ended, ProcedureFailed
 from server.arm.setup import Description
 
@@ -36,11 +37,12 @@ class Recalibrated:
     """New calibration of the arm, with which the server starts anew.
 
     Attributes:
-        file: its file.
+        arm: name of one of several arms; else empty.
         position_rad: positions of the joints under it, by joint [rad].
         ended: end of the procedure, to be shown by the server that starts.
     """
 
+    arm: str
     file: Path
     position_rad: Mapping[str, float]
     ended: Ended
@@ -66,12 +68,9 @@ class CalibrationProcedure:
     """Calibration of the arm into a file.
 
     Args:
-        arm: the arm.
-        description: the arm by its files.
-        file: calibration to write.
-        in_use: True if the settings name this file.
-        trims_rad: trims of the zero in the settings, by joint [rad].
-        end_goals: ends all goals and stops every motion, for a reason.
+        arm: the arm's handle.
+        file: calibration to write, and True if the settings name this file.
+        end_goals: ends all goals of the arm and stops every motion of it, for a reason.
         start_anew: called when the calibration is written.
 
     Raises:
@@ -81,28 +80,27 @@ class CalibrationProcedure:
     def __init__(
         self,
         arm: Arm,
-        description: Description,
-        file: Path,
-        trims_rad: Mapping[str, float],
+        served: ServedArm,
+        file: tuple[Path, bool],
         end_goals: Callable[[str], None],
         start_anew: Callable[[Recalibrated], None],
-        *,
-        in_use: bool,
     ) -> None:
+        description = served.description
+        self._file, self._in_use = file
         if description.calibration is None:
-            raise CalibrationError(str(file), "", "this arm has no servos to calibrate")
+            raise CalibrationError(str(self._file), "", "this arm has no servos to calibrate")
         self._arm = arm
+        self._served = served
         self._present: Calibration = description.calibration
-        self._file = file
-        self._in_use = in_use
-        self._trims_rad = trims_rad
+        offsets_rad = served.settings.zero_offset_rad
+        self._trims_rad = {served.prefix + joint: offset_rad for joint, offset_rad in offsets_rad.items()}
         self._end_goals = end_goals
         self._start_anew = start_anew
         self._offsets = {joint.servo_id: joint.homing_offset for joint in self._present.joints}
         self._swept_from: Mapping[int, int] | None = None
         self._session = CalibrationSession(description.hardware.servos, asked_motions(description.robot), recentre=True)
         self._reservation = contextlib.ExitStack()
-        self._reservation.enter_context(reserved(file, overwrite=in_use))
+        self._reservation.enter_context(reserved(self._file, overwrite=self._in_use))
 
     async def run(self, dialogue: Dialogue) -> str:
         """Carry the calibration out."""
@@ -119,17 +117,21 @@ class CalibrationProcedure:
             raise CalibrationError(str(self._file), "", "there is no result")
         if self._trims_rad:
             session.findings.append(
-                f"arm.zero_offset_rad still trims {', '.join(self._trims_rad)}, which was measured with another "
-                "calibration: take it out of the settings, or measure it again"
+                f"{self._served.section}.zero_offset_rad still trims {', '.join(self._trims_rad)}, which was measured "
+                "with another calibration: take it out of the settings, or measure it again"
             )
-        name = "" if self._in_use else f" Name it in the settings, as arm.calibration or by --calibration {self._file}."
+        name = "" if self._in_use else f" Name it in the settings, as {self._served.section}.calibration."
+        if not self._in_use and not self._served.name:
+            name = f" Name it in the settings, as arm.calibration or by --calibration {self._file}."
         result = (
             f"the calibration is in the servos and in {self._file}; the arm is relaxed, and uses it from now on. "
             f"Verify it before anything else moves.{name}"
         )
         dialogue.findings = [*session.findings]
         position_rad = self._positions_rad(session.calibration.with_zero_offsets(self._trims_rad))
-        self._start_anew(Recalibrated(self._file, position_rad, Ended(result, tuple(dialogue.findings))))
+        self._start_anew(
+            Recalibrated(self._served.name, self._file, position_rad, Ended(result, tuple(dialogue.findings)))
+        )
         return result
 
     def take_state(self, state: ArmState, dialogue: Dialogue) -> None:
@@ -182,7 +184,9 @@ class CalibrationProcedure:
                 f"the servos did not all take the calibration: {done.message}. Its file was not written; calibrate anew"
             )
         try:
-            await asyncio.wait_for(asyncio.to_thread(save, calibration, self._file), WRITING_TIMEOUT_S)
+            await asyncio.wait_for(
+                asyncio.to_thread(save, without_prefix(calibration, self._served.prefix), self._file), WRITING_TIMEOUT_S
+            )
         except (CalibrationError, TimeoutError) as error:
             reason = str(error) or f"it took more than {WRITING_TIMEOUT_S:g} s"
             raise ProcedureFailed(
@@ -215,7 +219,6 @@ def calibration_file(name: str, description: Description) -> tuple[Path, bool]:
 
     Args:
         name: id of lerobot; empty for the calibration in use.
-        description: the arm by its files.
 
     Raises:
         CalibrationError: there is none in use, or the name is none.

@@ -19,8 +19,9 @@ from robot.commissioning.session import Step, SweptRange
 from robot.errors import RobotError
 from robot.messages import ArmHealth, ArmState
 from server.errors import ServiceError
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.topics import Graph
+from server.graph.permissions import COMMISSIONING, CONFIGURING
 
 log = logging.getLogger("armbridge.commissioning")
 
@@ -66,11 +67,8 @@ class Dialogue:
         changed: called after every change of what is shown.
 
     Attributes:
-        procedure: as given.
-        step: present step.
         progress: share that is done, 0 to 1.
         findings: what was found, a sentence each.
-        ranges: ranges of the joints.
         droops_rad: droop of joints that was measured, by joint [rad].
     """
 
@@ -89,7 +87,6 @@ class Dialogue:
         """Ask until an answer is accepted.
 
         Args:
-            step: the step with its answers.
             accept: called with an answer, at once; raises a RobotError when it cannot go on so.
             current: the step after an answer that was not accepted, which may have other answers.
 
@@ -192,12 +189,11 @@ class Commissioning:
     """Services and topic of the procedures.
 
     Args:
-        graph: where they are.
         make: makes a procedure by its name and the name of a calibration; raises a RobotError when it cannot begin.
         ended: end of the procedure before, if it was followed by a start of the server.
     """
 
-    def __init__(self, graph: Graph, make: Callable[[str, str], Procedure], ended: Ended | None = None) -> None:
+    def __init__(self, graph: LocalGraph, make: Callable[[str, str], Procedure], ended: Ended | None = None) -> None:
         self._graph = graph
         self._make = make
         self._ended = ended or Ended()
@@ -209,10 +205,10 @@ class Commissioning:
         self._shown_at_s = -math.inf
         self._health: ArmHealth | None = None
         graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/CommissioningState", latch=True)
-        offer = graph.services.offer
-        offer(self._node, BEGIN, "armbridge_msgs/BeginCommissioning", self._begin)
-        offer(self._node, ANSWER, "armbridge_msgs/AnswerCommissioning", self._answer)
-        offer(self._node, CANCEL, "std_srvs/Trigger", self._cancel)
+        offer = graph.offer
+        offer(self._node, BEGIN, "armbridge_msgs/BeginCommissioning", self._begin, rule=COMMISSIONING)
+        offer(self._node, ANSWER, "armbridge_msgs/AnswerCommissioning", self._answer, rule=COMMISSIONING)
+        offer(self._node, CANCEL, "std_srvs/Trigger", self._cancel, rule=CONFIGURING)
         self._show()
 
     @property
@@ -242,7 +238,9 @@ class Commissioning:
 
     def _begin(self, request: dict[str, Any]) -> dict[str, Any]:
         if self._dialogue is not None:
-            return _refused(f"{self._dialogue.procedure} is in progress: answer it, or call {CANCEL}")
+            return _refused(
+                f"{self._dialogue.procedure} is in progress: answer it, or call {self._graph.resolve(CANCEL)}"
+            )
         try:
             procedure = self._make(request["procedure"], request["name"])
         except RobotError as error:
@@ -253,11 +251,11 @@ class Commissioning:
         self._ended = Ended()
         name = f"commissioning: {request['procedure']}"
         self._task = asyncio.create_task(self._run(procedure, self._dialogue), name=name)
-        return {"success": True, "message": f"{request['procedure']} begins: see {STATE_TOPIC}"}
+        return {"success": True, "message": f"{request['procedure']} begins: see {self._graph.resolve(STATE_TOPIC)}"}
 
     def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
         if self._dialogue is None:
-            return _refused(f"nothing is asked: {BEGIN} begins a procedure")
+            return _refused(f"nothing is asked: {self._graph.resolve(BEGIN)} begins a procedure")
         try:
             return {"success": True, "message": self._dialogue.answer(request["step"], request["answer"])}
         except ServiceError as error:

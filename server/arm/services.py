@@ -10,17 +10,17 @@ from typing import Any
 from robot.arm_interface import ArmInterface
 from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Mode, Order, PlaybackDirection
 from server.arrival import arrival_epoch
+from server.execution.monitors import ENABLE, RESET_FAULT
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.permissions import STOPPING, SWITCHING, WORKING, Rule
+from server.graph.topics import Subscriber
 
 log = logging.getLogger("armbridge.arm")
 
-ENABLE = "/arm/enable"
 RELAX = "/arm/relax"
-PARK = "/arm/park"
 STOP = "/arm/stop"
 EMERGENCY_STOP = "/arm/emergency_stop"
-RESET_FAULT = "/arm/reset_fault"
 EMERGENCY_STOP_TOPIC = "/emergency_stop"
 
 # Braking takes a second at most.
@@ -35,32 +35,26 @@ class ArmServices:
     Orders leave for the arm process before anything else happens: no queue, no task and no waiting in between.
 
     Args:
-        graph: the graph that they belong to.
-        arm: the arm.
         end_goals: ends the active goal and all that wait, and stops every motion, for a reason.
-        park: moves the arm to its rest pose and relaxes it, for a source; None where it cannot be parked alone.
     """
 
     def __init__(
         self,
-        graph: Graph,
+        graph: LocalGraph,
         arm: ArmInterface,
         end_goals: Callable[[str], None],
-        park: Callable[[str], Awaitable[CommandDone]] | None = None,
     ) -> None:
         self._graph = graph
         self._arm = arm
         self._end_goals = end_goals
         self._node = Node("arm services")
-        self._offer(ENABLE, lambda: arm.order(Order.ENABLE, epoch=arrival_epoch()))
-        self._offer(RELAX, self._relax)
-        if park is not None:
-            self._offer(PARK, lambda: park(PARK))
-        self._offer(STOP, self._stop)
-        self._offer(EMERGENCY_STOP, lambda: self._emergency_stop(EMERGENCY_STOP))
-        self._offer(RESET_FAULT, lambda: arm.order(Order.RESET_FAULT, epoch=arrival_epoch()))
+        self._offer(ENABLE, SWITCHING, lambda: arm.order(Order.ENABLE, epoch=arrival_epoch()))
+        self._offer(RELAX, SWITCHING, self._relax)
+        self._offer(STOP, STOPPING, self._stop)
+        self._offer(EMERGENCY_STOP, STOPPING, lambda: self._emergency_stop(EMERGENCY_STOP))
+        self._offer(RESET_FAULT, SWITCHING, lambda: arm.order(Order.RESET_FAULT, epoch=arrival_epoch()))
         # A message to this topic means that the arm must stop, valid or not.
-        stopper = Subscriber(self._on_emergency_stop, self._on_emergency_stop)
+        stopper = Subscriber(self._on_emergency_stop, self._on_emergency_stop, rule=STOPPING)
         graph.subscribe(self._node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", stopper)
 
     def _emergency_stop(self, name: str) -> asyncio.Future[CommandDone]:
@@ -80,14 +74,14 @@ class ArmServices:
         self._end_goals(f"stopped by {self._graph.resolve(STOP)}")
         return _standstill(self._arm)
 
-    def _offer(self, name: str, act: Callable[[], Awaitable[CommandDone]]) -> None:
+    def _offer(self, name: str, rule: Rule, act: Callable[[], Awaitable[CommandDone]]) -> None:
         def serve(_request: Response) -> Awaitable[Response]:
-            return _response(act())
+            return trigger_response(act())
 
-        self._graph.services.offer(self._node, name, "std_srvs/Trigger", serve)
+        self._graph.offer(self._node, name, "std_srvs/Trigger", serve, rule=rule)
 
 
-async def _response(answered: Awaitable[CommandDone]) -> Response:
+async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
     """Await an order's answer and return it as a response of std_srvs/Trigger."""
     done = await answered
     return {"success": done.done, "message": done.message}
@@ -132,29 +126,24 @@ class ArmPace:
     The speed factor is the driver's: a share of the planned speed of every motion, also of a slow one. The speed limit
     is the operator's: a share of the joints' velocity limits, which slows down only what would be faster, whoever moves
     the arm, and the gripper too. Guards and limits of the arm hold at every pace.
-
-    Args:
-        graph: the graph of the topic and the services.
-        arm: the arm.
     """
 
-    def __init__(self, graph: Graph, arm: ArmInterface) -> None:
+    def __init__(self, graph: LocalGraph, arm: ArmInterface) -> None:
         self._graph = graph
         self._node = Node("arm pace")
         subscriber = Subscriber(
             lambda published: _set_speed(arm, published.msg["data"]),
             lambda error: log.warning("%s: %s", SPEED_FACTOR_TOPIC, error),
+            rule=SWITCHING,
         )
         graph.subscribe(self._node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", subscriber)
-        for name, direction in (
-            (PAUSE, PlaybackDirection.PAUSED),
-            (RESUME, PlaybackDirection.FORWARD),
-            (STEP_BACK, PlaybackDirection.BACK),
-        ):
-            self._offer(arm, name, direction)
-        graph.services.offer(
-            self._node, SPEED_LIMIT, SPEED_LIMIT_TYPE, lambda request: self._set_limit(arm, request["speed_limit"])
-        )
+        # A pause slows the arm down to rest, which harms nobody.
+        self._offer(arm, PAUSE, PlaybackDirection.PAUSED, WORKING)
+        self._offer(arm, RESUME, PlaybackDirection.FORWARD, SWITCHING)
+        self._offer(arm, STEP_BACK, PlaybackDirection.BACK, SWITCHING)
+        # It moves nothing: an operator may lower it while another client drives.
+        set_limit = SPEED_LIMIT, SPEED_LIMIT_TYPE, lambda request: self._set_limit(arm, request["speed_limit"])
+        graph.offer(self._node, *set_limit, rule=WORKING)
 
     def _set_limit(self, arm: ArmInterface, limit: float) -> Response:
         if not MIN_SPEED_LIMIT <= limit <= 1.0:
@@ -167,14 +156,14 @@ class ArmPace:
         arm.change_pace(ChangePace(speed_limit=limit))
         return {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
 
-    def _offer(self, arm: ArmInterface, name: str, direction: PlaybackDirection) -> None:
+    def _offer(self, arm: ArmInterface, name: str, direction: PlaybackDirection, rule: Rule) -> None:
         def serve(_request: dict[str, Any]) -> dict[str, Any]:
             if arm.state.mode is not Mode.MOVING:
                 return {"success": False, "message": f"no motion is in progress: the arm is {arm.state.mode.value}"}
             arm.change_pace(ChangePace(direction=direction))
             return {"success": True, "message": _SENTENCES[direction]}
 
-        self._graph.services.offer(self._node, name, "std_srvs/Trigger", serve)
+        self._graph.offer(self._node, name, "std_srvs/Trigger", serve, rule=rule)
 
 
 def _set_speed(arm: ArmInterface, factor: float) -> None:

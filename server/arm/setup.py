@@ -44,7 +44,6 @@ class Description:
     Attributes:
         title: name of the arm for people.
         robot: the robot, within its calibration if it has one.
-        hardware: its servos.
         calibration: of the servos; None for an ideal arm, which has none.
         calibration_file: where the calibration was read; None for a nominal one.
     """
@@ -99,7 +98,6 @@ def arm_config(settings: Settings, description: Description) -> ArmConfig:
 
     Args:
         settings: all of them; the sections ``arm`` and ``emulator`` count.
-        description: the arm by its files.
 
     Raises:
         ConfigurationError: a setting of the emulated servos that cannot be used, or that this arm has no use for.

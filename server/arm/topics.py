@@ -8,7 +8,9 @@ from protocol.messages import Stamp
 from robot.description.model import RobotModel
 from robot.faults import Fault
 from robot.messages import ArmHealth, ArmState, Mode, Pace
-from server.arm.services import ENABLE, RESET_FAULT
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
+from server.execution.monitors import ENABLE, RESET_FAULT
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -30,7 +32,7 @@ class JointStates:
     Effort is the share of full motor duty, -1..1: the servos measure no torque.
     """
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: LocalGraph) -> None:
         self._graph = graph
         self._node = Node("arm")
         graph.advertise(self._node, TOPIC, "sensor_msgs/JointState")
@@ -52,9 +54,6 @@ class JointStates:
 STATE_TOPIC = "/arm/state"
 LIMITS_TOPIC = "/arm/joint_limits"
 
-# diagnostic_msgs/DiagnosticStatus levels.
-LEVEL_OK, LEVEL_WARN, LEVEL_ERROR = 0, 1, 2
-
 _SENTENCES = {
     Mode.DISCONNECTED: "the arm is not connected",
     Mode.CONNECTED: "the servos are being checked",
@@ -70,12 +69,11 @@ class ArmStateTopics:
     """Publishes the arm's mode, fault and pace, and its joint limits.
 
     Args:
-        graph: the graph of the topics.
         robot: the arm; names the hardware, and gives the limits until the servos' own are known.
         state: the arm's state at the start.
     """
 
-    def __init__(self, graph: Graph, robot: RobotModel, state: ArmState) -> None:
+    def __init__(self, graph: LocalGraph, robot: RobotModel, state: ArmState) -> None:
         self._graph = graph
         self._robot = robot
         self._node = Node("arm state")
@@ -91,7 +89,6 @@ class ArmStateTopics:
         """Publish a state when it says something new.
 
         Args:
-            state: the state.
             last_stop: stop epoch of the arm's last stop; another one tells every client of the stop.
         """
         told = state.mode, state.reason, state.fault, state.pace, last_stop
@@ -145,11 +142,6 @@ def status(state: ArmState, robot_name: str) -> dict[str, Any]:
         "hardware_id": robot_name,
         "values": key_values(values),
     }
-
-
-def key_values(values: dict[str, str]) -> list[dict[str, str]]:
-    """Pairs as diagnostic_msgs/KeyValue messages."""
-    return [{"key": key, "value": value} for key, value in values.items()]
 
 
 def joint_limits(robot: RobotModel, ranges_rad: dict[str, tuple[float, float]]) -> dict[str, Any]:

@@ -55,8 +55,6 @@ class VerificationProcedure:
     """Verification of the arm's calibration.
 
     Args:
-        arm: the arm.
-        robot: its description.
         ends: joints whose zero is given by the ends of their range.
         go_to: starts a motion by the goal queue.
         cancel: cancels one by its number, for a reason.

@@ -49,7 +49,6 @@ class ClassroomOptions:
     Attributes:
         students: number of them.
         planners: number of motions that may be planned at the same time.
-        folder: for the list of students, and a folder for each.
     """
 
     students: int
@@ -62,7 +61,6 @@ def run_classroom(settings: Settings, options: ClassroomOptions) -> None:
 
     Args:
         settings: those that all servers have; the port is that of the first.
-        options: size and place.
 
     Raises:
         ConfigurationError: settings that contradict each other, the robot, or a classroom.

@@ -34,9 +34,7 @@ class Student:
 
     Attributes:
         name: of the student's server, folder and token.
-        port: of the server.
         token: with which the student may operate the arm.
-        folder: of what the server keeps.
     """
 
     name: str
@@ -48,7 +46,6 @@ class Student:
         """Return the settings of the student's server.
 
         Args:
-            base: settings that all have.
             teacher_token: token with which the teacher may do everything.
 
         Raises:
@@ -78,8 +75,6 @@ def places(count: int, first_port: int, folder: Path, host: str) -> list[Student
     Args:
         count: number of students.
         first_port: port of the first one, the others follow; 0 takes free ones.
-        folder: of the classroom.
-        host: address to listen on.
 
     Raises:
         ConfigurationError: there are not so many ports.
@@ -126,10 +121,7 @@ def write_list(file: Path, students: Sequence[Student], teacher_token: str, host
     """Write a line for each student and one for the teacher, readable by the user alone.
 
     Args:
-        file: to write.
-        students: all of them.
         teacher_token: good at every server.
-        host: address that the servers listen on.
         tls: True when they have a certificate.
 
     Raises:

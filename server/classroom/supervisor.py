@@ -38,7 +38,6 @@ class Member:
 
     Attributes:
         name: its name in the log.
-        run: its body, in the forked process.
         log_file: takes what it logs, from an empty file at its first start; None for the terminal.
     """
 
@@ -107,7 +106,6 @@ def supervise(members: Sequence[Member], check: Callable[[], None]) -> None:
     """Run all members until SIGINT or SIGTERM; then end them together.
 
     Args:
-        members: in the order of their start.
         check: called a few times a second.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)

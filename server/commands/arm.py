@@ -172,11 +172,8 @@ def examine_bus(
     """Scan the bus, measure it and judge both; nothing is written.
 
     Args:
-        bus: an open bus.
-        servos: servos of the arm.
         calibration: calibration of the arm; None if it is not known.
         cycles: number of cycles at 100 Hz to measure.
-        terminal: tells of the progress.
 
     Raises:
         PortLost: the port is gone.
@@ -265,11 +262,6 @@ def _relax(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 def relax_arm(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> ExitCode:
     """Relax whatever holds; says which servos may still be driven.
-
-    Args:
-        bus: an open bus.
-        servos: servos of the arm.
-        terminal: tells.
 
     Raises:
         PortLost: the port is gone.

@@ -101,11 +101,7 @@ def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> tuple[ServoRegisters, ...]:
-    """Read every servo of the arm.
-
-    Raises:
-        StartupError: one is missing.
-    """
+    """Read every servo of the arm."""
     terminal.say("looking at the servos ...")
     result = scan(bus, tuple(servo.servo_id for servo in servos))
     if missing := explain_missing(result, servos):

@@ -113,9 +113,6 @@ def description_of(files: CertificateFiles, outcome: Outcome, tokens: Path, toke
     """Return what was made, and what to do with it.
 
     Args:
-        files: the certificate and its authority.
-        outcome: what was made of them.
-        tokens: the file of tokens.
         token: the token that was made; empty for none.
     """
     certificate = f"The certificate is valid until {outcome.ends:%Y-%m-%d}"

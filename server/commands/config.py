@@ -177,11 +177,7 @@ def run_systemd_unit(options: argparse.Namespace) -> int:
 
 
 def server_command(python: Path) -> list[str]:
-    """Return the command line of this installation's server.
-
-    Args:
-        python: the interpreter.
-    """
+    """Return the command line of this installation's server."""
     script = python.parent / "armbridge"
     return [str(script)] if script.is_file() else [str(python), "-P", "-m", "server.cli"]
 
@@ -193,7 +189,6 @@ def unit(command: list[str], config: Path | None, user: str | None, group: str) 
         command: how the server is called.
         config: file of its settings; None for none.
         user: who it runs as; None for a user that exists only as long as the service runs.
-        group: that serial ports belong to.
     """
     words = [*command, "serve", *([] if config is None else ["--config", str(config.absolute())])]
     return _UNIT.format(

@@ -23,7 +23,7 @@ from server.config import PREFIX, Settings
 from server.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from server.access.permissions import Identity
+    from server.graph.permissions import Identity
     from server.monitoring.report import Report
 
 # Measured cycles of the bus: one second.
@@ -63,8 +63,6 @@ def report_to(path: Path, options: argparse.Namespace, terminal: Terminal) -> Ex
 
     Args:
         path: file to write, which must not exist.
-        options: of the command line.
-        terminal: tells.
     """
     # Imported when it is needed: --help answers without the server's libraries.
     from server.monitoring.report import CONTENTS
@@ -95,10 +93,6 @@ def report_to(path: Path, options: argparse.Namespace, terminal: Terminal) -> Ex
 
 def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dict[str, int]]:
     """Collect the report.
-
-    Args:
-        options: of the command line.
-        terminal: tells of the progress.
 
     Returns:
         The archive, and the size of each member [bytes].
@@ -163,13 +157,7 @@ def _strongest(tokens: dict[str, Identity]) -> str | None:
 
 
 def _add_arm(report: Report, settings: Settings) -> None:
-    """Add the files that describe the arm.
-
-    Raises:
-        RobotError: there is no such arm.
-        ConfigurationError: its files cannot be used.
-        OSError: a file cannot be read.
-    """
+    """Add the files that describe the arm."""
     folder = robot_folder.find(settings.arm.robot or DEFAULT_ROBOT)
     report.add_file("arm/robot.toml", folder / "robot.toml")
     file = Description.read(settings.arm).calibration_file
@@ -178,12 +166,7 @@ def _add_arm(report: Report, settings: Settings) -> None:
 
 
 def _add_bus(report: Report, settings: Settings, terminal: Terminal) -> None:
-    """Read the servos of the port that options or settings name; nothing is written to them.
-
-    Raises:
-        RobotError: there is no such arm, or the port cannot be opened.
-        ConfigurationError: the arm's files cannot be used.
-    """
+    """Read the servos of the port that options or settings name; nothing is written to them."""
     if settings.arm.serial is None:
         report.note("bus: no port is named (--serial PORT), so the servos were not read")
         return

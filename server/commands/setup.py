@@ -113,16 +113,7 @@ class _Work:
 
 
 class _Visit:
-    """A visit to the servos of an arm.
-
-    Args:
-        line: the servos' port.
-        arm: servos of the arm.
-        own_profile: profile of the arm's folder, if it has one.
-        backup: file to which registers are saved.
-        options: of the command.
-        terminal: asks and tells.
-    """
+    """A visit to the servos of an arm."""
 
     def __init__(
         self,

@@ -35,11 +35,7 @@ class AnswerMissing(RobotError):  # noqa: N818 - named by the fact
 
 
 class Terminal:
-    """Terminal of a command: its output and its keyboard.
-
-    Args:
-        input_descriptor: where answers come from.
-    """
+    """Terminal of a command: its output and its keyboard."""
 
     def __init__(self, input_descriptor: int = 0) -> None:
         self._input = input_descriptor

@@ -30,9 +30,7 @@ def verify(url: str, token: str | None, terminal: Terminal) -> ExitCode:
     """Have a server verify its arm.
 
     Args:
-        url: of the server.
         token: of an admin; None where none is needed.
-        terminal: of the person.
 
     Raises:
         ServerLost: the server cannot be reached, refuses, or has left.
@@ -45,12 +43,7 @@ def verify(url: str, token: str | None, terminal: Terminal) -> ExitCode:
 
 
 class VerificationClient:
-    """Client of the server's procedure.
-
-    Args:
-        websocket: connection to the server.
-        terminal: of the person.
-    """
+    """Client of the server's procedure."""
 
     def __init__(self, websocket: ClientConnection, terminal: Terminal) -> None:
         self._websocket = websocket
@@ -122,11 +115,7 @@ class VerificationClient:
         self._websocket.send(json.dumps(operation))
 
     def _call(self, service: str, request: Mapping[str, Any]) -> None:
-        """Call a service, and wait for its answer.
-
-        Raises:
-            ServerLost: it refuses, or does not answer in time.
-        """
+        """Call a service, and wait for its answer."""
         number = str(next(self._numbers))
         self._send({"op": "call_service", "service": service, "id": number, "args": request})
         while (reply := self._receive(ANSWER_TIMEOUT_S)) is not None:

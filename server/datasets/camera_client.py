@@ -40,8 +40,6 @@ class CameraOptions:
     """Options of a camera's client.
 
     Attributes:
-        url: of the server.
-        topic: of the images.
         token: of an operator; None where none is needed.
         fps: images a second, at most.
         width: to scale images to [pixels]; None for the camera's.
@@ -75,7 +73,6 @@ class CameraClient:
     has read everything before it (RFC 6455, section 5.5.2). On a slow network there are fewer images, and no old ones.
 
     Args:
-        options: of the client.
         tell: takes sentences about the connection.
 
     Attributes:
@@ -130,7 +127,6 @@ class CameraClient:
         """Publish images on a connection until they end.
 
         Args:
-            connection: to the server.
             images: the camera's.
 
         Raises:
@@ -199,7 +195,6 @@ async def publish_camera(options: CameraOptions, source: ImageSource, tell: Call
     """Publish a camera's images until they end, SIGINT or SIGTERM.
 
     Args:
-        options: of the client.
         source: the camera; closed at the end.
         tell: takes sentences about the connection.
 

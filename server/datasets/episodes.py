@@ -101,7 +101,6 @@ class EpisodeMarks:
         last one, because people see that an attempt has failed when it is over.
 
         Args:
-            mark: the mark.
             at_s: its time [s].
         """
         if mark.kind == START:

@@ -53,9 +53,6 @@ class ExportOptions:
     """Options of an export.
 
     Attributes:
-        recordings: the files.
-        output: folder to make.
-        fps: frames a second.
         task: task of episodes whose marks name none; None for none.
         action_topic: topic of the actions; None for the leader's, else a controller's state, else the next state.
         units: radians, or lerobot's degrees and percent of the gripper.
@@ -78,8 +75,6 @@ class Exported:
     Attributes:
         episodes: number of episodes.
         frames: number of frames.
-        cameras: keys of the videos.
-        actions: what the actions are, in words.
         problems: sentences about what was left out.
     """
 
@@ -92,14 +87,7 @@ class Exported:
 
 @dataclass
 class _Source:
-    """Recording with its episodes.
-
-    Attributes:
-        samples: what was recorded.
-        actions: what the actions are, in words.
-        cameras: key of each video -> topic.
-        episodes: frames of each episode.
-    """
+    """Recording with its episodes."""
 
     samples: Samples
     actions: str
@@ -111,8 +99,6 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
     """Write a dataset of recordings.
 
     Args:
-        options: of the export.
-        registry: types.
         tell: takes sentences about the progress.
 
     Raises:
@@ -152,11 +138,7 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
 
 
 def _check(options: ExportOptions) -> None:
-    """Refuse what cannot succeed.
-
-    Raises:
-        ExportError: the folder exists, the task is too long, or an extra is not installed.
-    """
+    """Refuse what cannot succeed."""
     if options.output.exists():
         raise ExportError(f"{options.output} exists already: name another folder (--output)")
     if find_spec("pyarrow") is None:
@@ -172,11 +154,7 @@ def _told(source: _Source) -> str:
 
 
 def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, problems: list[str]) -> _Source:
-    """Return a recording with its episodes; what is left out is added to the problems.
-
-    Raises:
-        ExportError: it lacks joints, the topic of the actions, or the range of the gripper.
-    """
+    """Return a recording with its episodes; what is left out is added to the problems."""
     path = samples.path
     states_s, states = series(samples.joints[STATE_TOPIC], joints)
     if not states_s.size:
@@ -214,11 +192,7 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
 
 
 def _actions(samples: Samples, joints: Sequence[str], topic: str | None) -> tuple[str, Sequence[JointSample]]:
-    """Return name and messages of the actions; an empty name for the next state.
-
-    Raises:
-        ExportError: the topic that was named is not in the recording, or lacks joints.
-    """
+    """Return name and messages of the actions; an empty name for the next state."""
     if topic is not None:
         if topic not in samples.joints:
             known = ", ".join(sorted(samples.joints))
@@ -251,11 +225,7 @@ def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
 
 
 def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> Frames:
-    """Return frames in the units of the dataset.
-
-    Raises:
-        ExportError: the range of a gripper was not recorded.
-    """
+    """Return frames in the units of the dataset."""
     if options.units == "rad":
         return frames
     missing = [name for name in joints if is_gripper(name) and name not in samples.limits]
@@ -289,11 +259,7 @@ def camera_keys(topics: Iterable[str]) -> dict[str, str]:
 def _write_videos(
     root: Path, sources: Sequence[_Source], options: ExportOptions, registry: Registry, tell: Tell
 ) -> dict[str, lerobot.Camera]:
-    """Write the videos of all cameras.
-
-    Raises:
-        ExportError: an image cannot be used.
-    """
+    """Write the videos of all cameras."""
     cameras: dict[str, lerobot.Camera] = {}
     with ExitStack() as stack:
         writers = {
@@ -312,11 +278,7 @@ def _write_videos(
 def _add_images(
     source: _Source, writers: dict[str, VideoWriter], statistics: dict[str, list[ImageStatistics]], registry: Registry
 ) -> None:
-    """Append the images of a recording's episodes to the videos; one image at a time is in memory.
-
-    Raises:
-        ExportError: an image cannot be used.
-    """
+    """Append the images of a recording's episodes to the videos; one image at a time is in memory."""
     keys = {topic: key for key, topic in source.cameras.items()}
     # Camera -> image -> episodes that show it, each with the number of its frames.
     shown: dict[str, dict[int, list[tuple[int, int]]]] = {key: {} for key in writers}

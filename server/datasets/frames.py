@@ -36,7 +36,6 @@ class Tracks:
         action_times_s: times of the actions [s], increasing; None for the next state as the action.
         actions: positions that were asked for, shape (m, joints); None for the next state.
         image_times_s: camera -> times of its images [s], not decreasing.
-        action_name: topic of the actions, for sentences.
     """
 
     state_times_s: Times
@@ -52,7 +51,6 @@ class Frames:
     """Frames of an episode.
 
     Attributes:
-        task: what the arm does.
         start_s: time of the first frame [s].
         states: positions of the joints, shape (frames, joints).
         actions: shape (frames, joints).
@@ -76,11 +74,6 @@ def frames_of(episode: Episode, tracks: Tracks, fps: int) -> Frames:
 
     A state is interpolated between the two that were measured around the frame. Action and image are the last ones
     before it: what comes later nobody knew then.
-
-    Args:
-        episode: span of the recording.
-        tracks: what was recorded.
-        fps: frames a second.
 
     Raises:
         LeftOutError: something is missing for longer than `MAX_GAP_S`, or there are fewer than `MIN_FRAMES` frames.
@@ -151,9 +144,6 @@ def _begun(name: str, times: Times, episode: Episode) -> float:
     """Return the time in the episode from which on there is something.
 
     A sample from before the episode counts unless a gap follows it: some topics are silent between episodes.
-
-    Raises:
-        LeftOutError: there is nothing in the episode, or too late.
     """
     after = int(np.searchsorted(times, episode.start_s - TIME_TOLERANCE_S))
     following_s = float(times[after]) if after < times.size else episode.end_s
@@ -170,14 +160,9 @@ def _check_gaps(name: str, times: Times, at_s: Times, start_s: float, *, interpo
     """Refuse frames with a gap between the samples that they are made of.
 
     Args:
-        name: of the samples.
         times: of the samples [s], not decreasing.
         at_s: of the frames [s].
         start_s: beginning of the episode [s].
-        interpolated: True if the sample after the last frame counts as well.
-
-    Raises:
-        LeftOutError: there is a gap.
     """
     first, last = _last_before(times, at_s[[0, -1]])
     after = min(int(np.searchsorted(times, at_s[-1] - TIME_TOLERANCE_S)), times.size - 1)

@@ -63,7 +63,6 @@ class Dataset:
     """Contents of a dataset.
 
     Attributes:
-        fps: frames a second.
         joints: names of the joints.
         robot_type: name of the arm; None when it is not known.
         episodes: frames of each episode, with states and actions in the dataset's units.
@@ -94,10 +93,6 @@ def video_file(root: Path, key: str) -> Path:
 
 def write(root: Path, dataset: Dataset) -> None:
     """Write everything but the videos, which are there already.
-
-    Args:
-        root: folder of the dataset.
-        dataset: its contents.
 
     Raises:
         OSError: a file cannot be written.

@@ -20,6 +20,7 @@ from server.datasets.episodes import (
     parse_mark,
 )
 from server.graph.node import Node
+from server.graph.permissions import WORKING
 from server.graph.topics import Graph, Subscriber
 
 log = logging.getLogger("armbridge.datasets")
@@ -44,7 +45,6 @@ class EpisodeServices:
     which nobody else may have asked for.
 
     Args:
-        graph: where they are.
         recording: tells if the server records.
         clock: monotonic time [s].
     """
@@ -57,10 +57,10 @@ class EpisodeServices:
         self._observer = Node("dataset observer")
         self._marks = EpisodeMarks()
         graph.advertise(self._node, EPISODE_TOPIC, EPISODE_TYPE)
-        graph.subscribe(self._node, EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take))
-        graph.services.offer(self._node, START_SERVICE, START_TYPE, self._start)
-        graph.services.offer(self._node, STOP_SERVICE, "std_srvs/Trigger", self._stop)
-        graph.services.offer(self._node, DISCARD_SERVICE, "std_srvs/Trigger", self._discard)
+        graph.subscribe(self._node, EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take, rule=WORKING))
+        graph.services.offer(self._node, START_SERVICE, START_TYPE, self._start, rule=WORKING)
+        graph.services.offer(self._node, STOP_SERVICE, "std_srvs/Trigger", self._stop, rule=WORKING)
+        graph.services.offer(self._node, DISCARD_SERVICE, "std_srvs/Trigger", self._discard, rule=WORKING)
 
     def _take(self, published: PublishedMessage) -> None:
         """Take a mark of anybody."""

@@ -45,7 +45,6 @@ class JointSample(NamedTuple):
     Attributes:
         log_s: time of recording [s since the epoch].
         stamp_s: stamp of its header [s]; 0 for none.
-        names: joints.
         positions: their positions [rad, m].
     """
 
@@ -60,9 +59,7 @@ class Samples:
     """Samples of a recording.
 
     Attributes:
-        path: the recording.
         joints: samples of each topic with positions of joints.
-        types: type of each of these topics.
         images: topic of each camera -> time of recording [s since the epoch] and stamp [s] of each image, in the order
             of the file.
         marks: time of recording [s since the epoch] and text of each mark of an episode.
@@ -83,10 +80,6 @@ class Samples:
 
 def read_samples(path: Path, registry: Registry) -> Samples:
     """Read a recording; of images only their times.
-
-    Args:
-        path: the recording.
-        registry: types.
 
     Raises:
         RecordingError: it cannot be read, or has more samples than fit into memory.
@@ -124,11 +117,7 @@ def image_data(message: RecordedMessage, registry: Registry) -> bytes:
 
 
 def _take(samples: Samples, message: RecordedMessage, registry: Registry) -> int:
-    """Take a message; return 1 if it was a sample, else 0.
-
-    Raises:
-        ProtocolError: it does not fit its type.
-    """
+    """Take a message; return 1 if it was a sample, else 0."""
     topic, type_name, log_s = message.topic, message.type_name, message.log_time_ns / 1e9
     if type_name not in (JOINT_STATE, CONTROLLER_STATE, IMAGE) and topic not in (
         EPISODE_TOPIC,
@@ -216,7 +205,6 @@ def series(samples: Sequence[JointSample], names: Sequence[str]) -> tuple[Times,
 
     Args:
         samples: messages of the topic; those that lack a joint or a position are left out.
-        names: joints.
 
     Returns:
         Times [s], increasing, shape (n,); positions [rad, m], shape (n, joints).

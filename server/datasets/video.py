@@ -43,10 +43,6 @@ def decode(data: bytes) -> NDArray[np.uint8]:
 class VideoWriter:
     """MP4 file that is being written.
 
-    Args:
-        path: the file.
-        fps: frames a second.
-
     Attributes:
         shape: height and width [pixels]; zeros before the first frame.
         frames: number of frames written.

@@ -11,7 +11,7 @@ import functools
 import logging
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -111,59 +111,55 @@ class MotionRecorder:
         return Trajectory(joint_names, time_s, positions_rad, velocities_rad_s, np.zeros_like(positions_rad))
 
 
-class GoalExecutor:
-    """Executor of one goal at a time, from its motion to its answer.
+@dataclass(frozen=True)
+class ExecutionContext:
+    """Parts that the executors of all goals share.
 
-    Args:
-        arm: the arm.
-        robot: its description.
-        pool: the planners.
-        scene: the planning scene.
+    Attributes:
         failed_goals: keeps goals that could not be planned; None to keep none.
         show: called with every plan before it is executed.
         confirm: waits for a user's confirmation of a plan; returns None to execute it, else the goal's answer.
-        time_limits: of motions.
-        in_progress: motions of all goals; None for an executor that is alone.
-        current: positions of all joints, also of arms that this one does not move; None for those of the arm.
         clock: monotonic time of this machine [s].
+    """
+
+    robot: RobotModel
+    pool: Planners
+    scene: SceneSource
+    current: CurrentState
+    time_limits: TimeLimits = field(default_factory=TimeLimits)
+    failed_goals: FailedGoals | None = None
+    show: Callable[[Performed], None] = lambda _performed: None
+    confirm: Confirm | None = None
+    clock: Callable[[], float] = time.monotonic
+
+
+class GoalExecutor:
+    """Executor of one goal at a time, from its motion to its answer.
 
     Attributes:
         recorder: records the arm's states for the answers.
     """
 
-    def __init__(
-        self,
-        arm: ArmInterface,
-        robot: RobotModel,
-        pool: Planners,
-        scene: SceneSource,
-        failed_goals: FailedGoals | None = None,
-        show: Callable[[Performed], None] = lambda _performed: None,
-        confirm: Confirm | None = None,
-        time_limits: TimeLimits | None = None,
-        in_progress: MotionsInProgress | None = None,
-        current: CurrentState | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, arm: ArmInterface, context: ExecutionContext, in_progress: MotionsInProgress) -> None:
         self._arm = arm
-        self._robot = robot
-        self._clock = clock
-        self._in_progress = in_progress or MotionsInProgress()
-        self._pool = pool
-        self._scene = scene
-        self._failed_goals = failed_goals
-        self._show = show
-        self._confirm = confirm
-        self._current = current or CurrentState(arm, robot)
-        self._scene_monitor = SceneMonitor(pool, scene, arm.state_max_age_s)
+        self._robot = context.robot
+        self._clock = context.clock
+        self._in_progress = in_progress
+        self._pool = context.pool
+        self._scene = context.scene
+        self._failed_goals = context.failed_goals
+        self._show = context.show
+        self._confirm = context.confirm
+        self._current = context.current
+        self._time_limits = context.time_limits
+        self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
-        self._time_limits = time_limits or TimeLimits()
-        self._player = Player(arm, robot, self._scene_monitor, self._time_limits, self._in_progress, clock)
+        self._player = Player(arm, self._robot, self._scene_monitor, self._time_limits, in_progress, self._clock)
         self._work: asyncio.Task[Any] | None = None
         self._cancel_reason = ""
         # Stop epoch in which the active goal was requested.
         self._epoch = 0
-        self._ahead = PlannedAhead(pool)
+        self._ahead = PlannedAhead(context.pool)
         # Where the joints of the active goal will be at its end [rad]; None before its motion is known.
         self._end_rad: Positions | None = None
 
@@ -303,14 +299,7 @@ class GoalExecutor:
     # Steps of an attempt.
 
     async def _until_ready(self, joints: Joints) -> None:
-        """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal.
-
-        Args:
-            joints: of the motion.
-
-        Raises:
-            RefusedError: none can begin, or the goal was cancelled.
-        """
+        """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal."""
         await self._player.stop_outgoing()
         await self._stop_preempted(joints)
         # A goal that comes while the server starts waits for the arm.
@@ -332,9 +321,6 @@ class GoalExecutor:
         """Plan from where the arm holds, and anew when it was moved meanwhile.
 
         Other groups may be moving: they are planned for at the end of their motions.
-
-        Raises:
-            RefusedError: there is no such scene, or the goal was cancelled.
         """
         found = planned = None
         for _ in range(MAX_STARTS):
@@ -353,11 +339,7 @@ class GoalExecutor:
         return planned
 
     async def _plan_in_turn(self, request: PlannedMotion) -> tuple[PlannedSequence, Scene]:
-        """Plan after the goals of other groups that came before; return the scene as well.
-
-        Raises:
-            RefusedError: there is no such scene.
-        """
+        """Plan after the goals of other groups that came before; return the scene as well."""
         async with self._in_progress.turn:
             start_rad = self._expected_rad(request.joints)
             scene = self._scene.scene if request.scene is None else request.scene(start_rad)
@@ -392,13 +374,7 @@ class GoalExecutor:
         return None if answer is None else replace(answer, performed=planned.performed)
 
     async def _play(self, planned: PlannedSequence, version: int, report: Callable[[Progress], None]) -> Answer:
-        """Play the motions one after the other.
-
-        Args:
-            planned: the motions.
-            version: of the scene in which they were planned.
-            report: called with the progress.
-        """
+        """Play the motions one after the other."""
         motions = planned.performed.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
         self._end_rad = planned.end_rad
@@ -437,11 +413,7 @@ class GoalExecutor:
                 return await self._player.play(checked, report, self._questions(checked), self._epoch)
 
     async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:
-        """Return the first of some motions in progress that a motion may touch; None if there is none.
-
-        Raises:
-            RefusedError: the planners cannot tell.
-        """
+        """Return the first of some motions in progress that a motion may touch; None if there is none."""
         for other in beside:
             question = meeting_question(motion, other, self._expected_rad(frozenset(motion.joint_names)))
             answer = await self._pool.ask(question, self._scene.scene)
@@ -519,7 +491,6 @@ def _with_more_to_come(report: Callable[[Progress], None], to_come_s: float) -> 
     """Return the report of one motion of a sequence, whose time left is that of the sequence.
 
     Args:
-        report: of the sequence.
         to_come_s: duration of the motions after this one [s].
     """
     return lambda progress: report(replace(progress, remaining_s=progress.remaining_s + to_come_s))
@@ -543,20 +514,12 @@ def _group_of(robot: RobotModel, motion: Trajectory) -> str:
 
 
 class GoalExecutors:
-    """Executors of goals: one for each set of joints, so that a goal can replace the motion of the one before.
+    """Executors of goals: one for each set of joints, so that a goal can replace the motion of the one before."""
 
-    Args:
-        arm: the arm.
-        make: makes an executor for the part of the arm that it moves, which shares the motions in progress with the
-            others.
-
-    Attributes:
-        in_progress: motions of all goals.
-    """
-
-    def __init__(self, arm: ArmInterface, make: Callable[[ArmInterface, MotionsInProgress], GoalExecutor]) -> None:
+    def __init__(self, arm: ArmInterface, context: ExecutionContext, kind: type[GoalExecutor] = GoalExecutor) -> None:
         self._arm = arm
-        self._make = make
+        self._context = context
+        self._kind = kind
         self.in_progress = MotionsInProgress()
         self._executors: dict[Joints, GoalExecutor] = {}
 
@@ -567,7 +530,7 @@ class GoalExecutors:
     def runner(self, joints: Joints) -> GoalExecutor:
         """Return the executor of motions of some joints."""
         if joints not in self._executors:
-            self._executors[joints] = self._make(self._arm.part(joints), self.in_progress)
+            self._executors[joints] = self._kind(self._arm.part(joints), self._context, self.in_progress)
         return self._executors[joints]
 
     def last_stop(self, joints: Joints) -> int:

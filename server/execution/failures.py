@@ -40,7 +40,6 @@ class FailedGoals:
 
     Args:
         directory: created with the first file.
-        robot: the arm that was planned for.
         wall_clock: seconds since 1970, for the names.
         max_files: limit of files, of up to 3 MB each with a scene of 10 000 objects; the oldest make room for new ones.
     """
@@ -101,9 +100,6 @@ async def with_nearest_goal(
 
     Args:
         failure: the reason why a problem has no plan.
-        problem: the problem.
-        scene: in which it was planned.
-        pool: the planners.
     """
     match problem:
         case PlanningProblem() if failure.code in SUGGESTED_FOR or _beyond_limits(failure, problem):

@@ -20,8 +20,10 @@ from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Mode
-from server.arm.services import ENABLE, RESET_FAULT
 from server.errors import RefusedError
+
+# Services that refusals name as the remedy.
+ENABLE, RESET_FAULT = "/arm/enable", "/arm/reset_fault"
 
 # Starting an interpreter, opening the bus, checking six servos and raising torque takes 1.2 s. Where other programs use
 # every core, it has taken more than 15 s.
@@ -40,12 +42,7 @@ class StatedArm(Protocol):
 
 
 class CurrentState:
-    """Current joint positions.
-
-    Args:
-        arm: the started arm.
-        robot: its description.
-    """
+    """Current joint positions."""
 
     def __init__(self, arm: StatedArm, robot: RobotModel) -> None:
         self._arm = arm
@@ -76,7 +73,6 @@ def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -
 
     Args:
         positions_rad: by joint [rad].
-        frame: the planning frame.
         stamp_s: wall-clock time [s].
     """
     stamp = Stamp.from_seconds(stamp_s).as_message()
@@ -167,8 +163,6 @@ class SceneMonitor:
     """Monitor of one motion at a time.
 
     Args:
-        pool: the planners, which check.
-        source: the planning scene.
         retry_for_s: time during which a planner that does not answer in time is asked again [s]; as long as the arm
             may be silent, for a busy machine keeps both from the cores.
         clock: monotonic time [s].
@@ -229,7 +223,6 @@ class SceneMonitor:
 
         Args:
             version: of the scene in which the motion was found free.
-            questions: asks about the rest of it.
             on_contact: called once, when the motion is no longer free; the monitor then stops.
         """
         self._checked_version, self._questions, self._on_contact = version, questions, on_contact

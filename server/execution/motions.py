@@ -6,6 +6,7 @@ trajectory that does not start where the arm is gets a lead-in.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeAlias
@@ -15,6 +16,7 @@ import numpy as np
 from planners.problem import (
     CartesianPlan,
     CartesianProblem,
+    Deviation,
     JointPathProblem,
     MoveItErrorCode,
     Plan,
@@ -27,7 +29,6 @@ from robot.messages import MotionProgress, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.queue import Joints, Performed
-from server.moveit.requests.error_codes import deviation_note
 
 # Position of every movable joint [rad].
 Positions: TypeAlias = Mapping[str, float]
@@ -46,7 +47,6 @@ class PlannedMotion:
 
     Attributes:
         steps: each makes its problem from the end of the one before.
-        joints: every joint that one of them moves.
         scene: makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
         attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
         delay_s: pause before another attempt [s].
@@ -69,7 +69,6 @@ class ExternalTrajectory:
 
     Attributes:
         trajectory: makes it for the positions that the arm holds, or raises RefusedError.
-        joints: the joints that it moves.
     """
 
     trajectory: Callable[[Positions], Trajectory]
@@ -91,8 +90,6 @@ class PlannedSequence:
     """Result of planning a sequence.
 
     Attributes:
-        performed: the motions that were found.
-        methods: the method that found each.
         notes: deviations from the goals, a sentence each.
         failure: the reason why the next motion is missing; None when all were found.
         problem: the problem without a plan; None when there is none.
@@ -141,10 +138,7 @@ async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scen
     """Plan all steps, or those before the first that cannot be planned.
 
     Args:
-        steps: make the problems.
         start_rad: position of every movable joint at the start of the first [rad].
-        scene: to plan in.
-        ask: plans one.
     """
     now_rad, planned = dict(start_rad), PlannedSequence(Performed(start_rad))
     for number, step in enumerate(steps):
@@ -167,11 +161,7 @@ def _end_positions(motion: Trajectory) -> dict[str, float]:
 
 
 async def _plan(problem: Problem, scene: Scene, ask: AskPlanner) -> Plan | CartesianPlan:
-    """Plan one motion to its end.
-
-    Raises:
-        RefusedError: there is no plan, or only one of the beginning.
-    """
+    """Plan one motion to its end."""
     plan = await ask(problem, scene)
     if isinstance(plan, PlanningFailure):
         raise RefusedError(plan)
@@ -256,7 +246,6 @@ def splice_point_of(
     """Return the point at which a motion can be replaced; None if it is paused, reverses or ends soon.
 
     Args:
-        motion: the motion.
         progress: its progress by the arm's latest state; None for one that is not in progress.
         pace: of the arm's motions.
         age_s: time since the state came [s].
@@ -276,9 +265,7 @@ def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: Robot
     """Lead a motion in from where the arm holds, when that is near its start.
 
     Args:
-        motion: begins somewhere near.
         held_rad: position of every joint of the motion [rad].
-        robot: the arm, for its limits.
 
     Returns:
         The motion with the way to its start before it; the motion itself when the arm holds at its start.
@@ -336,3 +323,20 @@ def _too_far(motion: Trajectory, held: np.ndarray, worst: int, robot: RobotModel
             {"joint": name, "start_rad": start_rad, "held_rad": held_rad, "tolerance_rad": START_TOLERANCE_RAD},
         )
     )
+
+
+# Smaller deviations are within what a servo arm reaches anyway [m], [rad].
+REPORTED_POSITION_M = 0.001
+REPORTED_ORIENTATION_RAD = 0.01
+
+
+def deviation_note(deviation: Deviation) -> str:
+    """Describe in words how far the end of a motion is from the goal; empty for a deviation too small to matter."""
+    parts = []
+    if deviation.position_m > REPORTED_POSITION_M:
+        parts.append(f"the position is {1000.0 * deviation.position_m:.1f} mm off")
+    if deviation.orientation_rad > REPORTED_ORIENTATION_RAD:
+        parts.append(
+            f"the orientation is {math.degrees(deviation.orientation_rad):.1f} degrees off, the nearest there is"
+        )
+    return " and ".join(parts)

@@ -14,12 +14,7 @@ from server.execution.queue import Joints
 
 @dataclass(frozen=True)
 class MotionInProgress:
-    """Motion that the arm plays.
-
-    Attributes:
-        trajectory: the motion.
-        ended: its one end.
-    """
+    """Motion that the arm plays."""
 
     trajectory: Trajectory
     ended: asyncio.Future[MotionEnded]
@@ -96,8 +91,6 @@ def meeting_question(
     The whole of the other is asked about, not its rest alone: paused motions can be sent back to where they began.
 
     Args:
-        first: the motion.
-        second: the one in progress, of other joints.
         expected_rad: position of every movable joint when all motions have ended [rad].
     """
     moving = {*first.joint_names, *second.trajectory.joint_names}

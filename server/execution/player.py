@@ -48,7 +48,6 @@ class CheckedMotion:
 
     Attributes:
         group: of its joints, which are all joints of the group.
-        trajectory: the motion.
         scene_version: of the scene in which it was found free.
         summary: its name in progress reports.
     """
@@ -75,8 +74,6 @@ class OutgoingMotion:
     """Motion that goes on for a moment after its goal was preempted, so that another can replace it.
 
     Attributes:
-        motion: the motion.
-        ended: its one end.
         splice_point: the point at which another can replace it; None if there is none.
         until_s: monotonic time by which the other has to be sent [s].
     """
@@ -91,11 +88,6 @@ class Player:
     """Player of one motion at a time.
 
     Args:
-        arm: the arm.
-        robot: its description.
-        scene_monitor: monitors the motion.
-        time_limits: of motions.
-        in_progress: gets the motion.
         clock: monotonic time of this machine [s].
 
     Attributes:
@@ -134,7 +126,6 @@ class Player:
         """Play a motion to its end; every wait is bounded.
 
         Args:
-            motion: the motion.
             report: called with its progress.
             questions: asks planners if the motion is free from a time of it on [s].
             epoch: stop epoch in which its goal was requested.

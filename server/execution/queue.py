@@ -68,7 +68,6 @@ class Performed:
 
     Attributes:
         start_rad: position of every movable joint at the start of the first motion [rad].
-        planned: the motions, one after the other.
         executed: the path of the arm by its readings; None when it did not move.
         planning_time_s: time spent on planning [s].
     """
@@ -114,7 +113,6 @@ class QueuedGoal(Generic[Request]):
         message: the message of its client; empty when there is none, or none that can be read.
         only_for: the one client that is informed; None for all.
         client: name of its client; empty when it is not known.
-        joints: the joints that it moves.
         epoch: stop epoch in which it was requested.
     """
 
@@ -157,7 +155,6 @@ class GoalRunner(Protocol[Request_contra]):
         """Execute the goal; end with an answer, also after :meth:`cancel` and :meth:`preempt`.
 
         Args:
-            request: the motion.
             report: called with its progress.
             epoch: stop epoch in which it was requested.
         """
@@ -197,15 +194,8 @@ class GoalRunners(Protocol[Request_contra]):
 class ActiveGoal(Generic[Request]):
     """Goal that is being worked on.
 
-    Args:
-        goal: the goal.
-        runner: works on it.
-
     Attributes:
-        goal: as given.
-        runner: as given.
         progress: the latest; None before the first.
-        task: its work.
     """
 
     def __init__(self, goal: QueuedGoal[Request], runner: GoalRunner[Request]) -> None:
@@ -225,7 +215,6 @@ class GoalQueue(Generic[Request]):
     """Bounded queue before the runners.
 
     Args:
-        runners: execute goals.
         policy: treatment of a goal that arrives while another one of its joints is active, unless it comes with its
             own policy.
         capacity: limit of waiting goals.
@@ -328,11 +317,9 @@ class GoalQueue(Generic[Request]):
 
         Args:
             source: topic or action of its client.
-            request: the motion.
             policy: its treatment while another goal of its joints is active; None for the queue's own policy.
             on_progress: called with its progress, besides the queue's own.
             on_answer: called once, likewise, perhaps before this returns.
-            message: the message of its client.
             client: its client, who is named to those who wait for the goal's end; None when it is not known.
             epoch: stop epoch in which it was requested; None for that of the request in progress.
         """
@@ -373,8 +360,6 @@ class GoalQueue(Generic[Request]):
 
         Args:
             source: topic or action of its client.
-            failure: the reason.
-            message: the message of its client.
             only_for: the one client that is informed; None for all.
         """
         goal: QueuedGoal[Request] = QueuedGoal(self._next_id(), source, None, message=message, only_for=only_for)
@@ -394,7 +379,6 @@ class GoalQueue(Generic[Request]):
         """Cancel the active goals and all that wait; each is answered PREEMPTED.
 
         Args:
-            reason: in the answers.
             joints: only goals that move any of these; None for all goals.
         """
         wanted = None if joints is None else frozenset(joints)
@@ -406,7 +390,6 @@ class GoalQueue(Generic[Request]):
         """End the active goals and all that wait, each answered PREEMPTED, and every motion of the arm.
 
         Args:
-            reason: in the answers.
             joints: of those arms alone that have any of these; None for all.
         """
         self.cancel_all(reason, joints)

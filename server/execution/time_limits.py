@@ -42,7 +42,6 @@ class TimeLimits:
         Args:
             duration_s: the duration [s].
             field: its name in the refusal.
-            code: of the refusal.
             advice: end of the refusal's sentence.
 
         Raises:
@@ -69,7 +68,6 @@ class ArmClock:
     once, also the time before the arm was told to do something.
 
     Args:
-        arm: the arm.
         clock: monotonic time of this machine [s].
     """
 
@@ -94,7 +92,6 @@ class ExecutionDeadline:
 
     Args:
         duration_s: the planned duration [s].
-        limits: of execution times.
     """
 
     def __init__(self, duration_s: float, limits: TimeLimits) -> None:

@@ -31,12 +31,12 @@ from protocol.errors import one_line, shorten
 from robot.logs import LogLimiter
 from server.access.authentication import AuthThrottle, Tokens
 from server.access.one_time_tokens import OneTimeTokens
-from server.access.permissions import ANYONE, Identity, Role
 from server.access.rate_limits import RateLimiter, client_key, is_loopback, parse_address
 from server.access.settings import AccessSettings
-from server.config import ServerSettings
 from server.errors import ConfigurationError
 from server.gateway.http import HttpResponse
+from server.gateway.settings import ServerSettings
+from server.graph.permissions import ANYONE, Identity, Role
 
 log = logging.getLogger("armbridge.gateway")
 

@@ -29,7 +29,6 @@ from protocol.operations import (
     Unsubscribe,
 )
 from protocol.session import Packed, Refusal
-from server.access.authorization import is_cancel, is_stop
 from server.errors import GraphError
 from server.gateway.client_actions import ClientActions
 from server.gateway.client_auth import AuthContext, ClientAuth
@@ -68,7 +67,7 @@ class Client:
         self._graph = context.graph
         self._authorizer = auth.access.authorizer(context.node, context.graph)
         self._topics = ClientTopics(context, self._authorizer)
-        self._services = ClientServices(context, self._authorizer.arms)
+        self._services = ClientServices(context)
         self._actions = ClientActions(context)
         self._auth = ClientAuth(context, auth, self._authorizer)
         self.inbox = Inbox(self, context.session, context.graph.message_types, scheduling, reader, context.clock)
@@ -128,11 +127,11 @@ class Client:
 
     def is_urgent(self, operation: Operation) -> bool:
         """Return True for an operation that stops the arm or cancels a goal."""
-        return is_stop(operation, self._authorizer.arms) or is_cancel(operation, self._authorizer.arms)
+        return self._authorizer.is_urgent(operation)
 
     def is_repeated(self, operation: Operation) -> bool:
         """Return True for a cancel: its goal may wait behind other operations of this client."""
-        return is_cancel(operation, self._authorizer.arms)
+        return self._authorizer.is_cancel(operation)
 
     def repeat(self, operation: Operation) -> None:
         """Cancel again, without an answer; as `OperationHandler.repeat`."""

@@ -10,8 +10,8 @@ from protocol.operations import Auth, Operation
 from protocol.session import Packed, Refusal
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access, Authorizer
-from server.access.permissions import Identity, display_name
 from server.gateway.client_context import ClientContext
+from server.graph.permissions import Identity, display_name
 
 log = logging.getLogger("armbridge.gateway")
 

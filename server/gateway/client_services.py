@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection
 
 from protocol.errors import NothingToDoError, OperationError
 from protocol.operations import AdvertiseService, CallService, Mark, ServiceResponse, UnadvertiseService, qualify
 from protocol.session import with_id
-from server.access.authorization import rule_of_service
-from server.access.permissions import Role
 from server.gateway.client_context import MAX_VALUES_IN_FLIGHT, VALUES_LIMIT, ClientContext
 from server.graph.message_types import PostponedError, ReceivedMessage
+from server.graph.permissions import WORKING, Role
 from server.graph.services import Call, Response
 
 # Calls of services that plan which wait for their responses, by the client's role: a planner takes them one by one,
@@ -24,12 +22,10 @@ class ClientServices:
 
     Args:
         context: the parts of the client.
-        arms: names of several arms; empty for one.
     """
 
-    def __init__(self, context: ClientContext, arms: Collection[str]) -> None:
+    def __init__(self, context: ClientContext) -> None:
         self._client = context
-        self._arms = arms
         self._node = context.node
         self._services = context.graph.services
         self._limits = context.session.limits
@@ -117,7 +113,7 @@ class ClientServices:
         """
         name, id_ = _name_and_id(operation)
         self._client.translator.detect_dialect(operation.type, "srv")
-        type_name, plans = self._services.type_of(name), rule_of_service(name, self._arms).plans
+        type_name, plans = self._services.type_of(name), self._services.rules.get(name, WORKING).plans
 
         def answer(response: Response) -> None:
             fields = {

@@ -9,8 +9,8 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Protocol, cast
 
 from protocol.publication import EncodedMessage
-from server.access.permissions import Identity
 from server.gateway.inbox import Reader
+from server.graph.permissions import Identity
 
 # SO_LINGER of no time: the connection is reset, and leaves no TIME_WAIT of two minutes in the kernel's table, which a
 # flood would fill.

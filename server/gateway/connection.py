@@ -15,13 +15,13 @@ from protocol.send_budget import SendBudget
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
-from server.access.permissions import Role, display_name
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
 from server.gateway.client_context import ClientContext
 from server.gateway.client_transport import ClientTransport
 from server.gateway.inbox import Scheduling
 from server.graph.node import Node
+from server.graph.permissions import Role, display_name
 from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")

@@ -29,7 +29,7 @@ from robot.description.model import RobotModel
 from robot.logs import LogLimiter
 from server.errors import FileTooLargeError, ServiceError
 from server.installation import PAGE_DIRECTORY
-from server.moveit.description import RobotFiles, package_name, with_package_urls
+from server.robot_files import RobotFiles, package_name, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")
 

@@ -28,7 +28,6 @@ from robot.logs import LogLimiter
 from server.access.authorization import Access, unlimited
 from server.access.host_addresses import host_addresses
 from server.access.rate_limits import is_loopback
-from server.config import ServerSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway.admission import (
     AdmissionPolicy,
@@ -41,6 +40,7 @@ from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler, HttpResponse, names
 from server.gateway.inbox import Scheduling
 from server.gateway.raw_tcp import TcpListener
+from server.gateway.settings import ServerSettings
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
 from server.gateway.turns import Threads, Turns, call_soon
 from server.graph.node import Node

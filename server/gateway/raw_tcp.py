@@ -20,12 +20,12 @@ from protocol.codecs import bson, json
 from protocol.errors import FrameError, one_line
 from protocol.publication import EncodedMessage
 from protocol.stream import StreamSplitter
-from server.access.permissions import Identity
-from server.config import ServerSettings
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
 from server.gateway.client_transport import address_and_port, reset
+from server.gateway.settings import ServerSettings
 from server.gateway.transport import OUT_OF_MEMORY, WRITE_LIMIT_BYTES
 from server.gateway.turns import TURN_S
+from server.graph.permissions import Identity
 
 log = logging.getLogger("armbridge.gateway")
 

@@ -27,13 +27,13 @@ from websockets.server import ServerProtocol
 
 from protocol.errors import one_line, shorten
 from protocol.publication import EncodedMessage
-from server.access.permissions import ANYONE, Identity
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
 from server.gateway.client_transport import address_and_port, reset
 from server.gateway.frame_reader import FrameReader, Piece
 from server.gateway.handshake import accept, read_upgrade
 from server.gateway.http import bad_request
 from server.gateway.turns import TURN_S
+from server.graph.permissions import ANYONE, Identity
 
 # Looking a member of an enumeration up takes as long as calling a function.
 _OPEN, _TEXT, _BINARY, _PONG = State.OPEN, Opcode.TEXT, Opcode.BINARY, Opcode.PONG

@@ -75,7 +75,6 @@ class ActionTopics:
     """Topics of all actions; followed by :class:`server.graph.actions.Actions`.
 
     Args:
-        topics: where they are published.
         clock: monotonic time [s].
     """
 

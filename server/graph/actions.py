@@ -20,6 +20,7 @@ from server.graph.index import Index
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
+from server.graph.permissions import Rule
 from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
 from server.graph.services import Services
 from server.timers import CallLater
@@ -56,16 +57,9 @@ class Goal(PendingRequest[Result]):
     Args:
         action: fully qualified name.
         type_name: canonical name of the action's type.
-        request: the complete goal message.
-        interfaces: to complete feedback and result.
         on_feedback: gets the complete feedback messages, None when nobody wants them.
-        sender: who sent it.
 
     Attributes:
-        action: as given.
-        type_name: as given.
-        request: as given.
-        sender: as given.
         goal_id: sixteen octets that no other goal has.
         sender_id: the sender's own mark for it, None where it has none.
         cancel_requested: whether somebody has asked for the end of the goal.
@@ -168,7 +162,6 @@ class ActionProvider(Provider):
     """An action that somebody offers.
 
     Attributes:
-        start: gets each goal.
         check_lists: checks the lists of a goal message before it is completed; None for any.
         goals: those in flight by their id in base64, the oldest first.
     """
@@ -195,9 +188,11 @@ class Actions(ProviderDirectory[ActionProvider]):
     """All actions.
 
     Args:
-        interfaces: action types.
         services: where each action gets its service ``<action>/_action/cancel_goal``.
         call_later: does something after a delay.
+
+    Attributes:
+        rules: rules of the actions of local parts, by name.
     """
 
     def __init__(self, message_types: MessageTypes, services: Services, call_later: CallLater) -> None:
@@ -208,6 +203,7 @@ class Actions(ProviderDirectory[ActionProvider]):
         # Those in flight, by their sender.
         self._sent: Index[Node, Goal] = Index()
         self._follower: ActionFollower | None = None
+        self.rules: dict[str, Rule] = {}
 
     def tell(self, follower: ActionFollower) -> None:
         """Tell someone of all actions and goals from now on."""
@@ -220,16 +216,18 @@ class Actions(ProviderDirectory[ActionProvider]):
         type_name: str,
         start: Callable[[Goal], None],
         limits: ListLimits | None = None,
+        *,
+        rule: Rule | None = None,
     ) -> None:
         """Offer an action; a client takes the place of a client that offered it before.
 
         Args:
-            node: who offers it.
             name: fully qualified name.
             type_name: the action's type.
             start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
                 `Goal.when_canceled` tells when somebody wants it ended, `Goal.when_ended` when it has ended.
             limits: of the lists in a goal message; None for any.
+            rule: requirements of the senders of goals; None for those of a client's action.
 
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
@@ -244,6 +242,8 @@ class Actions(ProviderDirectory[ActionProvider]):
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
         self._offers.add(offer)
+        if rule is not None:
+            self.rules[name] = rule
         if self._follower is not None:
             self._follower.open(node, name, canonical)
 
@@ -274,7 +274,6 @@ class Actions(ProviderDirectory[ActionProvider]):
         """Send a goal.
 
         Args:
-            sender: who sends it.
             name: fully qualified name of the action.
             type_name: the action's type, as the sender knows it.
             arguments: the goal message, as in `MessageTypes.complete_arguments`.
@@ -301,7 +300,6 @@ class Actions(ProviderDirectory[ActionProvider]):
 
         Args:
             name: fully qualified name of the action.
-            sender_id: the mark that the senders gave them.
         """
         offer = self._offers.get(name)
         for goal in list(offer.goals.values()) if offer is not None else ():

@@ -75,7 +75,6 @@ class LatchedMessages:
         """Keep a message instead of the one latched before it.
 
         Args:
-            published: the message.
             client: the client that latches it; None for the server.
 
         Returns:
@@ -128,7 +127,6 @@ class LatchedMessages:
         """Keep a message for a while.
 
         Args:
-            published: the message.
             now: present time [s], monotonic.
             lifespan_s: for how long [s]; the same for all.
         """

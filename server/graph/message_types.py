@@ -32,16 +32,9 @@ class ReceivedMessage:
     """Message as a client has sent it, until it is completed.
 
     Args:
-        value: as it was decoded.
-        size_bytes: size of the frame that it came in.
-        dialect: spelling of the message.
         light: True for a message that is completed and encoded quickly, however large it is.
 
     Attributes:
-        value: as given.
-        size_bytes: as given.
-        dialect: as given.
-        light: as given.
         are_arguments: True for a request or a goal, whose fields may come in order of declaration.
         checked: True once its lists have been found to be within their limits.
         values: values in its lists of messages, once it is completed.
@@ -101,7 +94,6 @@ class PostponedError(Exception):
 
     Attributes:
         message: complete it in the background, and do it again.
-        type_name: type to complete it for.
     """
 
     def __init__(self, message: ReceivedMessage, type_name: str) -> None:
@@ -114,13 +106,8 @@ class MessageTypes:
     """Types and messages, of whoever publishes or calls.
 
     Args:
-        registry: the known types.
         wall_clock: seconds since the epoch, for stamps.
         relay_unknown_types: take types that the registry does not know, and leave their messages as they are.
-
-    Attributes:
-        registry: as given.
-        wall_clock: as given.
     """
 
     def __init__(
@@ -221,7 +208,6 @@ class MessageTypes:
 
         Args:
             type_name: as for :meth:`complete`.
-            message: the message.
             received: when it came, None for now.
             max_values_at_once: values beyond which it is left to the background.
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from server.access.permissions import ANYONE, Identity, Role
+from server.graph.permissions import ANYONE, Identity, Role
 
 
 class Node:
     """Anyone who publishes, subscribes, offers or calls: a connection, or a part of the server.
 
     Args:
-        name: how logs call it.
         remote: whether it is a client, which may not take the place of a part of the server.
         takes_goals_along: whether the goals that it has sent to actions are cancelled when it leaves.
         identity: who it is; None for a client that has yet to say so.

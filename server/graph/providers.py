@@ -58,7 +58,6 @@ class Provider:
     """A service or an action that a node provides.
 
     Attributes:
-        node: who offers it.
         name: fully qualified name.
         type_name: canonical name of its type.
     """
@@ -75,14 +74,11 @@ class Providers(Generic[AnyProvider]):
     """All offers of one kind, one a name.
 
     Args:
-        kind: what is offered, for errors.
         limit: greatest number of offers.
-        message_types: types.
         end: called with an offer that has just been withdrawn or replaced, to end what is on its way.
 
     Attributes:
         names: names that are offered, with their types.
-        by_node: offers of each node.
     """
 
     def __init__(
@@ -152,9 +148,6 @@ class Providers(Generic[AnyProvider]):
 
 class ProviderDirectory(Generic[AnyProvider]):
     """Names and types of what is provided, for introspection.
-
-    Args:
-        offers: the table.
 
     Attributes:
         names: names that are offered, with their types.

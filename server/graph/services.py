@@ -20,6 +20,7 @@ from server.graph.index import Index
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
+from server.graph.permissions import Rule
 from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
 from server.timers import CallLater
 
@@ -45,7 +46,6 @@ class Response:
     """The end of a call.
 
     Attributes:
-        ok: whether the service succeeded.
         values: the complete response message; of a call that failed a sentence, or what the provider gave.
         reason: why the response says that the service has not succeeded, for types without a field for it.
     """
@@ -61,17 +61,9 @@ class Call(PendingRequest[Response]):
     Args:
         service: fully qualified name.
         type_name: canonical name of the service's type.
-        request: the complete request.
-        interfaces: to complete the response.
-        caller: who calls.
         dialect: which generation of ROS the caller wants to be told about; messages are in ROS 2 spelling all the same.
 
     Attributes:
-        service: as given.
-        type_name: as given.
-        request: as given.
-        caller: as given.
-        dialect: as given.
         caller_left: True once the caller has left.
     """
 
@@ -97,7 +89,6 @@ class Call(PendingRequest[Response]):
         """Answer with a response message; what it leaves out gets its default.
 
         Args:
-            values: the message.
             reason: as in `Response`.
 
         Raises:
@@ -178,7 +169,6 @@ class ServiceProvider(Provider):
     """A service that somebody offers.
 
     Attributes:
-        start: gets each call.
         timeout_s: how long a call may take that names no time of its own [s].
         check_lists: checks the lists of a request before it is completed; None for any.
         calls: those in flight, the oldest first.
@@ -194,14 +184,17 @@ class Services(ProviderDirectory[ServiceProvider]):
     """All services.
 
     Args:
-        interfaces: service types.
         call_later: does something after a delay.
+
+    Attributes:
+        rules: rules of the services of local parts, by name.
     """
 
     def __init__(self, message_types: MessageTypes, call_later: CallLater) -> None:
         super().__init__(Providers("service", MAX_SERVICES, message_types, _fail_calls))
         self._message_types = message_types
         self._call_later = call_later
+        self.rules: dict[str, Rule] = {}
         # Those in flight, by their caller.
         self._calls: Index[Node, Call] = Index()
 
@@ -213,22 +206,23 @@ class Services(ProviderDirectory[ServiceProvider]):
         function: ServiceFunction,
         timeout_s: float = LOCAL_TIMEOUT_S,
         limits: ListLimits = DEFAULT_LIMITS,
+        *,
+        rule: Rule | None = None,
     ) -> None:
         """Offer a service of a local part.
 
         Args:
-            node: who offers it.
             name: fully qualified name.
             type_name: the service's type.
             function: gets the complete request and returns the response, at once or when awaited. It raises
                 ServiceError with the reason when it cannot.
             timeout_s: how long a call may take that names no time of its own [s].
-            limits: of the lists in a request.
+            rule: requirements of its callers; None for those of a client's service.
 
         Raises:
             GraphError: the type is unknown, or the name is taken by another part of the server.
         """
-        self.offer_calls(node, name, type_name, lambda call: answer(call, function), timeout_s, limits)
+        self.offer_calls(node, name, type_name, lambda call: answer(call, function), timeout_s, limits, rule=rule)
 
     def offer_calls(
         self,
@@ -238,6 +232,8 @@ class Services(ProviderDirectory[ServiceProvider]):
         start: Callable[[Call], None],
         timeout_s: float = LOCAL_TIMEOUT_S,
         limits: ListLimits | None = DEFAULT_LIMITS,
+        *,
+        rule: Rule | None = None,
     ) -> None:
         """Offer a service whose calls are handed over one by one, to be ended by `Call.succeed` or `Call.fail`.
 
@@ -253,6 +249,8 @@ class Services(ProviderDirectory[ServiceProvider]):
             check_lists = limits.check(self._message_types.registry, f"{canonical}_Request")
             self._message_types.compile_later(f"{canonical}_Request", f"{canonical}_Response")
         self._offers.add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists))
+        if rule is not None:
+            self.rules[name] = rule
 
     def withdraw(self, node: Node, name: str) -> None:
         """End an offer of this node; calls in flight fail. Nothing happens when it offers no such service."""
@@ -277,7 +275,6 @@ class Services(ProviderDirectory[ServiceProvider]):
         """Call a service.
 
         Args:
-            caller: who calls.
             name: fully qualified name.
             arguments: the request, as in `MessageTypes.complete_arguments`.
             on_response: called once, perhaps before this returns.

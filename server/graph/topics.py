@@ -31,6 +31,7 @@ from server.graph.latching import LatchedMessages
 from server.graph.list_limits import CheckLists
 from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.node import Node
+from server.graph.permissions import Rule
 from server.graph.services import Services
 from server.timers import CallLater, call_later
 
@@ -78,12 +79,14 @@ class Subscriber:
         turned_away: called with a message, empty when it cannot be read, whose sender may not publish it, with the
             sender, and with a sentence that says why.
         check_lists: checks the lists of a message before it is completed, whoever publishes it; None for any.
+        rule: requirements of publishing, where a part of the server subscribes; None for those of a client's topic.
     """
 
     deliver: Callable[[PublishedMessage], None]
     refused: Callable[[MessageError], None] | None = None
     turned_away: Callable[[Mapping[str, Any], Node, str], None] | None = None
     check_lists: CheckLists | None = None
+    rule: Rule | None = None
 
 
 @dataclass
@@ -111,7 +114,6 @@ class Graph:
     """All topics, services and actions.
 
     Args:
-        registry: types.
         clock: monotonic time [s].
         wall_clock: seconds since the epoch, for stamps.
         call_later: does something after a delay.
@@ -119,10 +121,9 @@ class Graph:
         unregister_timeout_s: for how long a topic that nobody uses keeps its type, and what is latched there [s].
 
     Attributes:
-        message_types: types and messages.
-        services: who offers and calls what.
         actions: who offers which, and the goals on their way.
         topic_names: the topics in use, with their types.
+        rules: rules of publishing on the topics that local parts subscribe to, by name.
         revision: number of changes in who publishes, latches or subscribes to which topic.
     """
 
@@ -151,14 +152,8 @@ class Graph:
         self._subscriptions: Index[Node, str] = Index()
         self._latched_messages = LatchedMessages()
         self._watchers: tuple[Watcher, ...] = ()
+        self.rules: dict[str, Rule] = {}
         self.revision = 0
-
-    def resolve(self, name: str) -> str:
-        """Return the fully qualified name that a part of the server has in mind, which is that name itself here.
-
-        In the view of a namespace (:class:`server.graph.namespace.Namespace`) it is another one.
-        """
-        return name
 
     def watch(self, watcher: Watcher) -> None:
         """Call ``watcher`` with every message from now on; nobody sees it in the graph."""
@@ -266,6 +261,8 @@ class Graph:
         topic = self._topic(name, type_name, node)
         self._take_into_use(topic)
         topic.subscribers[node] = subscriber
+        if subscriber.rule is not None:
+            self.rules[name] = subscriber.rule
         self.revision += 1
         self._subscriptions.add(node, name)
         return self._latched_messages.of(name, self._clock())
@@ -300,9 +297,7 @@ class Graph:
         """Complete a message, and deliver it to every subscriber; ``node`` becomes a publisher if it is none.
 
         Args:
-            node: who publishes.
             name: fully qualified name of the topic.
-            message: the message.
             latch: keep it for who subscribes later, as for a topic advertised so.
             lifespan_s: otherwise, for how long it reaches who subscribes later [s].
             as_it_is: the message is complete and valid already, as a large one of the server's own; nobody may change
@@ -350,7 +345,6 @@ class Graph:
         What is returned holds until the `revision` changes; what is latched takes the general way.
 
         Args:
-            node: who publishes.
             name: fully qualified name of the topic.
         """
         topic = self._topics.get(name)
@@ -364,7 +358,6 @@ class Graph:
         """Deliver a message to every subscriber, as :meth:`publish` does; the topic and its publisher are there.
 
         Args:
-            node: who publishes.
             name: fully qualified name of the topic.
             encoded: the message as :meth:`strict_reader` has read it.
             lifespan_s: as for :meth:`publish`.
@@ -394,7 +387,6 @@ class Graph:
         """Have a message answered that is not let through, where its topic promises an answer.
 
         Args:
-            node: who has sent it.
             name: fully qualified name of the topic.
             message: as for :meth:`publish`.
             reason: a sentence.
@@ -422,7 +414,6 @@ class Graph:
         """Deliver a message to one subscriber alone; nothing happens when it is none.
 
         Args:
-            node: who is told.
             name: fully qualified name of a topic that is advertised.
             message: as for :meth:`publish`.
 

@@ -104,7 +104,6 @@ class FaultFiles:
     Args:
         directory: created with the first file; several servers may share it.
         keep: limit of files, of some 300 kB each; the oldest make room for new ones. 0 writes none.
-        log_ring: the last lines of the log.
         robot_name: name of the arm.
         clock: monotonic time [s].
 

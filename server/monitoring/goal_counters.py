@@ -43,7 +43,6 @@ class GoalCounters(Collector):
 
         Args:
             source: topic or action by which the goal came; one of the server's own.
-            answer: its answer.
         """
         self._answered.labels(source, answer.code.name).inc()
         performed = answer.performed

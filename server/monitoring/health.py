@@ -33,13 +33,7 @@ class Sources:
     """Parts of the server that are monitored; None for those that a server does not have.
 
     Attributes:
-        traffic: traffic of clients.
         refused_connections: returns the number of refused connections by reason.
-        goal_counters: counters of answered goals.
-        queue: queue of goals.
-        arm: arm process.
-        arm_health: its latest report.
-        planners: planner processes.
         recorder: recording; None also if nothing is to be recorded.
         zenoh: member of a zenoh network; None also if zenoh is off.
         started: True once the arm has been taken over, and goals are accepted.

@@ -11,6 +11,7 @@ from typing import Any
 from robot import logs
 from robot.logs import LineHandler, LogLine
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING
 from server.graph.topics import Graph
 
 SERVICE = "/armbridge/last_log_lines"
@@ -57,7 +58,8 @@ class LogRing:
         def serve(_request: dict[str, Any]) -> dict[str, Any]:
             return {"success": True, "message": "\n".join(map(shown, self.since(0.0)))}
 
-        graph.services.offer(Node("log"), SERVICE, "std_srvs/Trigger", serve)
+        # Lines name addresses and files.
+        graph.services.offer(Node("log"), SERVICE, "std_srvs/Trigger", serve, rule=CONFIGURING)
 
 
 def shown(line: LogLine) -> str:

@@ -120,7 +120,6 @@ class MemoryKeeper:
     The C library keeps what a burst of large messages took, unless it happens to be the last of its heap.
 
     Args:
-        collector: policy of the garbage collector.
         quiet: returns True while nothing moves.
         read_bytes: returns the resident memory [bytes].
         trim: gives free memory back; called on a thread.

@@ -91,11 +91,7 @@ class Exposition(NamedTuple):
 class Metrics:
     """All metrics of the server.
 
-    Args:
-        sources: parts of the server.
-
     Attributes:
-        registry: the collectors.
         loop_lag_s: delay with which the event loop wakes up [s].
     """
 
@@ -124,11 +120,7 @@ class Metrics:
 
 
 class SourcesCollector(Collector):
-    """Reads the parts of the server at each scrape; between scrapes they only count.
-
-    Args:
-        sources: parts of the server.
-    """
+    """Reads the parts of the server at each scrape; between scrapes they only count."""
 
     def __init__(self, sources: Sources) -> None:
         self._sources = sources
@@ -331,10 +323,6 @@ WATCHDOG_NOTIFICATIONS = 3.0
 class Monitor:
     """Monitor of the server.
 
-    Args:
-        sources: parts of the server.
-        notifier: notifies systemd.
-
     Attributes:
         routes: handlers of HTTP requests, by path.
     """
@@ -397,8 +385,6 @@ class EventLoopMonitor:
     """Measures the lag of the event loop, and keeps systemd's watchdog and status line up to date.
 
     Args:
-        notifier: notifies systemd.
-        health: returns the health of the server.
         lag_s: takes the delay of each wake-up [s].
         period_s: time between two checks [s].
     """

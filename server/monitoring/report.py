@@ -158,8 +158,6 @@ def add_settings(report: Report, settings: Settings, sources: Mapping[str, str])
     """Add the settings; of tokens only how many there are.
 
     Args:
-        report: gets them.
-        settings: all of them.
         sources: source of those that are not at their defaults, by key.
     """
     values = settings.model_dump(mode="json")
@@ -185,7 +183,6 @@ def add_faults(report: Report, directory: Path) -> None:
     """Add the newest files about faults.
 
     Args:
-        report: gets them.
         directory: directory of the files, which need not exist.
     """
     left = MAX_FAULT_BYTES

@@ -22,9 +22,11 @@ from robot.hardware.config import SIMULATED_PORTS
 from robot.hardware.interface import status_names
 from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel, message_of
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
-from server.arm.topics import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values, status
+from server.arm.topics import status
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
 from server.graph.list_limits import ListLimits
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, LOOKING
 from server.graph.topics import Graph
 
 TOPIC = "/diagnostics"
@@ -56,7 +58,6 @@ class Diagnostics:
     """Publishes the latest health of the arm, also when no new report comes.
 
     Args:
-        graph: graph to publish on.
         robot_name: name of the hardware.
         fault_file: returns the latest file about a fault; None before.
         clock: monotonic time [s].
@@ -116,7 +117,6 @@ def diagnostic_array(
     """Return the diagnostic_msgs/DiagnosticArray: the arm first, then its servos.
 
     Args:
-        state: latest state.
         health: latest report; None before the first.
         stamp_s: wall-clock time [s since the epoch].
         robot_name: name of the hardware.
@@ -261,7 +261,6 @@ class Rosout(logging.Handler):
     """Publishes every record of the server's log, from its construction to :meth:`close`.
 
     Args:
-        graph: graph to publish on.
         loop: the event loop of the graph; records come from other threads as well.
     """
 
@@ -308,8 +307,12 @@ def offer_level_services(graph: Graph) -> None:
     """Offer the services that get and set the levels of loggers."""
     node = Node(OUR_LOGGER)
     getting, setting = "rcl_interfaces/srv/GetLoggerLevels", "rcl_interfaces/srv/SetLoggerLevels"
-    graph.services.offer(node, GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"))
-    graph.services.offer(node, SET_LEVELS, setting, _set_levels, limits=_limits(f"{setting}_Request.levels"))
+    graph.services.offer(
+        node, GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"), rule=LOOKING
+    )
+    graph.services.offer(
+        node, SET_LEVELS, setting, _set_levels, limits=_limits(f"{setting}_Request.levels"), rule=CONFIGURING
+    )
 
 
 def _limits(field: str) -> ListLimits:

@@ -37,11 +37,9 @@ class RunningServer:
     """The server that the settings describe, if it runs on this machine.
 
     Args:
-        settings: its settings.
         token: token to show; None for none.
 
     Attributes:
-        address: host and port.
         runs: True if it answers.
     """
 

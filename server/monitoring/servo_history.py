@@ -16,6 +16,7 @@ import numpy as np
 from robot.advice import ServoAlert
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.graph.node import Node
+from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
 from server.monitoring.sample_ring import SampleRing
 
@@ -46,7 +47,6 @@ class ServoHistory:
     """History of an arm's servos.
 
     Args:
-        graph: graph of the service.
         clock: monotonic time [s].
     """
 
@@ -58,7 +58,7 @@ class ServoHistory:
         # Warnings of each joint by alert and register, and its errors.
         self._warnings: dict[str, Mapping[tuple[ServoAlert, str], str]] = {}
         self._errors: dict[str, Mapping[str, int]] = {}
-        graph.services.offer(Node("servo history"), SERVICE, SERVICE_TYPE, self._serve)
+        graph.services.offer(Node("servo history"), SERVICE, SERVICE_TYPE, self._serve, rule=LOOKING)
 
     def take_state(self, state: ArmState) -> None:
         """Keep the events of a state."""

@@ -9,22 +9,16 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import contextlib
 import json
 import logging
-import re
-import xml.etree.ElementTree as ET
 from collections.abc import Callable
-from functools import cached_property
-from pathlib import Path
 from typing import Any
 
-from robot.description.mesh_files import find_mesh
 from robot.description.model import RobotModel
-from robot.errors import DescriptionError
-from server.errors import FileTooLargeError, ServiceError
 from server.graph.node import Node
+from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
+from server.robot_files import RobotFiles, package_name, with_package_urls
 
 log = logging.getLogger("armbridge.description")
 
@@ -32,24 +26,11 @@ URDF_TOPIC = "/robot_description"
 SRDF_TOPIC = "/robot_description_semantic"
 FILE_SERVICE = "/file_server/get_file"
 
-# A mesh of a million triangles is 50 MB; a link's has a thousandth of it. Base64 makes it a third more on the wire.
-MAX_FILE_BYTES = 20 << 20
-
-# Meshes and their textures. A URDF may be in a user's home, and every client of the port can read the served files.
-SUFFIXES = frozenset(
-    (".stl", ".dae", ".obj", ".mtl", ".ply", ".gltf", ".glb", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif")
-)
-
-_PACKAGE = "package://"
-_SCHEME = re.compile(r"^[a-z][a-z0-9+.-]*://")
-
 
 class RobotDescription:
     """Topics, parameters and file service of the description.
 
     Args:
-        graph: where topics and service are.
-        robot: the arm.
         keep_parameter: keeps a parameter for rosapi, its value as JSON text.
     """
 
@@ -70,149 +51,9 @@ class RobotDescription:
             # ROS 1 clients ask for the name with its slash or without.
             for name in (topic, topic.removeprefix("/")):
                 self._keep_parameter(name, json.dumps(text))
-        self._graph.services.offer(self._node, FILE_SERVICE, "file_server/GetBinaryFile", self._get_file)
+        self._graph.services.offer(self._node, FILE_SERVICE, "file_server/GetBinaryFile", self._get_file, rule=LOOKING)
 
     async def _get_file(self, request: dict[str, Any]) -> dict[str, Any]:
         # A slow disk must not hold up whatever else the server does; the call itself is bounded.
         octets = await asyncio.to_thread(self._files.read, request["name"])
         return {"value": base64.b64encode(octets).decode("ascii")}
-
-
-class RobotFiles:
-    """Files that clients may fetch: those below the URDF's folder, and those beside the meshes of its packages.
-
-    Args:
-        robot: the arm.
-    """
-
-    def __init__(self, robot: RobotModel) -> None:
-        self._robot = robot
-        self._package = package_name(robot)
-
-    def find(self, name: str) -> Path:
-        """Find a file.
-
-        Args:
-            name: a ``package://`` URL, or a path within the URDF's folder.
-
-        Raises:
-            ServiceError: there is no such file, or it is of another kind or elsewhere.
-            FileTooLargeError: the file is too large.
-        """
-        for url, folder in self._mesh_folders.items():
-            if name.startswith(f"{url}/"):
-                return _checked(folder, name.removeprefix(f"{url}/"), name, f"{url}/")
-        return find_file(self._robot.mesh_directory, self._package, name)
-
-    def read(self, name: str) -> bytes:
-        """Read a file; argument and errors are those of :meth:`find`."""
-        return _read(self.find(name), name)
-
-    @cached_property
-    def _mesh_folders(self) -> dict[str, Path]:
-        """The folders of meshes that the URDF names by package URLs, by their own URL."""
-        folders: dict[str, Path] = {}
-        root = ET.fromstring(self._robot.urdf)  # noqa: S314 - the user's own file, already parsed
-        for name in {mesh.get("filename", "") for mesh in root.iter("mesh")}:
-            if name.startswith(_PACKAGE):
-                # What is only seen may be missing: the start has told of it.
-                with contextlib.suppress(DescriptionError):
-                    found = find_mesh(name, self._robot.mesh_directory, self._robot.package_directories)
-                    folders[name.rpartition("/")[0]] = found.parent
-        return folders
-
-
-def package_name(robot: RobotModel) -> str:
-    """Return the name of the package under which the robot's files are served, in the style of ROS packages."""
-    return f"{re.sub(r'[^a-z0-9_]+', '_', robot.name.lower())}_description"
-
-
-def with_package_urls(urdf: str, package: str) -> str:
-    """Return the URDF with a package URL in place of every mesh path, such as ``assets/base.stl``.
-
-    Args:
-        urdf: the text.
-        package: of the URLs.
-    """
-    root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
-    meshes = [mesh for mesh in root.iter("mesh") if not _SCHEME.match(mesh.get("filename", ""))]
-    if not meshes:
-        return urdf
-    for mesh in meshes:
-        mesh.set("filename", f"{_PACKAGE}{package}/{mesh.get('filename', '').removeprefix('./')}")
-    return ET.tostring(root, encoding="unicode")
-
-
-def find_file(directory: Path | None, package: str, name: str) -> Path:
-    """Find one of the robot's files.
-
-    Args:
-        directory: that of the URDF; nothing outside it is served.
-        package: the name in package URLs; the directory's own name does as well, as it does for the planners.
-        name: a ``package://`` URL, or a path within the directory.
-
-    Raises:
-        ServiceError: there is no such file, or it is of another kind or outside the directory.
-        FileTooLargeError: the file is too large.
-    """
-    if directory is None:
-        raise ServiceError(f"name: {name!r} is not here: this robot's description names no files")
-    return _checked(directory, _within(directory.resolve(), package, name), name, f"{_PACKAGE}{package}/")
-
-
-def _checked(directory: Path, inner: str, name: str, url: str) -> Path:
-    """Return a file in a directory.
-
-    Args:
-        directory: nothing outside it is served.
-        inner: path of the file in it.
-        name: name of the file, for errors.
-        url: URL of the directory, for errors.
-
-    Raises:
-        ServiceError: there is no such file, or it is of another kind or outside the directory.
-        FileTooLargeError: the file is too large.
-    """
-    nowhere = f"name: {name!r} is no file below {url}"
-    try:
-        root = directory.resolve()
-        path = (root / inner).resolve()
-        # Whatever the name says, links included, the file must be where the description is.
-        if not path.is_relative_to(root) or _hidden(path.relative_to(root)) or not path.is_file():
-            raise ServiceError(nowhere)
-        size_bytes = path.stat().st_size
-    # A name with a zero byte is no name of a file.
-    except (OSError, ValueError) as error:
-        raise ServiceError(f"{nowhere}: {error}") from error
-    if path.suffix.lower() not in SUFFIXES:
-        raise ServiceError(f"name: {name!r} is neither mesh nor texture: those end in {', '.join(sorted(SUFFIXES))}")
-    if size_bytes > MAX_FILE_BYTES:
-        raise FileTooLargeError(f"name: {name!r} has {size_bytes} bytes, the limit is {MAX_FILE_BYTES}")
-    return path
-
-
-def read_file(directory: Path | None, package: str, name: str) -> bytes:
-    """Read one of the robot's files; arguments and errors are those of :func:`find_file`."""
-    return _read(find_file(directory, package, name), name)
-
-
-def _read(path: Path, name: str) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ServiceError(f"name: {name!r} cannot be read: {error.strerror}") from error
-
-
-def _hidden(path: Path) -> bool:
-    """Return true if a file or a folder above it is hidden, as those of programs in a user's home."""
-    return any(part.startswith(".") for part in path.parts)
-
-
-def _within(root: Path, package: str, name: str) -> str:
-    """Return the path below the directory that a name means."""
-    if not name.startswith(_PACKAGE):
-        return name
-    inner = name.removeprefix(_PACKAGE)
-    own, _, rest = inner.partition("/")
-    # A folder named like its package comes before the package itself.
-    return rest if own in (package, root.name) and not (root / own).is_dir() else inner

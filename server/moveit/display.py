@@ -43,12 +43,7 @@ EARLY_S = 0.005
 
 
 class DisplayTopics:
-    """Topics of planned motions, contacts and the pipeline's state.
-
-    Args:
-        graph: where the topics are.
-        robot: the arm.
-    """
+    """Topics of planned motions, contacts and the pipeline's state."""
 
     def __init__(self, graph: Graph, robot: RobotModel) -> None:
         self._graph = graph
@@ -69,7 +64,6 @@ class DisplayTopics:
         """Show planned motions, one after the other.
 
         Args:
-            motions: the motions.
             start_rad: position of every movable joint where the first one begins [rad].
         """
         root = self._robot.root_link
@@ -134,8 +128,6 @@ class TransformsTopics:
     """Transforms of the arm: those of movable joints with the joint states, the others once.
 
     Args:
-        graph: where the topics are.
-        robot: the arm.
         rate_hz: limit of the rate of those that move [Hz].
     """
 

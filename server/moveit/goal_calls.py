@@ -14,16 +14,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from planners.problem import MoveItErrorCode
-from server.arm.topics import key_values
+from server.diagnostic_values import key_values
 from server.errors import RefusedError
 from server.execution.motions import Motion, PlannedMotion
 from server.execution.queue import Answer, GoalQueue, GoalState, Progress
 from server.graph import services
 from server.graph.actions import Goal
 from server.graph.list_limits import ListLimits
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import CALLED_GOAL
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
-from server.graph.topics import Graph
 from server.moveit.actions.joint_trajectory_controller import cancel_with_goal, goal_status
 from server.moveit.actions.move_group import answer_of_task, plan_steps
 from server.moveit.goal_messages import GoalTranslator, suggestion
@@ -47,8 +48,6 @@ class ReadGoal:
     """Request that can be carried out.
 
     Attributes:
-        message: the goal, as the message of its topic.
-        motion: the motion that it asks for.
         plan_only: true if the arm is not to move.
     """
 
@@ -61,16 +60,12 @@ class GoalCalls:
     """The service and the action ``/moveit_goal``.
 
     Args:
-        graph: where they are.
-        queue: takes the goals.
-        translator: reads their messages.
         confirmation: decides if goals are to be confirmed.
-        context: all that goals are planned with.
     """
 
     def __init__(
         self,
-        graph: Graph,
+        graph: LocalGraph,
         queue: GoalQueue[Motion],
         translator: GoalTranslator,
         confirmation: Confirmation,
@@ -90,8 +85,8 @@ class GoalCalls:
         """Offer both."""
         lists = ("name", "position", "velocity", "effort")
         limits = ListLimits({f"sensor_msgs/msg/JointState.{field}": MAX_JOINTS for field in lists})
-        self._graph.services.offer_calls(self._node, NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits)
-        self._graph.actions.offer(self._node, NAME, ACTION_TYPE, self._start, limits)
+        self._graph.offer_calls(self._node, NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits, rule=CALLED_GOAL)
+        self._graph.offer_action(self._node, NAME, ACTION_TYPE, self._start, limits, rule=CALLED_GOAL)
 
     # As a service.
 
@@ -164,11 +159,7 @@ class GoalCalls:
         return ReadGoal(message, replace(motion, confirm=self._confirmation.enabled), request["plan_only"])
 
     def _goal_of(self, request: Message) -> tuple[Message, Callable[..., PlannedMotion]]:
-        """Return the one goal of a request as the message of its topic, and its translation.
-
-        Raises:
-            RefusedError: there is none, or more than one.
-        """
+        """Return the one goal of a request as the message of its topic, and its translation."""
         given: dict[str, tuple[Message, Callable[..., PlannedMotion]]] = {}
         if request["named"]:
             given["named"] = {"data": request["named"]}, self._translator.named
@@ -219,13 +210,7 @@ class GoalCalls:
         return await plan_steps(goal.motion.steps, start, start.scene, self._context)
 
     def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
-        """Write the answer to a goal.
-
-        Args:
-            message: its message; empty when none could be read.
-            answer: its end.
-            number: its id in the queue; empty for a goal that was only planned.
-        """
+        """Write the answer to a goal."""
         instead = suggestion(message, answer.details, self._context.robot)
         return {
             "success": answer.code is MoveItErrorCode.SUCCESS,

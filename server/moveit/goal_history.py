@@ -18,6 +18,7 @@ from server.errors import RefusedError
 from server.execution.motions import Motion, PlannedMotion
 from server.execution.queue import Answer, GoalState, Progress, QueuedGoal
 from server.graph.node import Node
+from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
 from server.moveit.poses import Message
 from server.moveit.requests.trajectories import to_message
@@ -41,8 +42,6 @@ class GoalRecord:
     Attributes:
         stamp_s: time of the answer [s since 1970].
         status: its last message of ``/moveit_goal_status``.
-        asked: message of its client.
-        planned: the motions.
         summary: methods and times of the plan, a sentence; empty without a plan.
         planning_time_s: time spent on planning [s].
         failure: code and sentence of the answer.
@@ -65,9 +64,6 @@ class GoalHistory:
     """Records of the last goals, and the services that tell them.
 
     Args:
-        graph: where the services are.
-        robot: the arm.
-        scene: returns the present scene.
         wall_clock: seconds since 1970.
     """
 
@@ -86,8 +82,8 @@ class GoalHistory:
     def open(self) -> None:
         """Offer the services."""
         node = Node("goal history")
-        self._graph.services.offer(node, HISTORY_SERVICE, HISTORY_TYPE, self._history)
-        self._graph.services.offer(node, RECORD_SERVICE, RECORD_TYPE, self._record)
+        self._graph.services.offer(node, HISTORY_SERVICE, HISTORY_TYPE, self._history, rule=LOOKING)
+        self._graph.services.offer(node, RECORD_SERVICE, RECORD_TYPE, self._record, rule=LOOKING)
 
     def take_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
         """Note the scene of a goal that is being planned, and the summary of its plan."""
@@ -98,13 +94,7 @@ class GoalHistory:
             self._summaries.setdefault(goal.goal_id, progress.message)
 
     def take_answer(self, goal: QueuedGoal[Motion], answer: Answer, status: Message) -> None:
-        """Keep the record of a goal; one whose answer is for one client alone is left out.
-
-        Args:
-            goal: the goal.
-            answer: its answer.
-            status: its last status.
-        """
+        """Keep the record of a goal; one whose answer is for one client alone is left out."""
         scene = self._planned_in.pop(goal.goal_id, None) or self._scene()
         summary = self._summaries.pop(goal.goal_id, "")
         if goal.only_for is not None:

@@ -11,15 +11,13 @@ from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
-from server.execution.monitors import CurrentState
 from server.execution.motions import PlannedMotion, Positions
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message, composed, read_pose
 from server.moveit.requests.context import checked_tip, chooses_orientation, planning_group, tip_link
 from server.moveit.requests.error_codes import invalid, refused
-from server.moveit.requests.planning_problems import ProblemBuilder
-from server.moveit.scene.frames import Frames
+from server.moveit.requests.planning_context import PlanningContext
 
 NAMED_TOPIC, NAMED_TYPE = "/moveit_goal_named", "std_msgs/String"
 JOINTS_TOPIC, JOINTS_TYPE = "/moveit_goal_joints", "sensor_msgs/JointState"
@@ -43,7 +41,6 @@ class GoalOptions:
     Attributes:
         group: its planning group; None for the selected one.
         velocity_scaling: share of the velocity limits, above 0 to 1; 0 for the configured one.
-        acceleration_scaling: share of the acceleration limits, likewise.
     """
 
     group: Group | None = None
@@ -60,7 +57,6 @@ class OneArm:
 
     Attributes:
         prefix: with which its joints and groups begin.
-        joints: its joints.
     """
 
     prefix: str
@@ -71,13 +67,9 @@ class GoalTranslator:
     """Translator of goal messages for one robot.
 
     Args:
-        robot: the arm.
+        planning: description, frames and positions of all arms.
         parameters: of planning; also the first group, its link, frame and tolerances of the goals.
-        states: the named states.
-        frames: look-up of frames.
-        current: the positions of the arm.
-        problems: builds the goals' planning problems.
-        only: the one of several arms that the messages are for; None for all that the robot has.
+        only: the one of several arms that the messages are for; None for all.
 
     Attributes:
         group: planning group of the goals, until :meth:`select_group` chooses another.
@@ -85,22 +77,19 @@ class GoalTranslator:
 
     def __init__(
         self,
-        robot: RobotModel,
+        planning: PlanningContext,
         parameters: MoveItParameters,
         states: NamedStates,
-        frames: Frames,
-        current: CurrentState,
-        problems: ProblemBuilder,
         only: OneArm | None = None,
     ) -> None:
         self._only = only
-        self._robot = robot
+        self._robot = planning.robot
         self._parameters = parameters
         self._states = states
-        self._frames = frames
-        self._current = current
-        self._problems = problems
-        self.group = planning_group(robot, "", parameters)
+        self._frames = planning.frames
+        self._current = planning.current
+        self._problems = planning.problems
+        self.group = planning_group(planning.robot, "", parameters)
 
     @property
     def tip(self) -> str:
@@ -135,10 +124,6 @@ class GoalTranslator:
     def named(self, message: Message, options: GoalOptions = AS_SELECTED) -> PlannedMotion:
         """Translate a std_msgs/String with the name of a state; case and blanks do not matter.
 
-        Args:
-            message: the message.
-            options: what the goal chooses for itself.
-
         Raises:
             RefusedError: there is no such state, or it has no joint of the group.
         """
@@ -161,10 +146,6 @@ class GoalTranslator:
 
         Unless it chooses its group, the goal is one of the smallest group that has all the named joints, whatever group
         is selected.
-
-        Args:
-            message: the message.
-            options: what the goal chooses for itself.
 
         Raises:
             RefusedError: names and positions do not fit, or a position is not finite.
@@ -190,11 +171,7 @@ class GoalTranslator:
         return self._motion(group, lambda _start_rad: goal, options, (warning,) if ignored else ())
 
     def _group(self, name: str) -> Group:
-        """Return a planning group by its name, or by its name without the arm's.
-
-        Raises:
-            RefusedError: there is no such group, or it moves another arm.
-        """
+        """Return a planning group by its name, or by its name without the arm's."""
         if self._only is not None and name and name not in self._robot.groups:
             name = f"{self._only.prefix}{name}"
         group = planning_group(self._robot, name, self._parameters)
@@ -224,10 +201,6 @@ class GoalTranslator:
 
         A frame that moves with the arm is resolved when the goal's turn comes.
 
-        Args:
-            message: the message.
-            options: what the goal chooses for itself.
-
         Raises:
             RefusedError: a number is not finite, the orientation is none although it counts, the group has no tip, or
                 there is no such frame.
@@ -254,7 +227,6 @@ class GoalTranslator:
         """Return the whole pose of a geometry_msgs/PoseStamped in the root link.
 
         Args:
-            message: the pose.
             positions_rad: of the joints, for frames that move with the arm [rad].
 
         Raises:
@@ -284,11 +256,7 @@ class GoalTranslator:
 
 
 def _position_m(message: Message) -> tuple[float, float, float]:
-    """Read the position of a geometry_msgs/Pose [m].
-
-    Raises:
-        RefusedError: a number is not finite.
-    """
+    """Read the position of a geometry_msgs/Pose [m]."""
     point = message["position"]
     for axis in "xyz":
         if not math.isfinite(point[axis]):
@@ -297,11 +265,7 @@ def _position_m(message: Message) -> tuple[float, float, float]:
 
 
 def _whole_pose(message: Message, group: Group) -> Pose:
-    """Read a geometry_msgs/Pose whose orientation counts.
-
-    Raises:
-        RefusedError: a number is not finite, or the orientation is no unit quaternion.
-    """
+    """Read a geometry_msgs/Pose whose orientation counts."""
     pose = read_pose(message, "pose")
     length = math.hypot(*(message["orientation"][axis] for axis in "xyzw"))
     if abs(length - 1.0) > UNIT_TOLERANCE:
@@ -317,8 +281,6 @@ class Suggestion:
     """Goal message that would work instead of a rejected one.
 
     Attributes:
-        topic: of the message.
-        type_name: of the topic.
         msg: the message, ready to be published.
         words: the goal in a sentence.
     """
@@ -347,7 +309,6 @@ def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) 
     Args:
         message: the rejected message; empty when it could not be read.
         details: as in `planners.problem.PlanningFailure`.
-        robot: the arm.
     """
     if "nearest_name" in details:
         name = details["nearest_name"]
@@ -374,8 +335,6 @@ def with_suggestion(message: str, details: Mapping[str, Any], robot: RobotModel)
 
     Args:
         message: the sentence.
-        details: of the failure.
-        robot: the arm.
     """
     instead = suggestion({}, details, robot)
     return message if instead is None else instead.added_to(message)

@@ -25,13 +25,15 @@ from protocol.publication import PublishedMessage
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.trajectory import rest_to_rest_s
-from server.arm.topics import key_values
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, key_values
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions
 from server.execution.queue import Answer, GoalQueue, GoalState, Joints, Progress, QueuedGoal
 from server.graph.list_limits import ListLimits
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import CANCELLING, CONFIGURING, GOAL, PLANNING, STOP_EVENT, STOPPING, SWITCHING, WORKING
 from server.graph.topics import Graph, Subscriber
 from server.moveit.goal_messages import (
     GROUP_TOPIC,
@@ -58,9 +60,6 @@ CONFIRM_TOPIC = "/moveit_goal_confirm"
 CONFIRM_MODE_SERVICE = "/moveit_goal_confirm_mode"
 STOP_TOPIC = "/stop"
 EVENT_TOPIC = "/trajectory_execution_event"
-
-# diagnostic_msgs/DiagnosticStatus levels.
-LEVEL_OK, LEVEL_ERROR = 0, 2
 
 Translate: TypeAlias = Callable[[Message], PlannedMotion]
 
@@ -95,7 +94,6 @@ class Confirmation:
     """Gate between plan and motion: the arm moves when a user confirms the plan.
 
     Args:
-        graph: where topic and service are.
         enabled: true if goals on ``/moveit_goal_*`` wait at the gate.
         timeout_s: limit of their wait [s].
 
@@ -117,9 +115,13 @@ class Confirmation:
         subscriber = Subscriber(
             lambda published: self._take_decision(go=published.msg["data"]),
             lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),
+            # The client that confirms may be another than the one that drives.
+            rule=WORKING,
         )
         self._graph.subscribe(self._node, CONFIRM_TOPIC, "std_msgs/Bool", subscriber)
-        self._graph.services.offer(self._node, CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode)
+        self._graph.services.offer(
+            self._node, CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode, rule=CONFIGURING
+        )
 
     async def wait(self) -> Answer | None:
         """Wait for the decision; return None to go on, else the goal's answer."""
@@ -151,15 +153,9 @@ class Confirmation:
 
 
 class GoalStatusTopics:
-    """Topics for the status of all goals and the results of those on ``/moveit_goal_*``.
+    """Topics for the status of all goals and the results of those on ``/moveit_goal_*``."""
 
-    Args:
-        graph: where the topics are.
-        node: publishes.
-        robot: the arm, for suggestions.
-    """
-
-    def __init__(self, graph: Graph, node: Node, robot: RobotModel) -> None:
+    def __init__(self, graph: LocalGraph, node: Node, robot: RobotModel) -> None:
         self._graph = graph
         self._node = node
         self._robot = robot
@@ -172,55 +168,25 @@ class GoalStatusTopics:
 
     def publish_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
         """Publish the progress of a goal, whatever topic or action it came by."""
-        self._publish_status(goal, progress, LEVEL_OK, {})
+        self._publish(goal, STATUS_TOPIC, _status(goal, progress, LEVEL_OK, {}))
 
-    def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer, *, logged: bool = False) -> Message:
-        """Log the end of a goal, publish its final status and return it; then the result of a goal from a topic.
+    def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer, *, logged: bool = False) -> None:
+        """Log the end of a goal, publish its final status, then the result of a goal from a topic.
 
         Args:
-            goal: the goal.
-            answer: to it.
             logged: true if its end is in the log already.
         """
-        instead = suggestion(goal.message, answer.details, self._robot)
-        message = answer.message if instead is None else instead.added_to(answer.message)
-        succeeded = answer.code is MoveItErrorCode.SUCCESS
-        level = logging.INFO if succeeded else logging.WARNING
+        status = final_status(goal, answer, self._robot)
+        level = logging.INFO if answer.code is MoveItErrorCode.SUCCESS else logging.WARNING
         # A goal without permission is logged where the permission is checked.
         if goal.only_for is None and not logged:
             fields = {"goal": goal.goal_id, "client": goal.client, "code": answer.code.name}
             sentence = "goal %s from %s: %s: %s"
-            log.log(level, sentence, goal.goal_id, goal.source, answer.code.name, message, extra=fields)
-        details = {"code": str(int(answer.code)), **details_as_json(answer)}
-        if instead is not None:
-            details["suggested_goal"] = json.dumps(instead.as_data())
-        done = Progress(GoalState.DONE, message, 1.0 if succeeded else 0.0)
-        status = self._publish_status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, details)
-        if goal.source in self._sources:
-            result = {"val": int(answer.code), "message": message, "source": f"{goal.source}#{goal.goal_id}"}
-            self._publish(goal, RESULT_TOPIC, result)
-        return status
-
-    def _publish_status(
-        self, goal: QueuedGoal[Motion], progress: Progress, level: int, details: Mapping[str, str]
-    ) -> Message:
-        values = {
-            "state": progress.state.value,
-            "fraction": f"{progress.fraction:.3f}",
-            "seconds_left": f"{progress.remaining_s:.2f}",
-        }
-        if "header" in goal.message:
-            stamp = goal.message["header"]["stamp"]
-            values["stamp"] = f"{stamp['sec']}.{stamp['nanosec']:09d}"
-        status = {
-            "level": level,
-            "name": goal.source,
-            "message": progress.message,
-            "hardware_id": goal.goal_id,
-            "values": key_values({**values, **details}),
-        }
+            log.log(level, sentence, goal.goal_id, goal.source, answer.code.name, status["message"], extra=fields)
         self._publish(goal, STATUS_TOPIC, status)
-        return status
+        if goal.source in self._sources:
+            source = f"{goal.source}#{goal.goal_id}"
+            self._publish(goal, RESULT_TOPIC, {"val": int(answer.code), "message": status["message"], "source": source})
 
     def _publish(self, goal: QueuedGoal[Motion], topic: str, message: Mapping[str, Any]) -> None:
         # Other clients wait for the end of goals of their own.
@@ -228,6 +194,36 @@ class GoalStatusTopics:
             self._graph.publish(self._node, topic, message)
         else:
             self._graph.tell(goal.only_for, topic, message)
+
+
+def final_status(goal: QueuedGoal[Motion], answer: Answer, robot: RobotModel) -> Message:
+    """Return the final status of a goal, with the goal that would have worked where one was found."""
+    instead = suggestion(goal.message, answer.details, robot)
+    message = answer.message if instead is None else instead.added_to(answer.message)
+    succeeded = answer.code is MoveItErrorCode.SUCCESS
+    details = {"code": str(int(answer.code)), **details_as_json(answer)}
+    if instead is not None:
+        details["suggested_goal"] = json.dumps(instead.as_data())
+    done = Progress(GoalState.DONE, message, 1.0 if succeeded else 0.0)
+    return _status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, details)
+
+
+def _status(goal: QueuedGoal[Motion], progress: Progress, level: int, details: Mapping[str, str]) -> Message:
+    values = {
+        "state": progress.state.value,
+        "fraction": f"{progress.fraction:.3f}",
+        "seconds_left": f"{progress.remaining_s:.2f}",
+    }
+    if "header" in goal.message:
+        stamp = goal.message["header"]["stamp"]
+        values["stamp"] = f"{stamp['sec']}.{stamp['nanosec']:09d}"
+    return {
+        "level": level,
+        "name": goal.source,
+        "message": progress.message,
+        "hardware_id": goal.goal_id,
+        "values": key_values({**values, **details}),
+    }
 
 
 def details_as_json(answer: Answer) -> dict[str, str]:
@@ -239,17 +235,13 @@ class GoalTopics:
     """Topics by which goals are sent, their group is chosen, and they are cancelled and stopped.
 
     Args:
-        graph: where the topics are.
-        node: subscribes.
-        queue: takes the goals.
-        translator: reads their messages.
         confirmation: decides if goals are to be confirmed.
         joints: those that the topics for stops are for; None for all.
     """
 
     def __init__(
         self,
-        graph: Graph,
+        graph: LocalGraph,
         node: Node,
         queue: GoalQueue[Motion],
         translator: GoalTranslator,
@@ -270,10 +262,11 @@ class GoalTopics:
         self._take_goals(POSE_TOPIC, POSE_TYPE, self._translator.pose)
         self._graph.advertise(self._node, GROUP_TOPIC, GROUP_TYPE, latch=True)
         self._publish_group()
-        self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group))
-        self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel))
-        self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop))
-        self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event))
+        # The client that chooses the group is the one that drives.
+        self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group, rule=SWITCHING))
+        self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel, rule=CANCELLING))
+        self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop, rule=STOPPING))
+        self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event, rule=STOP_EVENT))
 
     def _take_goals(self, topic: str, type_name: str, translate: Translate) -> None:
         source = self._graph.resolve(topic)
@@ -297,7 +290,7 @@ class GoalTopics:
             failure = PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason)
             self._queue.reject(source, failure, message, only_for=sender)
 
-        subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized)
+        subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized, rule=GOAL)
         self._graph.subscribe(self._node, topic, type_name, subscriber)
 
     def _select_group(self, published: PublishedMessage) -> None:
@@ -331,12 +324,7 @@ class GoalChecks:
     """The service ``/check_goals``.
 
     Args:
-        graph: where it is.
-        reports: write the results.
         translator: reads goals as those of ``/moveit_goal_*``.
-        current: the positions of the arm.
-        pool: the planners.
-        scene: the planning scene.
     """
 
     def __init__(
@@ -362,7 +350,9 @@ class GoalChecks:
         # Each may be the only ones; both together are counted in the call.
         fields = ("poses", "joints")
         limits = ListLimits({f"armbridge_msgs/srv/CheckGoals_Request.{field}": MAX_GOALS for field in fields})
-        self._graph.services.offer(self._node, SERVICE, "armbridge_msgs/CheckGoals", self._check, limits=limits)
+        self._graph.services.offer(
+            self._node, SERVICE, "armbridge_msgs/CheckGoals", self._check, limits=limits, rule=PLANNING
+        )
 
     async def _check(self, request: dict[str, Any]) -> dict[str, Any]:
         poses, joints = request["poses"], request["joints"]
@@ -416,8 +406,6 @@ async def answers_in_time(
 
     Args:
         problems: of the goals, or the reasons why there is none.
-        pool: the planners.
-        scene: to check in.
     """
     until_s = time.monotonic() + max(GOAL_TIME_S * len(problems), MIN_CALL_S)
     answers = []
@@ -449,12 +437,7 @@ async def _find(
 
 
 class GoalReports:
-    """Writer of armbridge_msgs/GoalCheck messages.
-
-    Args:
-        robot: the arm.
-        parameters: of planning.
-    """
+    """Writer of armbridge_msgs/GoalCheck messages."""
 
     def __init__(self, robot: RobotModel, parameters: MoveItParameters) -> None:
         self._joints = robot.movable_joints
@@ -468,8 +451,6 @@ class GoalReports:
 
         Args:
             start_rad: positions of the joints [rad].
-            answer: of the planners.
-            tip: the link that pose goals are for.
             desired: the goal pose in the root link; None for a joint goal.
         """
         if isinstance(answer, PlanningFailure):

@@ -30,8 +30,9 @@ from server.execution.player import BRAKING_TIMEOUT_S
 from server.execution.time_limits import ArmClock, TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.list_limits import ListLimits
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.topics import Graph
+from server.graph.permissions import GOAL
 from server.moveit.actions.joint_trajectory_controller import cancel_with_goal
 from server.moveit.requests.error_codes import invalid
 
@@ -47,6 +48,7 @@ SQUEEZED_WITHIN_RAD = 0.005
 GRIPPER_ACTION = "/gripper_controller/gripper_cmd"
 FETCH_ACTION = "/gripper_controller/gripper_action"
 PARALLEL_ACTION = "/parallel_gripper_controller/gripper_cmd"
+ACTIONS = (GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION)
 
 # A URDF's limit lies so far beyond the soft limit; a command for it means the soft limit.
 CLAMPED_WITHIN_RAD, CLAMPED_WITHIN_M = 0.05, 0.005
@@ -82,7 +84,6 @@ class GripperReading:
     Attributes:
         positions: [rad or m].
         velocities: [rad/s or m/s].
-        efforts: share of full duty.
     """
 
     positions: tuple[float, ...]
@@ -103,41 +104,44 @@ class GripperClaim:
     epoch: int
 
 
+@dataclass(frozen=True)
+class GripperLimits:
+    """Limits of a gripper's motions.
+
+    Attributes:
+        velocity_scaling: share of the joints' velocity limits.
+        torque: share of full motor duty.
+        time: limits of time.
+    """
+
+    velocity_scaling: float
+    acceleration_scaling: float
+    torque: float
+    time: TimeLimits
+
+
 class Gripper:
     """The gripper of an arm.
 
     Args:
-        arm: the arm.
         joints: the joints of its fingers, one or two, which all go to the same position; their limits are kept.
-        velocity_scaling: share of the joints' velocity limits that motions use.
-        acceleration_scaling: share of their acceleration limits.
-        time_limits: of motions.
-        torque_limit: share of full motor duty that the gripper may use.
         in_progress: gets its motions; None for a gripper without an arm that moves beside it.
         clock: monotonic time of this machine [s].
-
-    Attributes:
-        joints: as given.
     """
 
     def __init__(
         self,
         arm: ArmInterface,
         joints: Sequence[Joint],
-        velocity_scaling: float,
-        acceleration_scaling: float,
-        time_limits: TimeLimits,
-        torque_limit: float,
+        limits: GripperLimits,
         in_progress: MotionsInProgress | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
         self.joints = tuple(joints)
         self._names = tuple(joint.name for joint in joints)
-        self._velocity_scaling = velocity_scaling
-        self._max_acceleration = acceleration_scaling * min(joint.max_acceleration for joint in joints)
-        self._time_limits = time_limits
-        self._torque_limit = torque_limit
+        self._limits = limits
+        self._max_acceleration = limits.acceleration_scaling * min(joint.max_acceleration for joint in joints)
         self._in_progress = in_progress or MotionsInProgress()
         self._clock = clock
         self._newest = GripperClaim(0, 0)
@@ -183,8 +187,6 @@ class Gripper:
         """Execute a command; every wait is bounded.
 
         Args:
-            claim: of this command.
-            command: the command.
             report: called with readings on the way.
 
         Raises:
@@ -202,20 +204,20 @@ class Gripper:
 
     async def _play(self, command: GripperCommand, report: Callable[[GripperReading], None], epoch: int) -> MotionEnded:
         check_ready(self._arm)
-        scaling = min(self._velocity_scaling, self._arm.state.pace.speed_limit)
+        scaling = min(self._limits.velocity_scaling, self._arm.state.pace.speed_limit)
         fastest = scaling * min(joint.max_velocity for joint in self.joints)
         velocity = min(command.max_velocity or fastest, fastest)
         trajectory = fingers_together(self._names, self._goals(), command.position, velocity, self._max_acceleration)
         field = f"the duration of the way to {command.position:.3f} {self.joints[0].unit}"
-        self._time_limits.check_duration(
+        self._limits.time.check_duration(
             trajectory.duration_s, field, MoveItErrorCode.FAILURE, ": raise the command's velocity"
         )
-        share = min(command.max_effort / self._torque_limit, 1.0) if command.max_effort else 1.0
+        share = min(command.max_effort / self._limits.torque, 1.0) if command.max_effort else 1.0
         self._ends_s = self._clock() + trajectory.duration_s
         self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share, epoch=epoch)
         self._in_progress.add(trajectory, self._motion)
         try:
-            ended = await self._until_ended(self._motion, self._time_limits.allowed_s(trajectory.duration_s), report)
+            ended = await self._until_ended(self._motion, self._limits.time.allowed_s(trajectory.duration_s), report)
         finally:
             # Also after an error here no motion goes on without its goal; nothing happens when it has ended.
             self._stop_motion()
@@ -269,7 +271,6 @@ def fingers_together(
     """Plan the fastest motion of fingers to one position, in which they arrive together.
 
     Args:
-        names: of the joints.
         start: their positions, shape (joints,) [rad or m].
         end: position of each at the end [rad or m].
         max_velocity: of each, above 0 [rad/s or m/s].
@@ -312,9 +313,6 @@ class GripperCommandMessages:
 
     The position of a gripper with two sliding fingers is the gap between them, the sum of the joints' positions, as
     for Fetch's driver; otherwise it is that of each joint.
-
-    Args:
-        joints: of the fingers.
     """
 
     type_name = "control_msgs/action/GripperCommand"
@@ -343,11 +341,7 @@ class GripperCommandMessages:
 
 
 class ParallelGripperCommandMessages:
-    """Messages of control_msgs/action/ParallelGripperCommand.
-
-    Args:
-        joints: of the fingers.
-    """
+    """Messages of control_msgs/action/ParallelGripperCommand."""
 
     type_name = "control_msgs/action/ParallelGripperCommand"
 
@@ -393,14 +387,8 @@ def _checked_command(
     """Return a command within the limits.
 
     Args:
-        joints: of the fingers.
         position: as the client has it [rad or m].
-        max_effort: as the client has it.
         max_velocity: of each finger [rad/s or m/s].
-        fingers: number of fingers of whose positions the client's is the sum.
-
-    Raises:
-        RefusedError: a value is out of bounds.
     """
     lower, upper = max(joint.lower for joint in joints), min(joint.upper for joint in joints)
     unit = joints[0].unit
@@ -416,14 +404,9 @@ def _checked_command(
 
 
 class GripperActions:
-    """The gripper's actions.
+    """The gripper's actions."""
 
-    Args:
-        graph: where they are.
-        gripper: executes their goals.
-    """
-
-    def __init__(self, graph: Graph, gripper: Gripper) -> None:
+    def __init__(self, graph: LocalGraph, gripper: Gripper) -> None:
         self._gripper = gripper
         simple = GripperCommandMessages(gripper.joints)
         self._actions: dict[str, ActionMessages] = {
@@ -433,8 +416,10 @@ class GripperActions:
         }
         self._tasks: set[asyncio.Task[None]] = set()
         node = Node("gripper")
-        for name in (GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION):
-            graph.actions.offer(node, name, self._actions[graph.resolve(name)].type_name, self._start, ListLimits())
+        for name in ACTIONS:
+            graph.offer_action(
+                node, name, self._actions[graph.resolve(name)].type_name, self._start, ListLimits(), rule=GOAL
+            )
 
     def _start(self, goal: Goal) -> None:
         messages = self._actions[goal.action]

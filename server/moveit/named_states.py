@@ -25,6 +25,7 @@ from server.errors import ServiceError
 from server.execution.monitors import CurrentState, state_message
 from server.execution.motions import Positions
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, LOOKING, Rule
 from server.graph.services import Answered, ServiceFunction
 from server.graph.topics import Graph
 
@@ -208,11 +209,7 @@ class NamedStates:
         return usable
 
     def _check(self, name: str, positions_rad: Positions) -> None:
-        """Check that a state can be saved under a name.
-
-        Raises:
-            ServiceError: the name or a position is invalid.
-        """
+        """Check that a state can be saved under a name."""
         if not 1 <= len(name) <= MAX_NAME_LENGTH or not name.isprintable():
             raise ServiceError(
                 f"name: must have 1 to {MAX_NAME_LENGTH} printable characters, not {name[:MAX_NAME_LENGTH]!r}"
@@ -252,18 +249,13 @@ def default_path(content: str, robot: RobotModel, environment: Mapping[str, str]
     Args:
         content: beginning of the file's name.
         robot: the arm, whose name is in that of the file.
-        environment: environment variables.
     """
     safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in robot.name)
     return data_directory(environment) / f"{content}_{safe}.json"
 
 
 def data_directory(environment: Mapping[str, str]) -> Path:
-    """Return the directory of the server's files, in the XDG base directory for data.
-
-    Args:
-        environment: environment variables.
-    """
+    """Return the directory of the server's files, in the XDG base directory for data."""
     data_home = environment.get("XDG_DATA_HOME") or str(
         Path(environment.get("HOME", "~")).expanduser() / ".local/share"
     )
@@ -345,9 +337,6 @@ class NamedStatesServices:
     """MoveIt's warehouse services, and the latched topic ``/named_states``.
 
     Args:
-        graph: where they are.
-        robot: the arm.
-        states: the states.
         current: the positions of the arm, to be saved.
     """
 
@@ -363,20 +352,20 @@ class NamedStatesServices:
         self._graph.advertise(self._node, NAMED_STATES_TOPIC, "std_msgs/String", latch=True)
         self._publish()
         self._states.on_change(self._publish)
-        self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list)
-        self._offer("/save_robot_state", "SaveRobotStateToWarehouse", self._save)
-        self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get)
-        self._offer("/has_robot_state", "CheckIfRobotStateExistsInWarehouse", self._has)
-        self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename)
-        self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete)
+        self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list, LOOKING)
+        self._offer("/save_robot_state", "SaveRobotStateToWarehouse", self._save, CONFIGURING)
+        self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get, LOOKING)
+        self._offer("/has_robot_state", "CheckIfRobotStateExistsInWarehouse", self._has, LOOKING)
+        self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename, CONFIGURING)
+        self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete, CONFIGURING)
 
-    def _offer(self, name: str, type_name: str, function: ServiceFunction) -> None:
+    def _offer(self, name: str, type_name: str, function: ServiceFunction, rule: Rule) -> None:
         def serve(request: Request) -> Answered | Awaitable[Answered]:
             if request["robot"] not in ("", self._robot.name):
                 raise ServiceError(f"robot: there is no robot {request['robot']!r}; this is {self._robot.name!r}")
             return function(request)
 
-        self._graph.services.offer(self._node, name, f"moveit_msgs/{type_name}", serve)
+        self._graph.services.offer(self._node, name, f"moveit_msgs/{type_name}", serve, rule=rule)
 
     def _publish(self) -> None:
         states = {

@@ -97,9 +97,6 @@ class PlannerParameters:
 
     Keys other than `KNOWN_KEYS`, such as those of OMPL's planners, are kept and returned, and have no effect.
 
-    Args:
-        configured: the parameters of the configuration.
-
     Attributes:
         configured: as given; they stay as they are.
     """

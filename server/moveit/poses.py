@@ -23,7 +23,6 @@ def read_pose(message: Message, where: str) -> Pose:
     """Read a geometry_msgs/Pose; its quaternion is normalised, one of only zeros is no rotation.
 
     Args:
-        message: the pose.
         where: path of the field, for the sentence.
 
     Raises:

@@ -98,7 +98,6 @@ class RecordedMessage(NamedTuple):
         latched: True if the topic is latched.
         log_time_ns: time of recording [ns since the epoch], by a clock that never jumps.
         publish_time_ns: time of publication [ns since the epoch].
-        octets: the message as CDR.
     """
 
     topic: str
@@ -116,7 +115,6 @@ class McapFile:
 
     Args:
         stream: the file, open for writing; closed by :meth:`end`.
-        registry: types.
         facts: further entries of the file's metadata.
     """
 
@@ -177,9 +175,6 @@ class FileSeries:
     All methods, and the constructor, may raise OSError.
 
     Args:
-        path: the first file.
-        registry: types.
-        facts: metadata of each file.
         limit_bytes: size from which on a file is followed by the next; None for no limit.
         keep: newest files of this recording to keep; 0 for all.
     """

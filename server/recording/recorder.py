@@ -47,11 +47,9 @@ class Recorder:
     """Records a graph from its construction to :meth:`close`; messages wait in memory until :meth:`start`.
 
     Args:
-        graph: topics to record.
         path: the file; if it exists, a number is added to its name.
         limit_mb: size from which on a file is followed by the next [MB]; None for no limit.
         keep_files: newest files of this recording to keep; 0 for all.
-        facts: further metadata of each file.
         clock_ns: monotonic time [ns].
         wall_clock_ns: time since the epoch [ns].
     """
@@ -127,9 +125,7 @@ class QueuedMessage(NamedTuple):
     """Message that waits to be written.
 
     Attributes:
-        published: the message.
         latched: True if its topic is latched.
-        size_bytes: its size.
         log_time_ns: time of recording [ns since the epoch].
     """
 
@@ -145,7 +141,6 @@ class WriterThread:
     An error ends the recording, and nothing else.
 
     Args:
-        registry: types.
         clock: monotonic time [s].
 
     Attributes:
@@ -177,11 +172,7 @@ class WriterThread:
         return self._ended.is_set()
 
     def start(self, files: FileSeries) -> None:
-        """Start the thread.
-
-        Args:
-            files: files to write to.
-        """
+        """Start the thread."""
         self._thread = threading.Thread(target=self._run, args=(files,), name="recording", daemon=True)
         self._thread.start()
 

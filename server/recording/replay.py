@@ -28,14 +28,13 @@ from protocol.errors import ProtocolError
 from robot.logs import LogLimiter
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
-from server.config import ServerSettings
 from server.errors import GraphError, RecordingError
 from server.gateway.listener import Listener
+from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
-from server.lifecycle import stop_signals
-from server.monitoring.systemd import on_hangup
+from server.lifecycle import on_hangup, stop_signals
 from server.recording.files import RecordedMessage, is_latched
 from server.rosapi import RosApi
 
@@ -73,7 +72,6 @@ class Summary:
     """Contents of a file.
 
     Attributes:
-        topics: its topics.
         messages: number of its messages.
         duration_s: time from the first message to the last [s].
         complete: False if the file was not ended or is damaged.
@@ -86,11 +84,7 @@ class Summary:
 
 
 class Recording:
-    """MCAP file to read.
-
-    Args:
-        path: the file.
-    """
+    """MCAP file to read."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -155,9 +149,6 @@ class Recording:
 class _Unpacker:
     """Unpacks the records of a file into messages.
 
-    Args:
-        path: the file, for errors.
-
     Attributes:
         topics: topics found so far, by channel.
         damaged: True if the file ended before its end, or with octets that are no record.
@@ -170,11 +161,7 @@ class _Unpacker:
         self._schemas: dict[int, Schema] = {}
 
     def chunks(self, stream: BinaryIO) -> Iterator[list[RecordedMessage]]:
-        """Yield the messages of each chunk, and those outside of chunks in groups.
-
-        Raises:
-            RecordingError: it is no MCAP file.
-        """
+        """Yield the messages of each chunk, and those outside of chunks in groups."""
         outside: list[RecordedMessage] = []
         for record in self._records(stream):
             if isinstance(record, Chunk):
@@ -240,9 +227,6 @@ class ReplayOptions:
     """Options of a replay.
 
     Attributes:
-        path: the recording.
-        server: settings of the listener.
-        access: settings of access.
         rate: seconds of the recording per second.
         delay_s: time for clients to connect before the replay begins [s].
         loop: begin again at the end.
@@ -268,11 +252,7 @@ def replay(options: ReplayOptions) -> None:
 
 
 class ReplayServer:
-    """Server that replays a recording to its clients.
-
-    Args:
-        options: options of the replay.
-    """
+    """Server that replays a recording to its clients."""
 
     def __init__(self, options: ReplayOptions) -> None:
         self._options = options
@@ -333,8 +313,6 @@ class Player:
     """Publishes a recording on a graph, with the recorded timing.
 
     Args:
-        graph: graph to publish on.
-        recording: recording to play.
         rate: seconds of the recording per second.
 
     Attributes:

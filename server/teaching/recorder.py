@@ -18,14 +18,6 @@ class TeachingRecorder:
     """Recording of some joints: of the arm's measured positions while it is relaxed, else of its commanded ones.
 
     Time is that of the control loop, which a simulated arm on a busy machine does not outrun.
-
-    Args:
-        name: of the motion.
-        joint_names: the joints.
-
-    Attributes:
-        name: as given.
-        joint_names: as given.
     """
 
     def __init__(self, name: str, joint_names: tuple[str, ...]) -> None:

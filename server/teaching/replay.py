@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from planners.goals import JointGoal
-from planners.problem import MoveItErrorCode, PlanningProblem
+from planners.problem import MoveItErrorCode
 from robot.description.model import RobotModel
 from robot.description.srdf import Group
 from server.errors import RefusedError, ServiceError
@@ -19,11 +19,12 @@ from server.execution.motions import Motion, PlannedMotion, Positions, Step
 from server.execution.queue import Answer, GoalQueue, Progress
 from server.graph.actions import Goal
 from server.graph.node import Node
+from server.graph.permissions import GOAL
 from server.graph.topics import Graph
 from server.moveit.actions.joint_trajectory_controller import code_message, reject_goal, submit_goal
-from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message
 from server.moveit.requests.error_codes import invalid
+from server.moveit.requests.planning_problems import ProblemBuilder
 from server.teaching.motion_files import MotionFiles
 from server.teaching.services import CHECK_TIME_S
 from server.teaching.taught_motion import TaughtMotion, read_speed
@@ -40,7 +41,6 @@ class Replay:
     """Contents of a goal.
 
     Attributes:
-        name: of the motion.
         speed: share of its own speed, above 0.
         reverse: true to go from its end to its start.
         repeat: number of replays after the first.
@@ -68,11 +68,7 @@ class ReplayAction:
     """The action.
 
     Args:
-        graph: where it is.
-        robot: the arm.
-        motions: taught motions.
-        queue: takes the goals.
-        parameters: of the planned motion to the start.
+        problems: builds the planned motion to the start.
     """
 
     def __init__(
@@ -81,19 +77,19 @@ class ReplayAction:
         robot: RobotModel,
         motions: MotionFiles,
         queue: GoalQueue[Motion],
-        parameters: MoveItParameters,
+        problems: ProblemBuilder,
     ) -> None:
         self._graph = graph
         self._robot = robot
         self._motions = motions
         self._queue = queue
-        self._parameters = parameters
+        self._problems = problems
         # The event loop keeps only weak references to tasks.
         self._tasks: set[asyncio.Task[None]] = set()
 
     def open(self) -> None:
         """Offer the action."""
-        self._graph.actions.offer(Node("replay"), NAME, TYPE, self._start)
+        self._graph.actions.offer(Node("replay"), NAME, TYPE, self._start, rule=GOAL)
 
     def _start(self, goal: Goal) -> None:
         task = asyncio.create_task(self._submit(goal), name="a replay")
@@ -103,7 +99,7 @@ class ReplayAction:
     async def _submit(self, goal: Goal) -> None:
         try:
             replay = Replay.of(goal.request)
-            motion = planned(replay, await self._motions.load(replay.name), self._robot, self._parameters)
+            motion = planned(replay, await self._motions.load(replay.name), self._robot, self._problems)
         except RefusedError as error:
             reject_goal(goal, self._queue, error.failure, result)
         except ServiceError as error:
@@ -113,20 +109,17 @@ class ReplayAction:
                 submit_goal(goal, self._queue, motion, feedback, result)
 
 
-def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, parameters: MoveItParameters) -> PlannedMotion:
+def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, problems: ProblemBuilder) -> PlannedMotion:
     """Return the motion to the start of a taught motion, and its replays.
 
     Args:
-        replay: the goal.
-        taught: its motion.
-        robot: the arm.
-        parameters: of the planned motion to the start.
+        problems: builds the planned motion to the start.
     """
     if replay.reverse:
         taught = taught.reversed()
     joints = frozenset(taught.joint_names)
     once = (
-        *(_to_start(group, taught.start_rad, parameters) for group in groups_of(robot, joints)),
+        *(_to_start(group, taught.start_rad, problems) for group in groups_of(robot, joints)),
         _follow(taught, replay),
     )
     return PlannedMotion(once * (1 + replay.repeat), joints)
@@ -149,23 +142,9 @@ def groups_of(robot: RobotModel, joints: frozenset[str]) -> list[Group]:
     return chosen
 
 
-def _to_start(group: Group, start_rad: Positions, parameters: MoveItParameters) -> Step:
-    wanted = {name: start_rad[name] for name in group.joints}
-
-    def problem(now_rad: Positions) -> PlanningProblem:
-        return PlanningProblem(
-            group=group.name,
-            start_rad=now_rad,
-            goal=JointGoal(wanted),
-            velocity_scaling=parameters.max_velocity_scaling,
-            acceleration_scaling=parameters.max_acceleration_scaling,
-            allowed_time_s=parameters.allowed_planning_time,
-            attempts=parameters.num_planning_attempts,
-            planner_id=parameters.planner_id,
-            optimization_time_s=parameters.optimization_time,
-        )
-
-    return problem
+def _to_start(group: Group, start_rad: Positions, problems: ProblemBuilder) -> Step:
+    goal = JointGoal({name: start_rad[name] for name in group.joints})
+    return lambda now_rad: problems.goal(group, goal, now_rad)
 
 
 def _follow(taught: TaughtMotion, replay: Replay) -> Step:

@@ -14,6 +14,7 @@ from robot.messages import ArmState
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState, SceneSource
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING, Rule
 from server.graph.topics import Graph
 from server.moveit.poses import Message
 from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
@@ -56,12 +57,8 @@ class Teaching:
     """Records motions, one at a time, and keeps them by name.
 
     Args:
-        graph: where the services and the topic are.
-        robot: the arm.
         motions: where motions are kept.
         pool: the planners, which check motions.
-        scene: the planning scene.
-        current: positions of the joints.
     """
 
     def __init__(
@@ -91,16 +88,19 @@ class Teaching:
     def open(self) -> None:
         """Offer the services, and publish the state."""
         self._graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/TeachState", latch=True)
-        self._offer(BEGIN, "armbridge_msgs/srv/BeginTeaching", self._begin)
-        self._offer(END, "armbridge_msgs/srv/EndTeaching", self._end)
-        self._offer(DISCARD, "std_srvs/srv/Trigger", self._discard)
-        self._offer("/teach/get", "armbridge_msgs/srv/GetMotion", self._get)
-        self._offer("/teach/check", "armbridge_msgs/srv/CheckMotion", self._check)
-        self._offer("/teach/save", "armbridge_msgs/srv/SaveMotion", self._save)
-        self._offer("/teach/delete", "armbridge_msgs/srv/DeleteMotion", self._delete)
-        self._offer("/teach/rename", "armbridge_msgs/srv/RenameMotion", self._rename)
-        self._offer("/teach/trim", "armbridge_msgs/srv/TrimMotion", self._trim)
-        self._graph.services.offer(self._node, "/teach/list", "armbridge_msgs/srv/ListMotions", self._list)
+        # To record moves nothing; the client that teaches is one that may also drive.
+        self._offer(BEGIN, "armbridge_msgs/srv/BeginTeaching", self._begin, WORKING)
+        self._offer(END, "armbridge_msgs/srv/EndTeaching", self._end, WORKING)
+        self._offer(DISCARD, "std_srvs/srv/Trigger", self._discard, WORKING)
+        self._offer("/teach/get", "armbridge_msgs/srv/GetMotion", self._get, LOOKING)
+        self._offer("/teach/check", "armbridge_msgs/srv/CheckMotion", self._check, PLANNING)
+        self._offer("/teach/save", "armbridge_msgs/srv/SaveMotion", self._save, CONFIGURING)
+        self._offer("/teach/delete", "armbridge_msgs/srv/DeleteMotion", self._delete, CONFIGURING)
+        self._offer("/teach/rename", "armbridge_msgs/srv/RenameMotion", self._rename, CONFIGURING)
+        self._offer("/teach/trim", "armbridge_msgs/srv/TrimMotion", self._trim, CONFIGURING)
+        self._graph.services.offer(
+            self._node, "/teach/list", "armbridge_msgs/srv/ListMotions", self._list, rule=LOOKING
+        )
         self._show()
 
     @property
@@ -269,7 +269,7 @@ class Teaching:
 
     # Messages.
 
-    def _offer(self, name: str, type_name: str, work: _Work) -> None:
+    def _offer(self, name: str, type_name: str, work: _Work, rule: Rule) -> None:
         async def serve(request: Message) -> dict[str, Any]:
             try:
                 return await work(request)
@@ -277,7 +277,7 @@ class Teaching:
                 log.warning("%s: %s", name, error)
                 return {"success": False, "message": str(error)}
 
-        self._graph.services.offer(self._node, name, type_name, serve, limits=TRAJECTORY_LIMITS)
+        self._graph.services.offer(self._node, name, type_name, serve, limits=TRAJECTORY_LIMITS, rule=rule)
 
     def _show(self) -> None:
         recorder = self._recorder

@@ -53,7 +53,6 @@ class TaughtMotion:
     """Points of some joints over time, which a natural cubic spline joins.
 
     Attributes:
-        joint_names: joint of each column.
         time_s: shape (n,), n >= 2, strictly increasing from 0 [s].
         positions_rad: shape (n, joints) [rad].
     """
@@ -105,7 +104,6 @@ class TaughtMotion:
 
         Args:
             before_rad: position of every movable joint before [rad].
-            speed: share of its own speed.
             allowed_time_s: planning time [s].
         """
         return JointPathProblem(
@@ -136,10 +134,8 @@ def of_recording(
     """Make a motion of a recording: without the rests at its ends, smoothed, within the position limits.
 
     Args:
-        joint_names: joint of each column.
         time_s: shape (n,), strictly increasing [s].
         positions_rad: shape (n, joints), as recorded [rad].
-        robot: the arm, for its limits.
 
     Returns:
         The motion, and its greatest distance from the recording within the limits, joint by joint at the same time
@@ -194,7 +190,6 @@ def smoothed(
     """Average over a window twice, which leaves no step in the velocity, and keep some of the points.
 
     Args:
-        joint_names: joint of each column.
         time_s: shape (n,), strictly increasing from 0 [s].
         positions_rad: shape (n, joints) [rad].
         window_s: of the average; 0 for none [s].

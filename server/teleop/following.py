@@ -63,10 +63,6 @@ class Following:
     """State machine of one follower.
 
     It begins with a ramp, a planned motion to where the leader is, and so goes on after every hold.
-
-    Attributes:
-        phase: the present phase.
-        message: the phase in words.
     """
 
     def __init__(self) -> None:
@@ -85,7 +81,6 @@ class Following:
 
         Args:
             now_s: monotonic time [s].
-            observed: what is known of leader and follower.
 
         Returns:
             RAMP once for each ramp, BRAKE once for each end of a motion.
@@ -141,7 +136,6 @@ class Following:
 
         Args:
             now_s: monotonic time [s].
-            reason: the cause.
         """
         self.phase, self.message, self._stale_since_s = Phase.BRAKING, reason, now_s
         return Act.BRAKE
@@ -188,7 +182,6 @@ def tracking_velocity(error_rad: float, leader_rad_s: float, limits: TrackingLim
     Args:
         error_rad: from the joint's goal to its target [rad].
         leader_rad_s: velocity of the target [rad/s].
-        limits: of the joint.
         latency_s: of the planners [s].
     """
     tracking_time_s = max(TRACKING_TIME_S, TRACKING_LATENCIES * latency_s)
@@ -211,7 +204,6 @@ def tracking_velocities(
         goals_rad: commanded positions [rad].
         targets_rad: targets [rad].
         leader_rad_s: velocities of the targets, 0 where they are not named [rad/s].
-        limits: of each joint.
         latency_s: of the planners [s].
     """
     return {

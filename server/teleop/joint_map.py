@@ -23,11 +23,7 @@ class JointLink:
     """Joint of the follower and the joint that it follows.
 
     Attributes:
-        leader: joint of the leader.
-        follower: joint of the follower.
-        scale: of its position.
         lower_rad: limit of the follower [rad].
-        upper_rad: likewise.
     """
 
     leader: str
@@ -86,10 +82,7 @@ def joint_map(
     """Map a leader's joints to those of a follower.
 
     Args:
-        robot: the follower.
         prefix: with which names of its joints begin; they may be given without.
-        leader_joints: joints of the leader.
-        leader_prefix: with which they begin, likewise.
         scale: of positions; the gripper's is 1.
         mirror: True to follow in the mirror of the x-z plane of the root link.
         pairs: joints of the leader, and for each the joint that follows it; without any, joints of equal names.

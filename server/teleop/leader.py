@@ -82,7 +82,6 @@ class JitterBuffer:
         """Take a sample; one that is not newer than the last is dropped, unless the leader's clock was set back.
 
         Args:
-            sample: the sample.
             now_s: monotonic time [s].
         """
         last = self._samples[-1] if self._samples else None

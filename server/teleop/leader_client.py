@@ -43,8 +43,6 @@ class LeaderOptions:
     """Options of a leader's client.
 
     Attributes:
-        url: of the server.
-        topic: of the samples.
         token: of an operator; None where none is needed.
     """
 
@@ -89,7 +87,6 @@ class LeaderClient:
     """Client of a server that publishes the arm's joints.
 
     Args:
-        options: of the client.
         tell: takes sentences about the connection.
 
     Attributes:
@@ -131,10 +128,6 @@ class LeaderClient:
 
         Every few samples a ping follows, whose pong says that the server has read all before it (RFC 6455, section
         5.5.2): so a slow network gets fewer samples, and never a queue of old ones.
-
-        Args:
-            connection: to the server.
-            samples: of the arm.
 
         Raises:
             WebSocketException: the connection has ended.
@@ -190,7 +183,6 @@ async def publish_leader(options: LeaderOptions, settings: Settings, tell: Calla
     """Publish the joints of a relaxed arm until SIGINT or SIGTERM.
 
     Args:
-        options: of the client.
         settings: of the arm; it is not enabled.
         tell: takes sentences about the arm and the connection.
 

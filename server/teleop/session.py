@@ -16,11 +16,12 @@ from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
-from server.execution.monitors import CurrentState, check_ready
+from server.execution.monitors import check_ready
 from server.execution.motions import Motion, Positions
 from server.execution.queue import Answer, GoalQueue
 from server.moveit.gripper import Gripper, GripperClaim, GripperCommand
-from server.moveit.servo.servo_loop import LATE, Ask, Resolve, ServoSession, ServoSetup
+from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.servo.servo_loop import LATE, ServoSession, ServoSetup
 from server.teleop.following import STALE_S, Act, Following, Observed, Phase, TrackingLimits, tracking_velocities
 from server.teleop.joint_map import JointMap
 from server.teleop.leader import JitterBuffer, LeaderPose
@@ -48,11 +49,7 @@ class Follower:
     """Arm that can follow.
 
     Attributes:
-        name: of the arm.
         prefix: with which names of its joints begin; empty for an arm that is alone.
-        robot: its own description.
-        arm: the arm.
-        setup: of its servo loop.
         gripper: its gripper; None without one.
     """
 
@@ -81,8 +78,6 @@ class FollowingState:
     """State of a following.
 
     Attributes:
-        phase: the present phase.
-        message: the phase in words.
         latency_s: from the leader's reading until the arm process has the velocities that follow from it, which its
             next tick carries out [s].
         lag_rad: greatest distance of a joint's goal from its target [rad].
@@ -96,24 +91,27 @@ class FollowingState:
     speed_scale: float
 
 
+@dataclass(frozen=True)
+class FollowingContext:
+    """Context of all followings.
+
+    Attributes:
+        planning: scene, frames, planners and positions of all arms.
+        clock: monotonic time [s].
+    """
+
+    planning: PlanningContext
+    queue: GoalQueue[Motion]
+    go_to: GoTo
+    clock: Callable[[], float] = time.monotonic
+
+
 class FollowingSession:
     """Following of one follower, until it ends.
 
     Args:
-        follower: the arm that follows.
-        joints: its joints and those that they follow.
-        samples: of the leader.
-        queue: takes the ramps.
-        go_to: likewise.
-        ask: the planners.
-        resolve: look-up of frames.
-        current: positions of all joints.
         show: called with the state, when it changes and some times a second.
         show_targets: called with the targets at every tick of following [rad].
-        clock: monotonic time [s].
-
-    Attributes:
-        following: its state machine.
     """
 
     def __init__(
@@ -121,28 +119,24 @@ class FollowingSession:
         follower: Follower,
         joints: JointMap,
         samples: JitterBuffer,
-        queue: GoalQueue[Motion],
-        go_to: GoTo,
-        ask: Ask,
-        resolve: Resolve,
-        current: CurrentState,
+        context: FollowingContext,
         show: Callable[[FollowingState], None],
         show_targets: Callable[[Mapping[str, float]], None],
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        planning, clock = context.planning, context.clock
         self.following = Following()
         self._follower, self._joints, self._samples = follower, joints, samples
-        self._queue, self._go_to, self._ask = queue, go_to, ask
+        self._queue, self._go_to, self._ask = context.queue, context.go_to, planning.ask
         self._show, self._show_targets, self._clock = show, show_targets, clock
         self._servo = ServoSession(
             follower.arm,
             replace(follower.setup, period_s=PERIOD_S, at_once=True),
             self._asked,
-            resolve,
+            planning.frames.resolve,
             self._take_status,
             self._take_interruption,
             clock,
-            current,
+            planning.current,
         )
         self._limits = follower.limits
         self._epoch = arrival_epoch()

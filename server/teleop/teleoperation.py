@@ -7,12 +7,10 @@ import functools
 import logging
 import math
 import time
-from collections.abc import Awaitable, Callable, Collection, Coroutine, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
-from planners.problem import PlanningFailure
-from planners.servo.question import ServoAnswer, ServoQuestion
 from protocol.errors import MessageError
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
@@ -21,16 +19,14 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrival_epoch
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
-from server.execution.motions import Motion
-from server.execution.queue import GoalQueue
 from server.graph.node import Node
+from server.graph.permissions import STOPPING, SWITCHING, Rule
 from server.graph.topics import Graph, Subscriber
 from server.moveit.poses import Message
-from server.moveit.requests.planning_context import PlanningContext
 from server.teleop.following import STALE_S, Phase
 from server.teleop.joint_map import joint_map
 from server.teleop.leader import MAX_DELAY_S, JitterBuffer, LeaderSample
-from server.teleop.session import Follower, FollowingSession, FollowingState, GoTo
+from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 
 log = logging.getLogger("armbridge.teleop")
 
@@ -59,7 +55,6 @@ def read_sample(message: Message, received_s: float) -> LeaderSample:
     """Read a sensor_msgs/JointState.
 
     Args:
-        message: the message.
         received_s: time that stands for the stamp of a message without one [s].
 
     Raises:
@@ -88,8 +83,6 @@ class Leader:
         clock: monotonic time [s].
 
     Attributes:
-        name: as given.
-        samples: its samples.
         joint_names: joints of the latest sample; empty before the first.
     """
 
@@ -161,38 +154,20 @@ class Teleoperation:
     """Has arms follow leaders, each follower one.
 
     Args:
-        graph: where the services and topics are.
-        context: scene, planners and frames.
-        queue: of goals.
-        go_to: queues a goal for joints.
-        clock: monotonic time [s].
+        leaders: names of this server's arms that can lead.
     """
 
     def __init__(
-        self,
-        graph: Graph,
-        context: PlanningContext,
-        queue: GoalQueue[Motion],
-        go_to: GoTo,
-        clock: Callable[[], float] = time.monotonic,
+        self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]
     ) -> None:
-        self._graph, self._context, self._queue, self._go_to = graph, context, queue, go_to
-        self._clock = clock
+        self._graph, self._context, self._queue, self._clock = graph, context, context.queue, context.clock
         self._node = Node("teleop")
-        self._followers: dict[str, Follower] = {}
-        self._leaders: set[str] = set()
+        self._followers = {follower.name: follower for follower in followers}
+        self._leaders = frozenset(leaders)
         self._followings: dict[str, _Following] = {}
         # Followers whose start is in progress, and the stop epoch that the last stop of each following began.
         self._starting: set[str] = set()
         self._last_stops: dict[str, int] = {}
-
-    def add_follower(self, follower: Follower) -> None:
-        """Add an arm that can follow, before the start."""
-        self._followers[follower.name] = follower
-
-    def add_leader(self, name: str) -> None:
-        """Add an arm of this server that can lead, before the start."""
-        self._leaders.add(name)
 
     def open(self) -> None:
         """Offer the services, of all followers and of each by its name, and publish the states."""
@@ -220,9 +195,9 @@ class Teleoperation:
             return {"success": True, "message": f"{_and(followings)} {does}"}
 
         self._graph.advertise(self._node, below + STATE_TOPIC, "armbridge_msgs/TeleopState", latch=True)
-        self._offer(below + START, "armbridge_msgs/srv/StartTeleop", start)
-        self._offer(below + STOP, "std_srvs/srv/Trigger", stop)
-        self._offer(below + CLUTCH, "std_srvs/srv/SetBool", set_clutch)
+        self._offer(below + START, "armbridge_msgs/srv/StartTeleop", start, SWITCHING)
+        self._offer(below + STOP, "std_srvs/srv/Trigger", stop, STOPPING)
+        self._offer(below + CLUTCH, "std_srvs/srv/SetBool", set_clutch, SWITCHING)
         state = FollowingState(Phase.IDLE, f"nothing follows: {below}{START} begins", 0.0, 0.0, 1.0)
         self._graph.publish(self._node, below + STATE_TOPIC, _state_message("", "", state))
 
@@ -287,14 +262,9 @@ class Teleoperation:
             follower,
             joints,
             leader.samples,
-            self._queue,
-            self._go_to,
-            self._ask,
-            self._context.frames.resolve,
-            self._context.current,
+            self._context,
             functools.partial(self._show, follower, following),
             functools.partial(self._show_targets, following),
-            self._clock,
         )
         following.session.start()
         followed = ", ".join(f"{link.follower} follows {link.leader}" for link in joints.links)
@@ -302,11 +272,7 @@ class Teleoperation:
         return {"success": True, "message": f"{follower.name} goes to where {name} is, then {followed}"}
 
     def _check_idle(self, follower: Follower) -> None:
-        """Refuse a follower that follows, or cannot.
-
-        Raises:
-            ServiceError: the reason.
-        """
+        """Refuse a follower that follows, or cannot."""
         if (other := self._followings.get(follower.name)) is not None:
             raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
         if follower.name in self._starting:
@@ -317,20 +283,12 @@ class Teleoperation:
             raise ServiceError(f"{follower.name} cannot follow: {error}") from error
 
     def _check_not_stopped(self, follower: Follower) -> None:
-        """Refuse a start that a stop of the arm, or of its following, has overtaken.
-
-        Raises:
-            ServiceError: such a stop has come.
-        """
+        """Refuse a start that a stop of the arm, or of its following, has overtaken."""
         if arrival_epoch() < max(follower.arm.last_stop, self._last_stops.get(follower.name, 0)):
             raise ServiceError(f"{follower.name} does not follow: a stop came after {START} was called")
 
     def _stop(self, names: Sequence[str]) -> list[str]:
-        """End the followings of some followers, those that are just starting as well; return the followers.
-
-        Raises:
-            ServiceError: none of them follows or is starting to.
-        """
+        """End the followings of some followers, those that are just starting as well; return the followers."""
         epoch = STOP_EPOCHS.begin()
         self._last_stops.update((name, epoch) for name in names)
         starting = [name for name in names if name in self._starting]
@@ -340,11 +298,7 @@ class Teleoperation:
         return [*running, *starting]
 
     async def _until_unused(self, follower: Follower) -> None:
-        """Wait until no goal moves a follower: the way to the leader of a following that has just ended may brake.
-
-        Raises:
-            ServiceError: a goal goes on.
-        """
+        """Wait until no goal moves a follower: the way to the leader of a following that has just ended may brake."""
         until_s = self._clock() + BRAKING_S
         while busy := self._queue.busy_with(follower.joints):
             if self._clock() > until_s:
@@ -353,11 +307,7 @@ class Teleoperation:
             self._check_not_stopped(follower)
 
     def _running(self, names: Sequence[str]) -> dict[str, FollowingSession]:
-        """Return the followings of some followers that have begun.
-
-        Raises:
-            ServiceError: there are none.
-        """
+        """Return the followings of some followers that have begun."""
         if not (running := self._sessions(names)):
             raise ServiceError(f"nothing follows: {START} begins")
         return running
@@ -418,9 +368,6 @@ class Teleoperation:
 
     # Messages.
 
-    def _ask(self, question: ServoQuestion) -> Coroutine[Any, Any, ServoAnswer | PlanningFailure]:
-        return self._context.pool.ask(question, self._context.scene_state.scene)
-
     def _show(self, follower: Follower, following: _Following, state: FollowingState) -> None:
         if state.phase is not following.phase:
             following.phase = state.phase
@@ -448,7 +395,7 @@ class Teleoperation:
             },
         )
 
-    def _offer(self, name: str, type_name: str, work: _Work) -> None:
+    def _offer(self, name: str, type_name: str, work: _Work, rule: Rule) -> None:
         async def serve(request: Message) -> dict[str, Any]:
             try:
                 return await work(request)
@@ -456,7 +403,9 @@ class Teleoperation:
                 log.warning("%s: %s", name, error)
                 return {"success": False, "message": str(error)}
 
-        self._graph.services.offer(self._node, name, type_name, serve)
+        arm = name[1:].partition("/")[0]
+        rule = replace(rule, arm=arm if arm in self._followers else "")
+        self._graph.services.offer(self._node, name, type_name, serve, rule=rule)
 
 
 def _state_message(follower: str, leader: str, state: FollowingState) -> dict[str, Any]:

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from server.access.authorization import Access, Authorizer, rule_of_service, rule_of_topic
-from server.access.permissions import Identity, Role
 from server.gateway.turns import Threads
 from server.graph.node import Node
+from server.graph.permissions import Identity, Role
 from server.graph.topics import Graph
 from server.zenoh.network import NameFilter, Namespace, Network
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
@@ -44,8 +44,6 @@ def bridge_of(settings: ZenohSettings, graph: Graph, access: Access, max_message
 
     Args:
         settings: the section ``zenoh``.
-        graph: topics and services to share.
-        access: permissions of other machines.
         max_message_bytes: limit of an incoming message [bytes].
 
     Raises:
@@ -58,9 +56,7 @@ class Bridge:
     """Member of a zenoh network.
 
     Args:
-        graph: topics and services to share.
         settings: the section ``zenoh``; its mode is not off.
-        access: permissions of other machines.
         max_message_bytes: limit of an incoming message [bytes].
 
     Raises:
@@ -126,7 +122,6 @@ class Sharing:
     Args:
         network: network with an open session.
         settings: the section ``zenoh``.
-        authorizer: permissions of other machines.
         clock: monotonic time [s].
     """
 
@@ -138,12 +133,12 @@ class Sharing:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._network = network
-        arms, takes_commands = authorizer.arms, bool(settings.subscribe or settings.offer)
+        graph, takes_commands = network.graph, bool(settings.subscribe or settings.offer)
         # A machine that may command the arm must be able to stop it, by whichever way.
         self._subscribe = NameFilter(
-            settings.subscribe, lambda name: takes_commands and rule_of_topic(name, arms).stops
+            settings.subscribe, lambda name: takes_commands and rule_of_topic(name, graph).stops
         )
-        offer = NameFilter(settings.offer, lambda name: takes_commands and rule_of_service(name, arms).stops)
+        offer = NameFilter(settings.offer, lambda name: takes_commands and rule_of_service(name, graph).stops)
         self._publish = NameFilter(settings.publish, lambda name: name.endswith(STOPS))
         self._call = NameFilter(settings.call)
         self._outgoing = OutgoingTopics(network, self._publish)
@@ -214,7 +209,6 @@ class Discovery:
     Updated by zenoh's threads, and read by the event loop.
 
     Args:
-        domain_id: ROS_DOMAIN_ID.
         session: id of this server's session, which is left out.
         is_relevant: selects entities to keep; called in zenoh's threads.
     """
@@ -246,7 +240,6 @@ class Discovery:
         """Add or remove the entity of a token.
 
         Args:
-            token: the liveliness token.
             alive: False once it has vanished.
         """
         entity = Entity.parse(token) if alive else None

@@ -18,7 +18,6 @@ class Decoder:
     """Decoder of CDR.
 
     Args:
-        message_types: types of the messages.
         background: decodes and completes the large ones.
     """
 
@@ -30,8 +29,6 @@ class Decoder:
         """Decode a message.
 
         Args:
-            type_name: its type.
-            octets: the message as CDR.
             decoded: called at once for a small message, later for a large one.
         """
         if len(octets) <= BYTES_AT_ONCE:

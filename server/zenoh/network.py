@@ -104,7 +104,6 @@ class Declaration:
     """Entities that are declared together, such as a publisher and its liveliness token.
 
     Args:
-        thread: declares and undeclares them.
         declare: yields each entity as soon as it is declared; called in the thread.
     """
 
@@ -128,15 +127,10 @@ class Network:
 
     Attributes:
         thread: the session's threads.
-        loop: the event loop of the graph.
         graph: this server's topics and services.
         node: node of all other machines in the graph.
-        session: id of the session.
-        domain_id: ROS_DOMAIN_ID.
         namespace: of this server's names on the network.
-        tokens: liveliness tokens of this server.
         max_message_bytes: limit of a message, request or response, as for any other client [bytes].
-        background: threads for large messages.
         warnings: limiter of warnings, each of which is logged once.
     """
 

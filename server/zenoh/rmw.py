@@ -71,9 +71,6 @@ class Entity:
     """Publisher, subscription, service or client that a token announces.
 
     Attributes:
-        kind: its kind.
-        session: id of its zenoh session.
-        endpoint: its topic or service.
         latched: True for a publisher that keeps its last message for later subscribers.
     """
 
@@ -101,8 +98,6 @@ class LivelinessTokens:
     """Key expressions of one server's liveliness tokens.
 
     Args:
-        domain_id: ROS_DOMAIN_ID.
-        session: id of its zenoh session.
         namespace: of its node; empty for the root.
     """
 
@@ -119,8 +114,6 @@ class LivelinessTokens:
         """Return the token of a new entity.
 
         Args:
-            kind: its kind.
-            endpoint: its topic or service.
             latched: True if it keeps its last message for later subscribers.
         """
         self._entities += 1

@@ -31,9 +31,7 @@ class IncomingCall(NamedTuple):
     """Call of a service of this server.
 
     Attributes:
-        service: the service.
         query: zenoh's query, to be replied to.
-        octets: the request as CDR.
         sender: attachment of the request; None if it has none.
     """
 
@@ -47,7 +45,6 @@ class OfferedService:
     """Service of this server that other machines may call.
 
     Args:
-        network: the network.
         name: its name in this server.
         endpoint: its name and type on the network.
         receive: called with each call, in a thread of zenoh.
@@ -103,13 +100,7 @@ class OfferedService:
 
 
 class OfferedServices:
-    """All services of this server that other machines may call.
-
-    Args:
-        network: the network.
-        names: services to offer.
-        authorizer: permissions of other machines.
-    """
+    """All services of this server that other machines may call."""
 
     def __init__(self, network: Network, names: NameFilter, authorizer: Authorizer) -> None:
         self._network = network
@@ -178,7 +169,6 @@ class CalledService:
     """Service of another machine that clients of this server may call.
 
     Args:
-        network: the network.
         name: its name in this server.
         endpoint: its name and type on the network.
 
@@ -264,7 +254,6 @@ class CalledServices:
     """All services of other machines that clients of this server may call.
 
     Args:
-        network: the network.
         names: services to call, by their names in this server.
     """
 

@@ -141,11 +141,7 @@ class ReceiveQueue(Generic[Item]):
     """Bounded queue from zenoh's threads to the event loop.
 
     Args:
-        loop: the event loop.
         handle: called there with each item, in order.
-
-    Attributes:
-        dropped: items that were dropped.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, handle: Callable[[Item], None]) -> None:

@@ -149,7 +149,6 @@ def exposed_endpoint(endpoints: Iterable[str], *, mutual_tls: bool) -> str | Non
     """Return the first endpoint that admits other machines without authentication; None if there is none.
 
     Args:
-        endpoints: endpoints that zenoh listens on.
         mutual_tls: True if peers that connect by TLS must show a certificate.
     """
     return next((each for each in endpoints if not _is_protected(each, mutual_tls)), None)

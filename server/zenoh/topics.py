@@ -32,7 +32,6 @@ class OutgoingTopic:
     """Topic of this server that is published on the network.
 
     Args:
-        network: the network.
         name: its name in this server.
         endpoint: its name and type on the network.
         latched: True if later subscribers get the last message.
@@ -95,12 +94,7 @@ class OutgoingTopic:
 
 
 class OutgoingTopics:
-    """All topics of this server that are published on the network.
-
-    Args:
-        network: the network.
-        names: topics to publish.
-    """
+    """All topics of this server that are published on the network."""
 
     def __init__(self, network: Network, names: NameFilter) -> None:
         self._network = network
@@ -177,14 +171,9 @@ class IncomingTopic:
     """Topic of other machines that this server subscribes to.
 
     Args:
-        network: the network.
         name: its name in this server.
-        source: the topic on the network.
-        received: takes its messages.
 
     Attributes:
-        name: as given.
-        source: the topic on the network as it is now.
         waiting: messages that come after one that a thread decodes, in order; the newest.
         decoding: True while a thread decodes one.
 
@@ -258,9 +247,7 @@ class IncomingTopics:
     """All topics of other machines that this server subscribes to.
 
     Args:
-        network: the network.
         names: topics to subscribe to, by their names in this server.
-        authorizer: permissions of other machines.
     """
 
     def __init__(self, network: Network, names: NameFilter, authorizer: Authorizer) -> None:

@@ -11,9 +11,9 @@ import bson
 from websockets.asyncio.client import ClientConnection, connect
 
 from server.access.authorization import Access
-from server.config import ServerSettings
 from server.gateway.listener import Listener
 from server.gateway.raw_tcp import TcpStream
+from server.gateway.settings import ServerSettings
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import play

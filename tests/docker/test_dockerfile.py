@@ -11,7 +11,7 @@ from fnmatch import fnmatch
 import pytest
 
 from server import cli
-from server.config import ServerSettings
+from server.gateway.settings import ServerSettings
 from tests.helpers.server import ROOT
 
 Instruction = tuple[str, str]

@@ -23,7 +23,6 @@ from protocol.session import Packed, Refusal, Session
 from protocol.stream import StreamSplitter
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
-from server.access.permissions import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
@@ -31,6 +30,7 @@ from server.gateway.client_context import ClientContext
 from server.gateway.inbox import Scheduling
 from server.gateway.turns import Turns, encode_or_log
 from server.graph.node import Node
+from server.graph.permissions import ANYONE, Identity, Role
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.helpers.clock import FakeClock

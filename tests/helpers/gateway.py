@@ -19,9 +19,7 @@ from protocol.registry import Registry
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
-from server.access.permissions import ANYONE, Identity
 from server.access.settings import AccessSettings
-from server.config import ServerSettings
 from server.execution.queue import RunningGoal
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.client import Client
@@ -30,12 +28,15 @@ from server.gateway.client_context import ClientContext
 from server.gateway.http import HttpHandler
 from server.gateway.inbox import Scheduling
 from server.gateway.listener import Listener
+from server.gateway.settings import ServerSettings
 from server.gateway.turns import Turns, encode_or_log
 from server.graph.node import Node
+from server.graph.permissions import ANYONE, Identity
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import INTERFACES
 from tests.helpers.clock import FakeClock
+from tests.helpers.rules import with_server_rules
 from tests.helpers.waiting import TIMEOUT_S, until
 
 REGISTRY = Registry.load()
@@ -91,6 +92,7 @@ class InProcess:
         self.graph = Graph(
             registry, self.clock, call_later=self.clock.call_later, relay_unknown_types=relay_unknown_types
         )
+        with_server_rules(self.graph, *arms)
         if rosapi:
             RosApi(self.graph, self.clock)
         self.busy: RunningGoal | None = None

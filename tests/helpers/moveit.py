@@ -31,10 +31,9 @@ from server.moveit.named_states import Change, NamedStates, States
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.context import RequestContext
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames, LinkTransforms
 from server.moveit.scene.planning_scene import SceneDraft
-from server.moveit.scene.scene_state import SceneState
+from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.moveit.services.move_group_services import offer_services
 from tests.helpers.fake_arm import JOINTS, FakeArm, settle
 from tests.helpers.goal_runner import GoalRunner
@@ -187,14 +186,27 @@ def keep_in_memory(states: States | None = None) -> Callable[[Change], Awaitable
     return keep
 
 
+def planning_of(arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, **parameters: Any) -> PlanningContext:
+    """Return the context of planning for an arm in an empty scene."""
+    scene = SceneState(robot)
+    return PlanningContext(
+        robot=robot,
+        pool=pool,
+        forward=ForwardPlacements(robot),
+        frames=Frames(robot, scene),
+        scene_state=scene,
+        current=CurrentState(arm, robot),
+        assumed=AssumedStates(robot),
+        parameters=PlannerParameters(MoveItParameters(**parameters)),
+        display=DisplayTopics(Graph(REGISTRY), robot),
+    )
+
+
 def translator(arm: FakeArm | None = None, robot: RobotModel = ROBOT, **parameters: Any) -> GoalTranslator:
     """Return a reader of goals of an arm, by default of one at home, in an empty scene, with one state saved."""
     saved = {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}
     states = NamedStates(robot, robot.default_group, saved, keep_in_memory(saved))
-    frames = Frames(robot, SceneState(robot))
-    configured = MoveItParameters(**parameters)
-    problems = ProblemBuilder(robot, frames, PlannerParameters(configured))
-    return GoalTranslator(robot, configured, states, frames, CurrentState(arm or FakeArm(), robot), problems)
+    return GoalTranslator(planning_of(arm or FakeArm(), robot, **parameters), MoveItParameters(**parameters), states)
 
 
 TRANSLATOR = translator()

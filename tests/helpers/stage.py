@@ -6,8 +6,9 @@ The parts are the real ones, in stepped time; the arm is one that a test chooses
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextvars import Context
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -18,15 +19,22 @@ from planners.problem import Answer, Request
 from planners.scene import EMPTY_SCENE, Scene
 from protocol.registry import Registry
 from robot.arm import Arm
-from server.arm.commissioning import Commissioning, Procedure
-from server.arm.services import ArmPace, ArmServices
-from server.arm.verifying import VerificationProcedure
-from server.config import ArmSettings, Settings
-from server.execution.parking import Parking
+from robot.description.servo_table import HardwareTable
+from robot.messages import ArmState
+from server.arm.arms import ServedArm
+from server.arm.setup import Description
+from server.config import Settings
+from server.features.arm_control import ArmControl
+from server.features.commissioning import CommissioningOfArms, Restart
+from server.features.context import context_of
+from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, Servo
+from server.features.parking import Parkings
+from server.features.teaching import TaughtMotions
+from server.features.teleoperation import Following
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.moveit.interface import MoveItInterface
 from server.teaching.taught_motion import TaughtMotion
+from server.teleop.teleoperation import Teleoperation
 from tests.helpers.moveit import ROBOT, DirectPool
 
 # The planners' time for each question [s].
@@ -61,23 +69,31 @@ class ServerStage:
 
     def __init__(self, arm: Arm, settings: Settings = DEFAULTS) -> None:
         self.graph = Graph(Registry.load())
+        served = ServedArm("", settings.arm, Description("", ROBOT, HardwareTable(), None), arm)
         pool = cast("Planners", TimedPool())
-        self._arm = arm
-        self.moveit = MoveItInterface(self.graph, ROBOT, settings, lambda _name, _value: None, arm, pool)
-        parking = Parking(arm, ROBOT, ArmSettings(), settings.moveit, pool, self.moveit.scene, self.moveit.queue)
-        ArmServices(self.graph, arm, self.moveit.stop, parking.park)
-        ArmPace(self.graph, arm)
-        self._commissioning = Commissioning(self.graph, self._verification)
-        self.moveit.start()
+        self.context = context_of(settings, self.graph, (served, (served,)), pool)
+        self.teaching, self.following, servo = TaughtMotions(self.context), Following(self.context), Servo(self.context)
+        self.commissioning = CommissioningOfArms(self.context, Restart(), None, shared_calibration=False)
+        queue = GoalQueueing(self.context)
+        goals = MoveGroup(self.context), ArmGoals(self.context), self.teaching, queue, servo, self.following
+        self._features = ArmControl(self.context), Parkings(self.context), *goals, self.commissioning
+        for feature in goals:
+            at_once(feature.start())
         # Their time is that of the event loop.
         clock = asyncio.get_running_loop().time
-        self.moveit.teleoperation._clock = self.moveit._servo._session._clock = clock
+        self.teleoperation._clock = servo.nodes[""]._session._clock = clock
+        self.teleoperation._context = replace(self.teleoperation._context, clock=clock)
         self.client = Node("client", remote=True)
         self.answers: list[Any] = []
 
-    def _verification(self, _procedure: str, _name: str) -> Procedure:
-        moveit = self.moveit
-        return VerificationProcedure(self._arm, ROBOT, frozenset(), moveit.go_to, moveit.queue.cancel)
+    @property
+    def teleoperation(self) -> Teleoperation:
+        return self.following.teleoperation
+
+    def take_state(self, state: ArmState) -> None:
+        """Pass the arm's latest state on."""
+        for feature in self._features:
+            feature.on_state("", state)
 
     def publish(self, topic: str, type_name: str, message: dict[str, Any]) -> None:
         if self.client not in self.graph.publishers(topic):
@@ -92,12 +108,19 @@ class ServerStage:
 
     async def save_wave(self) -> None:
         """Save the motion that a replay plays."""
-        await self.moveit.teaching._motions.save("wave", WAVE)
+        await self.teaching.motions.save("wave", WAVE)
 
     async def close(self) -> None:
         """End everything."""
-        await self._commissioning.close()
-        await self.moveit.close()
+        for feature in reversed(self._features):
+            if not isinstance(feature, Parkings):
+                await feature.stop()
+
+
+def at_once(work: Coroutine[Any, Any, None]) -> None:
+    """Do work that waits for nothing."""
+    with pytest.raises(StopIteration):
+        work.send(None)
 
 
 def verify(stage: ServerStage) -> None:

@@ -26,6 +26,7 @@ from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
 from server.zenoh.bridge import Bridge
 from server.zenoh.settings import ZenohSettings
+from tests.helpers.rules import with_server_rules
 from tests.helpers.server import free_port
 from tests.helpers.waiting import TIMEOUT_S, until
 
@@ -61,7 +62,7 @@ class Site:
             name: tuple(f"tcp/127.0.0.1:{each}" for each in ports) for name, ports in ends.items()
         }
         self.namespace = settings.get("namespace", "")
-        self.graph = Graph(REGISTRY)
+        self.graph = with_server_rules(Graph(REGISTRY), *arms)
         self.part, self.client = Node("part"), Node("client", remote=True)
         self.access = Access(access or AccessSettings(control="shared"), arms=dict.fromkeys(arms, lambda: None))
         chosen = {"mode": "peer", "publish": (), **endpoints, **settings}

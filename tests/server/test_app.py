@@ -8,11 +8,13 @@ import pytest
 
 from protocol.registry import Registry
 from server.access.settings import SessionSettings
-from server.app import App, open_recorder
-from server.config import RecordingSettings, ServerSettings, Settings
+from server.app import App
+from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
+from server.features.recording import Recording, open_recorder
+from server.gateway.settings import ServerSettings
 from server.graph.topics import Graph
-from server.recording.replay import Recording
+from server.recording.replay import Recording as RecordedMessages
 from server.zenoh.settings import ZenohSettings
 
 
@@ -30,16 +32,25 @@ async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
     app = App(
         Settings(server=ServerSettings(unregister_timeout_s=3.0, limits=limits), zenoh=ZenohSettings(mode="peer"))
     )
-    assert app._graph._unregister_timeout_s == 3.0
-    assert app._bridge is not None
-    assert app._bridge._max_message_bytes == 70_000
+    assert app.graph._unregister_timeout_s == 3.0
+    assert app.bridge is not None
+    assert app.bridge._max_message_bytes == 70_000
+
+
+async def test_nobody_is_connected_before_the_rules_of_all_names_are_known() -> None:
+    names = [each.name for each in App(Settings(zenoh=ZenohSettings(mode="peer"))).features]
+    assert names.index("goals") < names.index("zenoh")
+    assert names.index("goals") < names.index("connections")
+    # Other machines hear of the end of goals, and may stop the arm, until it has stopped.
+    assert names.index("other machines") < names.index("the arm")
 
 
 async def test_a_recording_has_what_the_server_latches_when_it_is_made(tmp_path: Path) -> None:
     app = App(Settings(recording=RecordingSettings(file=tmp_path / "run.mcap")))
-    await app._open_recording()
-    await app._close_recording()
-    recorded = {topic.topic for topic in Recording(tmp_path / "run.mcap").summary().topics}
+    recording = next(each for each in app.features if isinstance(each, Recording))
+    await recording.open_file()
+    await recording.stop()
+    recorded = {topic.topic for topic in RecordedMessages(tmp_path / "run.mcap").summary().topics}
     assert {"/arm/state", "/arm/joint_limits"} <= recorded
 
 
@@ -68,7 +79,7 @@ async def test_a_start_that_is_refused_leaves_no_recording_behind(tmp_path: Path
         port = taken.getsockname()[1]
         server = ServerSettings(host="127.0.0.1", port=port)
         app = App(Settings(server=server, recording=RecordingSettings(file=tmp_path / "run.mcap")))
-        assert [part.name for part in app._parts()][-1] == "the recording's file"
+        assert app.features[-1].name == "the recording's file"
         with pytest.raises(StartError) as refused:
             await app.run()
     assert str(refused.value) == (f"port in use: 127.0.0.1:{port} is taken by another program; choose one with --port")

@@ -5,9 +5,10 @@ from pydantic import BaseModel, ValidationError
 
 from robot.control.checks import CONFIG_RANGES, GUARD_RANGES
 from robot.messages import GuardLimits
-from server.config import ArmSettings, GuardSettings, ServerSettings
+from server.config import ArmSettings, GuardSettings
 from server.config_loader import load
 from server.errors import ConfigurationError
+from server.gateway.settings import ServerSettings
 
 
 @pytest.mark.parametrize(

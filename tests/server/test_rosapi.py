@@ -8,9 +8,9 @@ import pytest
 from protocol.dialect import Dialect
 from protocol.registry import Registry
 from server import rosapi
-from server.access.permissions import NameFilter
 from server.errors import ServiceError
 from server.graph.node import Node
+from server.graph.permissions import NameFilter
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
 from server.rosapi import DONE, MAX_PARAMETER_BYTES, Parameters, Request, RosApi

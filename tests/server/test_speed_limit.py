@@ -64,7 +64,7 @@ class RigArm(Arm):
 
     def __init__(self, settings: Settings) -> None:
         self.rig = ArmRig(robot=ROBOT, hardware=IdealConfig(lag_s=0.0))
-        super().__init__(self.rig.config, lambda state: self.stage.moveit.take_state(state))
+        super().__init__(self.rig.config, lambda state: self.stage.take_state(state))
         self._process = cast("ArmProcess", RigProcess(self.rig))
         self.stage = ServerStage(self, settings)
         self.rig.until(lambda: self.rig.mode in (Mode.RELAXED, Mode.HOLDING))
@@ -184,7 +184,7 @@ async def peak_share(
     running = asyncio.create_task(arm.run())
     try:
         await asyncio.sleep(0.1)
-        await arm.stage.moveit.teaching._motions.save("swing", SWING)
+        await arm.stage.teaching.motions.save("swing", SWING)
         arm.stage.call("/arm/set_speed_limit", speed_limit=limit)
         request(arm.stage)
         await asyncio.sleep(TRIAL_S)

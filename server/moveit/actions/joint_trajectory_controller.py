@@ -25,18 +25,21 @@ from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
-from server.execution.monitors import CurrentState, state_message
+from server.execution.monitors import state_message
 from server.execution.motions import Motion, Positions
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.permissions import GOAL
+from server.graph.topics import Subscriber
 from server.moveit.goal_messages import with_suggestion
 from server.moveit.poses import Message
 from server.moveit.requests.durations import read_seconds
 from server.moveit.requests.error_codes import error_code, refused
 from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.trajectories import check_speed, external_motion, external_trajectory, to_message
 
 log = logging.getLogger("armbridge.actions")
@@ -73,7 +76,6 @@ def submit_goal(
     Args:
         goal: the goal; it ends with the queue's answer.
         queue: queue of the arm's goals.
-        request: the motion.
         feedback: makes the feedback message of some progress, None for none.
         result: makes the result message of the answer.
     """
@@ -104,7 +106,6 @@ def cancel_with_goal(goal: Goal, cancel: Callable[[str], None]) -> None:
     A goal may end before its motion: its time is over, or a part of the server has failed.
 
     Args:
-        goal: the goal.
         cancel: cancels its motion, for a reason; does nothing when the motion has ended.
     """
     goal.when_canceled(lambda: cancel(f"cancelled by a client of {goal.action}"))
@@ -216,11 +217,7 @@ class FollowCode(IntEnum):
 
 
 class TrajectoryRefusedError(RefusedError):
-    """A trajectory that the action rejects by an error code of its own.
-
-    Attributes:
-        code: the error code.
-    """
+    """A trajectory that the action rejects by an error code of its own."""
 
     def __init__(self, code: FollowCode, message: str) -> None:
         super().__init__(PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, message))
@@ -233,7 +230,6 @@ class SegmentTolerances:
 
     Attributes:
         path: tolerances while the trajectory is played.
-        goal: tolerances at its end.
         time_s: time after the end by which the goal tolerances must be met, on the arm's clock [s].
     """
 
@@ -242,20 +238,40 @@ class SegmentTolerances:
     time_s: float
 
 
+@dataclass(frozen=True)
+class TrajectoryContext:
+    """Context of trajectories that clients bring.
+
+    Attributes:
+        planning: description and positions of all arms, and parameters.
+    """
+
+    planning: PlanningContext
+    queue: GoalQueue[Motion]
+    time_limits: TimeLimits
+
+    def check_speed(self, trajectory: Message, joint_names: Sequence[str], present_rad: Positions | None) -> None:
+        """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower.
+
+        Args:
+            trajectory: a trajectory_msgs/JointTrajectory.
+            joint_names: joints whose arm has the limit.
+            present_rad: positions that the arm holds [rad]; None while they are unknown.
+
+        Raises:
+            RefusedError: the trajectory is too fast.
+        """
+        planning = self.planning
+        if present_rad is not None and planning.parameters.configured.faster_trajectories == "refuse":
+            check_speed(trajectory, planning.robot, present_rad, planning.current.speed_limit(joint_names))
+
+
 class JointTrajectoryController:
     """The actions and the topic.
 
     Args:
-        graph: where they are.
-        robot: the arm.
-        group: the controlled joints.
-        arm: the arm.
-        current: positions that it holds.
-        queue: queue of its goals.
-        time_limits: of motions.
-        industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
         name: of the controller, before ``_controller``; None for that of the group.
-        refuses_faster: true to refuse trajectories that exceed the arm's speed limit; false to have them played slower.
+        industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
 
     Attributes:
         actions: names of the actions.
@@ -263,25 +279,19 @@ class JointTrajectoryController:
 
     def __init__(
         self,
-        graph: Graph,
-        robot: RobotModel,
+        graph: LocalGraph,
         group: Group,
         arm: ArmInterface,
-        current: CurrentState,
-        queue: GoalQueue[Motion],
-        time_limits: TimeLimits,
+        context: TrajectoryContext,
+        name: str | None = None,
         *,
         industrial: bool,
-        name: str | None = None,
-        refuses_faster: bool = False,
     ) -> None:
-        self._robot = robot
+        self._robot = context.planning.robot
         self._group = group
         self._arm = arm
-        self._current = current
-        self._queue = queue
-        self._time_limits = time_limits
-        self._refuses_faster = refuses_faster
+        self._context = context
+        self._queue = context.queue
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
         name = group.name if name is None else name
@@ -290,9 +300,11 @@ class JointTrajectoryController:
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
         node = Node(f"{group.name} controller")
         for each in self.actions:
-            graph.actions.offer(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS)
+            graph.offer_action(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS, rule=GOAL)
         check = TRAJECTORY_LIMITS.check(graph.message_types.registry, "trajectory_msgs/msg/JointTrajectory")
-        graph.subscribe(node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play, check_lists=check))
+        graph.subscribe(
+            node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play, check_lists=check, rule=GOAL)
+        )
 
     def take_state(self, state: ArmState) -> None:
         """Check the tolerances of all goals against a state of the arm."""
@@ -342,11 +354,10 @@ class JointTrajectoryController:
         self._queue.submit(self._topic, motion, policy=GoalPolicy.PREEMPT, client=published.publisher)
 
     def _check(self, trajectory: Message) -> None:
-        check_duration(trajectory, self._time_limits)
-        present_rad = self._current.positions_rad()
+        check_duration(trajectory, self._context.time_limits)
+        present_rad = self._context.planning.current.positions_rad()
         check_trajectory(trajectory, self._group, self._robot, present_rad, time.time())
-        if self._refuses_faster and present_rad is not None:
-            check_speed(trajectory, self._robot, present_rad, self._current.speed_limit(self._group.joints))
+        self._context.check_speed(trajectory, self._group.joints, present_rad)
 
 
 class TrajectoryGoal:
@@ -354,9 +365,6 @@ class TrajectoryGoal:
 
     Args:
         goal: the action's goal.
-        joints: the controlled joints.
-        tolerances: its tolerances.
-        robot: the arm.
     """
 
     def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances, robot: RobotModel) -> None:
@@ -377,7 +385,6 @@ class TrajectoryGoal:
         """Check the tolerances against a state of the arm.
 
         Args:
-            state: the latest state.
             cancel: ends the motion, with a reason.
         """
         if self._settling is not None:
@@ -433,12 +440,10 @@ class ControllerStatePublisher:
     """Publisher of the controller's state, with every state of the arm, while there are subscribers.
 
     Args:
-        graph: where the topics are.
-        group: the controlled joints.
         name: of the controller; None for that of the group.
     """
 
-    def __init__(self, graph: Graph, group: Group, name: str | None = None) -> None:
+    def __init__(self, graph: LocalGraph, group: Group, name: str | None = None) -> None:
         self._graph = graph
         self._joints = group.joints
         self._node = Node(f"{group.name} controller")
@@ -477,7 +482,6 @@ def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
 
     Args:
         goal: goal message of control_msgs/FollowJointTrajectory.
-        group: the controlled joints.
 
     Raises:
         RefusedError: a tolerance that cannot be used.
@@ -495,8 +499,6 @@ def read_tolerances(messages: Sequence[Message], field: str, joints: Sequence[st
 
     Args:
         messages: control_msgs/JointTolerance.
-        field: their field, for errors.
-        joints: the controlled joints.
 
     Raises:
         RefusedError: another joint, or a tolerance that is not a number.
@@ -517,10 +519,7 @@ def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions, r
     """Describe the first joint beyond its tolerance; empty if there is none.
 
     Args:
-        tolerances: the tolerances.
-        state: a state of the arm.
         desired_rad: position of every joint [rad].
-        robot: the arm.
     """
     if state.position_rad is None:
         return ""
@@ -542,8 +541,6 @@ def check_trajectory(
 
     Args:
         trajectory: a trajectory_msgs/JointTrajectory.
-        group: the controlled joints.
-        robot: the arm.
         present_rad: positions that the arm holds, None while they are not known [rad].
         now_s: wall-clock time [s].
 
@@ -570,7 +567,6 @@ def check_duration(trajectory: Message, limits: TimeLimits) -> None:
 
     Args:
         trajectory: a trajectory_msgs/JointTrajectory.
-        limits: of motions.
 
     Raises:
         RefusedError: it takes longer than the limit.

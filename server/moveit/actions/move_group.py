@@ -1,36 +1,27 @@
-"""Actions of MoveIt's move_group: MoveGroup under its two names, MoveGroupSequence, and ExecuteTrajectory.
-
-:class:`MotionActions` offers these and all other actions that move the arm's group.
-"""
+"""Actions of MoveIt's move_group: MoveGroup under its two names, MoveGroupSequence, and ExecuteTrajectory."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import math
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
-from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
-from robot.messages import ArmState
-from server.actionlib import ActionlibBridge
 from server.errors import RefusedError
 from server.execution.failures import with_nearest_goal
-from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions, Step, plan_sequence
 from server.execution.queue import Answer, GoalQueue
-from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal
 from server.graph.node import Node
+from server.graph.permissions import GOAL, PLANNING_GOAL
 from server.graph.topics import Graph
 from server.moveit.actions.joint_trajectory_controller import (
-    ControllerStatePublisher,
-    JointTrajectoryController,
     MoveGroupFeedback,
+    TrajectoryContext,
     cancel_with_goal,
     check_duration,
     code_message,
@@ -45,8 +36,7 @@ from server.moveit.requests.error_codes import refused
 from server.moveit.requests.list_limits import PLANNING_LIMITS, TRAJECTORY_LIMITS
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import sequence_requests
-from server.moveit.requests.trajectories import check_speed, external_motion, external_trajectory
-from server.timers import call_later
+from server.moveit.requests.trajectories import external_motion, external_trajectory
 
 log = logging.getLogger("armbridge.actions")
 
@@ -88,7 +78,6 @@ class PlanningGoal:
 
     Attributes:
         requests: moveit_msgs/MotionPlanRequest of each motion, in their order.
-        options: the options.
     """
 
     requests: Sequence[Message]
@@ -100,9 +89,7 @@ class PlanningAction:
     """Action with goals that are planned.
 
     Attributes:
-        type_name: its type.
         requests: returns the moveit_msgs/MotionPlanRequest of a goal message; raises RefusedError.
-        result: writes the result message.
     """
 
     type_name: str
@@ -120,8 +107,6 @@ class PlanningActions:
     """MoveGroup and MoveGroupSequence.
 
     Args:
-        graph: where they are.
-        context: all that goals are planned with.
         queue: queue of the arm's goals.
     """
 
@@ -149,7 +134,7 @@ class PlanningActions:
             except RefusedError as error:
                 reject_goal(goal, self._queue, error.failure, result)
 
-        self._graph.actions.offer(self._node, name, action.type_name, start, PLANNING_LIMITS)
+        self._graph.actions.offer(self._node, name, action.type_name, start, PLANNING_LIMITS, rule=PLANNING_GOAL)
 
     def _move(self, goal: Goal, planning_goal: PlanningGoal, result: Callable[[Answer], Message]) -> None:
         motion = planned_motion(planning_goal, self._context)
@@ -174,10 +159,6 @@ class PlanningActions:
 
 def read_planning_goal(message: Message, action: PlanningAction) -> PlanningGoal:
     """Read a goal.
-
-    Args:
-        message: the goal message.
-        action: its action.
 
     Raises:
         RefusedError: options or a sequence that cannot be used.
@@ -233,10 +214,6 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
     Its problems are built once more when the goal's turn comes, for the start that the arm then has. They are built
     here for the present one, so that a goal that cannot be planned does not replace the motion of another.
 
-    Args:
-        goal: the goal.
-        context: all that it is planned with.
-
     Raises:
         RefusedError: a request that cannot be used.
     """
@@ -258,9 +235,7 @@ async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) 
     """Plan from the start state of the first request, whatever the arm does meanwhile.
 
     Args:
-        goal: the goal.
         sender: its client; positions that it assumes complete the start state.
-        context: all that it is planned with.
     """
     state, options = goal.requests[0]["start_state"], goal.options
     try:
@@ -279,10 +254,6 @@ async def plan_steps(
     """Plan motions one after the other, without moving, and show them.
 
     Args:
-        steps: make their problems.
-        start: start of the first.
-        scene: to plan in.
-        context: all that they are planned with.
         warnings: parts of the request that were ignored, a sentence each.
     """
     planned = await plan_sequence(steps, start.start_rad, scene, context.pool.ask)
@@ -296,11 +267,7 @@ async def plan_steps(
 
 
 def _check_requests(requests: Sequence[Message], start_rad: Positions, context: PlanningContext) -> tuple[str, ...]:
-    """Build the problem of every request; returns their warnings.
-
-    Raises:
-        RefusedError: a request that cannot be used.
-    """
+    """Build the problem of every request; returns their warnings."""
     built = [context.problems.motion_plan(request, start_rad) for request in requests]
     return tuple(warning for one in built for warning in one.warnings)
 
@@ -347,34 +314,15 @@ def answer_of_task(done: asyncio.Task[Answer]) -> Answer:
 
 
 class ExecuteTrajectory:
-    """ExecuteTrajectory, for trajectories of any origin.
+    """ExecuteTrajectory, for trajectories of any origin."""
 
-    Args:
-        graph: where it is.
-        robot: the arm.
-        current: positions that the arm holds.
-        queue: queue of the arm's goals.
-        time_limits: of motions.
-    """
-
-    def __init__(
-        self,
-        graph: Graph,
-        robot: RobotModel,
-        current: CurrentState,
-        queue: GoalQueue[Motion],
-        time_limits: TimeLimits,
-        *,
-        refuses_faster: bool = False,
-    ) -> None:
-        self._robot = robot
-        self._current = current
-        self._queue = queue
-        self._time_limits = time_limits
-        self._refuses_faster = refuses_faster
+    def __init__(self, graph: Graph, context: TrajectoryContext) -> None:
+        self._context = context
+        self._robot = context.planning.robot
+        self._queue = context.queue
         node = Node("execute trajectory")
         type_name = "moveit_msgs/action/ExecuteTrajectory"
-        graph.actions.offer(node, EXECUTE_ACTION, type_name, self._start, TRAJECTORY_LIMITS)
+        graph.actions.offer(node, EXECUTE_ACTION, type_name, self._start, TRAJECTORY_LIMITS, rule=GOAL)
 
     def _start(self, goal: Goal) -> None:
         trajectory = goal.request["trajectory"]
@@ -396,69 +344,12 @@ class ExecuteTrajectory:
 
     def _check(self, message: Message) -> None:
         """Reject a trajectory that cannot be played before it replaces the motion of another goal."""
-        check_duration(message, self._time_limits)
-        present_rad = self._current.positions_rad()
+        check_duration(message, self._context.time_limits)
+        present_rad = self._context.planning.current.positions_rad()
         if present_rad is not None:
             external_trajectory(message, self._robot, present_rad)
-            if self._refuses_faster:
-                limit = self._current.speed_limit(message["joint_names"])
-                check_speed(message, self._robot, present_rad, limit)
+            self._context.check_speed(message, message["joint_names"], present_rad)
 
 
 def _execution_result(answer: Answer) -> Message:
     return {"error_code": code_message(answer)}
-
-
-class MotionActions:
-    """All actions that move the arm's groups, and the topics of actionlib for all actions of the arm.
-
-    Every group with a driven joint has a controller.
-
-    Args:
-        graph: where they are.
-        context: all that goals are planned with.
-        arm: the arm.
-        queue: queue of the arm's goals.
-        time_limits: of motions.
-    """
-
-    def __init__(
-        self,
-        graph: Graph,
-        context: PlanningContext,
-        arm: ArmInterface,
-        queue: GoalQueue[Motion],
-        time_limits: TimeLimits,
-    ) -> None:
-        robot, current, default = context.robot, CurrentState(arm, context.robot), context.problems.group("")
-        PlanningActions(graph, context, queue)
-        refuses_faster = context.parameters.configured.faster_trajectories == "refuse"
-        ExecuteTrajectory(graph, robot, current, queue, time_limits, refuses_faster=refuses_faster)
-        self._controllers = [
-            JointTrajectoryController(
-                graph,
-                robot,
-                group,
-                arm,
-                current,
-                queue,
-                time_limits,
-                industrial=group.name == default.name,
-                refuses_faster=refuses_faster,
-            )
-            for group in robot.groups.values()
-        ]
-        self._controller_states = [ControllerStatePublisher(graph, group) for group in robot.groups.values()]
-        self._actionlib = ActionlibBridge(graph, time.monotonic, call_later)
-
-    def open(self, others: Iterable[str]) -> None:
-        """Offer the topics of actionlib for these actions and for others of the arm."""
-        followed = (action for controller in self._controllers for action in controller.actions)
-        self._actionlib.open((*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, *followed, *others))
-
-    def take_state(self, state: ArmState) -> None:
-        """Pass the arm's latest state on to the controllers."""
-        for controller in self._controllers:
-            controller.take_state(state)
-        for publisher in self._controller_states:
-            publisher.take_state(state)

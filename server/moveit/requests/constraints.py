@@ -65,7 +65,6 @@ def read_joint_constraints(
 
     Args:
         messages: moveit_msgs/JointConstraint.
-        context: context of the request.
         where: path of their field.
 
     Raises:
@@ -143,7 +142,6 @@ def read_orientation_constraint(message: Message, context: RequestContext, where
     Args:
         message: a moveit_msgs/OrientationConstraint; its tolerances are about the link's axes, whatever the
             ``parameterization``: those of the two kinds differ only where they are wide about several axes.
-        context: context of the request.
         where: path of its field.
 
     Raises:
@@ -203,7 +201,6 @@ def read_regions(message: Message, context: RequestContext, where: str) -> tuple
 
     Args:
         message: a moveit_msgs/PositionConstraint.
-        context: context of the request.
         where: path of its field.
 
     Raises:
@@ -299,7 +296,6 @@ def read_path_constraints(message: Message, context: RequestContext, where: str 
 
     Args:
         message: a moveit_msgs/Constraints.
-        context: context of the request.
         where: path of its field.
 
     Raises:

@@ -22,9 +22,6 @@ class RequestContext:
     """Context of one request.
 
     Attributes:
-        robot: the arm.
-        group: the joints that move.
-        frames: look-up of frames.
         start_rad: position of every movable joint, for frames that move with the arm [rad].
         parameters: values for what the request leaves out.
         warnings: a sentence for each part of the request that is not followed; grows while the request is read.
@@ -62,7 +59,6 @@ class RequestContext:
 
         Args:
             frame_id: the frame; empty for the root link.
-            message: the pose.
             where: path of its field.
 
         Raises:

@@ -5,18 +5,13 @@ Everything that reads a request raises :exc:`RefusedError`; services, actions an
 
 from __future__ import annotations
 
-import math
 from typing import Any, ParamSpec, TypeVar
 
-from planners.problem import Deviation, MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode, PlanningFailure
 from server.errors import RefusedError
 
 Found = TypeVar("Found")
 Arguments = ParamSpec("Arguments")
-
-# Smaller deviations are within what a servo arm reaches anyway [m], [rad].
-REPORTED_POSITION_M = 0.001
-REPORTED_ORIENTATION_RAD = 0.01
 
 # MoveIt puts the name of the pipeline's stage there.
 SOURCE = "armbridge"
@@ -28,7 +23,6 @@ def refused(code: MoveItErrorCode, message: str, **details: Any) -> RefusedError
     Args:
         code: value of moveit_msgs/MoveItErrorCodes.
         message: one sentence with field, value and limit.
-        details: the same as plain values.
     """
     return RefusedError(PlanningFailure(code, message, details))
 
@@ -53,9 +47,7 @@ def error_code(code: MoveItErrorCode, message: str = "", source: str = SOURCE) -
     """Write a moveit_msgs/MoveItErrorCodes.
 
     Args:
-        code: the value.
         message: one sentence.
-        source: the program that sets it.
     """
     return {"val": int(code), "message": message, "source": source}
 
@@ -68,15 +60,3 @@ def success(*notes: str) -> dict[str, Any]:
 def failure_code(failure: PlanningFailure) -> dict[str, Any]:
     """Write the code of a failure, with its message."""
     return error_code(failure.code, failure.message)
-
-
-def deviation_note(deviation: Deviation) -> str:
-    """Describe in words how far the end of a motion is from the goal; empty for a deviation too small to matter."""
-    parts = []
-    if deviation.position_m > REPORTED_POSITION_M:
-        parts.append(f"the position is {1000.0 * deviation.position_m:.1f} mm off")
-    if deviation.orientation_rad > REPORTED_ORIENTATION_RAD:
-        parts.append(
-            f"the orientation is {math.degrees(deviation.orientation_rad):.1f} degrees off, the nearest there is"
-        )
-    return " and ".join(parts)

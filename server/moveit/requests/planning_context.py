@@ -10,8 +10,9 @@ from functools import cached_property
 from typing import Any
 
 from planners.interface import Planners
-from planners.problem import MoveItErrorCode
+from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
+from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.execution.monitors import CurrentState
@@ -51,7 +52,6 @@ def start_positions(message: Message, current_rad: Mapping[str, float] | None, r
     Args:
         message: a moveit_msgs/RobotState.
         current_rad: present positions by joint, None while they are not known [rad].
-        robot: the arm.
 
     Raises:
         RefusedError: an unknown joint, a position that cannot be, or an unknown present position.
@@ -142,7 +142,6 @@ class PlanningStart:
 
     Attributes:
         start_rad: position of every movable joint [rad].
-        scene: the scene to plan in.
         warnings: a sentence for each part of the start state that was changed or ignored.
     """
 
@@ -156,15 +155,7 @@ class PlanningContext:
     """All that services and actions plan with.
 
     Attributes:
-        robot: the arm.
-        pool: the planners.
-        forward: forward kinematics.
-        frames: look-up of frames.
-        scene_state: the planning scene.
-        current: present positions of the joints.
         assumed: joint positions that clients assume.
-        parameters: planning parameters.
-        display: topics that show plans.
         turn: held while a request is read.
         urdf_responses: complete moveit_msgs/GetGroupUrdf responses by group.
     """
@@ -185,6 +176,10 @@ class PlanningContext:
     def problems(self) -> ProblemBuilder:
         """The builder of planning problems."""
         return ProblemBuilder(self.robot, self.frames, self.parameters, self.current.speed_limit)
+
+    async def ask(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
+        """Ask the planners about the next step of a servo loop in the present scene."""
+        return await self.pool.ask(question, self.scene_state.scene)
 
     def start(self, state: Message, caller: Node) -> PlanningStart:
         """Read the start of a motion.

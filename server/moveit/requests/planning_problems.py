@@ -92,8 +92,6 @@ class ProblemBuilder:
     """Builder of planning problems for one robot.
 
     Args:
-        robot: the arm.
-        frames: look-up of frames.
         parameters: values for what requests leave out.
         speed_limit: share of the velocity limits that motions of some joints may use now.
     """
@@ -122,7 +120,6 @@ class ProblemBuilder:
         """Return the context in which the fields of a request for a group are read.
 
         Args:
-            group: the planning group.
             start_rad: position of every movable joint, for frames that move with the arm [rad].
         """
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
@@ -138,12 +135,9 @@ class ProblemBuilder:
         """Build the problem of a goal that comes with nothing else: all else is as configured.
 
         Args:
-            group: the planning group.
-            goal: the goal.
             start_rad: position of every movable joint at the start [rad].
             velocity_scaling: share of the velocity limits, above 0 to 1; 0 for the configured one. The arm's speed
                 limit holds besides.
-            acceleration_scaling: share of the acceleration limits, likewise.
         """
         parameters = self._parameters.configured
         return PlanningProblem(
@@ -219,7 +213,6 @@ class ProblemBuilder:
         """Build the problem of a moveit_msgs/GetCartesianPath request.
 
         Args:
-            request: the request.
             start_rad: position of every movable joint at the start [rad].
 
         Raises:
@@ -252,8 +245,6 @@ class ProblemBuilder:
         """Build the question of a moveit_msgs/PositionIKRequest.
 
         Args:
-            request: the request.
-            group: its planning group.
             seed_rad: position of every movable joint to start from, within the limits [rad].
 
         Raises:
@@ -328,9 +319,7 @@ def read_scaling(request: Message, field: str, default: float, warnings: list[st
     not ask for full speed, and no client means it by a negative one, which is rejected.
 
     Args:
-        request: the message with the field.
         field: name of the field.
-        default: the configured factor.
         warnings: gets a sentence for a value above 1.
 
     Raises:
@@ -354,7 +343,6 @@ def tip_problem(
         problem: the same request as a motion between its ends.
         arc: the request's path constraints, which name a point of a circle.
         tip_speed: the request's ``max_cartesian_speed`` [m/s].
-        context: context of the request.
 
     Raises:
         RefusedError: a goal that is no single pose, or a circle without radius.

@@ -33,7 +33,6 @@ def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]
 
     Args:
         trajectory: the trajectory; None for one without points.
-        frame: the planning frame.
     """
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
     return {
@@ -47,12 +46,7 @@ def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]
 
 
 def external_motion(message: Message, robot: RobotModel) -> ExternalTrajectory:
-    """Make the motion of a trajectory_msgs/JointTrajectory, read once the arm's position at its start is known.
-
-    Args:
-        message: the trajectory.
-        robot: the arm.
-    """
+    """Make the motion of a trajectory_msgs/JointTrajectory, read once the arm's position at its start is known."""
     names = tuple(message["joint_names"])
     group = smallest_group(robot, names)
     joints = frozenset(names if group is None else group.joints)
@@ -65,8 +59,6 @@ def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions
     Joints of the group that it does not name keep the position that the arm holds.
 
     Args:
-        message: the trajectory.
-        robot: the arm.
         held_rad: position of every movable joint that the arm holds [rad].
 
     Raises:
@@ -91,9 +83,7 @@ def check_speed(message: Message, robot: RobotModel, held_rad: Positions, limit:
 
     Args:
         message: the trajectory, which :func:`external_trajectory` accepts.
-        robot: the arm.
         held_rad: position of every movable joint that the arm holds [rad].
-        limit: share of the velocity limits.
 
     Raises:
         RefusedError: a joint would be faster.
@@ -123,7 +113,6 @@ def for_group(trajectory: Trajectory, group: Group, held_rad: Positions) -> Traj
 
     Args:
         trajectory: the trajectory of some of the group's joints.
-        group: the group.
         held_rad: position of every movable joint that the arm holds [rad].
     """
     samples = len(trajectory.time_s)
@@ -154,8 +143,6 @@ def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mappin
     Efforts are ignored.
 
     Args:
-        message: the trajectory.
-        robot: the arm.
         start_rad: position of every movable joint at the start [rad].
 
     Raises:

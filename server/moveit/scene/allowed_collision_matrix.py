@@ -109,7 +109,6 @@ def read_allowed_collision_matrix(message: Message, where: str) -> AllowedCollis
     """Read a moveit_msgs/AllowedCollisionMatrix; only entries above the diagonal count, as in MoveIt.
 
     Args:
-        message: the matrix.
         where: path of the field, for errors.
 
     Raises:

@@ -39,9 +39,7 @@ class CollisionObject:
     """Object with its geometry and pose, kept so that it can be published again as it came.
 
     Attributes:
-        name: its id.
         frame: frame of ``pose``: the planning frame, or the link that holds the object.
-        pose: pose of the object in that frame.
         type: object_recognition_msgs/ObjectType, passed on unread.
         geometry: the shapes as messages, by field of :data:`GEOMETRY_KINDS`.
         shapes: the same in the order of :data:`GEOMETRY_KINDS`, each with its pose in the object's frame.
@@ -109,7 +107,6 @@ class AttachedCollisionObject:
         collision_object: the object; its frame is the link.
         touch_links: further links that may touch it.
         detach_posture: trajectory_msgs/JointTrajectory, passed on unread.
-        weight: passed on unread.
     """
 
     collision_object: CollisionObject
@@ -166,7 +163,6 @@ def read_collision_object(message: Message, frame: str, where: str) -> Collision
     As in MoveIt, an object without a pose gets that of its shape if it has just one.
 
     Args:
-        message: the object.
         frame: name of the header's frame.
         where: path of the field, for errors.
 

@@ -57,8 +57,6 @@ class LinkTransforms:
     """Transforms of the links at one set of joint positions, computed at the first use.
 
     Args:
-        robot: the arm.
-        forward: its forward kinematics.
         positions_rad: position of every movable joint [rad], None while they are not known.
     """
 
@@ -96,12 +94,7 @@ class LinkTransforms:
 
 
 class Frames:
-    """Look-up of frames in the present scene.
-
-    Args:
-        robot: the arm.
-        scene_state: the scene.
-    """
+    """Look-up of frames in the present scene."""
 
     def __init__(self, robot: RobotModel, scene_state: SceneSource) -> None:
         self._robot = robot
@@ -149,8 +142,6 @@ def find_frame(frame_id: str, around: FrameObjects, links: LinkTransforms) -> Po
 
     Args:
         frame_id: its name.
-        around: objects and fixed frames.
-        links: transforms of the links.
 
     Raises:
         RefusedError: the frame is unknown, or moves with an arm whose position is not known.

@@ -20,6 +20,7 @@ from robot import files
 from server.errors import RefusedError, UnsuccessfulError
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, WORKING
 from server.graph.topics import Graph
 from server.moveit.poses import Message
 from server.moveit.requests.error_codes import invalid
@@ -57,7 +58,6 @@ def read_geometry(text: str, frame: str) -> list[dict[str, Any]]:
 
     Args:
         text: as :func:`write_geometry` or MoveIt writes it.
-        frame: the planning frame.
 
     Raises:
         RefusedError: a line that cannot be read; the error has its number.
@@ -230,10 +230,6 @@ class GeometryFiles:
     """``/save_geometry_to_file`` and ``/load_geometry_from_file``, for files in one directory.
 
     Args:
-        graph: where the services are.
-        node: their provider.
-        state: the scene.
-        current: positions of the joints.
         directory: where the files are; None for no files at all.
     """
 
@@ -244,8 +240,8 @@ class GeometryFiles:
         self._state = state
         self._current = current
         self._directory = directory
-        graph.services.offer(node, SAVE, "moveit_msgs/srv/SaveGeometryToFile", self._save)
-        graph.services.offer(node, LOAD, "moveit_msgs/srv/LoadGeometryFromFile", self._load)
+        graph.services.offer(node, SAVE, "moveit_msgs/srv/SaveGeometryToFile", self._save, rule=CONFIGURING)
+        graph.services.offer(node, LOAD, "moveit_msgs/srv/LoadGeometryFromFile", self._load, rule=WORKING)
 
     async def _save(self, request: Message) -> Message:
         return await _success(SAVE, self._write(request["file_path_and_name"]))
@@ -282,7 +278,6 @@ def file_within(directory: Path | None, name: str) -> Path:
 
     Args:
         directory: where files may be; None for nowhere.
-        name: as the client gave it.
 
     Raises:
         RefusedError: the file is elsewhere, or the name is no file name.
@@ -300,11 +295,7 @@ def file_within(directory: Path | None, name: str) -> Path:
 
 
 async def _success(service: str, work: Awaitable[None]) -> Message:
-    """Wait for the work of a service; the response has no room for a reason, so a failure is logged and told.
-
-    Raises:
-        UnsuccessfulError: it has failed.
-    """
+    """Wait for the work of a service; the response has no room for a reason, so a failure is logged and told."""
     try:
         await work
     except RefusedError as error:

@@ -17,6 +17,7 @@ from server.errors import RefusedError
 from server.execution.monitors import CurrentState, state_message
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.node import Node
+from server.graph.permissions import LOOKING, WORKING
 from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
@@ -114,8 +115,6 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
     """Write a moveit_msgs/PlanningScene with every field; those that were not requested are empty.
 
     Args:
-        contents: the scene.
-        robot: the arm.
         state: its moveit_msgs/RobotState without attached objects.
         components: sum of the requested moveit_msgs/PlanningSceneComponents; 0 for everything, as in MoveIt.
     """
@@ -228,12 +227,6 @@ def subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, curre
     """Apply the messages of the scene's topics; rejected ones are logged.
 
     A topic does not tell its publisher, so joints in a ``/planning_scene`` are ignored.
-
-    Args:
-        graph: where the topics are.
-        node: the subscriber.
-        state: the scene.
-        current: positions of the joints.
     """
     topics: Mapping[str, tuple[str, ReadChange]] = {
         "/planning_scene": ("moveit_msgs/msg/PlanningScene", state.diff),
@@ -257,18 +250,13 @@ def _subscriber(
             read(published.msg), current.positions_rad(), lambda refusal: None if refusal is None else reject(refusal)
         )
 
-    return Subscriber(deliver, reject, check_lists=check_lists)
+    return Subscriber(deliver, reject, check_lists=check_lists, rule=WORKING)
 
 
 class MonitoredScenePublisher:
     """Publisher of scene diffs on ``/monitored_planning_scene``; a new subscriber gets the whole scene first.
 
     Args:
-        graph: where the topic is.
-        node: the publisher.
-        robot: the arm.
-        state: the scene.
-        current: positions of the joints.
         rate_hz: changes that come faster are published together [Hz].
         clock: monotonic time [s].
         call_later: calls a function after a delay.
@@ -330,12 +318,7 @@ class SceneServices:
     """``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``.
 
     Args:
-        graph: where the services are.
-        node: their provider.
-        robot: the arm.
-        state: the scene.
         assumed: joint states that clients assume.
-        current: positions of the joints.
     """
 
     def __init__(
@@ -352,10 +335,14 @@ class SceneServices:
         self._assumed = assumed
         self._current = current
         services = graph.services
-        services.offer_calls(node, GET, "moveit_msgs/srv/GetPlanningScene", self._get, limits=SCENE_LIMITS)
-        services.offer_calls(node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply, limits=SCENE_LIMITS)
+        services.offer_calls(
+            node, GET, "moveit_msgs/srv/GetPlanningScene", self._get, limits=SCENE_LIMITS, rule=LOOKING
+        )
+        services.offer_calls(
+            node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply, limits=SCENE_LIMITS, rule=WORKING
+        )
         # The scene has no octomap, so there is nothing to clear.
-        services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {})
+        services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
 
     def _get(self, call: Call) -> None:
         if self._state.pending:
@@ -405,11 +392,7 @@ class SceneInterface:
     """All topics and services of the planning scene.
 
     Args:
-        graph: where they are.
-        robot: the arm.
-        state: the scene.
         assumed: joint states that clients assume.
-        current: positions of the joints.
         parameters: rate of ``/monitored_planning_scene``, and the directory of geometry files.
     """
 

@@ -5,25 +5,25 @@ Each is a file of its own, in the format of the kept scene (:mod:`server.moveit.
 
 from __future__ import annotations
 
-import asyncio
 import logging
-import re
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 from protocol.errors import MessageError
-from robot import files
 from robot.description.model import RobotModel
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, LOOKING, WORKING, Rule
 from server.graph.topics import Graph
 from server.moveit.poses import Message
+from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.saved_scene import complete_scene, encoded_bounded, kept_message, read_bounded
 from server.moveit.scene.scene_state import SceneState
+from server.named_files import NamedFiles
 
 log = logging.getLogger("armbridge.scene")
 
@@ -33,19 +33,7 @@ MAX_SCENES = 50
 # A mesh of 80 000 triangles, the largest, has 6 MB as text.
 MAX_SCENE_BYTES = 20_000_000
 
-# File names have up to 255 bytes, of which a letter takes up to four.
-MAX_NAME_LENGTH = 50
-
-# The name is that of the file too: no separators of paths, and no dot in front.
-_NAME = re.compile(r"\w[\w .()+-]*")
-
-# A memory card that takes longer is at its end.
-TIMEOUT_S = 5.0
-
-SUFFIX = ".json"
-
 _Work: TypeAlias = Callable[[str], Awaitable[str]]
-Result = TypeVar("Result")
 
 
 def objects_in_words(count: int) -> str:
@@ -58,13 +46,10 @@ class NamedScenes:
 
     Args:
         folder: of the files; created with the first scene.
-        state: the present scene.
-        robot: the arm.
-        message_types: to check what a file holds.
     """
 
     def __init__(self, folder: Path, state: SceneState, robot: RobotModel, message_types: MessageTypes) -> None:
-        self._folder = folder
+        self._files = NamedFiles(folder, "scene", MAX_SCENES)
         self._state = state
         self._robot = robot
         self._message_types = message_types
@@ -75,7 +60,7 @@ class NamedScenes:
         Raises:
             ServiceError: the folder cannot be read.
         """
-        return await self._in_thread("the saved scenes cannot be listed", self._names)
+        return await self._files.in_thread("the saved scenes cannot be listed", self._files.names)
 
     async def save(self, name: str) -> str:
         """Save the present scene, in place of one of the same name; return a sentence about it.
@@ -83,11 +68,11 @@ class NamedScenes:
         Raises:
             ServiceError: the name is invalid, there are too many scenes, or the scene cannot be written.
         """
-        path = self._path(name)
+        path = self._files.path(name)
         await self._state.settled()
         contents = self._state.contents
         failure = f"the scene {name!r} cannot be saved"
-        await self._in_thread(failure, lambda: self._write(path, kept_message(contents, self._robot)))
+        await self._files.in_thread(failure, lambda: self._files.write(path, self._encoded(contents)))
         count = len(contents.objects) + len(contents.attached)
         return f"the scene {name!r} is saved, with {objects_in_words(count)}"
 
@@ -95,16 +80,15 @@ class NamedScenes:
         """Replace the present scene by a saved one; return a sentence about it.
 
         Args:
-            name: of the scene.
             positions_rad: position of every movable joint [rad], None while they are not known.
 
         Raises:
             ServiceError: there is no such scene, or its file cannot be used.
         """
-        path = self._path(name)
+        path = self._files.path(name)
         failure = f"the scene {name!r} cannot be loaded"
         try:
-            content = await self._in_thread(failure, lambda: self._read(path))
+            content = await self._files.in_thread(failure, lambda: self._files.read(path, _read))
             message = complete_scene(self._message_types, content)
             await self._state.change(self._state.diff(message), positions_rad)
         except (MessageError, RefusedError) as error:
@@ -118,62 +102,22 @@ class NamedScenes:
         Raises:
             ServiceError: there is no such scene, or its file cannot be deleted.
         """
-        path = self._path(name)
-        await self._in_thread(f"the scene {name!r} cannot be deleted", lambda: self._unlink(path))
+        path = self._files.path(name)
+        await self._files.in_thread(f"the scene {name!r} cannot be deleted", lambda: self._files.delete(path))
         return f"the scene {name!r} is deleted"
 
-    def _path(self, name: str) -> Path:
-        if len(name) > MAX_NAME_LENGTH or _NAME.fullmatch(name) is None or name != name.strip():
-            limits = f"must be 1 to {MAX_NAME_LENGTH} letters, digits, blanks or any of _ . ( ) + -, a letter first"
-            raise ServiceError(f"name: {limits}, not {name[:MAX_NAME_LENGTH]!r}")
-        return self._folder / f"{name}{SUFFIX}"
+    def _encoded(self, contents: SceneContents) -> bytes:
+        return encoded_bounded(kept_message(contents, self._robot), MAX_SCENE_BYTES)
 
-    def _names(self) -> list[str]:
-        return sorted(path.name.removesuffix(SUFFIX) for path in self._folder.glob(f"[!.]*{SUFFIX}"))
 
-    def _write(self, path: Path, message: Message) -> None:
-        text = encoded_bounded(message, MAX_SCENE_BYTES)
-        # The lock of the folder, so that two servers do not both save the last scene.
-        with files.locked(self._folder / "scenes"):
-            others = [name for name in self._names() if name != path.name.removesuffix(SUFFIX)]
-            if len(others) >= MAX_SCENES:
-                raise ValueError(f"{len(others)} scenes are saved already, the limit is {MAX_SCENES}")
-            files.replace(path, text)
-
-    def _read(self, path: Path) -> object:
-        try:
-            return read_bounded(path, MAX_SCENE_BYTES)
-        except FileNotFoundError:
-            raise self._unknown() from None
-
-    def _unlink(self, path: Path) -> None:
-        try:
-            path.unlink()
-        except FileNotFoundError:
-            raise self._unknown() from None
-
-    def _unknown(self) -> ValueError:
-        known = ", ".join(self._names())
-        return ValueError(f"there is none of this name; saved are: {known}" if known else "no scene is saved")
-
-    async def _in_thread(self, failure: str, work: Callable[[], Result]) -> Result:
-        """Do what waits for the disk; errors become sentences."""
-        try:
-            return await asyncio.wait_for(asyncio.to_thread(work), TIMEOUT_S)
-        except TimeoutError as error:
-            raise ServiceError(f"{failure} within {TIMEOUT_S:g} s: the disk does not answer") from error
-        except OSError as error:
-            raise ServiceError(f"{failure}: {self._folder}: {error.strerror}") from error
-        except ValueError as error:
-            raise ServiceError(f"{failure}: {error}") from error
+def _read(path: Path) -> object:
+    return read_bounded(path, MAX_SCENE_BYTES)
 
 
 def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState) -> None:
     """Offer ``/arm/scenes/list``, ``/arm/scenes/save``, ``/arm/scenes/load`` and ``/arm/scenes/delete``.
 
     Args:
-        graph: where the services are.
-        scenes: the store.
         current: positions of the joints, for objects that links hold.
     """
     node = Node("saved scenes")
@@ -184,7 +128,7 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
     async def load(name: str) -> str:
         return await scenes.load(name, current.positions_rad())
 
-    def offer(name: str, type_name: str, work: _Work) -> None:
+    def offer(name: str, type_name: str, work: _Work, rule: Rule) -> None:
         async def serve(request: Message) -> Message:
             try:
                 return {"success": True, "message": await work(request["name"])}
@@ -192,9 +136,9 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
                 log.warning("/arm/scenes/%s: %s", name, error)
                 return {"success": False, "message": str(error)}
 
-        graph.services.offer(node, f"/arm/scenes/{name}", f"armbridge_msgs/srv/{type_name}", serve)
+        graph.services.offer(node, f"/arm/scenes/{name}", f"armbridge_msgs/srv/{type_name}", serve, rule=rule)
 
-    graph.services.offer(node, "/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names)
-    offer("save", "SaveScene", scenes.save)
-    offer("load", "LoadScene", load)
-    offer("delete", "DeleteScene", scenes.delete)
+    graph.services.offer(node, "/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names, rule=LOOKING)
+    offer("save", "SaveScene", scenes.save, CONFIGURING)
+    offer("load", "LoadScene", load, WORKING)
+    offer("delete", "DeleteScene", scenes.delete, CONFIGURING)

@@ -72,7 +72,6 @@ class SceneContents:
     """Contents of a planning scene. Objects are compared by identity, which makes comparing scenes quick.
 
     Attributes:
-        allowed_collisions: pairs that may touch.
         name: name of the scene.
         objects: collision objects by name, in the planning frame.
         attached: attached collision objects by name.
@@ -129,7 +128,6 @@ class SceneDraft:
     Attributes:
         before: the contents to start from; an object of theirs that is only repeated stays the same object.
         links: as given.
-
     The other attributes are those of :class:`SceneContents`.
     """
 
@@ -200,11 +198,7 @@ class SceneDraft:
             raise refused(failure.code, text, **failure.details, object=name) from error
 
     def clear(self, allowed_collisions: AllowedCollisionMatrix) -> None:
-        """Remove everything but the attached objects.
-
-        Args:
-            allowed_collisions: the matrix to begin with.
-        """
+        """Remove everything but the attached objects."""
         self.allowed_collisions, self.objects = allowed_collisions, {}
         self.padding_m, self.scale, self.colors, self.fixed_frames = {}, {}, {}, {}
 
@@ -218,8 +212,6 @@ def apply_collision_object(draft: SceneDraft, message: Message, where: str) -> N
     """Apply a moveit_msgs/CollisionObject.
 
     Args:
-        draft: the scene.
-        message: the object.
         where: path of the field, for errors.
 
     Raises:
@@ -244,7 +236,6 @@ def appended(draft: SceneDraft, present: CollisionObject, message: Message, wher
     """Return an object with the shapes and subframes of a message appended, at the poses that these have there.
 
     Args:
-        draft: the scene.
         present: the object, its pose in any frame.
         message: moveit_msgs/CollisionObject; its pose need not be that of the object.
         where: path of the field, for errors.
@@ -331,8 +322,6 @@ def apply_attached_object(draft: SceneDraft, message: Message, where: str) -> No
     """Apply a moveit_msgs/AttachedCollisionObject.
 
     Args:
-        draft: the scene.
-        message: the object and the link that holds it.
         where: path of the field, for errors.
 
     Raises:
@@ -415,7 +404,6 @@ def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: Allow
     """Apply a moveit_msgs/PlanningScene, in MoveIt's order: attached objects before those of the world.
 
     Args:
-        draft: the scene.
         message: a scene diff, or a whole scene that replaces the present one; fields may be left out.
         srdf_matrix: the matrix for a whole scene that has none.
 
@@ -442,8 +430,6 @@ def apply_world(draft: SceneDraft, world: Message, where: str) -> None:
     """Apply a moveit_msgs/PlanningSceneWorld.
 
     Args:
-        draft: the scene.
-        world: the message.
         where: path of the field, for errors.
 
     Raises:

@@ -98,10 +98,6 @@ class SavedScene:
     """Keeper of the scene: restores it at the start, and writes it after changes, off the event loop.
 
     Args:
-        file: of the scene.
-        state: the scene.
-        robot: the arm.
-        message_types: to check what the file holds.
         clock: monotonic time [s].
         call_later: calls a function after a delay.
     """
@@ -167,11 +163,7 @@ class SavedScene:
             self._file.close()
 
     def _restore(self) -> None:
-        """Apply the scene in the file; set a file aside that has none.
-
-        Raises:
-            OSError: the file cannot be read, or not be set aside.
-        """
+        """Apply the scene in the file; set a file aside that has none."""
         try:
             content = self._file.read()
             if content is None:

@@ -75,9 +75,6 @@ class SceneState:
     Messages are complete ones of their type. Positions are those of every movable joint [rad], by which the frames of
     links are found; None while they are not known.
 
-    Args:
-        robot: the arm.
-
     Attributes:
         frame: the planning frame, in which the scene's poses are.
         contents: contents of the scene; another object after every change.
@@ -131,7 +128,6 @@ class SceneState:
         """Apply a change in its turn: at once if it is small and none waits.
 
         Args:
-            change: the change.
             positions_rad: position of every movable joint [rad], None while they are not known.
             done: called once it is applied or refused.
             ended: returns True once the change is no longer to be applied; it is then refused.
@@ -303,9 +299,6 @@ class AssumedStates:
 
     Some clients set a robot state in the scene and then ask, over several calls, about that state (compas_fab). No
     motion is ever executed from such a state.
-
-    Args:
-        robot: the arm.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -338,7 +331,6 @@ class AssumedStates:
         """Return the positions that a client assumes once a moveit_msgs/RobotState is taken over, by joint [rad].
 
         Args:
-            node: the client.
             robot_state: without joints it changes nothing; with ``is_diff``, other joints stay as they are.
 
         Raises:

@@ -19,9 +19,10 @@ from planners.scene import Pose, Scene
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory, Vector
 from server.execution.monitors import state_message
+from server.execution.motions import deviation_note
 from server.graph.node import Node
 from server.moveit.poses import Message, pose_of
-from server.moveit.requests.error_codes import deviation_note, invalid, required, success
+from server.moveit.requests.error_codes import invalid, required, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.trajectories import to_message
 
@@ -81,11 +82,7 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
 async def _without_jumps(
     plan: CartesianPlan, problem: CartesianProblem, thresholds: JumpThresholds, scene: Scene, context: PlanningContext
 ) -> CartesianPlan:
-    """Return the plan of the part before the first jump; the same plan if there is no jump.
-
-    Raises:
-        RefusedError: the part cannot be planned on its own.
-    """
+    """Return the plan of the part before the first jump; the same plan if there is no jump."""
     tip = context.forward, problem.link
     # Up to half a second of forward kinematics on a slow machine.
     jump = await asyncio.to_thread(first_jump, plan.trajectory, tip, problem.start_rad, problem.max_step_m, thresholds)
@@ -156,7 +153,6 @@ class Jump:
 
     Attributes:
         along_m: length of the tip's path before it [m].
-        joint: the joint that jumps.
         step_rad: size of the step [rad].
         limit_rad: greatest size that is no jump [rad].
     """
@@ -181,7 +177,6 @@ def first_jump(
         tip: forward kinematics, and the link that follows the path.
         others_rad: position of every movable joint; those of the motion's joints are not used [rad].
         step_m: length of a step of the tip [m].
-        thresholds: the thresholds.
     """
     configurations = _sampled(motion)
     along_m = _along_m(configurations, motion.joint_names, tip, others_rad)

@@ -22,15 +22,16 @@ from robot.description.model import Group, RobotModel
 from server.errors import RefusedError, ServiceError, UnsuccessfulError
 from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
-from server.execution.motions import Problem, plan_sequence
+from server.execution.motions import Problem, deviation_note, plan_sequence
 from server.graph.node import Node
+from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Rule
 from server.graph.services import Answered, Call, CompleteResponse, answer
 from server.graph.topics import Graph
 from server.moveit.goal_messages import with_suggestion
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.poses import Message, pose_of, write_pose
 from server.moveit.requests.constraints import read_path_constraints
-from server.moveit.requests.error_codes import deviation_note, failure_code, refused, required, success
+from server.moveit.requests.error_codes import failure_code, refused, required, success
 from server.moveit.requests.list_limits import PLANNING_LIMITS
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import (
@@ -227,8 +228,6 @@ async def explained(
     Args:
         failure: the reason why a problem has no plan.
         problem: the problem; None when it could not be made.
-        scene: in which it was planned.
-        context: all that it is planned with.
     """
     added = await with_nearest_goal(failure, problem, scene, context.pool)
     return replace(added, message=with_suggestion(added.message, added.details, context.robot))
@@ -375,7 +374,6 @@ class MoveGroupService:
     """Service of move_group.
 
     Attributes:
-        type_name: its type.
         handler: computes the response; raises RefusedError.
         rejection: writes the response to a request that was rejected.
         complete: True if the handler writes every field of a response that may be large.
@@ -385,6 +383,7 @@ class MoveGroupService:
     handler: Handler
     rejection: Callable[[PlanningFailure], dict[str, Any]] = error_response
     complete: bool = False
+    rule: Rule = PLANNING
 
 
 SERVICES: Mapping[str, MoveGroupService] = {
@@ -395,7 +394,7 @@ SERVICES: Mapping[str, MoveGroupService] = {
         complete=True,
     ),
     "/compute_ik": MoveGroupService("moveit_msgs/srv/GetPositionIK", compute_ik),
-    "/compute_fk": MoveGroupService("moveit_msgs/srv/GetPositionFK", compute_fk, complete=True),
+    "/compute_fk": MoveGroupService("moveit_msgs/srv/GetPositionFK", compute_fk, complete=True, rule=LOOKING),
     "/compute_cartesian_path": MoveGroupService(
         "moveit_msgs/srv/GetCartesianPath", compute_cartesian_path, complete=True
     ),
@@ -409,25 +408,24 @@ SERVICES: Mapping[str, MoveGroupService] = {
         complete=True,
     ),
     "/query_planner_interface": MoveGroupService(
-        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, fail_call
+        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, fail_call, rule=LOOKING
     ),
-    "/get_planner_params": MoveGroupService("moveit_msgs/srv/GetPlannerParams", get_planner_params, fail_call),
-    "/set_planner_params": MoveGroupService("moveit_msgs/srv/SetPlannerParams", set_planner_params, fail_call),
-    "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf, complete=True),
+    "/get_planner_params": MoveGroupService(
+        "moveit_msgs/srv/GetPlannerParams", get_planner_params, fail_call, rule=LOOKING
+    ),
+    "/set_planner_params": MoveGroupService(
+        "moveit_msgs/srv/SetPlannerParams", set_planner_params, fail_call, rule=CONFIGURING
+    ),
+    "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf, complete=True, rule=LOOKING),
 }
 
 
 def offer_services(graph: Graph, context: PlanningContext) -> None:
-    """Offer all services of move_group.
-
-    Args:
-        graph: where they are.
-        context: all that they plan with.
-    """
+    """Offer all services of move_group."""
     node = Node("moveit services")
     for name, service in SERVICES.items():
         start = _start_call(service, context)
-        graph.services.offer_calls(node, name, service.type_name, start, TIMEOUT_S, PLANNING_LIMITS)
+        graph.services.offer_calls(node, name, service.type_name, start, TIMEOUT_S, PLANNING_LIMITS, rule=service.rule)
 
 
 def _start_call(service: MoveGroupService, context: PlanningContext) -> Callable[[Call], None]:

@@ -89,10 +89,6 @@ class ServoSetup:
     """Setup of a servo loop.
 
     Attributes:
-        group: the planning group.
-        joints: its joints.
-        link: its tip.
-        limits: limits of the motion.
         period_s: time between two setpoints [s].
         timeout_s: time after which a command expires [s].
         at_once: whether a new command is followed when it comes, and not at the next period.
@@ -123,8 +119,6 @@ def read_joint_jog(message: Message, joints: Sequence[str], parameters: ServoPar
 
     Args:
         message: the message; its displacements are not followed.
-        joints: joints of the group.
-        parameters: scale of the velocities.
 
     Raises:
         RefusedError: a joint or a number that cannot be used.
@@ -148,8 +142,6 @@ def read_pose_target(message: Message, resolve: Resolve, positions_rad: Position
     """Read a geometry_msgs/PoseStamped; a frame that moves with the arm is taken where it is now.
 
     Args:
-        message: the message.
-        resolve: look-up of frames.
         positions_rad: commanded position of every movable joint [rad].
 
     Raises:
@@ -163,8 +155,6 @@ def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Posi
     """Transform a command into the root link, as planners take it; a twist turns with its frame.
 
     Args:
-        command: the command.
-        resolve: look-up of frames.
         positions_rad: commanded position of every movable joint [rad].
 
     Raises:
@@ -207,10 +197,6 @@ class ServoSession:
     """Servo loop of one group of joints. It controls the arm from a command until the arm has come to rest.
 
     Args:
-        arm: the arm.
-        setup: setup of the loop.
-        ask: the planners.
-        resolve: look-up of frames.
         publish_status: called after every step.
         interrupted: called with the reason when the arm is stopped from elsewhere.
         clock: monotonic time [s].
@@ -266,7 +252,6 @@ class ServoSession:
         """Follow a command; the loop starts if it is not running.
 
         Args:
-            command: the command.
             timeout_s: time after which it expires, if that is earlier than the loop's own timeout [s].
         """
         self._input = command

@@ -6,31 +6,30 @@ import json
 import logging
 import math
 import time
-from collections.abc import Callable, Container, Coroutine
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from planners.interface import Planners
-from planners.problem import PlanningFailure
-from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
+from planners.servo.question import ServoStatus
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.arm_interface import ArmInterface
 from robot.description.model import RobotModel
 from server.arrival import arrival_epoch
 from server.errors import RefusedError, UnsuccessfulError
-from server.execution.monitors import CurrentState, check_ready
+from server.execution.monitors import check_ready
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.permissions import STOPPING, SWITCHING
+from server.graph.topics import Subscriber
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message
 from server.moveit.requests.context import planning_group, tip_link
 from server.moveit.requests.error_codes import invalid
-from server.moveit.scene.scene_state import SceneState
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.parameters import LEAST_TIMEOUT_S
 from server.moveit.servo.servo_loop import (
-    Resolve,
     ServoInput,
     ServoSession,
     ServoSetup,
@@ -103,13 +102,13 @@ class StatusPublisher:
     """Publisher of ``/servo_node/status``, after every step of the loop and for every rejected command.
 
     Args:
-        graph: where the topic is.
-        node: the publisher.
         type_name: ``moveit_msgs/ServoStatus`` or ``std_msgs/Int8``.
         clock: monotonic time [s].
     """
 
-    def __init__(self, graph: Graph, node: Node, type_name: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, graph: LocalGraph, node: Node, type_name: str, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._graph = graph
         self._node = node
         self._type_name = type_name
@@ -212,7 +211,6 @@ class CommandGate:
         Silence alone is no release then. The commands of a client whose process or network stood still have a gap too.
 
         Args:
-            client: its publisher.
             present: every client that announces presses and is still connected.
         """
         self._presses = {each: epoch for each, epoch in self._presses.items() if each in present}
@@ -233,8 +231,6 @@ class CommandGate:
         """Check a command; None if it is to be followed.
 
         Args:
-            client: its publisher.
-            kind: its type.
             now_s: monotonic time [s].
         """
         owner = self._ownership.owner(now_s)
@@ -280,7 +276,6 @@ class CommandTimeouts:
         """Set the timeout of a client, and forget those of clients that have left.
 
         Args:
-            client: publisher of the choice.
             timeout_s: time after which its commands expire [s].
             present: every client that has a choice and is still connected.
 
@@ -309,30 +304,20 @@ class ServoNode:
     """MoveIt Servo's node.
 
     Args:
-        graph: where the topics and services are.
-        robot: the arm.
         parameters: group, tip, and parameters of the servo loop.
-        scene: the planning scene.
-        resolve: look-up of frames.
-        arm: the arm's process.
-        pool: the planners.
+        arm: the arm, or the arms together, that it steers.
         busy: returns the reason if the arm cannot be steered now, else an empty text.
-        current: positions of all joints, also of other arms; None for those of the arm.
     """
 
     def __init__(
         self,
-        graph: Graph,
-        robot: RobotModel,
+        graph: LocalGraph,
         parameters: MoveItParameters,
-        scene: SceneState,
-        resolve: Resolve,
         arm: ArmInterface,
-        pool: Planners,
+        planning: PlanningContext,
         busy: Callable[[], str],
-        current: CurrentState | None = None,
     ) -> None:
-        servo, setup = parameters.servo, servo_setup(robot, parameters)
+        servo, setup = parameters.servo, servo_setup(planning.robot, parameters)
 
         def unavailable() -> str:
             try:
@@ -341,19 +326,22 @@ class ServoNode:
                 return str(error)
             return busy()
 
-        def ask(question: ServoQuestion) -> Coroutine[Any, Any, ServoAnswer | PlanningFailure]:
-            return pool.ask(question, scene.scene)
-
         self._graph = graph
         self._joints = setup.joints
         self._parameters = servo
-        self._resolve = resolve
+        self._resolve = planning.frames.resolve
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
         self._timeouts = CommandTimeouts(setup.timeout_s)
         self._gate = CommandGate(self._present, setup.timeout_s, unavailable, arm)
         self._session = ServoSession(
-            arm, setup, ask, resolve, self._status.publish, self._gate.interrupt, current=current
+            arm,
+            setup,
+            planning.ask,
+            self._resolve,
+            self._status.publish,
+            self._gate.interrupt,
+            current=planning.current,
         )
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""
@@ -389,7 +377,7 @@ class ServoNode:
         def reject(error: MessageError) -> None:
             log.warning("%s: %s", topic, error)
 
-        self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject))
+        self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject, rule=SWITCHING))
 
     def _subscribe_timeouts(self) -> None:
         def deliver(published: PublishedMessage) -> None:
@@ -403,7 +391,9 @@ class ServoNode:
         def reject(error: MessageError) -> None:
             log.warning("%s: %s", TIMEOUT_TOPIC, error)
 
-        self._graph.subscribe(self._node, TIMEOUT_TOPIC, "std_msgs/Float64", Subscriber(deliver, reject))
+        self._graph.subscribe(
+            self._node, TIMEOUT_TOPIC, "std_msgs/Float64", Subscriber(deliver, reject, rule=SWITCHING)
+        )
 
     def _publish_parameters(self) -> None:
         self._graph.advertise(self._node, PARAMETERS_TOPIC, "std_msgs/String", latch=True)
@@ -441,13 +431,15 @@ class ServoNode:
             gate.reset()
             return {}
 
-        offer = self._graph.services.offer
-        offer(self._node, SWITCH_SERVICE, "moveit_msgs/ServoCommandType", switch)
-        offer(self._node, PAUSE_SERVICE, "std_srvs/SetBool", lambda request: pause(paused=request["data"]))
-        offer(self._node, STOP_SERVICE, "std_srvs/Trigger", lambda _request: pause(paused=True))
+        offer = self._graph.offer
+        offer(self._node, SWITCH_SERVICE, "moveit_msgs/ServoCommandType", switch, rule=SWITCHING)
+        offer(
+            self._node, PAUSE_SERVICE, "std_srvs/SetBool", lambda request: pause(paused=request["data"]), rule=SWITCHING
+        )
+        offer(self._node, STOP_SERVICE, "std_srvs/Trigger", lambda _request: pause(paused=True), rule=STOPPING)
         for name in (START_SERVICE, UNPAUSE_SERVICE):
-            offer(self._node, name, "std_srvs/Trigger", lambda _request: pause(paused=False))
-        offer(self._node, RESET_SERVICE, "std_srvs/Empty", reset)
+            offer(self._node, name, "std_srvs/Trigger", lambda _request: pause(paused=False), rule=SWITCHING)
+        offer(self._node, RESET_SERVICE, "std_srvs/Empty", reset, rule=SWITCHING)
 
     def _present(self, client: object) -> bool:
         return any(client in self._graph.publishers(topic) for topic, _ in _TOPICS.values())

@@ -15,9 +15,9 @@ from server.access.authentication import (
     RosauthVerifier,
     Tokens,
 )
-from server.access.permissions import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
 from server.errors import ConfigurationError
+from server.graph.permissions import ANYONE, Identity, Role
 from tests.helpers.clock import FakeClock
 
 ONE, TWO, THREE, FOUR = (f"{name}-0123456789abcdef" for name in ("one", "two", "three", "four"))

@@ -10,18 +10,21 @@ from protocol.operations import Auth, CallService, Publish, SendActionGoal, pars
 from protocol.registry import Registry
 from server.access import authorization
 from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
-from server.access.permissions import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
+from server.graph import permissions
 from server.graph.node import Node
+from server.graph.permissions import ANYONE, WORKING, Identity, Role
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
+from tests.helpers.rules import server_rules, with_server_rules
 from tests.helpers.server import ROOT
 
 SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE), Identity("ada", Role.ADMIN)
 
 
 REGISTRY = Registry.load()
+SERVER, SEVERAL = with_server_rules(Graph(REGISTRY)), with_server_rules(Graph(REGISTRY), "left", "right")
 
 # The server listens to these, as far as the tests are about them.
 STOPS = {
@@ -36,7 +39,7 @@ class World:
 
     def __init__(self, *, arms: Sequence[str] = (), **settings: Any) -> None:
         self.now_s = 0.0
-        self.graph = Graph(REGISTRY, lambda: self.now_s, call_later=FakeClock().call_later)
+        self.graph = with_server_rules(Graph(REGISTRY, lambda: self.now_s, call_later=FakeClock().call_later), *arms)
         server = Node("server")
         for topic, type_name in STOPS.items():
             self.graph.subscribe(server, topic, type_name, Subscriber(lambda _published: None))
@@ -346,7 +349,7 @@ def test_an_auth_without_a_token_names_the_missing_field() -> None:
 
 def test_all_clients_share_one_lease_and_have_a_rate_of_their_own() -> None:
     limited = access_of(goal_burst=1)
-    first, second = (limited.authorizer(Node(name, remote=True), Graph(REGISTRY)) for name in ("first", "second"))
+    first, second = (limited.authorizer(Node(name, remote=True), SERVER) for name in ("first", "second"))
     assert first.publishing("/moveit_goal_named", {}) is None
     assert "first has controlled" in str(second.publishing("/moveit_goal_named", {}))
     assert "goal_burst" in str(first.publishing("/moveit_goal_named", {}))
@@ -355,20 +358,20 @@ def test_all_clients_share_one_lease_and_have_a_rate_of_their_own() -> None:
 def test_without_limits_all_drive_at_once() -> None:
     everything = unlimited()
     for name in ("first", "second"):
-        authorizer = everything.authorizer(Node(name, remote=True), Graph(REGISTRY))
+        authorizer = everything.authorizer(Node(name, remote=True), SERVER)
         assert authorizer.publishing("/moveit_goal_named", {}) is None
 
 
 async def test_every_service_of_the_server_stands_in_the_table_and_no_other(client: ArmClient) -> None:
     offered = set((await client.call("/rosapi/services"))["services"])
     cancelling = {name for name in offered if name.endswith(authorization.CANCEL_SERVICE)}
-    assert offered - cancelling == set(authorization.SERVICES)
+    assert offered - cancelling == set(SERVER.services.rules)
 
 
 async def test_every_action_of_the_server_drives(client: ArmClient) -> None:
     offered = (await client.call("/rosapi/action_servers"))["action_servers"]
-    assert set(authorization.ACTIONS) <= set(offered)
-    assert [name for name in offered if not authorization.rule_of_action(name).drives] == []
+    assert set(offered) == set(SERVER.actions.rules)
+    assert [name for name in offered if not authorization.rule_of_action(name, SERVER).drives] == []
 
 
 async def test_every_topic_that_the_server_listens_to_has_a_rule(client: ArmClient) -> None:
@@ -377,10 +380,8 @@ async def test_every_topic_that_the_server_listens_to_has_a_rule(client: ArmClie
     for node in nodes:
         if not node.startswith("/client_"):
             heard |= set((await client.call("/rosapi/node_details", node=node))["subscribing"])
-    assert set(authorization.TOPICS) <= heard
-    assert [
-        name for name in heard - set(authorization.TOPICS) if authorization.rule_of_topic(name) is authorization.WORKING
-    ] == []
+    assert set(SERVER.rules) <= heard
+    assert [name for name in heard - set(SERVER.rules) if authorization.rule_of_topic(name, SERVER) is WORKING] == []
 
 
 STOPPING_TOPICS = (
@@ -403,34 +404,34 @@ MOVING_TOPICS = (
 
 
 def test_topics_that_stop_the_arm_are_open_to_viewers_and_those_that_move_it_need_control() -> None:
-    rules = {name: authorization.rule_of_topic(name) for name in STOPPING_TOPICS + MOVING_TOPICS}
+    rules = {name: authorization.rule_of_topic(name, SERVER) for name in STOPPING_TOPICS + MOVING_TOPICS}
     assert {name for name, rule in rules.items() if rule.stops and rule.role is Role.VIEW} == set(STOPPING_TOPICS)
     assert {name for name, rule in rules.items() if rule.drives and rule.role is Role.OPERATE} == set(MOVING_TOPICS)
 
 
 @pytest.mark.parametrize("name", ["/arm/set_speed_limit", "/left/arm/set_speed_limit"])
 def test_the_speed_limit_needs_the_role_operate_and_no_control(name: str) -> None:
-    rule = authorization.rule_of_service(name, ("left", "right"))
+    rule = authorization.rule_of_service(name, SEVERAL)
     assert (rule.role, rule.drives, rule.stops) == (Role.OPERATE, False, False)
 
 
 def test_services_of_clients_need_the_role_operate_and_no_control() -> None:
     for rule in (
-        authorization.rule_of_service("/mine"),
-        authorization.rule_of_action("/mine"),
-        authorization.rule_of_topic("/mine/goal"),
+        authorization.rule_of_service("/mine", SERVER),
+        authorization.rule_of_action("/mine", SERVER),
+        authorization.rule_of_topic("/mine/goal", SERVER),
     ):
-        assert rule == authorization.WORKING
+        assert rule == WORKING
         assert rule.role is Role.OPERATE
         assert not rule.drives
 
 
 def test_names_that_look_like_a_stop_are_none() -> None:
     for name in ("//stop", "/stop/", "/Stop", "/x/stop", "/mine/cancel", "/emergency_stop "):
-        assert not authorization.rule_of_topic(name).stops, name
+        assert not authorization.rule_of_topic(name, SERVER).stops, name
 
 
-IN_OPTIONS, IN_CALL = authorization.PLANNING_GOAL, authorization.CALLED_GOAL
+IN_OPTIONS, IN_CALL = permissions.PLANNING_GOAL, permissions.CALLED_GOAL
 
 
 @pytest.mark.parametrize(
@@ -451,14 +452,14 @@ IN_OPTIONS, IN_CALL = authorization.PLANNING_GOAL, authorization.CALLED_GOAL
     ],
 )
 def test_a_goal_says_in_its_options_or_itself_that_it_only_asks_for_a_plan(
-    rule: authorization.Rule, goal: object, planned_only: bool
+    rule: permissions.Rule, goal: object, planned_only: bool
 ) -> None:
     assert authorization.plans_only(rule, goal) is planned_only
 
 
 def test_a_goal_that_moves_always_drives() -> None:
-    assert not authorization.plans_only(authorization.GOAL, {"plan_only": True})
-    assert not authorization.plans_only(authorization.GOAL, True)
+    assert not authorization.plans_only(permissions.GOAL, {"plan_only": True})
+    assert not authorization.plans_only(permissions.GOAL, True)
 
 
 AT_ONCE = (
@@ -482,18 +483,20 @@ IN_TURN = (
 
 
 def test_what_stops_the_arm_goes_ahead_of_everything_that_waits_and_what_ends_single_goals_does_not() -> None:
-    assert [operation for operation in AT_ONCE + IN_TURN if authorization.is_stop(operation)] == list(AT_ONCE)
+    assert [operation for operation in AT_ONCE + IN_TURN if authorization.is_stop(operation, SERVER)] == list(AT_ONCE)
 
 
 def test_services_that_plan_are_known() -> None:
     planning = ["/check_goals", "/compute_ik", "/plan_kinematic_path"]
-    assert [name for name in (*planning, "/compute_fk") if authorization.rule_of_service(name).plans] == planning
+    assert [
+        name for name in (*planning, "/compute_fk") if authorization.rule_of_service(name, SERVER).plans
+    ] == planning
 
 
 def test_actions_of_every_controller_drive() -> None:
     actions = ("left_gripper_controller/gripper_action", "gripper_controller/gripper_cmd")
     for name in (*actions, "a_controller/follow_joint_trajectory"):
-        assert authorization.rule_of_action(f"/{name}").goal, name
+        assert authorization.rule_of_action(f"/{name}", SERVER).goal, name
 
 
 ENABLE = {"service": "/arm/enable"}
@@ -539,26 +542,24 @@ class TestSeveralArms:
         "name", ["/left/stop", "/left/emergency_stop", "/right/arm/stop", "/right/trajectory_execution_event"]
     )
     def test_a_stop_of_one_arm_goes_ahead_of_everything_that_waits(self, name: str) -> None:
-        arms = ("left", "right")
         operation = (
             {"op": "call_service", "service": name}
             if "/arm/" in name
             else {"op": "publish", "topic": name, "msg": {"data": "stop"}}
         )
-        assert authorization.is_stop(parse(operation), arms)
-        assert not authorization.is_stop(parse(operation))
+        assert authorization.is_stop(parse(operation), SEVERAL)
+        assert not authorization.is_stop(parse(operation), SERVER)
 
-    @pytest.mark.parametrize("name", ["/left/arm/park", "/left/set_planner_params", "/left/left/stop", "/middle/stop"])
+    @pytest.mark.parametrize(
+        "name", ["/left/arm/scenes/list", "/left/set_planner_params", "/left/left/stop", "/middle/stop"]
+    )
     def test_other_names_below_an_arms_are_those_of_clients(self, name: str) -> None:
-        assert authorization.rule_of_service(name, ("left", "right")) == authorization.WORKING
-
-    def test_every_name_of_each_arm_has_a_rule_of_its_own(self) -> None:
-        known = {*authorization.SERVICES, *authorization.TOPICS, *authorization.ACTIONS}
-        assert known >= authorization.OF_EACH_ARM
+        assert authorization.rule_of_service(name, SEVERAL) == WORKING
 
 
 # Names of services, topics and actions with the rules of the server.
-RULES = {**authorization.SERVICES, **authorization.TOPICS, **authorization.ACTIONS}
+# Those of controllers have the names of the arm's groups.
+RULES = {name: rule for rules in server_rules() for name, rule in rules.items() if "_controller/" not in name}
 SECURITY = (ROOT / "docs" / "security.md").read_text()
 
 

@@ -11,8 +11,8 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from server.access.certificates import CertificateFiles, ensure_certificate
-from server.config import ServerSettings
 from server.errors import ConfigurationError
+from server.gateway.settings import ServerSettings
 from tests.helpers.gateway import listening
 
 NOW = datetime(2026, 5, 1, 12, tzinfo=UTC)

@@ -7,10 +7,11 @@ from typing import Any
 import pytest
 
 from server.access.control_lease import RESERVED_S, ControlLease, ControlServices
-from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import Identity, Role
 from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.gateway import InProcess
 from tests.helpers.server import ServerOnBus
@@ -176,7 +177,7 @@ class World(InProcess):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(access=AccessSettings.model_validate(settings))
-        self.control = ControlServices(self.graph, self.access.lease, self.clock, self.clock.call_later)
+        self.control = ControlServices(LocalGraph(self.graph), self.access.lease, self.clock, self.clock.call_later)
 
     def call(self, client: str, service: str) -> dict[str, Any]:
         self.say(client, op="call_service", service=service, id="asked")

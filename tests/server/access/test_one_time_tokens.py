@@ -14,8 +14,8 @@ from server.access.one_time_tokens import (
     OneTimeTokens,
     OneTimeTokenService,
 )
-from server.access.permissions import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
+from server.graph.permissions import ANYONE, Identity, Role
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import InProcess
 

@@ -10,6 +10,7 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.interface import BusCounters
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, ArmStateTopics
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clients import ArmClient, values_of
@@ -24,7 +25,7 @@ class Heard:
 
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
-        self.topics = ArmStateTopics(self.graph, ROBOT, ArmState(0.0, Mode.CONNECTED, ()))
+        self.topics = ArmStateTopics(LocalGraph(self.graph), ROBOT, ArmState(0.0, Mode.CONNECTED, ()))
         self.states = self._listen(STATE_TOPIC)
         # The state at the start, which is latched.
         self.states.clear()

@@ -9,7 +9,7 @@ from protocol.errors import MessageError
 from protocol.registry import Registry
 from robot.messages import MIN_SPEED_LIMIT, ChangePace
 from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, STEP_BACK, ArmPace
-from server.graph.namespace import Namespace
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.clients import ArmClient, values_of
@@ -117,7 +117,7 @@ class Desk:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
         self.arm = FakeArm()
-        ArmPace(self.graph, self.arm.as_arm)
+        ArmPace(LocalGraph(self.graph), self.arm.as_arm)
 
     def call(self, service: str, **request: Any) -> Any:
         answers: list[Any] = []
@@ -158,7 +158,7 @@ async def test_a_speed_limit_out_of_its_range_is_refused_with_range_value_and_wh
 
 async def test_a_speed_limit_below_the_name_of_one_of_several_arms_is_that_of_this_arm(desk: Desk) -> None:
     left = FakeArm()
-    ArmPace(Namespace(desk.graph, "left"), left.as_arm)
+    ArmPace(LocalGraph(desk.graph, "left"), left.as_arm)
     assert desk.call(f"/left{SPEED_LIMIT}", speed_limit=0.5)["success"]
     assert (left.changes, desk.arm.changes) == ([ChangePace(speed_limit=0.5)], [])
     assert "/left/arm/pause" in desk.call(f"/left{SPEED_LIMIT}", speed_limit=0.0)["message"]

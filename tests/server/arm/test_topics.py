@@ -8,6 +8,7 @@ import pytest
 from protocol.registry import Registry
 from robot.messages import ArmState, Mode
 from server.arm.topics import TOPIC, JointStates, states_are_observed
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 
@@ -17,7 +18,7 @@ YEAR_S = 365.25 * 86_400.0
 @pytest.fixture
 def heard() -> tuple[JointStates, list[Any]]:
     graph = Graph(Registry.load())
-    states = JointStates(graph)
+    states = JointStates(LocalGraph(graph))
     messages: list[Any] = []
     graph.subscribe(Node("test"), TOPIC, None, Subscriber(lambda published: messages.append(published.msg)))
     return states, messages

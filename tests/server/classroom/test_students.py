@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from server.access.authentication import Tokens
-from server.access.permissions import Role
 from server.classroom.students import LIST_FILE, TEACHER, new_token, places, reachable_name, read_tokens, write_list
 from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
+from server.graph.permissions import Role
 
 TOKEN = "t" * 24
 HOST = "127.0.0.1"

@@ -8,12 +8,12 @@ import pytest
 from robot.files import FileLock, FileLockedError, replace
 from server import cli
 from server.access.authentication import Tokens
-from server.access.permissions import Role
 from server.access.settings import AccessSettings
 from server.commands import certificate
 from server.commands.certificate import add_certificate_parser, ensure_token
 from server.commands.terminal import ExitCode
 from server.errors import ConfigurationError
+from server.graph.permissions import Role
 from tests.helpers.server import ROOT
 
 

@@ -8,14 +8,14 @@ from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import pytest_asyncio
 
 from planners.goals import JointGoal
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import (
     ConcurrencyQuestion,
     MoveItErrorCode,
@@ -29,14 +29,14 @@ from planners.problem import (
 )
 from planners.scene import Scene
 from robot.arm import Arm
-from robot.arm_interface import ArmInterface
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
 from robot.messages import ArmConfig, ArmState, ChangePace, Mode, MotionEnded, Outcome, PlaybackDirection
 from robot.trajectory import Trajectory
-from server.execution.executor import MAX_SAMPLES, GoalExecutor, GoalExecutors, MotionRecorder
+from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, GoalExecutors, MotionRecorder
 from server.execution.failures import FailedGoals
+from server.execution.monitors import CurrentState
 from server.execution.motions import STATE_AGE_S, ExternalTrajectory, Motion, PlannedMotion, Positions
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.queue import GoalPolicy, GoalQueue, GoalState, Progress
@@ -69,7 +69,7 @@ class Rig:
     """A motion on the real arm process, with emulated servos, and real planners."""
 
     arm: Arm
-    pool: PlannerPool
+    pool: Planners
     executor: GoalExecutor
     news: list[Progress] = field(default_factory=list)
 
@@ -77,17 +77,25 @@ class Rig:
         return await self.executor.run(to(**positions_rad), self.news.append, 0)
 
 
+def context_of(arm: Arm, robot: RobotModel, pool: Planners) -> ExecutionContext:
+    return ExecutionContext(robot, pool, SceneState(robot), CurrentState(arm, robot))
+
+
+def executor_of(arm: Arm, robot: RobotModel, pool: Planners) -> GoalExecutor:
+    return GoalExecutor(arm, context_of(arm, robot, pool), MotionsInProgress())
+
+
 # Planners load for a second: one arm and its planners serve all tests of the rig, and so show that they survive each.
 in_one_loop = pytest.mark.asyncio(loop_scope="module")
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def processes() -> AsyncIterator[tuple[Arm, PlannerPool, RobotModel]]:
+async def processes() -> AsyncIterator[tuple[Arm, Planners, RobotModel]]:
     calibration = nominal_calibration()
     robot = within_calibration(so101(), calibration)
     arm = Arm(ArmConfig(robot, EmulatedConfig(calibration)), lambda _state: None)
     await arm.start(TIMEOUT_S)
-    pool = PlannerPool(robot)
+    pool = Planners(robot)
     await pool.start()
     yield arm, pool, robot
     await arm.close()
@@ -95,9 +103,9 @@ async def processes() -> AsyncIterator[tuple[Arm, PlannerPool, RobotModel]]:
 
 
 @pytest.fixture
-def rig(processes: tuple[Arm, PlannerPool, RobotModel]) -> Rig:
+def rig(processes: tuple[Arm, Planners, RobotModel]) -> Rig:
     arm, pool, robot = processes
-    return Rig(arm, pool, GoalExecutor(arm, robot, pool, SceneState(robot)))
+    return Rig(arm, pool, executor_of(arm, robot, pool))
 
 
 @in_one_loop
@@ -144,7 +152,7 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
 async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
-    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
+    executor = executor_of(arm, robot, Planners(robot))
     answer = await executor.run(to(shoulder_pan=0.5), lambda _progress: None, 0)
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
     assert "starting" in answer.message
@@ -156,7 +164,7 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
 def test_the_scene_monitor_waits_for_planners_as_long_as_for_the_arm(hardware: HardwareConfig) -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, hardware), lambda _state: None)
-    executor = GoalExecutor(arm, robot, PlannerPool(robot), SceneState(robot))
+    executor = executor_of(arm, robot, Planners(robot))
     assert executor._scene_monitor._retry_for_s == arm.state_max_age_s
 
 
@@ -189,9 +197,12 @@ class Stage:
         self.running: asyncio.Task[Any] | None = None
 
     def executing(self, failed_goals: FailedGoals | None = None) -> GoalExecutor:
-        return GoalExecutor(  # type: ignore[arg-type]
-            self.arm, so101(), self, self, failed_goals, in_progress=self.in_progress, clock=self.clock
-        )
+        return GoalExecutor(self.arm.as_arm, self.context(failed_goals=failed_goals), self.in_progress)
+
+    def context(self, **parts: Any) -> ExecutionContext:
+        """The parts of the executors, in the time of the stage."""
+        current = CurrentState(self.arm, so101())
+        return ExecutionContext(so101(), cast("Planners", self), self, current, clock=self.clock, **parts)
 
     def on_change(self, callback: Callable[[], None]) -> None:
         self.changed = callback
@@ -258,7 +269,7 @@ def given(start_rad: float, end_rad: float) -> ExternalTrajectory:
 def limited(stage: Stage, trajectory_s: float) -> None:
     """Give the stage an executor with a limit of the motions' duration [s]."""
     limits = TimeLimits(trajectory_s=trajectory_s)
-    stage.executor = GoalExecutor(stage.arm, so101(), stage, stage, time_limits=limits)  # type: ignore[arg-type]
+    stage.executor = GoalExecutor(stage.arm.as_arm, stage.context(time_limits=limits), MotionsInProgress())
 
 
 async def test_a_planned_motion_that_takes_too_long_is_refused_and_not_planned_anew(stage: Stage) -> None:
@@ -727,10 +738,7 @@ def fingers() -> PlannedMotion:
 
 
 async def test_goals_of_the_same_joints_have_the_same_executor_and_all_share_the_motions(stage: Stage) -> None:
-    def make(_part: ArmInterface, in_progress: MotionsInProgress) -> GoalExecutor:
-        return GoalExecutor(stage.arm, so101(), stage, stage, in_progress=in_progress)  # type: ignore[arg-type]
-
-    executors = GoalExecutors(stage.arm.as_arm, make)
+    executors = GoalExecutors(stage.arm.as_arm, stage.context())
     arm, gripper = executors.runner(frozenset(ARM)), executors.runner(frozenset(("gripper",)))
     assert executors.runner(frozenset(ARM)) is arm is not gripper
     assert arm._in_progress is gripper._in_progress is executors.in_progress
@@ -908,7 +916,7 @@ async def test_a_goal_after_a_motion_that_replaced_another_is_planned_for_its_en
 
 @in_one_loop
 async def test_goals_of_a_burst_reach_the_arm_as_if_each_came_alone(
-    processes: tuple[Arm, PlannerPool, RobotModel],
+    processes: tuple[Arm, Planners, RobotModel],
 ) -> None:
     burst = Burst(processes)
     goals = [0.02 * (number + 1) * (-1) ** number for number in range(6)]
@@ -921,7 +929,7 @@ async def test_goals_of_a_burst_reach_the_arm_as_if_each_came_alone(
 
 @in_one_loop
 async def test_the_arm_goes_on_by_the_plan_that_was_made_during_its_motion(
-    processes: tuple[Arm, PlannerPool, RobotModel],
+    processes: tuple[Arm, Planners, RobotModel],
 ) -> None:
     arm, *_ = processes
     burst = Burst(processes)
@@ -941,7 +949,7 @@ async def test_the_arm_goes_on_by_the_plan_that_was_made_during_its_motion(
 
 @in_one_loop
 async def test_a_stop_while_the_next_goal_is_being_planned_leaves_the_planners_free(
-    processes: tuple[Arm, PlannerPool, RobotModel],
+    processes: tuple[Arm, Planners, RobotModel],
 ) -> None:
     arm, pool, _ = processes
     burst = Burst(processes)
@@ -958,16 +966,11 @@ async def test_a_stop_while_the_next_goal_is_being_planned_leaves_the_planners_f
 class Burst:
     """A queue of goals on the real arm process and real planners, and what became of them."""
 
-    def __init__(self, processes: tuple[Arm, PlannerPool, RobotModel]) -> None:
+    def __init__(self, processes: tuple[Arm, Planners, RobotModel]) -> None:
         arm, pool, robot = processes
         self.answers: list[Any] = []
         self.news: dict[str, list[str]] = defaultdict(list)
-        scene = SceneState(robot)
-
-        def make(part: ArmInterface, in_progress: MotionsInProgress) -> GoalExecutor:
-            return GoalExecutor(part, robot, pool, scene, in_progress=in_progress)
-
-        executors = GoalExecutors(arm, make)
+        executors = GoalExecutors(arm, context_of(arm, robot, pool))
         self.executor = executors.runner(frozenset(ARM))
         self.queue: GoalQueue[Motion] = GoalQueue(
             executors,

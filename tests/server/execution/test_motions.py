@@ -32,6 +32,7 @@ from server.execution.motions import (
     Positions,
     SplicePoint,
     Step,
+    deviation_note,
     plan_sequence,
     splice_point_of,
     with_lead_in,
@@ -213,3 +214,13 @@ def test_a_motion_from_far_away_is_refused_with_joint_and_numbers(away_rad: floa
     with pytest.raises(RefusedError, match=re.escape(sentence)) as refused:
         with_lead_in(GIVEN, {**HOME, "elbow_flex": away_rad}, ROBOT)
     assert refused.value.failure.code is MoveItErrorCode.CONTROL_FAILED
+
+
+def test_a_deviation_is_described_in_millimetres_and_degrees() -> None:
+    note = deviation_note(Deviation(position_m=0.0042, orientation_rad=0.5))
+    assert "4.2 mm" in note
+    assert "28.6 degrees" in note
+
+
+def test_a_deviation_within_the_arms_accuracy_is_not_described() -> None:
+    assert not deviation_note(Deviation(position_m=0.0005, orientation_rad=0.005))

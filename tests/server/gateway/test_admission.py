@@ -7,7 +7,6 @@ from websockets.datastructures import Headers
 
 from server.access.authentication import MAX_WRONG, WINDOW_S, Tokens
 from server.access.one_time_tokens import OneTimeTokens
-from server.access.permissions import ANYONE, Identity, Role
 from server.access.settings import AccessSettings
 from server.errors import ConfigurationError
 from server.gateway.admission import (
@@ -22,6 +21,7 @@ from server.gateway.admission import (
     read_authority,
 )
 from server.gateway.http import HttpResponse
+from server.graph.permissions import ANYONE, Identity, Role
 from tests.helpers.clock import FakeClock
 
 SECRET, OTHER = "correct-horse-battery", "another-token-of-mine"

@@ -7,10 +7,10 @@ import pytest
 
 from protocol.codecs import png
 from protocol.limits import Limits
-from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
 from server.errors import UnsuccessfulError
 from server.graph.node import Node
+from server.graph.permissions import Identity, Role
 from server.graph.topics import Subscriber
 from tests.helpers.gateway import InProcess
 
@@ -144,6 +144,6 @@ class TestRefused:
     def test_a_bug_in_the_guard_does_not_take_the_client_with_it(
         self, guarded: InProcess, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("server.access.authorization.rule_of_topic", lambda _name: 1 / 0)
+        monkeypatch.setattr("server.access.authorization.rule_of_topic", lambda _name, _graph: 1 / 0)
         guarded.say("screen", op="publish", topic="/a")
         assert "screen: publish failed" in caplog.text

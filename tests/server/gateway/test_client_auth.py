@@ -9,9 +9,9 @@ import pytest
 
 from protocol.codecs import png
 from server.access.authentication import MAX_WRONG, AuthThrottle
-from server.access.permissions import Identity, Role
 from server.access.settings import AccessSettings
 from server.gateway.client_auth import MAX_FIRST_BYTES
+from server.graph.permissions import Identity, Role
 from tests.helpers.gateway import InProcess
 
 ADA, SCREEN = "ada-0123456789abcdef", "screen-0123456789abcdef"

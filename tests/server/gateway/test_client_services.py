@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 
 from protocol.limits import Limits
-from server.access.permissions import Identity, Role
 from server.gateway import client_services
 from server.graph.node import Node
+from server.graph.permissions import Identity, Role
 from server.graph.services import Call
 from tests.helpers.gateway import InProcess
 

@@ -8,10 +8,10 @@ from protocol.codecs import png
 from protocol.errors import FrameError
 from protocol.limits import Limits
 from protocol.session import Session
-from server.access.permissions import Identity, Role
 from server.gateway.client_topics import StrictPublication
 from server.graph import latching
 from server.graph.node import Node
+from server.graph.permissions import Identity, Role
 from server.graph.topics import UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from tests.helpers.gateway import InProcess
 

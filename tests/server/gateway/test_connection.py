@@ -14,10 +14,10 @@ from websockets.exceptions import ConnectionClosed
 from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings, SessionSettings
-from server.config import ServerSettings
 from server.gateway import connection
 from server.gateway.connection import Traffic, TrafficCounts
 from server.gateway.listener import Listener
+from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import TIMEOUT_S, listening, warnings_of

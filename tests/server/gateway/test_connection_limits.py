@@ -7,7 +7,6 @@ from http import HTTPStatus
 import pytest
 from websockets.asyncio.client import connect
 
-from server.config import ServerSettings
 from server.gateway import admission as admission_module
 from server.gateway.admission import (
     ANSWERS_PER_S,
@@ -16,6 +15,7 @@ from server.gateway.admission import (
     ConnectionLimiter,
     ConnectionSlot,
 )
+from server.gateway.settings import ServerSettings
 from tests.helpers.gateway import TIMEOUT_S, exchange, limiter_of, listening, request, status, until_empty
 from tests.helpers.waiting import until
 

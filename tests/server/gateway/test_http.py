@@ -21,6 +21,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from robot.logs import MAX_KEYS
+from server import robot_files
 from server.errors import FileTooLargeError, ServiceError
 from server.gateway import http as gate
 from server.gateway.http import (
@@ -36,7 +37,6 @@ from server.gateway.http import (
     page_is_built,
 )
 from server.gateway.listener import OPEN_TIMEOUT_S
-from server.moveit import description
 from tests.helpers.gateway import listening
 from tests.helpers.robots import so101
 
@@ -230,7 +230,7 @@ async def test_compas_fab_finds_the_meshes_that_the_description_names(site: Site
 async def test_a_file_that_is_too_large_is_told_once_with_the_limit(
     site: Site, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(description, "MAX_FILE_BYTES", 4)
+    monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
     for _ in range(2):
         got, body = await site.ask(f"/robot/{PACKAGE}/assets/base.stl")
         assert got.status == 413
@@ -335,7 +335,7 @@ async def test_clients_that_do_not_read_take_a_bounded_part_of_memory(
 
 def test_the_largest_mesh_has_the_time_it_needs_over_a_poor_wireless_link() -> None:
     poor_link_bytes_s = 200_000
-    assert description.MAX_FILE_BYTES / poor_link_bytes_s < OPEN_TIMEOUT_S
+    assert robot_files.MAX_FILE_BYTES / poor_link_bytes_s < OPEN_TIMEOUT_S
 
 
 FILE = StoredFile(b"content", '"name"', gzipped=True)

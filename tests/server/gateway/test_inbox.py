@@ -16,7 +16,7 @@ from protocol.operations import Auth, CancelActionGoal, Operation, Publish
 from protocol.registry import Registry
 from protocol.session import Packed, Refusal, Session
 from robot.stop_epochs import STOP_EPOCHS
-from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE, SERVICES, TOPICS
+from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE
 from server.arrival import arrival_epoch
 from server.gateway.client_topics import StrictPublication, StrictTopic
 from server.gateway.inbox import (
@@ -33,6 +33,7 @@ from server.gateway.turns import ROUND_S, TURN_S, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import UnreadSocket
+from tests.helpers.rules import server_rules
 
 TYPES = MessageTypes(Registry.load())
 READER = TYPES.strict_reader("std_msgs/msg/String")
@@ -308,7 +309,8 @@ def test_a_flood_of_stops_is_not_read_beyond_the_bound_and_ends_with_its_client(
 
 
 def test_the_names_of_all_stops_and_cancels_have_a_word_that_is_looked_for_in_unread_frames() -> None:
-    rules = {**SERVICES, **TOPICS}
+    services, topics, _ = server_rules()
+    rules = {**services, **topics}
     urgent = [name for name, rule in rules.items() if rule.stops and rule.at_once_data is None]
     assert len(urgent) > 5
     for name in (*urgent, CANCEL_SERVICE, ACTIONLIB_CANCEL, CancelActionGoal.model_fields["op"].default, "stop"):

@@ -13,8 +13,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from protocol.publication import EncodedMessage
 from protocol.registry import Registry
 from server.access.settings import SessionSettings
-from server.config import ServerSettings
 from server.gateway.listener import Listener
+from server.gateway.settings import ServerSettings
 from server.gateway.transport import WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph

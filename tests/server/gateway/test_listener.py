@@ -22,7 +22,6 @@ from protocol.limits import Limits
 from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings, SessionSettings
-from server.config import ServerSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway import listener as listener_module
 from server.gateway.admission import ConnectionLimiter
@@ -40,6 +39,7 @@ from server.gateway.listener import (
     resolve,
     tells_of_more_than_http,
 )
+from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clock import FakeClock

@@ -18,11 +18,11 @@ from protocol.publication import EncodedMessage, Frame
 from protocol.stream import StreamSplitter
 from server.access.authorization import Access
 from server.access.settings import AccessSettings, SessionSettings
-from server.config import ServerSettings
 from server.errors import StartError
 from server.gateway import connection, raw_tcp
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.listener import Listener
+from server.gateway.settings import ServerSettings
 from server.gateway.transport import OUT_OF_MEMORY, WRITE_LIMIT_BYTES
 from server.graph.node import Node
 from server.graph.topics import Graph

@@ -21,11 +21,11 @@ from protocol.publication import Frame as Payload
 from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
-from server.config import ServerSettings
 from server.gateway import listener as listener_module
 from server.gateway import transport
 from server.gateway.connection import Connection
 from server.gateway.listener import Listener
+from server.gateway.settings import ServerSettings
 from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph

@@ -8,10 +8,10 @@ import pytest
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
-from server.access.permissions import Identity, Role
 from server.errors import GraphError
 from server.graph import latching, topics
 from server.graph.node import Node
+from server.graph.permissions import Identity, Role
 from server.graph.topics import (
     MAX_TOPICS_FOR_VIEWERS,
     MAX_TOPICS_OF_PUBLISHER,

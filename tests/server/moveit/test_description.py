@@ -10,22 +10,13 @@ from pathlib import Path
 import pytest
 
 from protocol.registry import Registry
+from server import robot_files
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
-from server.moveit import description
-from server.moveit.description import (
-    FILE_SERVICE,
-    SRDF_TOPIC,
-    URDF_TOPIC,
-    RobotDescription,
-    RobotFiles,
-    find_file,
-    package_name,
-    read_file,
-    with_package_urls,
-)
+from server.moveit.description import FILE_SERVICE, SRDF_TOPIC, URDF_TOPIC, RobotDescription
+from server.robot_files import RobotFiles, find_file, package_name, read_file, with_package_urls
 from tests.helpers.robots import so101
 
 REGISTRY = Registry.load()
@@ -110,7 +101,7 @@ def test_only_files_below_the_description_are_served(files: Path, name: str) -> 
 
 
 def test_a_file_that_is_too_large_is_refused_with_the_limit(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(description, "MAX_FILE_BYTES", 4)
+    monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
     with pytest.raises(FileTooLargeError, match="5 bytes, the limit is 4"):
         read_file(files, PACKAGE, "assets/base.stl")
 

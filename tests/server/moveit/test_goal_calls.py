@@ -11,6 +11,7 @@ from planners.problem import MoveItErrorCode, PlanningProblem
 from server.execution.motions import PlannedMotion
 from server.execution.queue import Answer, GoalState, Progress
 from server.graph.actions import GoalStatus
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.services import Response
 from server.moveit.goal_calls import NAME, GoalCalls
@@ -32,7 +33,7 @@ class Desk(ActionDesk):
         super().__init__()
         self.confirmation = Confirmation(self.graph, enabled=False, timeout_s=60.0)
         self.responses: list[Response] = []
-        GoalCalls(self.graph, self.queue, translator(self.arm), self.confirmation, self.context).open()
+        GoalCalls(LocalGraph(self.graph), self.queue, translator(self.arm), self.confirmation, self.context).open()
 
     async def ask(self, timeout_s: float | None = None, **request: Any) -> None:
         """Call, and let everything that it sets going come to rest."""

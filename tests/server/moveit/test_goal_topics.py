@@ -12,6 +12,7 @@ from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.execution.motions import Motion, PlannedMotion
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.goal_topics import (
@@ -59,13 +60,13 @@ class Desk:
         self.runner = Obedient()
         self.confirmation = Confirmation(self.graph, enabled=False, timeout_s=60.0)
         node = Node("moveit")
-        status = GoalStatusTopics(self.graph, node, so101())
+        status = GoalStatusTopics(LocalGraph(self.graph), node, so101())
         self.queue: GoalQueue[Motion] = GoalQueue(
             self.runner, GoalPolicy.QUEUE, 4, status.publish_progress, status.publish_answer
         )
         self.queue.start()
         status.open()
-        GoalTopics(self.graph, node, self.queue, translator(), self.confirmation).open()
+        GoalTopics(LocalGraph(self.graph), node, self.queue, translator(), self.confirmation).open()
         self.heard: dict[str, list[Any]] = {RESULT_TOPIC: [], STATUS_TOPIC: []}
         for topic, messages in self.heard.items():
             self.graph.subscribe(

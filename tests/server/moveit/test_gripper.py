@@ -19,6 +19,7 @@ from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.player import BRAKING_TIMEOUT_S
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, Result
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.gripper import (
@@ -30,6 +31,7 @@ from server.moveit.gripper import (
     GripperActions,
     GripperCommand,
     GripperCommandMessages,
+    GripperLimits,
     GripperReading,
     ParallelGripperCommandMessages,
     fingers_together,
@@ -137,7 +139,7 @@ async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it(
     robot = so101()
     arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     await arm.launch()
-    gripper = Gripper(arm, [robot.joints["gripper"]], 1.0, 1.0, TimeLimits(), 0.5)
+    gripper = Gripper(arm, [robot.joints["gripper"]], GripperLimits(1.0, 1.0, 0.5, TimeLimits()))
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
     await settle()
     assert not moving.done()
@@ -163,7 +165,7 @@ class GrippingArm(FakeArm):
 
 async def test_an_effort_is_a_share_of_what_the_gripper_may_use() -> None:
     arm = GrippingArm()
-    gripper = Gripper(arm, [so101().joints["gripper"]], 1.0, 1.0, TimeLimits(), 0.4)  # type: ignore[arg-type]
+    gripper = Gripper(arm, [so101().joints["gripper"]], GripperLimits(1.0, 1.0, 0.4, TimeLimits()))  # type: ignore[arg-type]
     for effort in (0.0, 0.1, 0.4, 5.0):
         await gripper.move(gripper.claim(), GripperCommand(0.5, effort), lambda _reading: None)
     assert arm.shares == pytest.approx([1.0, 0.25, 1.0, 1.0])
@@ -181,7 +183,9 @@ ALLOWED_S = 5.0
 
 def begin(arm: SlowArm) -> asyncio.Task[MotionEnded]:
     clock = asyncio.get_running_loop().time
-    gripper = Gripper(arm, [so101().joints["gripper"]], 1.0, 1.0, TimeLimits(0.0, ALLOWED_S), 0.5, clock=clock)  # type: ignore[arg-type]
+    gripper = Gripper(
+        arm, [so101().joints["gripper"]], GripperLimits(1.0, 1.0, 0.5, TimeLimits(0.0, ALLOWED_S)), clock=clock
+    )  # type: ignore[arg-type]
     return asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
 
 
@@ -199,8 +203,8 @@ class Grippers:
     def __init__(self) -> None:
         self.arm, self.graph = SlowArm(), Graph(REGISTRY)
         self.arm.state = replace(self.arm.state, load=np.zeros(len(self.arm.state.joint_names)))
-        self.gripper = Gripper(self.arm, [so101().joints["gripper"]], 1.0, 1.0, TimeLimits(), 0.5)  # type: ignore[arg-type]
-        self.actions = GripperActions(self.graph, self.gripper)
+        self.gripper = Gripper(self.arm, [so101().joints["gripper"]], GripperLimits(1.0, 1.0, 0.5, TimeLimits()))  # type: ignore[arg-type]
+        self.actions = GripperActions(LocalGraph(self.graph), self.gripper)
         self.results: list[Result] = []
 
     async def send(self, **command: Any) -> Goal:
@@ -366,7 +370,7 @@ async def test_a_motion_of_the_gripper_is_known_to_the_goals_of_the_arm() -> Non
     in_progress, arm = MotionsInProgress(), SlowArm()
     arm.state = replace(arm.state, load=np.zeros(len(arm.state.joint_names)))
     joints = [so101().joints["gripper"]]
-    gripper = Gripper(arm, joints, 1.0, 1.0, TimeLimits(), 0.5, in_progress)  # type: ignore[arg-type]
+    gripper = Gripper(arm, joints, GripperLimits(1.0, 1.0, 0.5, TimeLimits()), in_progress)  # type: ignore[arg-type]
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
     await settle()
     assert in_progress.expected_rad({"gripper": 0.0}, frozenset(("elbow_flex",))) == {"gripper": 1.0}

@@ -11,8 +11,8 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from server.access.settings import AccessSettings
-from server.config import ServerSettings
 from server.errors import RecordingError
+from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.interfaces import load_registry

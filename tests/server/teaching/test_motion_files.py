@@ -71,9 +71,10 @@ async def test_a_taken_name_is_neither_recorded_nor_renamed_to(motions: MotionFi
 
 
 async def test_the_number_of_motions_is_bounded_also_when_several_are_saved_at_once(
-    motions: MotionFiles, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(motion_files, "MAX_MOTIONS", 2)
+    motions = MotionFiles(tmp_path, ROBOT)
     saved = await asyncio.gather(*(motions.save(name, WAVE) for name in "abcd"), return_exceptions=True)
     assert sum(isinstance(each, ServiceError) for each in saved) == 2
     names = await motions.names()

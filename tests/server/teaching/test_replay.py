@@ -14,17 +14,20 @@ from planners.scene import EMPTY_SCENE
 from server.execution.motions import PlannedMotion, plan_sequence
 from server.execution.queue import Answer, GoalState, Progress
 from server.graph.actions import GoalStatus
-from server.moveit.parameters import MoveItParameters
+from server.moveit.parameters import MoveItParameters, PlannerParameters
+from server.moveit.requests.planning_problems import ProblemBuilder
 from server.teaching.motion_files import MotionFiles
 from server.teaching.replay import MAX_REPEAT, NAME, Replay, ReplayAction, groups_of, planned, result
 from server.teaching.taught_motion import TaughtMotion
 from tests.helpers.fake_arm import HOME, JOINTS
-from tests.helpers.moveit import ROBOT, SEVEN, ActionDesk, DirectPool, rejection
+from tests.helpers.moveit import FRAMES, ROBOT, SEVEN, ActionDesk, DirectPool, rejection
 from tests.helpers.waiting import until
 
 POINTS = np.linspace(0.1, 0.5, 11)[:, np.newaxis] * np.ones(len(JOINTS))
 WAVE = TaughtMotion(JOINTS, np.arange(11) * 0.3, POINTS)
 ONCE = Replay("wave", 1.0, reverse=False, repeat=0)
+
+PROBLEMS = ProblemBuilder(ROBOT, FRAMES, PlannerParameters(MoveItParameters()))
 
 
 class Desk(ActionDesk):
@@ -33,7 +36,7 @@ class Desk(ActionDesk):
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self.motions = MotionFiles(folder, ROBOT)
-        ReplayAction(self.graph, ROBOT, self.motions, self.queue, MoveItParameters()).open()
+        ReplayAction(self.graph, ROBOT, self.motions, self.queue, PROBLEMS).open()
 
 
 @pytest.fixture
@@ -48,7 +51,7 @@ def problems(motion: PlannedMotion) -> list[Any]:
 
 
 def test_a_replay_goes_to_the_start_of_each_group_and_then_follows_all_joints() -> None:
-    arm, gripper, path = problems(planned(ONCE, WAVE, ROBOT, MoveItParameters()))
+    arm, gripper, path = problems(planned(ONCE, WAVE, ROBOT, PROBLEMS))
     assert isinstance(arm, PlanningProblem)
     assert arm.group == "arm"
     assert arm.goal == JointGoal(dict.fromkeys(JOINTS[:-1], 0.1))
@@ -59,14 +62,14 @@ def test_a_replay_goes_to_the_start_of_each_group_and_then_follows_all_joints() 
 
 
 def test_a_replay_backwards_begins_at_the_end() -> None:
-    arm, _, path = problems(planned(Replay("wave", 0.5, reverse=True, repeat=0), WAVE, ROBOT, MoveItParameters()))
+    arm, _, path = problems(planned(Replay("wave", 0.5, reverse=True, repeat=0), WAVE, ROBOT, PROBLEMS))
     assert arm.goal == JointGoal(dict.fromkeys(JOINTS[:-1], 0.5))
     assert path.positions_rad.tolist() == POINTS[::-1].tolist()
     assert path.speed == 0.5
 
 
 def test_a_repeated_replay_returns_to_the_start_each_time() -> None:
-    motion = planned(Replay("wave", 1.0, reverse=False, repeat=2), WAVE, ROBOT, MoveItParameters())
+    motion = planned(Replay("wave", 1.0, reverse=False, repeat=2), WAVE, ROBOT, PROBLEMS)
     assert [type(problem) for problem in problems(motion)] == [PlanningProblem, PlanningProblem, JointPathProblem] * 3
     assert motion.joints == frozenset(JOINTS)
 
@@ -79,7 +82,7 @@ def test_joints_that_make_no_group_without_others_are_refused() -> None:
 
 
 async def test_the_motions_of_a_replay_follow_each_other_without_a_gap() -> None:
-    motion = planned(ONCE, WAVE, ROBOT, MoveItParameters())
+    motion = planned(ONCE, WAVE, ROBOT, PROBLEMS)
     found = await plan_sequence(motion.steps, HOME, EMPTY_SCENE, DirectPool().ask)
     assert found.failure is None
     arm, gripper, path = found.performed.planned

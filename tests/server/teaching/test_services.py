@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from robot.messages import ArmState, Mode
-from server.access.authorization import rule_of_action, rule_of_service
-from server.access.permissions import Role
+from server.graph.permissions import Role
 from server.teaching.motion_files import MotionFiles
 from server.teaching.services import Teaching
 from server.teaching.taught_motion import MAX_DURATION_S
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import BENT, ROBOT, ServiceRig, box, diff, pose
+from tests.helpers.rules import server_rules
 from tests.helpers.waiting import until
 
 START = np.array(list(BENT.values()))
@@ -229,8 +229,9 @@ async def test_an_arm_that_is_not_connected_is_not_recorded(lesson: Lesson) -> N
 
 
 def test_replays_drive_the_arm_and_changes_of_motions_configure() -> None:
-    assert rule_of_action("/replay_motion").drives
-    assert {rule_of_service(f"/teach/{name}").role for name in ("list", "get")} == {Role.VIEW}
-    assert {rule_of_service(f"/teach/{name}").role for name in ("begin", "end", "discard")} == {Role.OPERATE}
+    services, _, actions = server_rules()
+    assert actions["/replay_motion"].drives
+    assert {services[f"/teach/{name}"].role for name in ("list", "get")} == {Role.VIEW}
+    assert {services[f"/teach/{name}"].role for name in ("begin", "end", "discard")} == {Role.OPERATE}
     changes = ("save", "delete", "rename", "trim")
-    assert {rule_of_service(f"/teach/{name}").role for name in changes} == {Role.ADMIN}
+    assert {services[f"/teach/{name}"].role for name in changes} == {Role.ADMIN}

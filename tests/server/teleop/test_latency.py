@@ -18,22 +18,20 @@ import pytest
 
 from planners.geometry.collision import CollisionModel
 from planners.problem import MoveItErrorCode, PlanningFailure
-from planners.scene import Pose
 from planners.servo.question import ServoAnswer, ServoLimits, ServoQuestion
 from planners.servo.velocity_limits import WATCHED_M
 from robot.arm import ArmStream
 from robot.control.streaming import Streaming
 from robot.description.limits import JointBounds
 from robot.messages import MotionEnded, Setpoint, Stream
-from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, Positions
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalRunners
 from server.moveit.servo.servo_loop import ServoSetup
 from server.teleop.joint_map import joint_map
 from server.teleop.leader import JitterBuffer, LeaderSample
-from server.teleop.session import Follower, FollowingSession, FollowingState
+from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
-from tests.helpers.moveit import planner
+from tests.helpers.moveit import planner, planning_of
 
 pytestmark = pytest.mark.stepped_time
 
@@ -80,7 +78,7 @@ class TickingArm(FakeArm):
             await asyncio.sleep(TICK_S)
             streaming = self._streaming
             if streaming is not None:
-                goals = streaming.advance(TICK_S, 1.0, 1.0)
+                goals = streaming.step(TICK_S, 1.0, 1.0)
                 self.put(**dict(zip(JOINTS, self.state.goal_rad, strict=True)) | dict(zip(STEERED, goals, strict=True)))
                 self.streams[-1].commanded = streaming.commanded
                 if (ended := streaming.end(goals, goals, 0.0)) is not None:
@@ -108,14 +106,14 @@ class Trial:
             Follower("right", "", ROBOT, arm.as_arm, setup, None),
             joint_map(ROBOT, "", JOINTS),
             self.samples,
-            GoalQueue(cast("GoalRunners[Motion]", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None),
-            self._go_to,
-            self._ask,
-            lambda _frame, _positions: Pose(),
-            CurrentState(arm, ROBOT),
+            FollowingContext(
+                planning_of(arm, pool=self),
+                GoalQueue(cast("GoalRunners[Motion]", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None),
+                self._go_to,
+                self.clock,
+            ),
             self.told.append,
             lambda _targets: None,
-            self.clock,
         )
 
     async def follow(self, leader: Callable[[float], dict[str, float]], seconds: float) -> np.ndarray:
@@ -140,7 +138,7 @@ class Trial:
         arrived.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
         return "1", arrived
 
-    async def _ask(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
+    async def ask(self, question: ServoQuestion, _scene: object) -> ServoAnswer | PlanningFailure:
         answer = cast("ServoAnswer | PlanningFailure", planner().answer(question))
         await asyncio.sleep(self.latency_s())
         return answer

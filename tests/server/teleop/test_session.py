@@ -9,9 +9,7 @@ from typing import cast
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from planners.scene import Pose
 from planners.servo.question import JointVelocities, ServoAnswer, ServoLimits, ServoQuestion
-from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, Positions
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalRunners
 from server.moveit.servo.servo_loop import ServoSetup
@@ -19,9 +17,10 @@ from server.teleop import session as sessions
 from server.teleop.following import Phase
 from server.teleop.joint_map import joint_map
 from server.teleop.leader import JitterBuffer, LeaderSample
-from server.teleop.session import Follower, FollowingSession, FollowingState
+from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
+from tests.helpers.moveit import planning_of
 
 STEERED = ROBOT.groups["arm"].joints
 PLANNING_S = 0.002
@@ -46,14 +45,9 @@ class Rig:
             Follower("right", "", ROBOT, arm.as_arm, setup, None),
             joint_map(ROBOT, "", JOINTS),
             self.samples,
-            idle_queue(),
-            self._go_to,
-            self._ask,
-            lambda _frame, _positions: Pose(),
-            CurrentState(arm, ROBOT),
+            FollowingContext(planning_of(arm, pool=self), idle_queue(), self._go_to, self.clock),
             self.told.append,
             lambda _targets: None,
-            self.clock,
         )
 
     def read(self, elbow_rad: float, late_s: float = 0.0) -> None:
@@ -73,7 +67,7 @@ class Rig:
         arrived.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
         return "1", arrived
 
-    async def _ask(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
+    async def ask(self, question: ServoQuestion, _scene: object) -> ServoAnswer | PlanningFailure:
         self.questions.append(question)
         self.clock.advance(PLANNING_S)
         await asyncio.sleep(0)

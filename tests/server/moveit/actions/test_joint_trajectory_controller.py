@@ -18,6 +18,7 @@ from server.execution.motions import ExternalTrajectory
 from server.execution.queue import Answer, GoalState, Performed, Progress
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus, Result
+from server.graph.local_graph import LocalGraph
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -27,6 +28,7 @@ from server.moveit.actions.joint_trajectory_controller import (
     FollowCode,
     JointTrajectoryController,
     SegmentTolerances,
+    TrajectoryContext,
     TrajectoryGoal,
     check_trajectory,
     follow_code,
@@ -50,13 +52,10 @@ class Desk(ActionDesk):
     def __init__(self) -> None:
         super().__init__()
         self.controller = JointTrajectoryController(
-            self.graph,
-            ROBOT,
+            LocalGraph(self.graph),
             ROBOT.groups["arm"],
             self.arm.as_arm,
-            self.current,
-            self.queue,
-            TimeLimits(),
+            TrajectoryContext(self.context, self.queue, TimeLimits()),
             industrial=True,
         )
 
@@ -342,7 +341,7 @@ STATE = replace(FakeArm().state, goal_rad=np.full(len(JOINTS), 0.3), position_ra
 @pytest.mark.parametrize("name", ["state", "controller_state"])
 async def test_subscribers_get_reference_and_feedback_of_the_joints(name: str) -> None:
     graph = Graph(Registry.load())
-    told = ControllerStatePublisher(graph, GROUP)
+    told = ControllerStatePublisher(LocalGraph(graph), GROUP)
     heard: list[Any] = []
     subscriber = Subscriber(lambda published: heard.append(published.msg))
     graph.subscribe(Node("client"), f"/arm_controller/{name}", None, subscriber)

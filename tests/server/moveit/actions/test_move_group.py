@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
+from server.actionlib import ActionlibBridge
 from server.execution.motions import ExternalTrajectory, PlannedMotion
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
-from server.moveit.actions.joint_trajectory_controller import move_group_result, sequence_result
+from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, move_group_result, sequence_result
 from server.moveit.actions.move_group import (
     DEFAULT_ATTEMPTS,
     EXECUTE_ACTION,
@@ -22,7 +23,6 @@ from server.moveit.actions.move_group import (
     MOVE_GROUP,
     SEQUENCE_ACTION,
     ExecuteTrajectory,
-    MotionActions,
     PlanningActions,
     PlanningGoal,
     PlanningOptions,
@@ -40,16 +40,15 @@ OFFERED = {
     "/move_group": "moveit_msgs/action/MoveGroup",
     "/sequence_move_group": "moveit_msgs/action/MoveGroupSequence",
     "/execute_trajectory": "moveit_msgs/action/ExecuteTrajectory",
-    "/arm_controller/follow_joint_trajectory": "control_msgs/action/FollowJointTrajectory",
-    "/gripper_controller/follow_joint_trajectory": "control_msgs/action/FollowJointTrajectory",
-    "/joint_trajectory_action": "control_msgs/action/FollowJointTrajectory",
 }
 
 
 @pytest.fixture
 async def desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
-    MotionActions(made.graph, made.context, made.arm, made.queue, TimeLimits()).open(())  # type: ignore[arg-type]
+    PlanningActions(made.graph, made.context, made.queue)
+    ExecuteTrajectory(made.graph, TrajectoryContext(made.context, made.queue, TimeLimits()))
+    ActionlibBridge(made.graph, lambda: 0.0, lambda _delay_s, _act: None).open(OFFERED)  # type: ignore[arg-type,return-value]
     yield made
     await made.close()
 
@@ -293,7 +292,7 @@ def test_look_around_is_ignored_with_a_warning() -> None:
 @pytest.fixture
 async def execution_desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
-    ExecuteTrajectory(made.graph, ROBOT, made.current, made.queue, TimeLimits())
+    ExecuteTrajectory(made.graph, TrajectoryContext(made.context, made.queue, TimeLimits()))
     yield made
     await made.close()
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from planners.problem import Deviation, MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode, PlanningFailure
 from server.moveit.requests.error_codes import (
-    deviation_note,
     error_code,
     failure_code,
     invalid,
@@ -23,16 +22,6 @@ def test_a_failure_keeps_its_code_and_its_sentence() -> None:
 
 def test_a_success_has_its_notes_as_message() -> None:
     assert success("a", "", "b") == error_code(MoveItErrorCode.SUCCESS, "a; b")
-
-
-def test_a_deviation_is_described_in_millimetres_and_degrees() -> None:
-    note = deviation_note(Deviation(position_m=0.0042, orientation_rad=0.5))
-    assert "4.2 mm" in note
-    assert "28.6 degrees" in note
-
-
-def test_a_deviation_within_the_arms_accuracy_is_not_described() -> None:
-    assert not deviation_note(Deviation(position_m=0.0005, orientation_rad=0.005))
 
 
 def test_a_refusal_has_code_sentence_and_details() -> None:

@@ -7,13 +7,13 @@ import asyncio
 import pytest
 
 from protocol.registry import Registry
-from server.access.authorization import rule_of_service
-from server.access.permissions import Role
 from server.graph.node import Node
+from server.graph.permissions import Role
 from server.graph.topics import Graph
 from server.moveit.scene import named_scenes
 from server.moveit.scene.named_scenes import NamedScenes, objects_in_words, offer_named_scenes
 from tests.helpers.moveit import BENT, ROBOT, box, current_state, diff, held, scene_state
+from tests.helpers.rules import server_rules
 
 
 class Scenes:
@@ -109,7 +109,7 @@ async def test_a_folder_that_cannot_be_written_is_told(tmp_path):
 
 
 def test_saving_configures_and_loading_changes_the_scene():
-    roles = {name: rule_of_service(f"/arm/scenes/{name}").role for name in ("list", "load", "save", "delete")}
+    roles = {name: server_rules().services[f"/arm/scenes/{name}"].role for name in ("list", "load", "save", "delete")}
     assert roles == {"list": Role.VIEW, "load": Role.OPERATE, "save": Role.ADMIN, "delete": Role.ADMIN}
 
 

@@ -5,20 +5,19 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
-from planners.interface import Planners
-from planners.scene import EMPTY_SCENE, Pose, Scene
+from planners.scene import EMPTY_SCENE, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrived_in
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.scene_state import SceneState
 from server.moveit.servo.servo_node import (
     INT8,
     JOINT_TOPIC,
@@ -43,6 +42,7 @@ from server.moveit.servo.servo_node import (
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm, settle
 from tests.helpers.gateway import REGISTRY
+from tests.helpers.moveit import planning_of
 from tests.helpers.waiting import until
 
 NORTH = {"twist": {"linear": {"x": 0.5}}}
@@ -63,14 +63,11 @@ class Rig:
         self.heard: list[dict[str, Any]] = []
         self.one, self.other = Node("one", remote=True), Node("other", remote=True)
         self.node = ServoNode(
-            self.graph,
-            ROBOT,
+            LocalGraph(self.graph),
             # No command gets too old where a busy machine takes its time.
             MoveItParameters(servo={"incoming_command_timeout": 5.0}),
-            SceneState(ROBOT),
-            lambda _frame, _positions: Pose(),
             self.arm.as_arm,
-            cast("Planners", self),
+            planning_of(self.arm, pool=self),
             lambda: self.busy,
         )
         self.node._session._clock = asyncio.get_running_loop().time

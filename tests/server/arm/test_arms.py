@@ -10,7 +10,7 @@ import pytest
 
 from robot.calibration import save
 from robot.hardware.config import EmulatedConfig, IdealConfig
-from server.arm.named_arms import JoinedBeat, joined_robot, read_arms
+from server.arm.arms import JoinedBeat, joined_robot, read_arms
 from server.arm.setup import Description
 from server.config import ArmSettings, Settings
 from server.errors import ConfigurationError

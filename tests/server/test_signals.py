@@ -11,8 +11,8 @@ import pytest
 
 from robot import logs as changed
 from robot.logs import OUR_LOGGER
-from server.monitoring import systemd
-from server.monitoring.systemd import on_hangup, toggle_debug
+from server import lifecycle
+from server.lifecycle import on_hangup, toggle_debug
 from tests.helpers.waiting import until
 
 
@@ -70,7 +70,7 @@ def levels_are_put_back(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.mark.usefixtures("levels_are_put_back")
 def test_the_signal_begins_and_ends_debugging(caplog: pytest.LogCaptureFixture) -> None:
     toggle_debug()
-    assert systemd.log.isEnabledFor(logging.DEBUG)
+    assert lifecycle.log.isEnabledFor(logging.DEBUG)
     toggle_debug()
     assert logging.getLogger(OUR_LOGGER).level == logging.NOTSET
     assert ["debug now" in record.message for record in caplog.records] == [True, False]

@@ -5,19 +5,27 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
-from planners.interface import Planners
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
-from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, ParkingPlan
+from protocol.registry import Registry
+from robot.arm import Arm
+from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
 from server.config import ArmSettings
 from server.errors import ConfigurationError
-from server.execution.parking import CHECK_S, LastClient, Parking, rest_pose
 from server.execution.queue import GoalQueue
-from server.moveit.parameters import MoveItParameters
+from server.features.context import ArmContext
+from server.features.parking import CHECK_S, LastClient, Parking, rest_pose
+from server.graph.local_graph import LocalGraph
+from server.graph.topics import Graph
+from server.moveit.parameters import MoveItParameters, PlannerParameters
+from server.moveit.requests.planning_problems import ProblemBuilder
+from server.moveit.scene.frames import Frames
+from server.moveit.scene.scene_state import SceneState
 from tests.helpers.fake_arm import ROBOT, FakeArm
 from tests.helpers.motions import smooth_move
 
@@ -57,15 +65,17 @@ class World:
         self.asked: list[PlanningProblem] = []
         self.while_planning: Callable[[], None] = lambda: None
         self._listeners: list[Callable[[], None]] = []
-        self.parking = Parking(
-            self.arm.as_arm,
-            ROBOT,
-            ArmSettings.model_validate({"on_server_lost": "park", **settings}),
-            MoveItParameters(),
-            cast("Planners", self),
-            self,
-            cast("GoalQueue[Any]", self),
+        self.scene_state = self.queue = self
+        problems = ProblemBuilder(ROBOT, Frames(ROBOT, SceneState(ROBOT)), PlannerParameters(MoveItParameters()))
+        context = SimpleNamespace(
+            robot=ROBOT,
+            served=SimpleNamespace(settings=ArmSettings.model_validate({"on_server_lost": "park", **settings})),
+            parameters=MoveItParameters(),
+            planning=SimpleNamespace(problems=problems, pool=self, scene_state=self),
+            goals=SimpleNamespace(queue=self),
+            graph=LocalGraph(Graph(Registry.load())),
         )
+        self.parking = Parking(self.arm.as_arm, cast("ArmContext", context))
 
     def on_change(self, callback: Callable[[], None]) -> None:
         self._listeners.append(callback)
@@ -186,7 +196,7 @@ async def test_the_exit_waits_for_the_way_from_the_present_place() -> None:
 
 
 async def test_parking_is_refused_where_there_is_no_rest_pose(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.execution.parking.rest_pose", lambda *_: None)
+    monkeypatch.setattr("server.features.parking.rest_pose", lambda *_: None)
     answer = await World().parking.park("/arm/park")
     assert not answer.done
     assert "name one by arm.park_state" in answer.message
@@ -211,20 +221,21 @@ class Leaving:
     """Clients that come and go; the arm is parked or relaxed by what it is told."""
 
     def __init__(self, policy: str = "park", delay_s: float = 5.0) -> None:
-        self.drivers = 0
-        self.busy = False
+        self.drivers: set[object] = set()
+        self.busy = ""
         self.now_s = 0.0
         self.parks = True
         self.done: list[str] = []
+        self.state = SimpleNamespace(mode=Mode.HOLDING)
         settings = ArmSettings.model_validate({"on_last_client": policy, "last_client_delay_s": delay_s})
-        self.last = LastClient(
-            settings,
-            drivers=lambda: self.drivers,
-            busy=lambda: self.busy,
-            park=lambda: self._did("park", done=self.parks),
-            relax=lambda: self._did("relax", done=True),
-            clock=lambda: self.now_s,
-        )
+        arm, queue, parking = cast("Arm", self), cast("GoalQueue[Any]", self), cast("Parking", self)
+        self.last = LastClient(arm, settings, self.drivers, queue, parking, lambda: self.now_s)
+
+    def park(self, _source: str) -> asyncio.Future[CommandDone]:
+        return self._did("park", done=self.parks)
+
+    def order(self, order: Order) -> asyncio.Future[CommandDone]:
+        return self._did(order.value, done=True)
 
     def _did(self, what: str, *, done: bool) -> asyncio.Future[CommandDone]:
         self.done.append(what)
@@ -237,9 +248,9 @@ class Leaving:
         return self.last.due()
 
     def come_and_go(self) -> None:
-        self.drivers = 1
+        self.drivers.add(1)
         assert not self.last.due()
-        self.drivers = 0
+        self.drivers.clear()
         assert not self.last.due()
 
 
@@ -258,24 +269,26 @@ def test_the_arm_is_seen_to_once_the_delay_after_the_last_client() -> None:
 def test_a_client_that_comes_within_the_delay_keeps_the_arm_as_it_is() -> None:
     leaving = Leaving()
     leaving.come_and_go()
-    leaving.drivers = 1
+    leaving.drivers.add(1)
     assert not leaving.due_after(6.0)
 
 
 def test_a_goal_that_moves_is_waited_for() -> None:
     leaving = Leaving()
     leaving.come_and_go()
-    leaving.busy = True
+    leaving.busy = "a goal"
     assert not leaving.due_after(60.0)
-    leaving.busy = False
+    leaving.busy, leaving.state = "", SimpleNamespace(mode=Mode.MOVING)
+    assert not leaving.due_after(60.0)
+    leaving.state = SimpleNamespace(mode=Mode.HOLDING)
     assert leaving.due_after(0.0)
 
 
 async def acted(leaving: Leaving) -> list[str]:
     running = asyncio.create_task(leaving.last.run())
-    leaving.drivers = 1
+    leaving.drivers.add(1)
     await asyncio.sleep(LOOKS_S)
-    leaving.drivers = 0
+    leaving.drivers.clear()
     await asyncio.sleep(LOOKS_S)
     leaving.now_s += 10.0
     await asyncio.sleep(LOOKS_S)

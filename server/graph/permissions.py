@@ -1,4 +1,4 @@
-"""Roles of clients, their identities, and the filters of names that hold for all of them."""
+"""Roles of clients, their identities, the rules of names, and the filters of names that hold for all clients."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ class Identity:
 
     Attributes:
         name: name of the token that it has shown; empty for a client that has shown none.
-        role: its rights.
     """
 
     name: str
@@ -52,6 +51,53 @@ def display_name(identity: Identity | None, address: str) -> str:
     return f"{identity.name} ({address})" if identity is not None and identity.by_token else f"client {address}"
 
 
+@dataclass(frozen=True)
+class Rule:
+    """Requirements of a service, a topic or an action.
+
+    Attributes:
+        role: least role of the client.
+        stops: True for names that stop the arm; they are open to every client with the role, past filters and control,
+            as far as they lead to something that can be stopped.
+        at_once: True for names that go ahead of everything that waits.
+        at_once_data: text in the field ``data`` with which alone a message does so; None for any message.
+        drives: True for names that move or switch the arm, which one client does at a time.
+        goal: True for names that count against the rate of goals.
+        plan_only: path of the field in a goal that may say that nothing moves; empty where there is none.
+        plans: True for services whose answer takes a planner; the calls of one client that wait for it are limited.
+        arm: one of several arms whose control is needed; empty for control of all.
+    """
+
+    role: Role
+    stops: bool = False
+    at_once: bool = False
+    at_once_data: str | None = None
+    drives: bool = False
+    goal: bool = False
+    plan_only: tuple[str, ...] = ()
+    plans: bool = False
+    arm: str = ""
+
+    @property
+    def cancels(self) -> bool:
+        """True for names that end goals in their client's turn."""
+        return self.stops and not self.at_once
+
+
+LOOKING = Rule(Role.VIEW)
+PLANNING = Rule(Role.VIEW, plans=True)
+CANCELLING = Rule(Role.VIEW, stops=True)
+STOPPING = Rule(Role.VIEW, stops=True, at_once=True)
+STOP_EVENT = Rule(Role.VIEW, stops=True, at_once=True, at_once_data="stop")
+WORKING = Rule(Role.OPERATE)
+SWITCHING = Rule(Role.OPERATE, drives=True)
+GOAL = Rule(Role.OPERATE, drives=True, goal=True)
+PLANNING_GOAL = Rule(Role.OPERATE, drives=True, goal=True, plan_only=("planning_options", "plan_only"))
+CALLED_GOAL = Rule(Role.OPERATE, drives=True, goal=True, plan_only=("plan_only",), plans=True)
+CONFIGURING = Rule(Role.ADMIN)
+COMMISSIONING = Rule(Role.ADMIN, drives=True)
+
+
 class NameFilter:
     """Patterns of names that clients may use, as rosbridge_server's parameters ``topics_glob`` and its like.
 
@@ -71,7 +117,6 @@ class NameFilter:
 
         Args:
             kind: topic, service, action or parameter, for the sentence.
-            name: fully qualified.
         """
         if self._pattern is None or self._pattern.match(name):
             return None

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from server.access.permissions import ANYONE, Identity, NameFilter, Role, display_name
+from server.graph.permissions import ANYONE, Identity, NameFilter, Role, display_name
 
 
 def test_each_role_may_do_what_the_ones_before_it_may() -> None:

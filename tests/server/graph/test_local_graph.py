@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-from inspect import signature
+from dataclasses import replace
+from inspect import Parameter, signature
 from typing import Any
 
 import pytest
 
 from protocol.registry import Registry
 from server.graph.actions import Goal, GoalStatus
-from server.graph.namespace import Namespace, _ServicesBelow
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import GOAL, STOPPING
 from server.graph.services import Services
 from server.graph.topics import Graph, Subscriber
 
 
-def graph_with_left() -> tuple[Graph, Namespace]:
+def graph_with_left() -> tuple[Graph, LocalGraph]:
     graph = Graph(Registry.load())
-    return graph, Namespace(graph, "left")
+    return graph, LocalGraph(graph, "left")
 
 
 def test_topics_stand_below_the_prefix() -> None:
@@ -30,7 +32,7 @@ def test_topics_stand_below_the_prefix() -> None:
     left.publish(part, "/joint_states", {"data": "here"})
     assert heard == [{"data": "here"}]
     assert graph.topic_type("/joint_states") is None
-    assert left.topic_type("/joint_states") == graph.topic_type("/left/joint_states")
+    assert graph.topic_type("/left/joint_states") == "std_msgs/msg/String"
     assert left.publishers("/joint_states") == [part]
     assert left.subscribers("/joint_states") == [client]
 
@@ -46,25 +48,38 @@ def test_what_is_published_elsewhere_is_not_heard_below_the_prefix() -> None:
     assert len(heard) == 1
 
 
-def test_what_is_left_again_is_gone() -> None:
-    graph, left = graph_with_left()
-    part = Node("part")
-    left.advertise(part, "/said", "std_msgs/String")
-    left.subscribe(part, "/said", None, Subscriber(lambda _published: None))
-    left.unsubscribe(part, "/said")
-    left.unadvertise(part, "/said")
-    assert graph.publishers("/left/said") == graph.subscribers("/left/said") == []
-
-
 @pytest.mark.parametrize("offer", ["offer", "offer_calls"])
 def test_an_offer_has_the_same_defaults_below_the_prefix(offer: str) -> None:
-    whole, below = signature(getattr(Services, offer)), signature(getattr(_ServicesBelow, offer))
-    assert below.parameters == whole.parameters
+    whole, below = signature(getattr(Services, offer)).parameters, signature(getattr(LocalGraph, offer)).parameters
+    # A part of the server has to say what its callers need.
+    assert {name: below[name].default for name in below if name != "rule"} == {
+        name: whole[name].default for name in below if name != "rule"
+    }
+    assert below["rule"].default is Parameter.empty
+
+
+def test_rules_below_the_prefix_are_those_of_the_arm() -> None:
+    graph, left = graph_with_left()
+    part = Node("part")
+    left.offer(part, "/arm/stop", "std_srvs/Trigger", lambda _request: {}, rule=STOPPING)
+    left.offer_action(part, "/wave", "example_interfaces/action/Fibonacci", lambda _goal: None, rule=GOAL)
+    left.subscribe(part, "/stop", "std_msgs/Empty", Subscriber(lambda _published: None, rule=STOPPING))
+    assert graph.services.rules == {"/left/arm/stop": replace(STOPPING, arm="left")}
+    assert graph.actions.rules == {"/left/wave": replace(GOAL, arm="left")}
+    assert graph.rules == {"/left/stop": replace(STOPPING, arm="left")}
+
+
+def test_without_a_prefix_the_names_are_the_graphs() -> None:
+    graph = Graph(Registry.load())
+    only = LocalGraph(graph)
+    only.offer(Node("part"), "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True}, rule=STOPPING)
+    assert graph.services.provider("/arm/stop") is not None
+    assert only.resolve("/arm/stop") == "/arm/stop"
 
 
 def test_services_stand_below_the_prefix() -> None:
     graph, left = graph_with_left()
-    left.services.offer(Node("part"), "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True})
+    left.offer(Node("part"), "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True}, rule=STOPPING)
     assert graph.services.provider("/left/arm/stop") is not None
     assert graph.services.provider("/arm/stop") is None
 
@@ -78,7 +93,7 @@ async def test_actions_stand_below_the_prefix_and_goals_name_them_in_full() -> N
         names.append(goal.action)
         goal.finish(GoalStatus.SUCCEEDED, {})
 
-    left.actions.offer(Node("part"), "/wave", "example_interfaces/action/Fibonacci", start)
+    left.offer_action(Node("part"), "/wave", "example_interfaces/action/Fibonacci", start, rule=GOAL)
     client = Node("client")
     graph.actions.send_goal(
         client, "/left/wave", "example_interfaces/action/Fibonacci", {"order": 1}, ended.set_result, None

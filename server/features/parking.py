@@ -9,25 +9,38 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
 from planners.goals import JointGoal
-from planners.interface import Planners
 from planners.problem import MoveItErrorCode, Plan, PlanningProblem
 from robot.arm import Arm
 from robot.description.model import RobotModel
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
+from server.arm.services import trigger_response
 from server.arrival import arrival_epoch
 from server.config import ArmSettings
 from server.errors import ConfigurationError
-from server.execution.monitors import CurrentState, SceneSource
+from server.execution.monitors import CurrentState
 from server.execution.motions import Motion, PlannedMotion, Positions
 from server.execution.queue import Answer, GoalPolicy, GoalQueue
-from server.moveit.parameters import MoveItParameters
+from server.features.context import ArmContext, ServerContext
+from server.graph.node import Node
+from server.graph.permissions import SWITCHING
+from server.lifecycle import BackgroundTask, Feature
+from server.moveit.poses import Message
 
 log = logging.getLogger("armbridge.parking")
+
+PARK = "/arm/park"
+
+# Source of parking, in log lines and reports.
+LAST_CLIENT = "arm.on_last_client"
+
+# Planning the way to the rest pose takes milliseconds; a planner may be working on something else [s].
+PREPARING_S = 4.0
 
 # Interval of looking for a new place or another scene [s].
 CHECK_S = 0.2
@@ -81,39 +94,27 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
 
 
 class Parking:
-    """Parking of one arm.
+    """Parking of one arm, and the service for it.
 
     Args:
-        arm: the arm.
-        robot: its description.
-        settings: the section ``arm``.
-        parameters: scalings and planning times.
-        pool: the planners.
-        scene: the planning scene.
-        queue: of goals.
+        arm: the arm's handle.
+        context: the arm's context.
 
     Raises:
         ConfigurationError: the settings name a state that does not exist.
     """
 
-    def __init__(
-        self,
-        arm: Arm,
-        robot: RobotModel,
-        settings: ArmSettings,
-        parameters: MoveItParameters,
-        pool: Planners,
-        scene: SceneSource,
-        queue: GoalQueue[Motion],
-    ) -> None:
+    def __init__(self, arm: Arm, context: ArmContext) -> None:
+        settings, planning = context.served.settings, context.planning
         self._arm = arm
-        self._robot = robot
-        self._pose = rest_pose(robot, settings)
-        self._parameters = parameters
-        self._pool = pool
-        self._scene = scene
-        self._queue = queue
-        self._current = CurrentState(arm, robot)
+        self._context = context
+        self._robot = context.robot
+        self._pose = rest_pose(context.robot, settings)
+        self._problems = planning.problems
+        self._pool = planning.pool
+        self._scene = planning.scene_state
+        self._queue = context.goals.queue
+        self._current = CurrentState(arm, context.robot)
         self._parks_at_end = EndState.PARK in (settings.on_exit, settings.on_server_lost)
         self._parks_on_exit = settings.on_exit is EndState.PARK
         self._place: _Place | None = None
@@ -121,7 +122,11 @@ class Parking:
         self._parked: set[asyncio.Task[CommandDone]] = set()
         if self._parks_at_end and self._pose is None:
             log.warning("%s Where it is to be parked at the end, it is relaxed.", self._no_pose)
-        scene.on_change(self._on_scene_change)
+        self._scene.on_change(self._on_scene_change)
+        context.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._serve, rule=SWITCHING)
+
+    def _serve(self, _request: Message) -> Awaitable[Message]:
+        return trigger_response(self.park(self._context.graph.resolve(PARK)))
 
     @property
     def _no_pose(self) -> str:
@@ -147,7 +152,7 @@ class Parking:
             answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
             answered.set_result(CommandDone(0, done=False, message=refused))
             return answered
-        self._queue.stop(f"the arm is parked by {source}")
+        self._context.stop(f"the arm is parked by {source}")
         # Goals of others end by a stop; the way to the rest pose is requested after it.
         task = asyncio.create_task(self._park(source, pose, STOP_EPOCHS.present), name="park the arm")
         self._parked.add(task)
@@ -183,18 +188,9 @@ class Parking:
     def _problem(self, start_rad: Positions) -> PlanningProblem:
         if self._pose is None:
             raise AssertionError("a way to no pose is planned")
-        parameters = self._parameters
-        return PlanningProblem(
-            group=self._pose.group,
-            start_rad=start_rad,
-            goal=JointGoal(self._pose.positions_rad, parameters.joint_tolerance),
-            velocity_scaling=min(parameters.max_velocity_scaling, self._arm.state.pace.speed_limit),
-            acceleration_scaling=parameters.max_acceleration_scaling,
-            allowed_time_s=parameters.allowed_planning_time,
-            attempts=parameters.num_planning_attempts,
-            planner_id=parameters.planner_id,
-            optimization_time_s=parameters.optimization_time,
-        )
+        group = self._robot.groups[self._pose.group]
+        goal = JointGoal(self._pose.positions_rad, self._context.parameters.joint_tolerance)
+        return self._problems.goal(group, goal, start_rad)
 
     # The way that the arm process keeps for its end.
 
@@ -301,29 +297,27 @@ class LastClient:
     """Parks or relaxes the arm some time after the last client that may drive has left.
 
     Args:
+        arm: the arm's handle.
         settings: the section ``arm``.
-        drivers: returns the number of connected clients that may drive.
-        busy: returns True while a goal is worked on or the arm moves.
-        park: parks the arm.
-        relax: relaxes it.
+        drivers: clients that are connected and may drive.
         clock: monotonic time [s].
     """
 
     def __init__(
         self,
+        arm: Arm,
         settings: ArmSettings,
-        drivers: Callable[[], int],
-        busy: Callable[[], bool],
-        park: Callable[[], asyncio.Future[CommandDone]],
-        relax: Callable[[], asyncio.Future[CommandDone]],
-        clock: Callable[[], float] = lambda: asyncio.get_running_loop().time(),
+        drivers: Collection[object],
+        queue: GoalQueue[Motion],
+        parking: Parking,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._arm = arm
         self._policy = settings.on_last_client
         self._delay_s = settings.last_client_delay_s
         self._drivers = drivers
-        self._busy = busy
-        self._park = park
-        self._relax = relax
+        self._queue = queue
+        self._parking = parking
         self._clock = clock
         self._present = False
         self._left_s: float | None = None
@@ -337,13 +331,15 @@ class LastClient:
 
     def due(self) -> bool:
         """Return True, once, when the time has come: nobody has come back, and no goal moves any more."""
-        if self._drivers():
+        if self._drivers:
             self._present, self._left_s = True, None
             return False
         if self._present:
             self._present, self._left_s = False, self._clock()
             log.info("the last client that may drive has left; arm.on_last_client = %r", self._policy)
-        if self._left_s is None or self._clock() - self._left_s < self._delay_s or self._busy():
+        if self._left_s is None or self._clock() - self._left_s < self._delay_s:
+            return False
+        if self._queue.busy or self._arm.state.mode is Mode.MOVING:
             return False
         self._left_s = None
         return True
@@ -351,12 +347,47 @@ class LastClient:
     async def _act(self) -> None:
         log.info("nobody who may drive is connected: the arm is to %s", self._policy)
         if self._policy == "park":
-            parked = await self._park()
+            parked = await self._parking.park(LAST_CLIENT)
             if parked.done:
                 return
-            if self._drivers():
+            if self._drivers:
                 log.warning("%s; a client is connected again, and the arm holds", parked.message)
                 return
             log.warning("%s; it is relaxed where it is", parked.message)
-        relaxed = await self._relax()
+        relaxed = await self._arm.order(Order.RELAX)
         log.info("nobody who may drive is connected: %s", relaxed.message)
+
+
+class Parkings(Feature):
+    """Parking of each arm. At the end of the server each arm that is to be parked gets its way to the rest pose.
+
+    Args:
+        context: the server's.
+
+    Attributes:
+        last_clients: a background task for each arm that is parked or relaxed after the last client.
+    """
+
+    name = "the way to the rest pose"
+    deadline_s = PREPARING_S
+    beyond_total = True
+
+    def __init__(self, context: ServerContext) -> None:
+        self._parkings: list[Parking] = []
+        self._keeping: list[BackgroundTask] = []
+        self.last_clients: list[BackgroundTask] = []
+        for each, arm in context.single_arms:
+            parking, settings = Parking(arm, each), each.served.settings
+            self._parkings.append(parking)
+            self._keeping.append(BackgroundTask("parking", parking.run))
+            if settings.on_last_client != "nothing":
+                last_client = LastClient(arm, settings, context.access.drivers, context.goals.queue, parking)
+                self.last_clients.append(BackgroundTask("the last client", last_client.run))
+
+    async def start(self) -> None:
+        for each in self._keeping:
+            await each.start()
+
+    async def stop(self) -> None:
+        await asyncio.gather(*(each.stop() for each in self._keeping))
+        await asyncio.gather(*(each.prepare_exit() for each in self._parkings))

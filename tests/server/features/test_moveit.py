@@ -8,13 +8,18 @@ from typing import Any
 
 from websockets.asyncio.client import connect
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from protocol.registry import Registry
 from robot.description.model import RobotModel, parse
+from robot.description.servo_table import HardwareTable
+from server.arm.arms import ServedArm
+from server.arm.setup import Description
 from server.config import ArmSettings, GoalSettings, GuardSettings, Settings
 from server.execution.time_limits import TimeLimits
+from server.features.context import ServerContext, context_of
+from server.features.moveit import MoveGroup, PlanningScene
 from server.graph.topics import Graph
-from server.moveit.interface import MoveItInterface
+from server.moveit.gripper import GripperLimits
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import robots
 from tests.helpers.clients import ArmClient, frame_client, values_of
@@ -115,7 +120,7 @@ async def test_an_actionlib_client_of_ros_1_is_served_in_its_own_spelling(
     assert set(point["time_from_start"]) == {"secs", "nsecs"}
 
 
-def test_settings_reach_their_parts() -> None:
+async def test_settings_reach_their_parts() -> None:
     settings = Settings(
         arm=ArmSettings(tf_rate_hz=10.0, guards=GuardSettings(gripper_torque_limit=0.3)),
         moveit=MoveItParameters(
@@ -123,30 +128,28 @@ def test_settings_reach_their_parts() -> None:
         ),
         goals=GoalSettings(max_paused_s=5.0),
     )
-    interface = interface_of(so101(), settings)
-    gripper = interface._gripper
+    context = context_for(so101(), settings)
+    gripper = context.whole.gripper
     assert gripper is not None
-    assert (
-        interface._executors.runner(frozenset())._player._time_limits
-        == gripper._time_limits
-        == TimeLimits(3.0, 4.0, 5.0)
-    )
-    assert gripper._torque_limit == 0.3
-    assert interface._transforms._period_s == 0.1
-    assert interface._scene_interface._publisher._period_s == 0.5
+    limits = TimeLimits(3.0, 4.0, 5.0)
+    assert context.goals.executors.runner(frozenset())._player._time_limits == limits
+    assert gripper._limits == GripperLimits(0.3, 0.3, 0.3, limits)
+    assert MoveGroup(context)._transforms._period_s == 0.1
+    assert PlanningScene(context)._interface._publisher._period_s == 0.5
 
 
-def interface_of(robot: RobotModel, settings: Settings | None = None) -> MoveItInterface:
-    parts = Graph(Registry.load()), robot, settings or Settings(), lambda _name, _value: None
-    return MoveItInterface(*parts, FakeArm(), PlannerPool(robot))  # type: ignore[arg-type]
+def context_for(robot: RobotModel, settings: Settings | None = None) -> ServerContext:
+    settings = settings or Settings()
+    served = ServedArm("", settings.arm, Description("", robot, HardwareTable(), None), FakeArm().as_arm)
+    return context_of(settings, Graph(Registry.load()), (served, (served,)), Planners(robot))
 
 
 def test_an_arm_has_the_gripper_of_its_description() -> None:
     with_gripper, without = so101(), parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
-    gripper = interface_of(with_gripper)._gripper
+    gripper = context_for(with_gripper).whole.gripper
     assert gripper is not None
     assert gripper.joints == (with_gripper.joints["gripper"],)
-    assert interface_of(without)._gripper is None
+    assert context_for(without).whole.gripper is None
 
 
 async def test_a_client_of_topics_moves_the_arm_gets_a_suggestion_and_stops(

@@ -1,0 +1,297 @@
+"""Arms of one server: their files and their processes. One arm is the case of n = 1, whose name is empty."""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from robot.arm import Arm
+from robot.arm_group import ArmGroup, joined_health, joined_state
+from robot.arm_interface import ArmInterface
+from robot.calibration import Calibration
+from robot.description.joined import PlacedArm, joined, prefixed
+from robot.description.model import RobotModel
+from robot.description.servo_table import HardwareTable
+from robot.errors import RobotError
+from robot.messages import ArmConfig, ArmHealth, ArmState
+from robot.processes import StartedChild
+from server.arm.setup import Description, arm_config
+from server.arm.topics import states_are_observed
+from server.config import ArmRole, ArmSettings, NamedArmSettings, Settings
+from server.errors import ConfigurationError
+from server.graph.topics import Graph
+from server.lifecycle import Feature
+
+# Name of the robot that several arms are together, which is in the names of the files that the server keeps of it.
+SEVERAL = "arms"
+
+# A reading with every tick of the arm process.
+LEADER_RATE_HZ = 100.0
+
+
+@dataclass(frozen=True)
+class ArmFiles:
+    """An arm by its files.
+
+    Attributes:
+        description: with prefixed names for one of several arms.
+    """
+
+    settings: ArmSettings
+    description: Description
+    config: ArmConfig
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Its joints."""
+        return tuple(joint.name for joint in self.description.robot.movable_joints)
+
+    @property
+    def leads(self) -> bool:
+        """True for an arm that is moved by hand, and that others follow."""
+        return isinstance(self.settings, NamedArmSettings) and self.settings.role is ArmRole.LEADER
+
+
+def read_arms(settings: Settings, alone: Description | None = None) -> dict[str, ArmFiles]:
+    """Read the files of all arms, each by its name.
+
+    Args:
+        alone: the only arm, if it was read before.
+
+    Raises:
+        ConfigurationError: a file or a setting that cannot be used.
+    """
+    if not settings.arms:
+        description = alone or Description.read(settings.arm)
+        return {"": ArmFiles(settings.arm, description, arm_config(settings, description))}
+    arms = {}
+    for name, own in settings.arms.items():
+        if own.role is ArmRole.LEADER:
+            # It is moved by hand, and gets torque on request alone.
+            update: dict[str, object] = {"start_enabled": False}
+            if "joint_state_rate_hz" not in own.model_fields_set:
+                # Its followers need every reading.
+                update["joint_state_rate_hz"] = LEADER_RATE_HZ
+            own = own.model_copy(update=update)
+        try:
+            arms[name] = _read(name, own, settings)
+        except (ConfigurationError, RobotError) as error:
+            raise ConfigurationError(f"arms.{name}: {error}") from error
+    return arms
+
+
+def _read(name: str, own: NamedArmSettings, settings: Settings) -> ArmFiles:
+    plain = Description.read(own)
+    if own.role is ArmRole.LEADER and own.serial is not None and own.calibration is None:
+        raise ConfigurationError("a leader needs a calibration: without one nobody knows where its joints are")
+    description = with_prefix(plain, name)
+    own_settings = settings.model_copy(update={"arm": own, "emulator": own.emulator})
+    return ArmFiles(own, description, arm_config(own_settings, description))
+
+
+def with_prefix(description: Description, name: str) -> Description:
+    """Return an arm by its files whose joints, links and groups begin with its name.
+
+    Raises:
+        DescriptionError: a mesh is not there.
+    """
+    hardware = description.hardware
+    servos = tuple(replace(servo, joint=f"{name}_{servo.joint}") for servo in hardware.servos)
+    calibration = description.calibration
+    return replace(
+        description,
+        robot=prefixed(description.robot, name),
+        hardware=replace(hardware, servos=servos),
+        calibration=None if calibration is None else _with_prefix(calibration, f"{name}_"),
+    )
+
+
+def _with_prefix(calibration: Calibration, prefix: str) -> Calibration:
+    joints = (replace(each, servo=replace(each.servo, joint=prefix + each.joint)) for each in calibration.joints)
+    return replace(calibration, joints=tuple(joints))
+
+
+def without_prefix(calibration: Calibration, prefix: str) -> Calibration:
+    """Return a calibration as its file has it: with the joints' names of an arm that is alone."""
+    joints = (
+        replace(each, servo=replace(each.servo, joint=each.joint.removeprefix(prefix))) for each in calibration.joints
+    )
+    return replace(calibration, joints=tuple(joints))
+
+
+def joined_robot(arms: Mapping[str, ArmFiles]) -> RobotModel:
+    """Return the description of all arms at their places.
+
+    Raises:
+        ConfigurationError: they do not go together.
+    """
+    placed = {
+        name: PlacedArm(arm.description.robot, arm.settings.base_xyz_m, arm.settings.base_rpy_rad)
+        for name, arm in arms.items()
+        if isinstance(arm.settings, NamedArmSettings)
+    }
+    try:
+        return joined(SEVERAL, placed)
+    except RobotError as error:
+        raise ConfigurationError(f"arms: {error}") from error
+
+
+class StateFeed:
+    """Way of the arms' states to the features, which are made after the arms.
+
+    Args:
+        graph: topics that clients may subscribe to.
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._features: tuple[Feature, ...] = ()
+
+    def connect(self, features: Sequence[Feature]) -> None:
+        """Have the features take the states from now on, in their order."""
+        self._features = tuple(features)
+
+    def observed(self) -> bool:
+        """Return False when nobody sees the states at the moment."""
+        return states_are_observed(self._graph) or any(feature.observes_states for feature in self._features)
+
+    def take_state(self, arm: str, state: ArmState) -> None:
+        """Pass a state on."""
+        for feature in self._features:
+            feature.on_state(arm, state)
+
+    def take_health(self, arm: str, health: ArmHealth) -> None:
+        """Pass a report on."""
+        for feature in self._features:
+            feature.on_health(arm, health)
+
+
+@dataclass(frozen=True)
+class ServedArm:
+    """An arm, or all arms together.
+
+    Attributes:
+        name: of one of several arms; empty for the only one, and for all together.
+        settings: its own; the defaults for all together.
+        leads: True for an arm that others follow.
+    """
+
+    name: str
+    settings: ArmSettings
+    description: Description
+    arm: Arm | ArmGroup
+    leads: bool = False
+
+    @property
+    def robot(self) -> RobotModel:
+        """Its description."""
+        return self.description.robot
+
+    @property
+    def section(self) -> str:
+        """Section of its settings."""
+        return f"arms.{self.name}" if self.name else "arm"
+
+    @property
+    def prefix(self) -> str:
+        """Beginning of the names of its joints and groups."""
+        return self.name and f"{self.name}_"
+
+
+# Shares of a period: arms whose states come later than that after the others are not waited for, and in a burst the
+# next state is not told earlier.
+LATE, EARLY = 1.5, 0.5
+
+
+class JoinedBeat:
+    """Beat in which the states of several arms, whose clocks are their own, are told as one.
+
+    Args:
+        period_s: time between two states of an arm [s].
+    """
+
+    def __init__(self, names: frozenset[str], period_s: float) -> None:
+        self._earliest_s, self._latest_s = EARLY * period_s, LATE * period_s
+        # Those that have sent a state since the last time, and those that had before.
+        self._fresh: set[str] = set()
+        self._awaited: frozenset[str] = names
+        self._told_s = -math.inf
+
+    def takes(self, name: str, now_s: float) -> bool:
+        """Return True if the state that an arm has sent is to be told with those of the others.
+
+        It is when each arm has sent one that is not silent, or some are late. A busy machine brings the states of one
+        arm in bursts, which are told once.
+
+        Args:
+            now_s: monotonic time [s].
+        """
+        self._fresh.add(name)
+        since_s = now_s - self._told_s
+        if since_s < self._earliest_s or (since_s < self._latest_s and not self._fresh >= self._awaited):
+            return False
+        self._awaited = frozenset(self._fresh)
+        self._fresh.clear()
+        self._told_s = now_s
+        return True
+
+
+class Arms:
+    """All arms of a server.
+
+    Args:
+        files: each arm by its name.
+        feed: takes the state of each arm as soon as it comes, and those of several as one as often as the arms send
+            theirs.
+        arm_process: process of the only arm, if it was started ahead.
+
+    Attributes:
+        whole: the only arm, or all arms together.
+    """
+
+    def __init__(self, files: Mapping[str, ArmFiles], feed: StateFeed, arm_process: StartedChild | None = None) -> None:
+        self._feed = feed
+        arms = {name: self._made(name, each, arm_process) for name, each in files.items()}
+        self.each = tuple(
+            ServedArm(name, each.settings, each.description, arms[name], each.leads) for name, each in files.items()
+        )
+        if "" in files:
+            self.whole = self.each[0]
+        else:
+            leaders = frozenset(name for name, each in files.items() if each.leads)
+            group = ArmGroup({name: (arms[name], each.joint_names) for name, each in files.items()}, leaders)
+            robot = joined_robot(files)
+            self.whole = ServedArm("", ArmSettings(), Description(robot.name, robot, HardwareTable(), None), group)
+        self._beat = JoinedBeat(
+            frozenset(files), 1.0 / max(each.settings.joint_state_rate_hz for each in files.values())
+        )
+        self._health: dict[str, ArmHealth] = {}
+
+    def _made(self, name: str, files: ArmFiles, arm_process: StartedChild | None) -> Arm:
+        on_state, on_health = functools.partial(self._take_state, name), functools.partial(self._take_health, name)
+        return Arm(files.config, on_state, on_health, arm_process, observed=self._feed.observed, name=name)
+
+    def _take_state(self, name: str, state: ArmState) -> None:
+        self._feed.take_state(name, state)
+        if name and self._beat.takes(name, time.monotonic()):
+            self._feed.take_state("", self.whole.arm.state)
+
+    def _take_health(self, name: str, health: ArmHealth) -> None:
+        """Pass the report on, and that of all arms with the first arm's, which comes once a second."""
+        self._feed.take_health(name, health)
+        if not name:
+            return
+        self._health[name] = health
+        if len(self._health) == len(self.each) and name == self.each[0].name:
+            self._feed.take_health("", joined_health(self._health))
+
+
+def read_now(arm: ArmInterface, state: ArmState) -> ArmState:
+    """Return a state with the joints alone that are read at present: some of several arms may not be."""
+    if not isinstance(arm, ArmGroup):
+        return state
+    states = arm.states
+    return state if all(each.position_rad is not None for each in states.values()) else joined_state(states)

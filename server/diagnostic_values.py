@@ -1,0 +1,11 @@
+"""Levels and pairs of diagnostic_msgs/DiagnosticStatus messages."""
+
+from __future__ import annotations
+
+# https://docs.ros.org/en/rolling/p/diagnostic_msgs/msg/DiagnosticStatus.html
+LEVEL_OK, LEVEL_WARN, LEVEL_ERROR = 0, 1, 2
+
+
+def key_values(values: dict[str, str]) -> list[dict[str, str]]:
+    """Return pairs as diagnostic_msgs/KeyValue messages."""
+    return [{"key": key, "value": value} for key, value in values.items()]

@@ -1,0 +1,109 @@
+"""Calibration and verification of each arm, by clients."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from collections.abc import Mapping
+from dataclasses import replace
+
+from robot.arm_group import ArmGroup
+from robot.errors import OrderRefused
+from robot.messages import ArmHealth, ArmState
+from server.arm.arms import ArmFiles
+from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
+from server.arm.commissioning import Commissioning, Procedure
+from server.arm.verifying import VerificationProcedure
+from server.config import Settings
+from server.features.context import ArmContext, ServerContext
+from server.lifecycle import Feature
+
+
+class Restart:
+    """Start of the server in place of the present one, which an arm's new calibration asks for.
+
+    Attributes:
+        requested: set when the server is to start again.
+    """
+
+    def __init__(self) -> None:
+        self.requested = asyncio.Event()
+        self.recalibrated: Recalibrated | None = None
+
+    def request(self, recalibrated: Recalibrated) -> None:
+        """Have the server start again with a calibration: everything made with the old one is made again."""
+        self.recalibrated = recalibrated
+        self.requested.set()
+
+
+class CommissioningOfArms(Feature):
+    """Commissioning of each arm.
+
+    Args:
+        context: the server's.
+        recalibrated: calibration with which this server has started again; None for a first start.
+        shared_calibration: True where other servers use the arms' calibration too, so that none is written.
+    """
+
+    name = "commissioning"
+
+    def __init__(
+        self,
+        context: ServerContext,
+        restart: Restart,
+        recalibrated: Recalibrated | None,
+        *,
+        shared_calibration: bool,
+    ) -> None:
+        self._restart = restart
+        self._shared_calibration = shared_calibration
+        self._of_arms: dict[str, Commissioning] = {}
+        for each in context.arms:
+            before = recalibrated is not None and recalibrated.arm == each.name
+            ended = recalibrated.ended if recalibrated is not None and before else None
+            self._of_arms[each.name] = Commissioning(each.graph, functools.partial(self._begin, each), ended)
+
+    async def stop(self) -> None:
+        await asyncio.gather(*(each.close() for each in self._of_arms.values()))
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        self._of_arms[arm].take_state(state)
+
+    def on_health(self, arm: str, health: ArmHealth) -> None:
+        self._of_arms[arm].take_health(health)
+
+    def _begin(self, context: ArmContext, procedure: str, name: str) -> Procedure:
+        """Make a procedure."""
+        served, queue, arm = context.served, context.goals.queue, context.served.arm
+        if isinstance(arm, ArmGroup):
+            raise OrderRefused("one arm is calibrated or verified at a time: use the services below its name")
+        if busy := queue.busy_with(context.joints):
+            raise OrderRefused(f"the arm is in use: {busy}")
+        if procedure == "calibrate":
+            if self._shared_calibration:
+                raise OrderRefused("the arms of a classroom have one calibration together, which is not changed here")
+            check_state_rate(served.settings.joint_state_rate_hz)
+            file = calibration_file(name, served.description)
+            return CalibrationProcedure(arm, served, file, context.stop, self._restart.request)
+        if procedure == "verify":
+            calibration = served.description.calibration
+            joints = () if calibration is None else calibration.joints
+            ends = frozenset(joint.joint for joint in joints if joint.servo.zero == "ends")
+            return VerificationProcedure(arm, context.robot, ends, context.go_to, queue.cancel)
+        raise OrderRefused(f"there is no procedure {procedure[:80]!r}, but calibrate and verify")
+
+
+def with_calibration(settings: Settings, recalibrated: Recalibrated) -> Settings:
+    """Return the settings with an arm's new calibration; the arm starts relaxed, since nobody has it switched on."""
+    update = {"calibration": recalibrated.file, "start_enabled": False}
+    if not recalibrated.arm:
+        return settings.model_copy(update={"arm": settings.arm.model_copy(update=update)})
+    arm = settings.arms[recalibrated.arm].model_copy(update=update)
+    return settings.model_copy(update={"arms": {**settings.arms, recalibrated.arm: arm}})
+
+
+def resumed(arms: Mapping[str, ArmFiles], recalibrated: Recalibrated) -> dict[str, ArmFiles]:
+    """Return the arms with the positions that one of them has under its new calibration."""
+    found = arms[recalibrated.arm]
+    hardware = found.config.hardware.resumed(recalibrated.position_rad, driven=False)
+    return {**arms, recalibrated.arm: replace(found, config=replace(found.config, hardware=hardware))}

@@ -1,0 +1,264 @@
+"""Context in which the features of the server are made: its arms, its planning, and the way of goals to the arms."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+from planners.interface import Planners
+from robot.arm import Arm
+from robot.arm_group import ArmGroup
+from robot.arm_interface import ArmInterface
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
+from server.access.authorization import Access
+from server.arm.arms import ServedArm
+from server.config import Settings
+from server.execution.executor import ExecutionContext, GoalExecutors
+from server.execution.failures import FailedGoals
+from server.execution.monitors import CurrentState
+from server.execution.motions import Motion, Positions
+from server.execution.queue import Answer, GoalQueue, Progress, QueuedGoal, RunningGoal
+from server.execution.time_limits import TimeLimits
+from server.graph.local_graph import LocalGraph
+from server.graph.node import Node
+from server.graph.topics import Graph
+from server.monitoring.goal_counters import GoalCounters
+from server.moveit.display import DisplayTopics
+from server.moveit.goal_messages import GoalOptions, GoalTranslator, OneArm
+from server.moveit.goal_topics import Confirmation
+from server.moveit.gripper import Gripper, GripperLimits
+from server.moveit.named_states import NamedStates, NamedStatesFile, default_path
+from server.moveit.parameters import MoveItParameters, PlannerParameters
+from server.moveit.requests.context import planning_group
+from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.scene.frames import Frames
+from server.moveit.scene.scene_state import AssumedStates, SceneState
+from server.rosapi import RosApi
+
+
+class GoalListener(Protocol):
+    """Feature that takes the news of goals."""
+
+    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+        """Take the progress of a goal."""
+
+    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+        """Take the answer to a goal."""
+
+
+class Goals:
+    """Way of goals to the arms.
+
+    Attributes:
+        queue: of all goals; those of different arms run at the same time.
+        confirmation: decides if goals are to be confirmed.
+        listeners: features that take the news of goals, in their order.
+    """
+
+    def __init__(self, graph: Graph, arm: ArmInterface, planning: PlanningContext, settings: Settings) -> None:
+        moveit, goals, robot = settings.moveit, settings.goals, planning.robot
+        self.time_limits = TimeLimits(
+            moveit.allowed_execution_duration_scaling,
+            moveit.allowed_goal_duration_margin,
+            goals.max_paused_s,
+            goals.max_trajectory_duration_s,
+        )
+        self.confirmation = Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s)
+        directory, max_files = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
+        execution = ExecutionContext(
+            robot,
+            planning.pool,
+            planning.scene_state,
+            planning.current,
+            self.time_limits,
+            None if directory is None else FailedGoals(directory, robot, time.time, max_files),
+            planning.display.performed,
+            self.confirmation.wait,
+        )
+        self.executors = GoalExecutors(arm, execution)
+        self.queue: GoalQueue[Motion] = GoalQueue(
+            self.executors, goals.policy, goals.capacity, self._on_progress, self._on_answer
+        )
+        file = NamedStatesFile(goals.named_states_file or default_path("named_states", robot, os.environ))
+        group = planning.problems.group("")
+        self.named_states = NamedStates(robot, group.name, file.load(), file.change)
+        self.counters = GoalCounters()
+        self.listeners: list[GoalListener] = []
+
+    def _on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+        for listener in self.listeners:
+            listener.on_progress(goal, progress)
+
+    def _on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+        self.counters.count(goal.source, answer)
+        for listener in self.listeners:
+            listener.on_answer(goal, answer)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmContext:
+    """Context of the features of one arm, or of all arms together.
+
+    Attributes:
+        graph: names of the arm.
+        node: publishes and subscribes for the arm's goals.
+    """
+
+    served: ServedArm
+    graph: LocalGraph
+    parameters: MoveItParameters
+    planning: PlanningContext
+    goals: Goals
+    node: Node
+
+    @property
+    def name(self) -> str:
+        """Name of one of several arms; else empty."""
+        return self.served.name
+
+    @property
+    def robot(self) -> RobotModel:
+        """Description of the arm."""
+        return self.served.robot
+
+    @cached_property
+    def joints(self) -> frozenset[str]:
+        """All joints that it can move."""
+        return frozenset(joint.name for joint in self.robot.movable_joints)
+
+    @property
+    def only_joints(self) -> frozenset[str] | None:
+        """Joints that a stop is for; None to stop everything."""
+        return self.joints if self.name else None
+
+    @cached_property
+    def translator(self) -> GoalTranslator:
+        """Translator of the goals that are sent by its names."""
+        only = OneArm(self.served.prefix, self.joints) if self.name else None
+        return GoalTranslator(self.planning, self.parameters, self.goals.named_states, only)
+
+    @cached_property
+    def gripper(self) -> Gripper | None:
+        """Its gripper; None without one."""
+        if self.robot.gripper is None:
+            return None
+        return Gripper(
+            self.served.arm.part(self.robot.gripper.joints),
+            [self.robot.joints[name] for name in self.robot.gripper.joints],
+            GripperLimits(
+                self.parameters.max_velocity_scaling,
+                self.parameters.max_acceleration_scaling,
+                self.served.settings.guards.gripper_torque_limit,
+                self.goals.time_limits,
+            ),
+            self.goals.executors.in_progress,
+        )
+
+    def running(self) -> RunningGoal | None:
+        """Return the goal that occupies the arm or its gripper; None when there is none."""
+        remaining_s = None if self.gripper is None else self.gripper.remaining_s
+        return self.goals.queue.running_with(self.joints) or (
+            None if remaining_s is None else RunningGoal("a goal of the gripper", remaining_s)
+        )
+
+    def stop(self, reason: str) -> None:
+        """End the goals that move the arm, the active one and all that wait, and every motion of it."""
+        self.goals.queue.stop(reason, self.only_joints)
+
+    def go_to(self, positions_rad: Positions, scaling: float) -> tuple[str, asyncio.Future[Answer]]:
+        """Queue a goal for joints of the arm.
+
+        Args:
+            positions_rad: joint -> position [rad].
+            scaling: share of the velocity and acceleration limits.
+
+        Returns:
+            Its number, and its answer to come.
+
+        Raises:
+            RefusedError: there is no such joint.
+        """
+        message = {"name": list(positions_rad), "position": list(positions_rad.values())}
+        motion = self.translator.joints(message, GoalOptions(None, scaling, scaling))
+        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        number = self.goals.queue.submit("the server", motion, on_answer=answered.set_result, message=message)
+        return number, answered
+
+
+@dataclass(frozen=True, eq=False)
+class ServerContext:
+    """Context of all features.
+
+    Attributes:
+        arms: the whole, which is the only arm or all arms together; then each of several.
+    """
+
+    settings: Settings
+    graph: Graph
+    arms: tuple[ArmContext, ...]
+    planning: PlanningContext
+    goals: Goals
+    access: Access
+    rosapi: RosApi
+
+    @property
+    def whole(self) -> ArmContext:
+        """The only arm, or all arms together."""
+        return self.arms[0]
+
+    @property
+    def single_arms(self) -> list[tuple[ArmContext, Arm]]:
+        """Each arm by itself, with the handle on its process."""
+        return [(each, each.served.arm) for each in self.arms if not isinstance(each.served.arm, ArmGroup)]
+
+
+def context_of(
+    settings: Settings, graph: Graph, arms: tuple[ServedArm, Sequence[ServedArm]], pool: Planners
+) -> ServerContext:
+    """Return the context of a server.
+
+    Args:
+        arms: the only arm or all arms together, and the arms one by one.
+
+    Raises:
+        ConfigurationError: the tokens cannot be used.
+    """
+    whole_arm, single_arms = arms
+    moveit, robot = settings.moveit, whole_arm.robot
+    scene = SceneState(robot)
+    planning = PlanningContext(
+        robot=robot,
+        pool=pool,
+        forward=ForwardPlacements(robot),
+        frames=Frames(robot, scene),
+        scene_state=scene,
+        current=CurrentState(whole_arm.arm, robot),
+        assumed=AssumedStates(robot),
+        parameters=PlannerParameters(moveit.model_copy(update={"group_name": planning_group(robot, "", moveit).name})),
+        display=DisplayTopics(graph, robot),
+    )
+    goals = Goals(graph, whole_arm.arm, planning, settings)
+    whole = ArmContext(whole_arm, LocalGraph(graph), moveit, planning, goals, Node("moveit"))
+    several = [
+        ArmContext(
+            each,
+            LocalGraph(graph, each.name),
+            moveit.model_copy(
+                update={"group_name": each.robot.default_group, "end_effector_link": each.robot.tip_link}
+            ),
+            planning,
+            goals,
+            Node(f"moveit of {each.name}"),
+        )
+        for each in single_arms
+        if each is not whole_arm
+    ]
+    access = Access(settings.access, busy=whole.running, arms={each.name: each.running for each in several})
+    rosapi = RosApi(graph, params=access.params)
+    return ServerContext(settings, graph, (whole, *several), planning, goals, access, rosapi)

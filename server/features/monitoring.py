@@ -1,0 +1,114 @@
+"""Monitoring of the server and its arms: health, diagnostics, logs, histories, and files about faults."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from typing import TYPE_CHECKING
+
+from robot.messages import ArmHealth, ArmState
+from server.features.clients import Clients
+from server.features.context import ServerContext
+from server.lifecycle import BackgroundTask, Feature
+from server.monitoring.fault_files import FaultFiles
+from server.monitoring.health import Sources
+from server.monitoring.log_ring import LogRing
+from server.monitoring.monitor import Monitor
+from server.monitoring.ros_topics import Diagnostics, Rosout, offer_level_services
+from server.monitoring.servo_history import ServoHistory
+from server.monitoring.systemd import SystemdNotifier
+from server.moveit.named_states import data_directory
+
+if TYPE_CHECKING:
+    from server.recording.recorder import Recorder
+    from server.zenoh.bridge import Bridge
+
+
+class Logs(Feature):
+    """The log as a topic, as services, and in files about faults; it stops last, and so has the lines of the stop.
+
+    Args:
+        context: the server's.
+    """
+
+    name = "the logs"
+    deadline_s = 0.4
+
+    def __init__(self, context: ServerContext) -> None:
+        graph, diagnostics, robot = context.graph, context.settings.diagnostics, context.planning.robot
+        self._ring = LogRing()
+        self._ring.offer(graph)
+        self._rosout = Rosout(graph, asyncio.get_running_loop())
+        offer_level_services(graph)
+        directory = diagnostics.directory(data_directory(os.environ))
+        self._fault_files = FaultFiles(directory, diagnostics.fault_files, self._ring, robot.name)
+        self._diagnostics = Diagnostics(graph, robot.name, lambda: self._fault_files.latest)
+        self._history = ServoHistory(graph)
+        self._publishing = BackgroundTask("diagnostics", self._diagnostics.run)
+
+    async def start(self) -> None:
+        await self._publishing.start()
+
+    async def stop(self) -> None:
+        await self._publishing.stop()
+        await self._fault_files.close()
+        self._rosout.close()
+        self._ring.close()
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        if not arm:
+            self._diagnostics.take_state(state)
+            self._history.take_state(state)
+            self._fault_files.take_state(state)
+
+    def on_health(self, arm: str, health: ArmHealth) -> None:
+        if not arm:
+            self._diagnostics.take_health(health)
+            self._history.take_health(health)
+            self._fault_files.take_health(health)
+
+
+class Monitoring(Feature):
+    """Health of the server: over HTTP, as metrics, and for systemd.
+
+    Args:
+        context: the server's.
+        clients: its clients, who get the health over HTTP.
+        recorder: the recorder; None for none.
+        bridge: member of a zenoh network; None for none.
+        notifier: notifier of systemd; None for a server that is not its service.
+    """
+
+    name = "the monitor"
+
+    def __init__(
+        self,
+        context: ServerContext,
+        clients: Clients,
+        recorder: Recorder | None,
+        bridge: Bridge | None,
+        notifier: SystemdNotifier | None,
+    ) -> None:
+        sources = Sources(
+            traffic=clients.listener.traffic,
+            refused_connections=clients.listener.refused_connections,
+            goal_counters=context.goals.counters,
+            queue=context.goals.queue,
+            arm=context.whole.served.arm,
+            planners=context.planning.pool,
+            recorder=recorder,
+            zenoh=bridge,
+        )
+        self.monitor = Monitor(sources, notifier or SystemdNotifier())
+        self._watching = BackgroundTask("monitor", self.monitor.run)
+        clients.routes.update(self.monitor.routes)
+
+    async def start(self) -> None:
+        await self._watching.start()
+
+    async def stop(self) -> None:
+        await self._watching.stop()
+
+    def on_health(self, arm: str, health: ArmHealth) -> None:
+        if not arm:
+            self.monitor.take_health(health)

@@ -1,0 +1,266 @@
+"""Features of MoveIt's clients, and of clients that know only topics: scene, planning, goals, gripper and servo."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import os
+import time
+
+from robot.messages import ArmState
+from server.actionlib import ActionlibBridge
+from server.execution.motions import Motion
+from server.execution.queue import Answer, Progress, QueuedGoal
+from server.features.context import ArmContext, ServerContext
+from server.lifecycle import Feature
+from server.moveit.actions.joint_trajectory_controller import (
+    ControllerStatePublisher,
+    JointTrajectoryController,
+    TrajectoryContext,
+)
+from server.moveit.actions.move_group import (
+    EXECUTE_ACTION,
+    MOVE_ACTIONS,
+    SEQUENCE_ACTION,
+    ExecuteTrajectory,
+    PlanningActions,
+)
+from server.moveit.description import RobotDescription
+from server.moveit.display import TransformsTopics
+from server.moveit.goal_calls import GoalCalls
+from server.moveit.goal_history import GoalHistory
+from server.moveit.goal_topics import GoalChecks, GoalReports, GoalStatusTopics, GoalTopics, final_status
+from server.moveit.gripper import ACTIONS as GRIPPER_ACTIONS
+from server.moveit.gripper import GripperActions
+from server.moveit.named_states import NamedStatesServices, default_path
+from server.moveit.requests.context import planning_group
+from server.moveit.scene.interface import SceneInterface
+from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
+from server.moveit.scene.saved_scene import SavedScene, SceneFile
+from server.moveit.services.move_group_services import offer_services
+from server.moveit.servo.servo_node import ServoNode
+from server.timers import call_later
+
+# The queue waits so long for the arm to brake; the arm process has its own deadline after that.
+QUEUE_CLOSE_TIMEOUT_S = 1.0
+
+
+class PlanningScene(Feature):
+    """The planning scene: its topics and services, named scenes, and the file from which the next start restores it.
+
+    Args:
+        context: the server's.
+    """
+
+    name = "the planning scene"
+    deadline_s = 0.4
+
+    def __init__(self, context: ServerContext) -> None:
+        planning, graph, settings = context.planning, context.graph, context.settings
+        scene, robot = planning.scene_state, planning.robot
+        self._interface = SceneInterface(graph, robot, scene, planning.assumed, planning.current, settings.moveit)
+        self._saved: SavedScene | None = None
+        if settings.scene.keep:
+            file = SceneFile(settings.scene.file or default_path("planning_scene", robot, os.environ))
+            self._saved = SavedScene(file, scene, robot, graph.message_types)
+        # Beside the file of the present scene, in a folder of their own.
+        folder = default_path("scenes", robot, os.environ).with_suffix("")
+        offer_named_scenes(graph, NamedScenes(folder, scene, robot, graph.message_types), planning.current)
+
+    async def start(self) -> None:
+        """Restore the scene of the run before, and keep its changes from now on."""
+        if self._saved is not None:
+            await self._saved.start()
+
+    async def stop(self) -> None:
+        self._interface.close()
+        if self._saved is not None:
+            await self._saved.close()
+
+
+class MoveGroup(Feature):
+    """Services and actions of move_group, with the description, the transforms and the named states.
+
+    Args:
+        context: the server's.
+    """
+
+    name = "move_group"
+
+    def __init__(self, context: ServerContext) -> None:
+        graph, planning, goals = context.graph, context.planning, context.goals
+        robot, moveit = planning.robot, context.settings.moveit
+        self._graph, self._planning, self._confirmation = graph, planning, goals.confirmation
+        self._description = RobotDescription(graph, robot, context.rosapi.parameters.keep)
+        self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
+        self._named_states = NamedStatesServices(graph, robot, goals.named_states, planning.current)
+        reports, translator = GoalReports(robot, moveit), context.whole.translator
+        self._checks = GoalChecks(graph, reports, translator, planning.current, planning.pool, planning.scene_state)
+        PlanningActions(graph, planning, goals.queue)
+        ExecuteTrajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
+
+    async def start(self) -> None:
+        self._description.open()
+        self._transforms.open(time.time())
+        self._confirmation.open()
+        self._named_states.open()
+        self._checks.open()
+        self._planning.display.open()
+        offer_services(self._graph, self._planning)
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        if not arm:
+            self._transforms.take_state(state)
+
+
+class GoalRecords(Feature):
+    """Records of the last goals, and the contacts for which they failed.
+
+    Args:
+        context: the server's.
+    """
+
+    name = "records of goals"
+
+    def __init__(self, context: ServerContext) -> None:
+        planning = context.planning
+        self._robot, self._display = planning.robot, planning.display
+        self._history = GoalHistory(context.graph, planning.robot, lambda: planning.scene_state.scene, time.time)
+        context.goals.listeners.append(self)
+
+    async def start(self) -> None:
+        self._history.open()
+
+    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+        """Note in which scene the goal is planned."""
+        self._history.take_progress(goal, progress)
+
+    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+        """Keep the record, and show the contacts."""
+        self._display.contacts_of(answer.details)
+        self._history.take_answer(goal, answer, final_status(goal, answer, self._robot))
+
+
+class ArmGoals(Feature):
+    """Goals of each arm by topics, services and actions; every group with a driven joint has a controller.
+
+    Args:
+        context: the server's.
+    """
+
+    name = "goals of the arms"
+
+    def __init__(self, context: ServerContext) -> None:
+        self._goals_of = {arm.name: _GoalsOfArm(arm) for arm in context.arms}
+        actions = (action for each in self._goals_of.values() for action in each.actions)
+        self._actions = (*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, *actions)
+        self._actionlib = ActionlibBridge(context.graph, time.monotonic, call_later)
+
+    async def start(self) -> None:
+        for each in self._goals_of.values():
+            each.open()
+        self._actionlib.open(self._actions)
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        self._goals_of[arm].take_state(state)
+
+
+class _GoalsOfArm:
+    """Goals of one arm; those of several arms are published by the names of each arm that they move as well."""
+
+    def __init__(self, arm: ArmContext) -> None:
+        graph, goals, planning = arm.graph, arm.goals, arm.planning
+        self._arm = arm
+        self._status = GoalStatusTopics(graph, arm.node, planning.robot)
+        self._topics = GoalTopics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
+        self._calls = GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
+        default = planning_group(planning.robot, "", arm.parameters).name
+        trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)
+        self._controllers, self._controller_states = [], []
+        for group in arm.robot.groups.values():
+            name = group.name.removeprefix(arm.served.prefix)
+            self._controllers.append(
+                JointTrajectoryController(
+                    graph, group, arm.served.arm, trajectories, name, industrial=group.name == default
+                )
+            )
+            self._controller_states.append(ControllerStatePublisher(graph, group, name))
+        if arm.gripper is not None:
+            GripperActions(graph, arm.gripper)
+        names = [name for each in self._controllers for name in each.actions]
+        self.actions = tuple(map(graph.resolve, (*names, *(() if arm.gripper is None else GRIPPER_ACTIONS))))
+        goals.listeners.append(self)
+
+    def open(self) -> None:
+        self._status.open()
+        self._topics.open()
+        self._calls.open()
+
+    def take_state(self, state: ArmState) -> None:
+        for controller in self._controllers:
+            controller.take_state(state)
+        for publisher in self._controller_states:
+            publisher.take_state(state)
+
+    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+        if self._is_here(goal):
+            self._status.publish_progress(goal, progress)
+
+    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+        if self._is_here(goal):
+            # All goals are logged once, as goals of the whole.
+            self._status.publish_answer(goal, answer, logged=bool(self._arm.name))
+
+    def _is_here(self, goal: QueuedGoal[Motion]) -> bool:
+        """Return True for a goal that moves the arm, or was sent to it and refused."""
+        arm = self._arm
+        return not arm.name or bool(goal.joints & arm.joints) or goal.source.startswith(arm.graph.resolve("/"))
+
+
+class GoalQueueing(Feature):
+    """The queue of goals.
+
+    Args:
+        context: the server's.
+    """
+
+    name = "the goal queue"
+
+    def __init__(self, context: ServerContext) -> None:
+        self._queue, self._executors = context.goals.queue, context.goals.executors
+
+    async def start(self) -> None:
+        """Take goals, which wait until arm and planners have started."""
+        self._queue.start()
+
+    async def stop(self) -> None:
+        await self._queue.close(QUEUE_CLOSE_TIMEOUT_S)
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        if not arm:
+            self._executors.take_state(state)
+
+
+class Servo(Feature):
+    """MoveIt Servo for each arm.
+
+    Args:
+        context: the server's.
+    """
+
+    name = "servo"
+
+    def __init__(self, context: ServerContext) -> None:
+        self.nodes = {arm.name: _servo_node(arm) for arm in context.arms}
+
+    async def stop(self) -> None:
+        await asyncio.gather(*(node.close() for node in self.nodes.values()))
+
+
+def _servo_node(arm: ArmContext) -> ServoNode:
+    """Return the servo node of an arm; by the names of all arms, the configured group is steered."""
+    whole = arm.served.arm
+    steered = whole.part(planning_group(arm.planning.robot, "", arm.parameters).joints)
+    joints = frozenset(name for name in arm.joints if whole.part((name,)) is steered)
+    busy = functools.partial(arm.goals.queue.busy_with, joints)
+    return ServoNode(arm.graph, arm.parameters, steered, arm.planning, busy)

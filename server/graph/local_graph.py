@@ -1,0 +1,107 @@
+"""The graph as parts of the server see it: every name stands below a prefix, as in a ROS namespace.
+
+The prefix of an arm that is alone is empty; the parts of one of several arms use the same names in their code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from protocol.publication import PublishedMessage
+from server.graph.actions import Goal
+from server.graph.list_limits import ListLimits
+from server.graph.message_types import MessageTypes
+from server.graph.node import Node
+from server.graph.permissions import Rule
+from server.graph.services import DEFAULT_LIMITS, LOCAL_TIMEOUT_S, Call, ServiceFunction
+from server.graph.topics import Graph, Subscriber
+
+
+class LocalGraph:
+    """The graph below a prefix; each method is the graph's own, with the full name in place of the one given.
+
+    Args:
+        namespace: without slashes; empty for the graph's own names.
+    """
+
+    def __init__(self, graph: Graph, namespace: str = "") -> None:
+        self._graph = graph
+        self._prefix = f"/{namespace}" if namespace else ""
+        self.message_types: MessageTypes = graph.message_types
+
+    def resolve(self, name: str) -> str:
+        """Return the fully qualified name of a name below the prefix."""
+        return f"{self._prefix}{name}"
+
+    def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False) -> None:
+        """Register a publisher."""
+        self._graph.advertise(node, self.resolve(name), type_name, latch=latch)
+
+    def subscribe(self, node: Node, name: str, type_name: str, subscriber: Subscriber) -> list[PublishedMessage]:
+        """Deliver a topic's messages."""
+        if subscriber.rule is not None:
+            subscriber = replace(subscriber, rule=self._below(subscriber.rule))
+        return self._graph.subscribe(node, self.resolve(name), type_name, subscriber)
+
+    def publish(self, node: Node, name: str, message: object) -> None:
+        """Publish a message."""
+        self._graph.publish(node, self.resolve(name), message)
+
+    def tell(self, node: Node, name: str, message: object) -> None:
+        """Deliver a message to one subscriber alone."""
+        self._graph.tell(node, self.resolve(name), message)
+
+    def publishers(self, name: str) -> list[Node]:
+        """Return the publishers of a topic."""
+        return self._graph.publishers(self.resolve(name))
+
+    def subscribers(self, name: str) -> list[Node]:
+        """Return the subscribers of a topic."""
+        return self._graph.subscribers(self.resolve(name))
+
+    def offer(
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        function: ServiceFunction,
+        limits: ListLimits = DEFAULT_LIMITS,
+        *,
+        rule: Rule,
+    ) -> None:
+        """Offer a service."""
+        self._graph.services.offer(node, self.resolve(name), type_name, function, limits=limits, rule=self._below(rule))
+
+    def offer_calls(
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        start: Callable[[Call], None],
+        timeout_s: float = LOCAL_TIMEOUT_S,
+        limits: ListLimits = DEFAULT_LIMITS,
+        *,
+        rule: Rule,
+    ) -> None:
+        """Offer a service that answers its calls itself."""
+        self._graph.services.offer_calls(
+            node, self.resolve(name), type_name, start, timeout_s, limits, rule=self._below(rule)
+        )
+
+    def offer_action(
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        start: Callable[[Goal], None],
+        limits: ListLimits | None = None,
+        *,
+        rule: Rule,
+    ) -> None:
+        """Offer an action."""
+        self._graph.actions.offer(node, self.resolve(name), type_name, start, limits, rule=self._below(rule))
+
+    def _below(self, rule: Rule) -> Rule:
+        """Return a rule for control of the arm whose namespace this is."""
+        return replace(rule, arm=self._prefix.removeprefix("/"))

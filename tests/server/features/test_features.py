@@ -1,0 +1,94 @@
+"""Features of one arm and of several: the same names, each below the arm's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot.calibration import Calibration, save
+from server.arm.arms import read_arms, with_prefix, without_prefix
+from server.arm.calibrating import Recalibrated
+from server.arm.commissioning import Ended
+from server.arm.setup import Description
+from server.config import ArmSettings, Settings
+from server.features.commissioning import resumed, with_calibration
+from server.graph.node import Node
+from server.graph.topics import Graph
+from tests.helpers.robots import SO101_SERVOS, nominal_calibration
+from tests.helpers.rules import server_rules, started
+
+
+def test_what_one_arm_can_do_each_of_several_can() -> None:
+    one = {name: rule for rules in server_rules() for name, rule in rules.items()}
+    several = {name: rule for rules in server_rules("left", "right") for name, rule in rules.items()}
+    of_arms = {arm: {name for name, rule in several.items() if rule.arm == arm} for arm in ("left", "right")}
+    for arm, names in of_arms.items():
+        assert {name: replace(several[name], arm="") for name in names} == {
+            name: one[name.removeprefix(f"/{arm}")] for name in names
+        }
+    left = {name.removeprefix("/left") for name in of_arms["left"]}
+    assert left == {name.removeprefix("/right") for name in of_arms["right"]}
+    # All that has a rule here and is no matter of the scene, of planning or of files.
+    shared = ("/rosapi/", "/armbridge/", "/teach/", "/dataset/", "/arm/scenes/", "/moveit_goal_confirm")
+    arms_own = ("/arm/", "/servo_node/", "/moveit_goal", "/stop", "/emergency_stop", "/teleop/", "/trajectory_exec")
+    wanted = {name for name in one if name.startswith(arms_own) and not name.startswith(shared)} - {
+        "/arm/servo_history"
+    }
+    assert wanted <= left
+    # A way to the rest pose is of one arm.
+    assert {name for name in left if name not in several and not name.endswith(CONTROLLER)} == {"/arm/park"}
+
+
+CONTROLLER = ("_controller/joint_trajectory", "_controller/follow_joint_trajectory")
+
+
+async def test_all_of_several_arms_are_commissioned_one_at_a_time() -> None:
+    app = await started(Settings.model_validate({"arms": {"left": {}, "right": {}}}))
+    whole = await call(app.graph, "/arm/commissioning/begin", procedure="verify", name="")
+    assert "below its name" in whole["message"]
+
+
+async def call(graph: Graph, service: str, **request: Any) -> Any:
+    answers: list[Any] = []
+    graph.services.call(Node("client"), service, request, answers.append)
+    return answers[0].values
+
+
+async def test_each_of_several_arms_is_commissioned_by_its_name() -> None:
+    app = await started(Settings.model_validate({"arms": {"left": {}, "right": {}}}))
+    begun = await call(app.graph, "/left/arm/commissioning/begin", procedure="verify", name="")
+    assert begun == {"success": True, "message": "verify begins: see /left/arm/commissioning/state"}
+    busy = await call(app.graph, "/left/arm/commissioning/begin", procedure="verify", name="")
+    assert busy["message"] == "verify is in progress: answer it, or call /left/arm/commissioning/cancel"
+    assert (await call(app.graph, "/right/arm/commissioning/begin", procedure="verify", name=""))["success"]
+    for arm in ("left", "right"):
+        assert (await call(app.graph, f"/{arm}/arm/commissioning/cancel"))["success"]
+
+
+def test_a_new_calibration_is_that_of_its_arm_alone(tmp_path: Path) -> None:
+    settings = Settings.model_validate({"arms": {"left": {}, "right": {}}})
+    arms = read_arms(settings)
+    position_rad = dict.fromkeys(arms["left"].joint_names, 0.1)
+    recalibrated = Recalibrated("left", tmp_path / "new.json", position_rad, Ended())
+    changed = with_calibration(settings, recalibrated)
+    assert (changed.arms["left"].calibration, changed.arms["left"].start_enabled) == (tmp_path / "new.json", False)
+    assert changed.arms["right"] == settings.arms["right"]
+    after = resumed(arms, recalibrated)
+    assert after["left"].config.hardware == arms["left"].config.hardware.resumed(position_rad, driven=False)
+    assert after["right"] is arms["right"]
+
+
+@pytest.mark.parametrize("prefix", ["", "left_"])
+def test_a_calibration_file_has_the_names_of_an_arm_alone(prefix: str, tmp_path: Path) -> None:
+    save(nominal_calibration(), tmp_path / "plain.json")
+    description = Description.read(ArmSettings(calibration=tmp_path / "plain.json"))
+    if prefix:
+        description = with_prefix(description, "left")
+    assert description.calibration is not None
+    save(without_prefix(description.calibration, prefix), tmp_path / "again.json")
+    assert Calibration.load(tmp_path / "again.json", SO101_SERVOS) == Calibration.load(
+        tmp_path / "plain.json", SO101_SERVOS
+    )

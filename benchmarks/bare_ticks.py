@@ -6,7 +6,8 @@ import json
 import sys
 import time
 
-from robot.control.pacing import Pacer, enter_realtime
+from robot.control.pacing import Pacer
+from robot.control.realtime import enter_realtime
 
 
 def lateness_s(seconds: float) -> list[float]:

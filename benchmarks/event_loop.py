@@ -21,7 +21,8 @@ import numpy as np
 import uvloop
 from numpy.typing import NDArray
 
-from planners.pool import NICENESS, PlannerPool
+from planners.pool import PlannerPool
+from planners.worker_process import NICENESS
 from robot.description.robot_folder import built_in
 from server.app import App
 from server.config_loader import load

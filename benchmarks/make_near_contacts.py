@@ -1,8 +1,8 @@
 """Draw goals next to obstacles: ``python -m benchmarks.make_near_contacts`` writes ``scenes/near_contacts.json``.
 
-In each goal the arm's hulls touch something. Whether its meshes do is judged by the official ones: where they do not,
-the goal can be reached on a straight line, at whose points they do not either; where they do, it must be refused. Needs
-the reference data beside the checkout.
+In each goal the arm's hulls touch something. The official meshes touch something in one half: these goals must be
+refused. The other half is free by the arm's parts, and so is a straight line to each goal by the meshes. Needs the
+reference data beside the checkout.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.make_scenes import GRIPPER_RAD, JOINTS, LIMITS, SCENES, Vector
 from benchmarks.scene_things import near_contacts
 from planners.files import problem_file
-from planners.geometry.collision import Closeness, CollisionModel
+from planners.geometry.collision import CollisionModel
 from robot.description.robot_folder import built_in
 from tests.helpers.full_meshes import Judge
 from tests.helpers.resources import SHARED
@@ -23,8 +23,8 @@ from tests.helpers.resources import SHARED
 NAME = "near_contacts"
 SEED = 21
 
-# Goals that the parts refuse and the meshes do not, those that parts and meshes accept, and those that touch.
-BY_MESHES, BY_PARTS, TOUCHING = 60, 40, 100
+# Goals that parts and meshes accept, and those that touch.
+FREE, TOUCHING = 100, 100
 
 # A start this far away, in a random direction, is mostly out of the narrow place [rad].
 AWAY_RAD = 0.25
@@ -56,7 +56,7 @@ def main() -> None:
     collision.set_scene(problem_file.read(path, robot).scene)
     judge = Judge(SHARED, fields)
     rng = np.random.default_rng(SEED)
-    wanted = {"mesh": BY_MESHES, "parts": BY_PARTS, "touching": TOUCHING}
+    wanted = {"free": FREE, "touching": TOUCHING}
     found: dict[str, list[tuple[Vector, Vector]]] = {kind: [] for kind in wanted}
     for kind, start, goal in _drawn(collision, judge, rng):
         if len(found[kind]) < wanted[kind]:
@@ -65,7 +65,7 @@ def main() -> None:
             break
     free = [
         {"id": f"{NAME}-j{i:03}", "start": start.tolist(), "goal": goal.tolist()}
-        for i, (start, goal) in enumerate([*found["mesh"], *found["parts"]])
+        for i, (start, goal) in enumerate(found["free"])
     ]
     touching = [
         {
@@ -103,7 +103,8 @@ def _drawn(collision: CollisionModel, judge: Judge, rng: np.random.Generator) ->
             yield "touching", start, goal
         elif not any(judge.collides(point) for point in np.linspace(start, goal, LINE_POINTS)):
             q[order] = goal
-            yield "mesh" if collision.collides(q, Closeness.PARTS) else "parts", start, goal
+            if not collision.collides(q):
+                yield "free", start, goal
 
 
 if __name__ == "__main__":

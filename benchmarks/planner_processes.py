@@ -14,12 +14,13 @@ import uvloop
 
 from benchmarks.event_loop import Ticker
 from benchmarks.make_scenes import SCENES
-from planners import pool as pool_module
+from planners import worker_process
 from planners.files import problem_file
-from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool, WorkerProcess
+from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
 from planners.worker import HARD_AFTER_S
+from planners.worker_process import WorkerProcess
 from robot.description.robot_folder import built_in
 from tests.helpers import broken_planner
 from tests.helpers.figures import percentiles, print_table
@@ -125,7 +126,7 @@ async def _cancel(worker: WorkerProcess, after_s: float) -> float:
 
 async def _kills() -> list[float]:
     """Cancel requests that hang in native code; the next request waits for the spare process only."""
-    pool_module.WORKER_MODULE = "tests.helpers.broken_planner"
+    worker_process.WORKER_MODULE = "tests.helpers.broken_planner"
     pool = PlannerPool(built_in("so101").model)
     await pool.start()
     times_s = []
@@ -137,7 +138,7 @@ async def _kills() -> list[float]:
         hanging.cancel()
         times_s.append(await _timed(pool.ask(STATE)))
     await pool.close()
-    pool_module.WORKER_MODULE = "planners.worker"
+    worker_process.WORKER_MODULE = "planners.worker"
     return times_s
 
 

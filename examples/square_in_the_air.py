@@ -78,9 +78,11 @@ def draw(client: roslibpy.Ros) -> None:
         corners.append(corner)
     request = {"group_name": "arm", "link_name": TIP, "waypoints": corners, "max_step": 0.005}
     path = call_service(client, "/compute_cartesian_path", "moveit_msgs/srv/GetCartesianPath", request)
+    if path["fraction"] < 1.0:
+        raise SystemExit(f"only {path['fraction']:.0%} of the square can be drawn: {path['error_code']['message']}")
     motion = {"trajectory": path["solution"]}
     send_goal(client, "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", motion)
-    print(f"a square of {SIDE_M * 100:g} cm, {path['fraction']:.0%} of it")
+    print(f"a square of {SIDE_M * 100:g} cm")
 
 
 def main() -> None:

@@ -33,12 +33,12 @@ def read_run_delay_s(pid: int) -> float | None:
 
 
 class Deadline:
-    """Deadline of a process, extended by what the process waits for a core, up to :data:`MAX_STARVED_S`.
+    """Deadline of a process, extended by its waits for a core, up to :data:`MAX_STARVED_S`.
 
     Args:
         allowed_s: time from now to the deadline if the process never waits [s].
-        run_delay_s: for how long the process has waited for a core so far [s]; None where that is not known, and then
-            the deadline stays where it is.
+        run_delay_s: reads the time that the process has waited for a core so far [s]; None where it is unknown, which
+            leaves the deadline where it is.
         clock: monotonic time [s].
     """
 

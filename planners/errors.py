@@ -7,13 +7,14 @@
   * :exc:`PlottingError`
   * :exc:`BatchError`
   * :exc:`StoppedError`
+  * :exc:`AssistantError`
 """
 
 from __future__ import annotations
 
 
 class PlannerError(Exception):
-    """Base of the errors of this room."""
+    """Base of the errors of this package."""
 
 
 class ShapeError(PlannerError):
@@ -21,7 +22,7 @@ class ShapeError(PlannerError):
 
     Attributes:
         subject: the file, or the link whose shape it is.
-        reason: what is wrong with it.
+        reason: the flaw.
     """
 
     def __init__(self, subject: str, reason: str) -> None:
@@ -36,7 +37,7 @@ class ProblemFileError(PlannerError):
     Attributes:
         path: the file.
         field: the field that is wrong, its parts joined by dots; empty when it is the file as such.
-        reason: what is wrong with it.
+        reason: the flaw.
     """
 
     def __init__(self, path: str, field: str, reason: str) -> None:
@@ -56,3 +57,7 @@ class BatchError(PlannerError):
 
 class StoppedError(PlannerError):
     """A request is cancelled in the middle of a check that would go on for long; its answer is PREEMPTED."""
+
+
+class AssistantError(PlannerError):
+    """A URDF cannot be imported; the text is one sentence that names the file or option and the remedy."""

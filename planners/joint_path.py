@@ -32,14 +32,7 @@ def plan_joint_path(
 ) -> Plan | PlanningFailure:
     """Time a path of the joints, and make sure that it keeps the limits and touches nothing.
 
-    Args:
-        problem: the path.
-        robot: the arm.
-        collision: its collisions with itself and the scene.
-        budget: ends it.
-
-    Returns:
-        The whole motion, or the reason for which it cannot be followed, with its time on the motion.
+    A failure names the time on the motion.
     """
     refusal = _flaw(problem, robot) or checks.check_start(robot, problem.start_rad)
     if refusal is not None:

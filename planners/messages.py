@@ -1,8 +1,8 @@
 """Messages between the server and a planner process.
 
 The server sends :class:`LoadRobot` once. Then, in any number: a scene as :class:`NewScene` followed by
-:class:`MoreObjects` until it is whole, and requests, the next after the answer to the last. Each request gets one
-:class:`Answered`, a problem that proves hard :class:`StillSearching` before.
+:class:`MoreObjects` until it is whole (:mod:`planners.scene_transfer`), and requests, the next after the answer to the
+last. Each request gets one :class:`Answered`, and a problem that takes longer than most :class:`StillSearching` before.
 """
 
 from __future__ import annotations
@@ -24,14 +24,9 @@ class LoadRobot:
 
 @dataclass(frozen=True)
 class Loaded:
-    """The worker is ready for requests."""
+    """A worker, or a host of planners that has workers of these process ids, is ready for requests."""
 
-
-@dataclass(frozen=True)
-class Hosted:
-    """The processes behind a host of planners, which several servers share, are ready for requests."""
-
-    pids: tuple[int, ...]
+    pids: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -72,26 +67,15 @@ class Cancel:
 
 @dataclass(frozen=True)
 class StillSearching:
-    """A planning problem proves hard: it is worked on for longer than most, and again for twice as long.
-
-    Attributes:
-        number: of the request.
-        spent_s: allowed time that is spent on it [s].
-    """
+    """A planning problem exceeds the typical planning time; sent again each time that its own has doubled."""
 
     number: int
-    spent_s: float
+    spent_s: float  # allowed time that is spent on it [s]
 
 
 @dataclass(frozen=True)
 class Answered:
-    """The answer to a request.
-
-    Attributes:
-        number: of the request.
-        answer: the answer.
-        ending: whether the worker ends now; a fresh one must take its place.
-    """
+    """The answer to a request; ``ending`` if the worker ends now, so that a fresh one must take its place."""
 
     number: int
     answer: Answer

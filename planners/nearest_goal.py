@@ -27,8 +27,8 @@ from robot.trajectory import Vector
 # Distances of the ways out of a contact that are tried, in travel of the fastest point [m].
 DISTANCES_M = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 
-# The last of them is narrowed down to a sixteenth.
-HALVINGS = 4
+# Bisections of the way between what is free and what is not.
+HALVINGS = 5
 
 # Ways out of a contact, beside those of single joints and the way back to the start.
 DIRECTIONS = 32
@@ -118,28 +118,28 @@ def ways_out(
         if travel_m == 0.0:
             continue
         way, blocked_m = direction / travel_m, 0.0
+
+        def end(distance_m: float, way: Vector = way) -> Vector:
+            return np.clip(point + distance_m * way, space.lower_rad, space.upper_rad)
+
         for distance_m in DISTANCES_M:
             if blocked_m >= least_m:
                 break
-            end = np.clip(point + distance_m * way, space.lower_rad, space.upper_rad)
-            if space.free(end):
-                free_m = _narrowed(space, point, way, blocked_m, distance_m)
-                found.append((free_m, np.clip(point + free_m * way, space.lower_rad, space.upper_rad)))
+            if space.free(end(distance_m)):
+                free_m = furthest(lambda distance_m: space.free(end(distance_m)), distance_m, blocked_m)
+                found.append((free_m, end(free_m)))
                 least_m = min(least_m, free_m)
                 break
             blocked_m = distance_m
     return sorted(found, key=lambda each: each[0])
 
 
-def _narrowed(space: JointSpace, point: Vector, way: Vector, blocked_m: float, free_m: float) -> float:
-    """Return a distance at which a way is free, nearer to one at which it is not."""
+def furthest(holds: Callable[[float], bool], yes: float, no: float) -> float:
+    """Return the last value from one at which a condition holds to one at which it does not, by bisection."""
     for _ in range(HALVINGS):
-        middle_m = 0.5 * (blocked_m + free_m)
-        if space.free(np.clip(point + middle_m * way, space.lower_rad, space.upper_rad)):
-            free_m = middle_m
-        else:
-            blocked_m = middle_m
-    return free_m
+        middle = 0.5 * (yes + no)
+        yes, no = (middle, no) if holds(middle) else (yes, middle)
+    return yes
 
 
 def _directions(point: Vector, start: Vector, moving: Vector) -> Iterator[Vector]:
@@ -250,14 +250,9 @@ class _Search:
 
     def _straight_ahead(self, target: Vector) -> Vector | None:
         """Return the furthest point that was found on the straight free way to a target; None for none."""
-        reached, blocked = 0.0, 1.0
-        for _ in range(HALVINGS + 2):
-            share = 0.5 * (reached + blocked)
-            if self._space.line_free(self._start, self._start + share * (target - self._start)):
-                reached = share
-            else:
-                blocked = share
-        return self._start + reached * (target - self._start) if reached > 0.0 else None
+        way = target - self._start
+        share = furthest(lambda share: self._space.line_free(self._start, self._start + share * way), 0.0, 1.0)
+        return self._start + share * way if share > 0.0 else None
 
 
 def spread(away_m: Vector, most: int) -> list[int]:

@@ -55,7 +55,7 @@ from robot.trajectory import Trajectory, Vector
 
 NOTHING_TO_DO = "nothing to do"
 
-# The first solution is the one nearest to where the robot stands; a service's caller waits for no more.
+# The first solution is the nearest to the robot's configuration; a service's caller waits for no more.
 SOLUTIONS = 1
 
 # Measured positions of an arm that rests on a limit lie beyond it by noise.
@@ -83,31 +83,17 @@ class Planner:
         self._states = GoalStates(robot, self._collision)
 
     def set_scene(self, scene: Scene) -> PlanningFailure | None:
-        """Take over the objects around the robot and those attached to it, for all further requests.
-
-        Returns:
-            The flaw of a scene that cannot be used, which leaves the scene before in place; else None.
-        """
+        """Take over a scene for all further requests, as :meth:`CollisionModel.set_scene` does."""
         return self._collision.set_scene(scene)
 
     def tip_position_m(self, positions_rad: Mapping[str, float], link: str) -> Point:
-        """Return where a link's origin is, in the root link's frame [m].
-
-        Args:
-            positions_rad: position of every movable joint [rad].
-            link: the link.
-        """
+        """Return the position of a link's origin in the root link's frame [m]."""
         q = np.array([positions_rad[name] for name in self._collision.joint_names])
         x, y, z = self._collision.tip_positions([q], link)[0].tolist()
         return x, y, z
 
     def answer(self, request: Request, should_stop: Callable[[], bool] = never) -> Answer:
-        """Answer any request.
-
-        Args:
-            request: the request.
-            should_stop: called all the time; once true the answer is PREEMPTED.
-        """
+        """Answer any request; ``should_stop`` is called all the time: once true, the answer is PREEMPTED."""
         began_s = self._clock()
         try:
             return self._answer(request, should_stop)
@@ -145,16 +131,7 @@ class Planner:
                 return answer_servo(request, robot, collision, self._states.forward)
 
     def plan(self, problem: PlanningProblem, should_stop: Callable[[], bool] = never) -> Plan | PlanningFailure:
-        """Plan one motion.
-
-        Args:
-            problem: the problem.
-            should_stop: called all the time; once true the answer is PREEMPTED.
-
-        Returns:
-            A plan that starts at the start, reaches the goal, keeps the limits and touches nothing, or why there
-            is none.
-        """
+        """Plan a motion that starts at the start, reaches the goal, keeps the limits and touches nothing."""
         budget = Budget(self._clock, problem.allowed_time_s, should_stop)
         try:
             return self._plan(problem, budget)
@@ -237,15 +214,7 @@ class Planner:
 def answer_ik(
     question: IkQuestion, robot: RobotModel, states: GoalStates, collision: CollisionModel, budget: Budget
 ) -> IkAnswer | PlanningFailure:
-    """Find configurations in which a goal holds.
-
-    Args:
-        question: the goal, and the conditions that hold beside it.
-        robot: the arm.
-        states: finds configurations.
-        collision: the joints of a configuration.
-        budget: ends the search.
-    """
+    """Find configurations in which a goal holds."""
     refusal = checks.check_ik_question(robot, question) or checks.check_start(robot, question.start_rad)
     if refusal is not None:
         return refusal
@@ -272,14 +241,7 @@ def answer_ik(
 def answer_state(
     question: StateQuestion, robot: RobotModel, states: GoalStates, collision: CollisionModel
 ) -> StateAnswer | PlanningFailure:
-    """List the flaws of a state: limits, contacts, constraints.
-
-    Args:
-        question: the state.
-        robot: the arm.
-        states: measures constraints.
-        collision: its collisions with itself and the scene.
-    """
+    """List the flaws of a state: limits, contacts, constraints."""
     refusal = checks.check_state_question(robot, question)
     if refusal is not None:
         return refusal
@@ -303,15 +265,6 @@ def recheck(
     """Check the rest of a motion against the present scene, as plans are checked before they leave.
 
     Contacts that are shallow where the motion is now do not count unless it deepens them, as at the start of a plan.
-
-    Args:
-        question: the motion, and the time on it that has passed.
-        robot: the arm.
-        collision: its collisions with itself and the scene.
-        should_stop: ends the check with :exc:`planners.errors.StoppedError`.
-
-    Returns:
-        The first contact with its time on the motion, or that there is none; a failure for an invalid question.
     """
     refusal = _check_question(question, robot)
     if refusal is not None:
@@ -336,13 +289,7 @@ def recheck(
 def check_concurrency(
     question: ConcurrencyQuestion, robot: RobotModel, collision: CollisionModel
 ) -> RecheckAnswer | PlanningFailure:
-    """Check if two motions may touch each other, wherever each is on its way.
-
-    Args:
-        question: the motions.
-        robot: the arm.
-        collision: its collisions with itself and the scene.
-    """
+    """Check if two motions may touch each other, wherever each is on its way."""
     first, second = question.first, question.second
     shared = set(first.joint_names) & set(second.joint_names)
     if shared:
@@ -383,8 +330,8 @@ def _sparse_contact(space: JointSpace, motion: Trajectory) -> Contact | None:
 
 
 def _free(space: JointSpace, point: Vector) -> bool:
-    """Tell whether nothing touches at a point, by the full meshes where only hulls do."""
-    return space.free(point) or (space.look_closer_at(point) and space.free(point))
+    """Return true if nothing touches at a point, by the parts where only hulls do."""
+    return space.free(point) or (space.refine_at(point) and space.free(point))
 
 
 def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFailure | None:

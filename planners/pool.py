@@ -1,119 +1,61 @@
-"""Planner processes, as the server sees them: some at work, one a warm spare, each replaced when it ends.
+"""Planner processes of one server: some at work, one a warm spare, each replaced when it ends.
 
 The server awaits :meth:`PlannerPool.ask`. Cancelling that await stops the worker, by a message first and by force when
-it does not listen; the spare is free meanwhile. A problem that proves hard is searched by idle workers as well, until a
-request needs them (:mod:`planners.race`). Every request gets exactly one answer, at the latest a grace period after its
-allowed time. What a worker waits for a core comes on top, within bounds: a busy machine must not cost a warm worker.
+it does not listen; the spare is free meanwhile. A problem that takes longer than most is searched by idle workers too,
+until a request needs them (:mod:`planners.race`). Every request gets exactly one answer, at the latest a grace period
+after its allowed time. A worker's waits for a core come on top, within bounds: a busy machine must not cost a warm
+worker.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import dataclasses
 import functools
 import logging
 import os
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
-from typing import Any, TypeAlias, overload
+from collections.abc import Coroutine
+from typing import Any
 
-from planners.budget import Deadline, read_run_delay_s
-from planners.messages import (
-    Answered,
-    Ask,
-    Cancel,
-    Loaded,
-    LoadFailed,
-    LoadRobot,
-    MoreObjects,
-    NewScene,
-    StillSearching,
-)
+from planners.interface import LOAD_TIMEOUT_S, MAX_WAITING, Planners
 from planners.problem import (
     Answer,
-    CartesianPlan,
-    CartesianProblem,
     ConcurrencyQuestion,
-    IkAnswer,
-    IkQuestion,
-    JointPathProblem,
     MoveItErrorCode,
-    NearestGoalAnswer,
-    NearestGoalQuestion,
-    Plan,
     PlanningFailure,
     PlanningProblem,
-    RecheckAnswer,
     RecheckQuestion,
     Request,
-    StateAnswer,
     StateQuestion,
 )
 from planners.race import Race
-from planners.scene import EMPTY_SCENE, Mesh, Scene, SceneObject
-from planners.servo.question import ServoAnswer, ServoQuestion
+from planners.scene import Scene
+from planners.scene_transfer import PART_BYTES, packed_bytes
+from planners.servo.question import ServoQuestion
+from planners.worker_process import OnHard, WorkerProcess, ignore, timeout_after
 from robot.description.model import RobotModel
-from robot.processes import Child, DescriptorReserve, StartedChild
+from robot.processes import DescriptorReserve
 
 log = logging.getLogger("armbridge.planners")
-
-# The module whose main is the process.
-WORKER_MODULE = "planners.worker"
-
-# Planning gives way to the servo loop and the server, which have deadlines.
-NICENESS = 5
-
-# Cancelling takes about a millisecond; past this, native code hangs. Waits for a core come on top.
-CANCEL_TIMEOUT_S = 0.25
-
-# A process whose socket is closed is about to end; its exit code comes a moment later.
-ENDING_TIMEOUT_S = 0.1
 
 # Checks of a state or a motion take milliseconds; they have no allowed time of their own. Waits for a core come on top,
 # but not where an arm moves meanwhile.
 CHECK_TIME_S = 1.0
 
-# A deadline that has been extended is checked no sooner again: a wait for a core is counted when it has ended.
-DEADLINE_CHECK_S = 0.02
-
 # No request holds a worker for longer, whatever it allows itself.
 MAX_ALLOWED_TIME_S = 3600.0
 
-# What packing an object costs, in terms of a mesh's bytes (which are only copied): 3 us.
-OBJECT_BYTES = 8 << 10
-
-# So much of a scene is packed within half a millisecond; the server's event loop has its turns between the parts.
-PART_BYTES = 1 << 20
-
-# A worker sets up 100 boxes of a scene in 9 ms, a mesh of 10 000 triangles in 20 ms, so much in 0.1 s at most. Of the
-# largest scenes that takes 0.2 s, nearly as long as a cancel may take.
+# Size of a scene that a worker sets up in 0.1 s at most: 100 boxes take 9 ms, a mesh of 10 000 triangles 20 ms. The
+# largest scenes take 0.2 s, nearly as long as a cancel may take.
 BRIEF_SCENE_BYTES = PART_BYTES
 
-ANSWER_TO: Mapping[type[Request], type[Answer]] = {
-    PlanningProblem: Plan,
-    CartesianProblem: CartesianPlan,
-    JointPathProblem: Plan,
-    IkQuestion: IkAnswer,
-    NearestGoalQuestion: NearestGoalAnswer,
-    StateQuestion: StateAnswer,
-    RecheckQuestion: RecheckAnswer,
-    ConcurrencyQuestion: RecheckAnswer,
-    ServoQuestion: ServoAnswer,
-}
-
-# What a worker may take beyond the allowed time, to set up a large scene or finish its checks, before it is ended.
+# Time beyond the allowed time after which a worker is ended: it may set up a large scene or finish its checks.
 OVERTIME_S = 1.0
-
-# Requests of a server that wait for a worker; past these, requests come faster than they can be answered.
-MAX_WAITING = 64
 
 # A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
 MEMORY_LIMIT_BYTES = 1_024_000_000
 
-# A worker imports its libraries in half a second; a loaded machine may take many times that.
-LOAD_TIMEOUT_S = 30.0
-
-# After so many failed starts in a row there is a pause before each further one.
+# Failed starts in a row after which there is a pause before each further one.
 MAX_FAILED_STARTS = 3
 RESTART_PAUSE_S = 5.0
 
@@ -121,220 +63,13 @@ RESTART_PAUSE_S = 5.0
 CLOSE_TIMEOUT_S = 2.0
 
 
-# Called with the allowed time that is spent on a problem [s], which proves hard.
-OnHard: TypeAlias = Callable[[float], None]
-
-
-def ignore(_spent_s: float) -> None:
-    """Let a hard problem be."""
-
-
-class WorkerProcess:
-    """A planner process.
-
-    Args:
-        robot: the arm to plan for.
-        memory_limit_bytes: limit of its data [bytes].
-        on_loaded: called once, with None when it is ready for requests, or with the reason for which it never will be.
-        on_exit: called once when the process is gone.
-
-    Attributes:
-        loaded: whether it has ever been ready for requests.
-    """
-
-    def __init__(
-        self,
-        robot: RobotModel,
-        memory_limit_bytes: int,
-        on_loaded: Callable[[WorkerProcess, str | None], None],
-        on_exit: Callable[[WorkerProcess], None],
-    ) -> None:
-        self._load = LoadRobot(robot, memory_limit_bytes)
-        self._on_loaded = on_loaded
-        self._on_exit = on_exit
-        self._child = Child(StartedChild(WORKER_MODULE), self._received, self._exited, niceness=NICENESS)
-        self._ending = False
-        self._number = 0
-        self.loaded = False
-        # None stands for the process's end.
-        self._answer: asyncio.Future[Any] | None = None
-        self._on_hard: OnHard = ignore
-        # None while a scene is under way: one given up half-way is begun anew.
-        self._scene_version: int | None = EMPTY_SCENE.version
-
-    async def start(self) -> None:
-        """Have the process load the robot; it does so while others run."""
-        await self._child.connect()
-        self._child.send(self._load)
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._child.pid
-
-    @property
-    def usable(self) -> bool:
-        """True when it can take a request: it has loaded the robot, runs, and does not intend to end."""
-        return self.loaded and not self._ending and self._child.running
-
-    @property
-    def ending(self) -> str:
-        """Description of the process's end, or that it has not ended."""
-        return self._child.ending
-
-    def run_delay_s(self) -> float | None:
-        """Read for how long the process has waited for a core; see :func:`planners.budget.read_run_delay_s`."""
-        return read_run_delay_s(self.pid)
-
-    def has(self, scene: Scene) -> bool:
-        """Tell whether the process has this scene."""
-        return self._scene_version == scene.version
-
-    async def ask(self, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
-        """Send a request, after the scene unless the process has it, and wait for the answer.
-
-        The wait has no end of its own; the caller that gives it up must :meth:`cancel` or :meth:`kill`. A process that
-        dies, or sends no answer to the request, answers CRASH.
-
-        Args:
-            request: the request.
-            scene: to answer it in.
-            on_hard: called when it is a problem that proves hard, and again each time that it has taken twice as long.
-        """
-        self._number += 1
-        self._on_hard = on_hard
-        self._answer = asyncio.get_running_loop().create_future()
-        try:
-            if not self.has(scene):
-                await self._send_scene(scene)
-            self._child.send(Ask(self._number, request))
-        except ValueError as error:
-            return PlanningFailure(MoveItErrorCode.FAILURE, f"the problem cannot be given to a planner: {error}")
-        answer = await asyncio.shield(self._answer)
-        if isinstance(answer, ANSWER_TO[type(request)] | PlanningFailure):
-            return answer
-        # Whatever it is worth, it must not get the next request.
-        self._ending = True
-        if answer is None:
-            await self._child.wait(ENDING_TIMEOUT_S)
-            message = f"the planner process ended ({self.ending}) while it worked on this"
-        else:
-            message = f"the planner answered a {type(request).__name__} with {type(answer).__name__}"
-        return PlanningFailure(MoveItErrorCode.CRASH, message)
-
-    async def cancel(self) -> None:
-        """Make the process give up the request in hand, or end it when it does not listen."""
-        if self._answer is None or self._scene_version is None:
-            return  # the request was given up before it was sent
-        self._child.send(Cancel(self._number))
-        try:
-            async with timeout_after(CANCEL_TIMEOUT_S, self.run_delay_s):
-                await asyncio.shield(self._answer)
-        except TimeoutError:
-            log.warning("planner process %d does not listen and is ended", self.pid)
-            await self.kill()
-
-    async def kill(self) -> None:
-        """End the process at once."""
-        self._ending = True
-        await self._child.kill()
-
-    async def _send_scene(self, scene: Scene) -> None:
-        """Send a scene in parts, between which the event loop has its turns."""
-        self._scene_version = None
-        self._child.send(NewScene(dataclasses.replace(scene, objects=())))
-        for objects in parts(scene.objects):
-            await asyncio.sleep(0)
-            self._child.send(MoreObjects(objects))
-        self._scene_version = scene.version
-
-    def _received(self, message: Any) -> None:
-        match message:
-            case Loaded():
-                self.loaded = True
-                self._on_loaded(self, None)
-            case LoadFailed(reason):
-                self._on_loaded(self, reason)
-            case StillSearching(number, spent_s) if number == self._number:
-                self._on_hard(spent_s)
-            case Answered(number, answer, ending) if number == self._number:
-                self._ending = self._ending or ending
-                self._resolve(answer)
-
-    def _exited(self) -> None:
-        self._ending = True
-        self._resolve(None)
-        self._on_exit(self)
-
-    def _resolve(self, answer: Answer | None) -> None:
-        if self._answer is not None and not self._answer.done():
-            self._answer.set_result(answer)
-
-
-@contextlib.asynccontextmanager
-async def timeout_after(allowed_s: float, run_delay_s: Callable[[], float | None]) -> AsyncIterator[None]:
-    """Cancel the body as :func:`asyncio.timeout` does, but not for the time that a process waits for a core.
-
-    Args:
-        allowed_s: time to the deadline if the process never waits, by the event loop's clock [s].
-        run_delay_s: reads for how long the process has waited for a core; see :class:`planners.budget.Deadline`.
-
-    Raises:
-        TimeoutError: the deadline has passed.
-    """
-    loop = asyncio.get_running_loop()
-    deadline = Deadline(allowed_s, run_delay_s, loop.time)
-    passed = False
-    timer: asyncio.TimerHandle
-    async with asyncio.timeout(None) as timeout:
-
-        def check() -> None:
-            nonlocal timer, passed
-            left_s = deadline.left_s()
-            if left_s > 0.0:
-                timer = loop.call_later(max(left_s, DEADLINE_CHECK_S), check)
-            elif not passed:
-                # An event loop that was held up has what came meanwhile to deliver first.
-                passed = True
-                timer = loop.call_later(DEADLINE_CHECK_S, check)
-            else:
-                timeout.reschedule(loop.time())
-
-        timer = loop.call_later(deadline.left_s(), check)
-        try:
-            yield
-        finally:
-            timer.cancel()
-
-
-def parts(objects: tuple[SceneObject, ...]) -> Iterator[tuple[SceneObject, ...]]:
-    """Divide objects, in their order, into parts that are quickly packed."""
-    part: list[SceneObject] = []
-    size = 0
-    for each in objects:
-        part.append(each)
-        size += packed_bytes(each)
-        if size >= PART_BYTES:
-            yield tuple(part)
-            part, size = [], 0
-    if part:
-        yield tuple(part)
-
-
-def packed_bytes(packed: SceneObject) -> int:
-    """Return what packing an object costs, in terms of a mesh's bytes."""
-    meshes = (shape for shape, _ in packed.shapes if isinstance(shape, Mesh))
-    return OBJECT_BYTES + sum(mesh.vertices_m.nbytes + mesh.triangles.nbytes for mesh in meshes)
-
-
 def brief(scene: Scene) -> bool:
-    """Tell whether a worker sets up a scene soon enough to do so for a race; it does not listen meanwhile."""
-    objects = (*scene.objects, *(each.object for each in scene.attached))
-    return sum(map(packed_bytes, objects)) <= BRIEF_SCENE_BYTES
+    """Return true if a worker sets up a scene soon enough for a race; it does not listen meanwhile."""
+    return sum(map(packed_bytes, scene.all_objects())) <= BRIEF_SCENE_BYTES
 
 
 def allowed_time_s(request: Request) -> float:
-    """Return the time that a request allows its planner, bounded [s]; the planner itself refuses what is no time."""
+    """Return the time that a request allows its planner, bounded [s]; the planner itself refuses an invalid time."""
     match request:
         case StateQuestion() | RecheckQuestion() | ConcurrencyQuestion() | ServoQuestion():
             return CHECK_TIME_S
@@ -344,7 +79,7 @@ def allowed_time_s(request: Request) -> float:
             return MAX_ALLOWED_TIME_S
 
 
-class PlannerPool:
+class PlannerPool(Planners):
     """Planner processes for one robot.
 
     Args:
@@ -354,11 +89,7 @@ class PlannerPool:
         memory_limit_bytes: limit of each process's data [bytes].
         questions: number of questions that may be answered at the same time, and of the spares.
         max_waiting: number of requests that may wait for their turn.
-        racing: whether idle workers search for problems that prove hard as well, as many as there are cores for.
-
-    Attributes:
-        load_failure: reason for which there is no worker and probably never will be; None as long as one may come.
-        waiting_count: number of requests that wait for their turn.
+        racing: whether idle workers join long searches, as many as there are cores for.
     """
 
     def __init__(
@@ -370,18 +101,14 @@ class PlannerPool:
         max_waiting: int = MAX_WAITING,
         racing: bool = True,
     ) -> None:
+        super().__init__(active, questions, max_waiting)
         self._robot = robot
         self._size = active + questions
-        self._max_waiting = max_waiting
         self._memory_limit_bytes = memory_limit_bytes
         self._workers: list[WorkerProcess] = []
         self._idle: list[WorkerProcess] = []
         self._racing = racing
         self._races: list[Race] = []
-        self._motion_turns = asyncio.Semaphore(active)
-        self._question_turns = asyncio.Semaphore(questions)
-        # Motions that are planned as long as nothing else is to be planned.
-        self._background: set[asyncio.Task[Plan | PlanningFailure]] = set()
         # Set for a moment when a worker has become idle, or load_failure known.
         self._changed = asyncio.Event()
         self._closing = asyncio.Event()
@@ -390,24 +117,16 @@ class PlannerPool:
         self._robot_refused = False
         self._tasks: set[asyncio.Task[None]] = set()
         self._reserve = DescriptorReserve()
-        self.load_failure: str | None = None
-        self.waiting_count = 0
 
     async def start(self) -> None:
-        """Start the processes; they load in the background, and requests sent meanwhile wait for them.
-
-        The spare starts once another has loaded, which so has the cores for itself, as long as nothing else can plan.
-        """
+        """Start the processes, which load in the background."""
+        # The spare starts once another has loaded, which has the cores for itself as long as nothing else can plan.
         for _ in range(self._size - 1):
             await self._spawn()
         self._in_background(self._spawn_spare())
 
     async def wait_until_loaded(self) -> str | None:
-        """Wait until a worker takes requests, or it is known why none can.
-
-        Returns:
-            The reason for which no worker can plan for the robot; None where one can, or may later.
-        """
+        """Wait for the first worker that takes requests; see :class:`Planners`."""
         while not self._ever_loaded and self.load_failure is None and not self._closing.is_set():
             await self._changed.wait()
         return self.load_failure if self._robot_refused else None
@@ -436,75 +155,9 @@ class PlannerPool:
         """Number of workers that wait for a request."""
         return len(self._idle)
 
-    # Public methods for requests.
-
-    @overload
-    async def ask(self, request: PlanningProblem | JointPathProblem, scene: Scene = ...) -> Plan | PlanningFailure: ...
-    @overload
-    async def ask(self, request: CartesianProblem, scene: Scene = ...) -> CartesianPlan | PlanningFailure: ...
-    @overload
-    async def ask(
-        self, request: PlanningProblem | CartesianProblem | JointPathProblem, scene: Scene = ...
-    ) -> Plan | CartesianPlan | PlanningFailure: ...
-    @overload
-    async def ask(self, request: IkQuestion, scene: Scene = ...) -> IkAnswer | PlanningFailure: ...
-    @overload
-    async def ask(self, request: NearestGoalQuestion, scene: Scene = ...) -> NearestGoalAnswer | PlanningFailure: ...
-    @overload
-    async def ask(self, request: StateQuestion, scene: Scene = ...) -> StateAnswer | PlanningFailure: ...
-    @overload
-    async def ask(
-        self, request: RecheckQuestion | ConcurrencyQuestion, scene: Scene = ...
-    ) -> RecheckAnswer | PlanningFailure: ...
-    @overload
-    async def ask(self, request: ServoQuestion, scene: Scene = ...) -> ServoAnswer | PlanningFailure: ...
-
-    async def ask(self, request: Request, scene: Scene = EMPTY_SCENE) -> Answer:
-        """Have a planner answer, in a scene.
-
-        Cancelling this call stops the work on it. A worker that dies answers CRASH, one that overruns TIMED_OUT.
-        """
-        if self.waiting_count >= self._max_waiting:
-            message = f"{self.waiting_count} requests wait for a planner already (limit {self._max_waiting})"
-            return PlanningFailure(MoveItErrorCode.FAILURE, message)
-        motion = isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | NearestGoalQuestion)
-        turns = self._motion_turns if motion else self._question_turns
-        if motion and turns.locked():
-            for task in self._background:
-                task.cancel()
-        self.waiting_count += 1
-        try:
-            await turns.acquire()
-        finally:
-            self.waiting_count -= 1
-        try:
-            return await self._answer(request, scene)
-        finally:
-            turns.release()
-
-    async def ask_in_background(
-        self, problem: PlanningProblem, scene: Scene = EMPTY_SCENE
-    ) -> Plan | PlanningFailure | None:
-        """Have a planner plan a motion that nothing waits for, in a scene; arguments as for :meth:`ask`.
-
-        Returns:
-            None if all planners of motions are at work, or as soon as another request needs the one that plans this.
-        """
-        if self._motion_turns.locked():
-            return None
-        asking = asyncio.create_task(self.ask(problem, scene), name="planning in the background")
-        self._background.add(asking)
-        try:
-            await asyncio.wait([asking])
-        finally:
-            self._background.discard(asking)
-            asking.cancel()
-        return None if asking.cancelled() else asking.result()
-
     # Private methods for requests: a worker is taken from the idle ones and put back once it has answered.
 
     async def _answer(self, request: Request, scene: Scene) -> Answer:
-        """Answer a request whose turn it is."""
         # Where nothing waits for a motion, the workers that are idle stay so for what comes.
         if not self._racing or not isinstance(request, PlanningProblem) or asyncio.current_task() in self._background:
             return await self._have_answered(request, scene)

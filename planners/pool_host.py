@@ -1,7 +1,7 @@
 """Host of planners that several servers share: one pool, reached over a Unix socket.
 
 A server's connection (:mod:`planners.shared_pool`) carries the messages of :mod:`planners.messages`: scenes in parts,
-and requests, of which several may be on their way. The pool gives turns in the order in which requests come. A server
+and requests, several at a time. The pool gives turns in the order in which requests come. A server
 asks for one motion and one question at a time, so however many goals one has, it takes one turn of each round.
 """
 
@@ -15,7 +15,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from planners.messages import Answered, Ask, Cancel, Hosted, LoadFailed, MoreObjects, NewScene
+from planners.messages import Answered, Ask, Cancel, Loaded, LoadFailed, MoreObjects, NewScene
 from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
 from planners.problem import (
     CartesianProblem,
@@ -27,7 +27,8 @@ from planners.problem import (
     PlanningProblem,
     Request,
 )
-from planners.scene import EMPTY_SCENE, Scene, SceneObject
+from planners.scene import EMPTY_SCENE, Scene
+from planners.scene_transfer import SceneReceiver
 from robot.channel import Decoder, encode
 from robot.description.model import RobotModel
 
@@ -47,7 +48,7 @@ class PlannerHost:
 
     Args:
         robot: the arm to plan for.
-        address: path of the Unix socket; whoever may open it is trusted, so its folder is the user's alone.
+        address: path of the Unix socket; every user who can open it is trusted, so its folder is the user's alone.
         servers: number of servers that share the planners.
         active: number of motions that may be planned at the same time.
         questions: number of questions that may be answered at the same time.
@@ -64,7 +65,7 @@ class PlannerHost:
         memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
     ) -> None:
         self._address = address
-        # A worker that races would be one that another server's goal waits for.
+        # No races: another server's goal may need the worker.
         self._pool = PlannerPool(
             robot, active, memory_limit_bytes, questions, max_waiting=REQUESTS_OF_SERVER * servers, racing=False
         )
@@ -89,12 +90,12 @@ class PlannerHost:
             await self._pool.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve one server until it closes its connection; what it has asked for is cancelled then."""
+        """Serve one server until it closes its connection, which cancels its requests."""
         connection = _Connection(self._pool, writer, self._versions)
         self._writers.add(writer)
         try:
             refusal = await self._pool.wait_until_loaded()
-            writer.write(encode(Hosted(self._pool.pids) if refusal is None else LoadFailed(refusal)))
+            writer.write(encode(Loaded(self._pool.pids) if refusal is None else LoadFailed(refusal)))
             decoder = Decoder()
             while data := await reader.read(READ_BYTES):
                 for message in decoder.feed(data):
@@ -108,49 +109,33 @@ class PlannerHost:
 
 
 class _Connection:
-    """Requests of one server, and its scene.
-
-    Args:
-        pool: answers them.
-        writer: takes the answers.
-        versions: numbers of scenes, which no two servers' scenes have in common.
-    """
+    """Requests of one server, and its scene, whose version no other server's scene has."""
 
     def __init__(self, pool: PlannerPool, writer: asyncio.StreamWriter, versions: itertools.count[int]) -> None:
         self._pool = pool
         self._writer = writer
         self._versions = versions
-        self._scene = EMPTY_SCENE
-        self._objects: list[SceneObject] | None = None
+        self._scene = SceneReceiver()
         self._tasks: dict[int, asyncio.Task[None]] = {}
 
     def take(self, message: Any) -> None:
         """Take a message of the server."""
         match message:
             case NewScene(scene):
-                self._scene, self._objects = scene, []
-            case MoreObjects(objects) if self._objects is not None:
-                self._objects += objects
+                self._scene.take(NewScene(dataclasses.replace(scene, version=next(self._versions))))
+            case MoreObjects():
+                self._scene.take(message)
             case Ask(number, request):
-                scene = self._whole_scene()
-                task = asyncio.create_task(self._answer(number, bounded(request), scene), name="planners' request")
-                self._tasks[number] = task
+                answering = self._answer(number, bounded(request), self._scene.scene())
+                self._tasks[number] = task = asyncio.create_task(answering, name="planners' request")
                 task.add_done_callback(lambda _: self._tasks.pop(number, None))
             case Cancel(number) if number in self._tasks:
                 self._tasks[number].cancel()
 
     def close(self) -> None:
-        """Cancel what is under way."""
+        """Cancel open requests."""
         for task in self._tasks.values():
             task.cancel()
-
-    def _whole_scene(self) -> Scene:
-        """Return the scene of the next request, once it has come whole."""
-        if self._objects is not None:
-            version = next(self._versions)
-            self._scene = dataclasses.replace(self._scene, objects=tuple(self._objects), version=version)
-            self._objects = None
-        return self._scene
 
     async def _answer(self, number: int, request: Request, scene: Scene) -> None:
         try:
@@ -166,7 +151,7 @@ class _Connection:
 
 
 def bounded(request: Request) -> Request:
-    """Return the request with no more planning time than others can wait for."""
+    """Return the request with no more planning time than :data:`LONGEST_PLANNING_S`."""
     if isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | IkQuestion | NearestGoalQuestion):
         return dataclasses.replace(request, allowed_time_s=min(request.allowed_time_s, LONGEST_PLANNING_S))
     return request

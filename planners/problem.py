@@ -82,50 +82,31 @@ def planner_name(planner_id: str) -> str | None:
 
 @dataclass(frozen=True)
 class RateLimits:
-    """The most that each joint may do, shape (n,) each.
+    """The most that each joint may do, shape (n,) each."""
 
-    Attributes:
-        velocity_rad_s: above 0 [rad/s].
-        acceleration_rad_s2: above 0 [rad/s^2].
-        jerk_rad_s3: above 0, infinite for joints without such a limit; None when no joint has one [rad/s^3].
-    """
-
-    velocity_rad_s: Vector
-    acceleration_rad_s2: Vector
+    velocity_rad_s: Vector  # above 0 [rad/s]
+    acceleration_rad_s2: Vector  # above 0 [rad/s^2]
+    # Above 0, infinite for joints without such a limit; None when no joint has one [rad/s^3].
     jerk_rad_s3: Vector | None = None
 
 
 @dataclass(frozen=True)
 class PlanningProblem:
-    """One motion to plan.
+    """One motion to plan."""
 
-    Attributes:
-        group: planning group of the SRDF.
-        start_rad: position of every movable joint of the robot [rad].
-        goal: where to.
-        velocity_scaling: share of the velocity limits to use, in (0, 1].
-        acceleration_scaling: share of the acceleration limits to use, in (0, 1].
-        allowed_time_s: planning time after which the answer is TIMED_OUT [s].
-        attempts: how many independent searches are made at most while there is no motion better than the last.
-        seed: same problem and seed, same plan.
-        start_velocity_rad_s: velocities of joints that move at the start; those not named stand still [rad/s].
-        path_constraints: what must hold from start to end.
-        planner_id: which search to use, as :func:`planner_name` knows it; empty for the default.
-        optimization_time_s: planning time to spend on shortening the motion once there is one [s].
-    """
-
-    group: str
-    start_rad: Mapping[str, float]
+    group: str  # planning group of the SRDF
+    start_rad: Mapping[str, float]  # position of every movable joint of the robot [rad]
     goal: Goal
-    velocity_scaling: float = 1.0
-    acceleration_scaling: float = 1.0
-    allowed_time_s: float = 5.0
-    attempts: int = 5
-    seed: int = 0
+    velocity_scaling: float = 1.0  # share of the velocity limits to use, in (0, 1]
+    acceleration_scaling: float = 1.0  # share of the acceleration limits to use, in (0, 1]
+    allowed_time_s: float = 5.0  # planning time after which the answer is TIMED_OUT [s]
+    attempts: int = 5  # number of independent searches at most, each for a shorter motion than the last
+    seed: int = 0  # same problem and seed, same plan
+    # Velocities of joints that move at the start; those not named stand still [rad/s].
     start_velocity_rad_s: Mapping[str, float] = field(default_factory=dict)
-    path_constraints: Constraints | None = None
-    planner_id: str = ""
-    optimization_time_s: float = 0.024
+    path_constraints: Constraints | None = None  # must hold from start to end
+    planner_id: str = ""  # which search to use, as planner_name knows it; empty for the default
+    optimization_time_s: float = 0.024  # planning time to spend on shortening the motion once there is one [s]
 
 
 @dataclass(frozen=True)
@@ -145,99 +126,62 @@ class Arc:
 
 @dataclass(frozen=True)
 class CartesianProblem:
-    """A path of the tip to follow.
+    """A path of the tip to follow."""
 
-    Attributes:
-        group: planning group of the SRDF.
-        start_rad: position of every movable joint of the robot [rad].
-        link: the tip.
-        segments: lines and arcs, one after the other from where the tip is.
-        keep_orientation: whether the desired orientations must hold within ``orientation_tolerance_rad``; else
-            the position is followed and the nearest orientation taken.
-        orientation_tolerance_rad: greatest rotation from the desired orientation [rad].
-        max_step_m: greatest distance between the points that are solved for [m].
-        max_joint_step_rad: greatest step of any joint between them, 0 for none: a greater one is a jump [rad].
-        tip_speed_m_s: greatest speed of the tip [m/s], None for as fast as the joints allow.
-        avoid_collisions: whether contacts end the path.
-        velocity_scaling: share of the velocity limits to use, in (0, 1].
-        acceleration_scaling: share of the acceleration limits to use, in (0, 1].
-        allowed_time_s: planning time after which the answer is TIMED_OUT [s].
-        path_constraints: what must hold from start to end.
-    """
-
-    group: str
-    start_rad: Mapping[str, float]
+    group: str  # planning group of the SRDF
+    start_rad: Mapping[str, float]  # position of every movable joint of the robot [rad]
     link: str
-    segments: tuple[Line | Arc, ...]
+    segments: tuple[Line | Arc, ...]  # lines and arcs, one after the other from where the tip is
+    # Whether the desired orientations must hold within `orientation_tolerance_rad`; else the position is followed and
+    # the nearest orientation taken.
     keep_orientation: bool = False
-    orientation_tolerance_rad: float = 0.02
-    max_step_m: float = 0.005
+    orientation_tolerance_rad: float = 0.02  # greatest rotation from the desired orientation [rad]
+    max_step_m: float = 0.005  # greatest distance between the points that are solved for [m]
+    # Greatest step of any joint between them, 0 for none: a greater one is a jump [rad].
     max_joint_step_rad: float = 0.0
-    tip_speed_m_s: float | None = None
-    avoid_collisions: bool = True
-    velocity_scaling: float = 1.0
-    acceleration_scaling: float = 1.0
-    allowed_time_s: float = 5.0
-    path_constraints: Constraints | None = None
+    tip_speed_m_s: float | None = None  # greatest speed of the tip [m/s], None for as fast as the joints allow
+    avoid_collisions: bool = True  # whether contacts end the path
+    velocity_scaling: float = 1.0  # share of the velocity limits to use, in (0, 1]
+    acceleration_scaling: float = 1.0  # share of the acceleration limits to use, in (0, 1]
+    allowed_time_s: float = 5.0  # planning time after which the answer is TIMED_OUT [s]
+    path_constraints: Constraints | None = None  # must hold from start to end
 
 
 @dataclass(frozen=True)
 class JointPathProblem:
-    """A path of the joints to time and to follow, from its first point to its last; answered by :class:`Plan`.
+    """A path of the joints to time and to follow, from its first point to its last; answered by :class:`Plan`."""
 
-    Attributes:
-        start_rad: position of every movable joint of the robot before; those of the path do not count [rad].
-        joint_names: the joints of the path, which need not be one group.
-        time_s: shape (n,), n >= 2, strictly increasing: when the path passes each point at speed 1 [s].
-        positions_rad: shape (n, joints), points that a natural cubic spline joins [rad].
-        speed: greatest share of the path's own speed, above 0; the limits of the joints hold besides.
-        allowed_time_s: planning time after which the answer is TIMED_OUT [s].
-    """
-
+    # Position of every movable joint of the robot before; the path's joints do not count [rad].
     start_rad: Mapping[str, float]
-    joint_names: tuple[str, ...]
-    time_s: Vector
-    positions_rad: Vector
-    speed: float = 1.0
-    allowed_time_s: float = 5.0
+    joint_names: tuple[str, ...]  # the joints of the path, which need not be one group
+    time_s: Vector  # shape (n,), n >= 2, strictly increasing: when the path passes each point at speed 1 [s]
+    positions_rad: Vector  # shape (n, joints), points that a natural cubic spline joins [rad]
+    speed: float = 1.0  # greatest share of the path's own speed, above 0; the limits of the joints hold besides
+    allowed_time_s: float = 5.0  # planning time after which the answer is TIMED_OUT [s]
 
 
 @dataclass(frozen=True)
 class IkQuestion:
-    """Question for joint positions at which a goal holds; answered by :class:`IkAnswer`.
+    """Question for joint positions at which a goal holds; answered by :class:`IkAnswer`."""
 
-    Attributes:
-        group: the joints that may move.
-        start_rad: position of every movable joint [rad]; the solution nearest in time to it is wanted.
-        goal: what must hold.
-        avoid_collisions: whether solutions in contact count as none.
-        constraints: what must hold as well.
-        allowed_time_s: time after which the answer is TIMED_OUT [s].
-        seed: same question and seed, same answer.
-    """
-
-    group: str
+    group: str  # the joints that may move
+    # Position of every movable joint [rad]; the solution nearest in time to it is wanted.
     start_rad: Mapping[str, float]
-    goal: Goal
-    avoid_collisions: bool = True
-    constraints: Constraints | None = None
-    allowed_time_s: float = 0.05
-    seed: int = 0
+    goal: Goal  # what must hold
+    avoid_collisions: bool = True  # whether solutions in contact count as none
+    constraints: Constraints | None = None  # what must hold as well
+    allowed_time_s: float = 0.05  # time after which the answer is TIMED_OUT [s]
+    seed: int = 0  # same question and seed, same answer
 
 
 @dataclass(frozen=True)
 class NearestGoalQuestion:
-    """Question for a goal to which there is a motion, in place of one to which there is none.
+    """Question for a goal to which there is a motion, in place of one to which there is none."""
 
-    Attributes:
-        problem: the problem that has no plan; its goal is of joints, of a position, of a pose or a path of the tip.
-        allowed_time_s: time after which none is looked for [s].
-        code: of its failure, by which it is known where to look.
-    """
-
+    # The problem that has no plan; its goal is of joints, of a position, of a pose or a path of the tip.
     problem: PlanningProblem | CartesianProblem
-    allowed_time_s: float = 0.3
-    code: MoveItErrorCode = MoveItErrorCode.GOAL_IN_COLLISION
+    allowed_time_s: float = 0.3  # time after which none is looked for [s]
+    code: MoveItErrorCode = MoveItErrorCode.GOAL_IN_COLLISION  # of its failure, by which it is known where to look
 
 
 @dataclass(frozen=True)
@@ -251,19 +195,12 @@ class StateQuestion:
 
 @dataclass(frozen=True)
 class RecheckQuestion:
-    """Question if the rest of a running motion is free in the present scene; answered by :class:`RecheckAnswer`.
+    """Question if the rest of a running motion is free in the present scene; answered by :class:`RecheckAnswer`."""
 
-    Attributes:
-        group: planning group of its joints; empty for joints that are not just those of a group.
-        trajectory: the motion.
-        others_rad: position of every joint that is not in it [rad].
-        from_s: where in it the robot is now [s].
-    """
-
-    group: str
-    trajectory: Trajectory
-    others_rad: Mapping[str, float]
-    from_s: float
+    group: str  # planning group of its joints; empty for joints that are not exactly a group's
+    trajectory: Trajectory  # the motion
+    others_rad: Mapping[str, float]  # position of every joint that is not in it [rad]
+    from_s: float  # where in it the robot is now [s]
 
 
 @dataclass(frozen=True)
@@ -271,16 +208,11 @@ class ConcurrencyQuestion:
     """Question if two motions of different joints may touch each other; answered by :class:`RecheckAnswer`.
 
     Each may be anywhere on its way while the other is anywhere on its own: motions are slowed, paused and stopped.
-
-    Attributes:
-        first: a motion; the answer's ``contact_s`` is a time on it.
-        second: a motion of other joints.
-        others_rad: position of every joint that is in neither [rad].
     """
 
-    first: Trajectory
-    second: Trajectory
-    others_rad: Mapping[str, float]
+    first: Trajectory  # a motion; the answer's `contact_s` is a time on it
+    second: Trajectory  # a motion of other joints
+    others_rad: Mapping[str, float]  # position of every joint that is in neither [rad]
 
 
 Request = (
@@ -298,16 +230,11 @@ Request = (
 
 @dataclass(frozen=True)
 class PlanningFailure:
-    """Reason for which there is no motion.
+    """Reason for which there is no motion."""
 
-    Attributes:
-        code: the value of moveit_msgs/MoveItErrorCodes that is true of the case.
-        message: one sentence with the figures.
-        details: what was found, as plain values: colliding pairs, joint and limit, nearest reachable point.
-    """
-
-    code: MoveItErrorCode
-    message: str
+    code: MoveItErrorCode  # the value of moveit_msgs/MoveItErrorCodes that is true of the case
+    message: str  # one sentence with the figures
+    # What was found, as plain values: colliding pairs, joint and limit, nearest reachable point.
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -321,98 +248,64 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Plan:
-    """A motion that keeps limits and touches nothing.
-
-    Attributes:
-        method: how the path was found: "nothing to do", "straight line", "given path" or the planner's name.
-        planning_time_s: time spent on it, by the clock of allowed times [s].
-        goal_index: which of the alternatives is reached.
-        deviation: of its end from that goal.
-    """
+    """A motion that keeps limits and touches nothing."""
 
     trajectory: Trajectory
-    method: str
-    planning_time_s: float
-    goal_index: int = 0
-    deviation: Deviation = Deviation()
+    method: str  # how the path was found: "nothing to do", "straight line", "given path" or the planner's name
+    planning_time_s: float  # time spent on it, by the clock of allowed times [s]
+    goal_index: int = 0  # which of the alternatives is reached
+    deviation: Deviation = Deviation()  # of its end from that goal
 
 
 @dataclass(frozen=True)
 class CartesianPlan:
-    """As much of the tip's path as can be followed.
+    """As much of the tip's path as can be followed."""
 
-    Attributes:
-        trajectory: the timed motion, certified as a plan's.
-        fraction: share of the path's length that it covers, 0 to 1.
-        stopped_by: reason for which it is not the whole; None for all of it.
-        planning_time_s: time spent on it, by the clock of allowed times [s].
-        deviation: greatest deviation of the tip from the path on the way.
-    """
-
-    trajectory: Trajectory
-    fraction: float
-    stopped_by: PlanningFailure | None
-    planning_time_s: float
-    deviation: Deviation = Deviation()
+    trajectory: Trajectory  # the timed motion, certified as a plan's
+    fraction: float  # share of the path's length that it covers, 0 to 1
+    stopped_by: PlanningFailure | None  # reason for which it is not the whole; None for all of it
+    planning_time_s: float  # time spent on it, by the clock of allowed times [s]
+    deviation: Deviation = Deviation()  # greatest deviation of the tip from the path on the way
 
 
 @dataclass(frozen=True)
 class IkAnswer:
-    """Configurations in which a goal holds.
+    """Configurations in which a goal holds."""
 
-    Attributes:
-        positions_rad: every movable joint by name, one mapping a solution, least time from the start first [rad].
-        deviations: of each solution from the goal.
-    """
-
+    # Every movable joint by name, one mapping a solution, least time from the start first [rad].
     positions_rad: tuple[Mapping[str, float], ...]
-    deviations: tuple[Deviation, ...]
+    deviations: tuple[Deviation, ...]  # of each solution from the goal
 
 
 @dataclass(frozen=True)
 class PathGoal:
-    """What works in place of a path of the tip that cannot be followed to its end; each verified by a plan.
+    """What works in place of a path of the tip that cannot be followed to its end; each verified by a plan."""
 
-    Attributes:
-        end: an end to which the same path can be followed, and be planned anew; None when none was found.
-        fraction: share of the path's length up to there, 0 to 1.
-        length_m: length of the path [m].
-        end_by_other_way: whether the end of the whole path is reached by a motion that does not follow it.
-    """
-
-    end: Pose | None
-    fraction: float
-    length_m: float
-    end_by_other_way: bool
+    end: Pose | None  # an end to which the same path can be followed, and be planned again; None when none was found
+    fraction: float  # share of the path's length up to there, 0 to 1
+    length_m: float  # length of the path [m]
+    end_by_other_way: bool  # whether the end of the whole path is reached by a motion that does not follow it
 
 
 @dataclass(frozen=True)
 class NearestGoalAnswer:
-    """Goal near one that has no plan.
+    """Goal near a goal that has no plan."""
 
-    Attributes:
-        goal: as near as was found, of the same kind, verified by a plan; None when none was found.
-    """
-
+    # As near as was found, of the same kind, verified by a plan; None when none was found.
     goal: JointGoal | PositionGoal | PoseGoal | PathGoal | None
 
 
 @dataclass(frozen=True)
 class StateAnswer:
-    """Facts about a state.
+    """Facts about a state."""
 
-    Attributes:
-        valid: whether nothing is wrong with it.
-        problems: what is wrong, each with its code, sentence and data.
-    """
-
-    valid: bool
-    problems: tuple[PlanningFailure, ...]
+    valid: bool  # whether nothing is wrong with it
+    problems: tuple[PlanningFailure, ...]  # flaws, each with its code, sentence and data
 
 
 @dataclass(frozen=True)
 class RecheckAnswer:
-    """Answer to a recheck of the rest of a motion: ``contact`` says what it would touch at ``contact_s``, else None."""
+    """Answer to a recheck of the rest of a motion: ``contact`` names the contact at ``contact_s``, else None."""
 
     contact: PlanningFailure | None
     contact_s: float | None = None

@@ -1,4 +1,4 @@
-"""Race for one plan: a problem that proves hard for one worker is given to idle ones as well, with other seeds.
+"""Race for one plan: a problem that takes one worker long is given to idle ones as well, with other seeds.
 
 The first certified plan wins, and the other racers are cancelled. A refusal that does not depend on the seed wins too.
 All racers search by the same planner: races of RRT-Connect with itself took 0.69 times as long as one search, with
@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 
-# Of so many numbers each racer has its own: a search counts up from the problem's seed with each tree that it gives up.
+# Seed stride between racers: a search counts up from the problem's seed with each tree that it gives up.
 SEED_STEP = 1 << 20
 
 # OMPL takes seeds of 32 bits.
@@ -28,11 +28,7 @@ Search: TypeAlias = Callable[[PlanningProblem], Coroutine[Any, Any, Answer]]
 
 
 class Race:
-    """Racers for one problem, and the one answer that it gets.
-
-    Args:
-        problem: the problem, as the first racer has it.
-    """
+    """Racers for one problem, and the one answer that it gets."""
 
     def __init__(self, problem: PlanningProblem) -> None:
         self._problem = problem
@@ -43,8 +39,7 @@ class Race:
     async def run(self, first: Coroutine[Any, Any, Answer]) -> Answer:
         """Run the race; once this has ended, or is cancelled, every racer is cancelled.
 
-        Args:
-            first: search of the first racer; what it answers counts where no racer finds a plan.
+        The answer of the first racer counts where no racer finds a plan.
         """
         try:
             self._add(first)
@@ -54,12 +49,7 @@ class Race:
                 racer.cancel()
 
     def join(self, search: Search, spent_s: float) -> None:
-        """Add a racer, with a seed of its own and the time that is left; none once the race or the time is over.
-
-        Args:
-            search: has a worker search.
-            spent_s: allowed time that the first racer has spent [s].
-        """
+        """Add a racer, with its own seed and the time that the first racer has left; none once race or time is over."""
         # A search without time would be refused, and the refusal would win.
         if not self._winner.done() and spent_s < self._problem.allowed_time_s:
             self._add(_search(search, another(self._problem, len(self._racers), spent_s), spent_s))
@@ -86,13 +76,7 @@ class Race:
 
 
 def another(problem: PlanningProblem, number: int, spent_s: float) -> PlanningProblem:
-    """Return the problem of another racer.
-
-    Args:
-        problem: the problem of the first one.
-        number: of the racer, from 1; same problem and number, same seed.
-        spent_s: allowed time that the first one has spent [s].
-    """
+    """Return the problem of the racer of a number, from 1; same problem and number, same seed."""
     return dataclasses.replace(
         problem,
         seed=(problem.seed + number * SEED_STEP) % SEEDS,
@@ -101,7 +85,7 @@ def another(problem: PlanningProblem, number: int, spent_s: float) -> PlanningPr
 
 
 async def _search(search: Search, problem: PlanningProblem, begun_after_s: float) -> Answer:
-    """Search; the time before counts as planning time of the plan as well."""
+    """Search; the time before the racer joined counts as planning time of its plan as well."""
     answer = await search(problem)
     if isinstance(answer, Plan):
         return dataclasses.replace(answer, planning_time_s=answer.planning_time_s + begun_after_s)
@@ -109,7 +93,7 @@ async def _search(search: Search, problem: PlanningProblem, begun_after_s: float
 
 
 def _conclusive(racer: asyncio.Task[Answer]) -> bool:
-    """Tell whether a racer that is done decides the race; an exception does, which is a bug for the caller to see."""
+    """Return true if a racer that is done decides the race; an exception does: a bug for the caller to see."""
     if racer.cancelled():
         return False
     if racer.exception() is not None:

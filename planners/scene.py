@@ -1,6 +1,6 @@
 """Planning scene: objects around the robot and attached to it, as plain data that crosses process boundaries.
 
-Poses are in the robot's root link unless said otherwise, in metres, orientations as unit quaternions x, y, z, w.
+Poses are in the robot's root link unless stated otherwise, in metres, orientations as unit quaternions x, y, z, w.
 This module imports none of the planning libraries.
 """
 
@@ -63,15 +63,10 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A surface of triangles; its inside is not solid.
+    """A surface of triangles; its inside is not solid."""
 
-    Attributes:
-        vertices_m: shape (n, 3) [m].
-        triangles: shape (m, 3), indices into ``vertices_m``.
-    """
-
-    vertices_m: NDArray[np.float64]
-    triangles: NDArray[np.int32]
+    vertices_m: NDArray[np.float64]  # shape (n, 3) [m]
+    triangles: NDArray[np.int32]  # shape (m, 3), indices into `vertices_m`
 
 
 Shape = Box | Sphere | Cylinder | Cone | Plane | Mesh
@@ -79,54 +74,39 @@ Shape = Box | Sphere | Cylinder | Cone | Plane | Mesh
 
 @dataclass(frozen=True)
 class SceneObject:
-    """An object of one or several shapes.
+    """An object of one or several shapes."""
 
-    Attributes:
-        name: unlike any link's and any other object's.
-        shapes: each with its pose in the object's frame.
-        pose: the object's frame in the robot's root link, or in the link that holds it.
-    """
-
-    name: str
-    shapes: tuple[tuple[Shape, Pose], ...]
-    pose: Pose = Pose()
+    name: str  # unlike any link's and any other object's
+    shapes: tuple[tuple[Shape, Pose], ...]  # each with its pose in the object's frame
+    pose: Pose = Pose()  # the object's frame in the robot's root link, or in the link that holds it
 
 
 @dataclass(frozen=True)
 class AttachedObject:
-    """An object that moves with a link.
+    """An object that moves with a link."""
 
-    Attributes:
-        object: the object, its pose in the link's frame.
-        link: the link that holds it.
-        touch_links: further links that may touch it.
-    """
-
-    object: SceneObject
-    link: str
-    touch_links: frozenset[str] = frozenset()
+    object: SceneObject  # the object, its pose in the link's frame
+    link: str  # the link that holds it
+    touch_links: frozenset[str] = frozenset()  # further links that may touch it
 
 
 @dataclass(frozen=True)
 class Scene:
-    """All that the robot must not touch, and what it may.
+    """Surroundings of the robot, and the contacts that are allowed."""
 
-    Attributes:
-        version: a number that no other scene has; workers tell scenes apart by it.
-        objects: objects around the robot, each checked against every link that can move.
-        attached: attached objects.
-        allowed: pair of names (links or objects) -> True: they may touch; False: they are checked though the
-            SRDF disables them. Pairs not named follow the SRDF.
-        link_padding_m: by how much links are thicker than their shapes [m].
-        link_scale: factor by which links are larger than their shapes.
-    """
-
-    version: int = 0
-    objects: tuple[SceneObject, ...] = ()
+    version: int = 0  # a number that no other scene has; workers tell scenes apart by it
+    objects: tuple[SceneObject, ...] = ()  # objects around the robot, each checked against every link that can move
     attached: tuple[AttachedObject, ...] = ()
+    # Pair of names (links or objects) -> True: they may touch; False: they are checked though the SRDF disables them.
+    # Pairs not named follow the SRDF.
     allowed: Mapping[frozenset[str], bool] = field(default_factory=dict)
+    # By how much links are thicker than their shapes [m].
     link_padding_m: Mapping[str, float] = field(default_factory=dict)
-    link_scale: Mapping[str, float] = field(default_factory=dict)
+    link_scale: Mapping[str, float] = field(default_factory=dict)  # factor by which links are larger than their shapes
+
+    def all_objects(self) -> tuple[SceneObject, ...]:
+        """Return the objects around the robot and those attached to it."""
+        return (*self.objects, *(each.object for each in self.attached))
 
 
 EMPTY_SCENE = Scene()

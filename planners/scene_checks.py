@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
@@ -30,26 +30,14 @@ NO_AREA_M2 = 1e-14
 
 
 def check_scene(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
-    """Check a scene; returns the failure, or None.
-
-    Args:
-        scene: the scene.
-        links: names of the robot's links.
-    """
-    objects = [*scene.objects, *(held.object for held in scene.attached)]
-    return check_whole(scene, links) or next(
-        (refusal for scene_object in objects for refusal in _object_refusals(scene_object)), None
-    )
+    """Check a scene for a robot of some links; return the failure, or None."""
+    refusals = (refusal for each in scene.all_objects() for refusal in _object_refusals(each))
+    return check_whole(scene, links) or next(refusals, None)
 
 
 def check_whole(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
-    """Check a scene apart from its shapes and poses; returns the failure, or None. Quick, for many small changes.
-
-    Args:
-        scene: the scene.
-        links: names of the robot's links.
-    """
-    objects = [*scene.objects, *(held.object for held in scene.attached)]
+    """Check a scene apart from its shapes and poses; return the failure, or None. Quick, for many small changes."""
+    objects = scene.all_objects()
     return (
         _check_names([scene_object.name for scene_object in objects], links)
         or _check_links(scene, links)
@@ -117,7 +105,7 @@ def _check_links(scene: Scene, links: Collection[str]) -> PlanningFailure | None
     return None
 
 
-def _check_count(objects: list[SceneObject]) -> PlanningFailure | None:
+def _check_count(objects: Sequence[SceneObject]) -> PlanningFailure | None:
     count = sum(len(scene_object.shapes) for scene_object in objects)
     if count > MAX_SHAPES:
         return _refusal(f"the scene has {count} shapes, more than {MAX_SHAPES}", shapes=count, limit=MAX_SHAPES)
@@ -150,10 +138,10 @@ def _object_refusals(scene_object: SceneObject) -> Iterator[PlanningFailure]:
     subject = f"the object {scene_object.name!r}"
     if not scene_object.shapes:
         yield _refusal(f"{subject} has no shape", object=scene_object.name)
-    said = [pose_fault(scene_object.pose)]
+    faults = [pose_fault(scene_object.pose)]
     for shape, pose in scene_object.shapes:
-        said += [shape_fault(shape), pose_fault(pose)]
-    for fault in said:
+        faults += [shape_fault(shape), pose_fault(pose)]
+    for fault in faults:
         if fault is not None:
             yield _refusal(f"{subject} {fault}", object=scene_object.name)
 

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import dataclasses
 import itertools
 import logging
 import time
 from pathlib import Path
 
-from planners.messages import Answered, Ask, Cancel, Hosted, LoadFailed, MoreObjects, NewScene
-from planners.pool import LOAD_TIMEOUT_S, PlannerPool, parts
+from planners.interface import LOAD_TIMEOUT_S, Planners
+from planners.messages import Answered, Ask, Cancel, Loaded, LoadFailed
 from planners.pool_host import LONGEST_PLANNING_S, READ_BYTES
-from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, Request
-from planners.scene import EMPTY_SCENE, Scene
+from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request
+from planners.scene import Scene
+from planners.scene_transfer import SceneSender
 from robot.channel import Decoder, encode
-from robot.description.model import RobotModel
 from robot.processes import RestartDelay
 
 log = logging.getLogger("armbridge.planners")
@@ -26,25 +25,26 @@ ROUNDS = 6
 ANSWER_TIMEOUT_S = ROUNDS * LONGEST_PLANNING_S
 
 
-class SharedPlanners(PlannerPool):
-    """Pool without processes of its own: one motion and one question at a time go to the host.
+class SharedPlanners(Planners):
+    """Connection to a host of planners: one motion and one question at a time go there.
+
+    Nothing is planned in the background: requests of other servers would have to wait.
 
     Args:
-        robot: the arm to plan for, which is the host's.
         address: path of the host's socket.
     """
 
-    def __init__(self, robot: RobotModel, address: Path) -> None:
-        super().__init__(robot)
+    def __init__(self, address: Path) -> None:
+        super().__init__(in_background=False)
         self._address = address
         self._numbers = itertools.count(1)
         self._answers: dict[int, asyncio.Future[Answer]] = {}
         self._pids: tuple[int, ...] = ()
         self._hosted = asyncio.Event()
-        self._told = asyncio.Event()
+        self._hosted_or_refused = asyncio.Event()
         self._writer: asyncio.StreamWriter | None = None
         self._sending = asyncio.Lock()
-        self._sent_version = EMPTY_SCENE.version
+        self._scenes = SceneSender(self._write, self._drain)
         self._connecting: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
@@ -59,7 +59,7 @@ class SharedPlanners(PlannerPool):
 
     async def wait_until_loaded(self) -> str | None:
         """Wait until the host has planners; return the reason for which they cannot plan for the robot, else None."""
-        await self._told.wait()
+        await self._hosted_or_refused.wait()
         return self.load_failure
 
     @property
@@ -77,13 +77,6 @@ class SharedPlanners(PlannerPool):
         """Number of shared processes while none works for this server."""
         return len(self._pids) if not self._answers else 0
 
-    async def ask_in_background(
-        self, problem: PlanningProblem, scene: Scene = EMPTY_SCENE
-    ) -> Plan | PlanningFailure | None:
-        """Plan nothing: the host's planners are those of others as well, whose requests would have to wait."""
-        del problem, scene
-        return None
-
     async def _answer(self, request: Request, scene: Scene) -> Answer:
         try:
             async with asyncio.timeout(LOAD_TIMEOUT_S):
@@ -96,7 +89,9 @@ class SharedPlanners(PlannerPool):
         self._answers[number] = answer
         try:
             async with asyncio.timeout(ANSWER_TIMEOUT_S):
-                await self._send(Ask(number, request), scene)
+                async with self._sending:
+                    await self._scenes.send(scene)
+                    self._write(Ask(number, request))
                 return await answer
         except TimeoutError:
             self._write(Cancel(number))
@@ -110,24 +105,14 @@ class SharedPlanners(PlannerPool):
         finally:
             self._answers.pop(number, None)
 
-    async def _send(self, ask: Ask, scene: Scene) -> None:
-        """Send a request, after its scene unless the host has it; in parts, between which the event loop has turns."""
-        async with self._sending:
-            if scene.version != self._sent_version:
-                # Unknown while it is under way: one given up half-way is begun anew.
-                self._sent_version = -1
-                self._write(NewScene(dataclasses.replace(scene, objects=())))
-                for objects in parts(scene.objects):
-                    self._write(MoreObjects(objects))
-                    if self._writer is not None:
-                        with contextlib.suppress(OSError):
-                            await self._writer.drain()
-                self._sent_version = scene.version
-            self._write(ask)
-
     def _write(self, message: object) -> None:
         if self._writer is not None:
             self._writer.write(encode(message))
+
+    async def _drain(self) -> None:
+        if self._writer is not None:
+            with contextlib.suppress(OSError):
+                await self._writer.drain()
 
     async def _stay_connected(self) -> None:
         delay = RestartDelay()
@@ -147,21 +132,22 @@ class SharedPlanners(PlannerPool):
         while data := await reader.read(READ_BYTES):
             for message in decoder.feed(data):
                 match message:
-                    case Hosted(pids):
+                    case Loaded(pids):
                         self._pids, self.load_failure = pids, None
                         self._hosted.set()
-                        self._told.set()
+                        self._hosted_or_refused.set()
                     case LoadFailed(reason):
                         self.load_failure = reason
-                        self._told.set()
+                        self._hosted_or_refused.set()
                     case Answered(number, answer) if (waiting := self._answers.get(number)) and not waiting.done():
                         waiting.set_result(answer)
 
     def _disconnect(self) -> None:
-        """Answer what is under way: the host has ended, or this server does."""
+        """Answer open requests: the host has ended, or this server does."""
         if self._writer is not None:
             self._writer.close()
-        self._writer, self._pids, self._sent_version = None, (), EMPTY_SCENE.version
+        self._writer, self._pids = None, ()
+        self._scenes = SceneSender(self._write, self._drain)
         self._hosted.clear()
         for waiting in self._answers.values():
             if not waiting.done():

@@ -1,4 +1,4 @@
-"""First plans of a planner, which take longer than all that follow, before anybody waits for them."""
+"""First plans of a planner, which take longer than all that follow, made before a request waits for them."""
 
 from __future__ import annotations
 
@@ -14,18 +14,13 @@ from robot.description.model import RobotModel
 
 log = logging.getLogger("armbridge.planner")
 
-# So far the joints turn [rad], and the tip goes [m].
+# Travel of each joint [rad], and of the tip [m].
 STEP_RAD = 0.2
 STEP_M = 0.02
 
 
 def warm_up(planner: Planner, robot: RobotModel) -> None:
-    """Plan a joint goal, a goal of the tip and a path of the tip, of which the answers do not count.
-
-    Args:
-        planner: planner of the arm.
-        robot: the arm.
-    """
+    """Plan a joint goal, a goal of the tip and a path of the tip, and drop the answers."""
     for request in _requests(planner, robot):
         try:
             planner.answer(request)

@@ -6,7 +6,6 @@ Started by :mod:`planners.pool`, with which it exchanges the messages of :mod:`p
 from __future__ import annotations
 
 import ctypes
-import dataclasses
 import faulthandler
 import logging
 import os
@@ -33,7 +32,7 @@ from planners.messages import (
 )
 from planners.pipeline import Planner
 from planners.problem import Answer, MoveItErrorCode, PlanningFailure, PlanningProblem, Request
-from planners.scene import EMPTY_SCENE, Scene, SceneObject
+from planners.scene_transfer import SceneReceiver
 from planners.warm_up import warm_up
 from robot.channel import Channel, channel_of_child
 from robot.description.model import RobotModel
@@ -69,19 +68,17 @@ class Mailbox:
         return self._messages.popleft() if self._messages else None
 
     def withdrawn(self, number: int) -> bool:
-        """Tell whether a request is cancelled, or the server gone; called thousands of times a second."""
+        """Return true if a request is cancelled, or the server gone; called thousands of times a second."""
         if self._readable.poll(0):
             self._messages += self._channel.receive(timeout_s=0.0)
         return self._channel.closed or Cancel(number) in self._messages
 
 
-class Hardness:
-    """Hardness of a problem: it is hard once it has taken longer than most, and reported each time that this doubles.
+class LongSearch:
+    """Reports of a problem that takes longer than most, again each time that its time has doubled.
 
-    Args:
-        clock: of allowed times; read on construction and at each check.
-        problem: the problem; the time that it asks to be shortened for makes none hard.
-        report: called with the time that is spent on it [s].
+    The time that the problem asks to be shortened for does not count. The clock is read on construction and at each
+    check, and ``report`` is called with the time that is spent on the problem [s].
     """
 
     def __init__(self, clock: Callable[[], float], problem: PlanningProblem, report: Callable[[float], None]) -> None:
@@ -98,47 +95,15 @@ class Hardness:
             self._report(spent_s)
 
 
-class WorkerScene:
-    """Scene as it arrives in parts, and the planner's refusal of it, which answers every request."""
-
-    def __init__(self) -> None:
-        self._scene = EMPTY_SCENE
-        self._objects: list[SceneObject] = []
-        self._changed = False
-        self._refusal: PlanningFailure | None = None
-
-    def begin(self, scene: Scene) -> None:
-        """Start a scene; the parts of another are dropped."""
-        self._scene, self._objects, self._changed = scene, list(scene.objects), True
-
-    def extend(self, objects: tuple[SceneObject, ...]) -> None:
-        """Take further objects of it."""
-        self._objects += objects
-
-    def set_up(self, planner: Planner) -> PlanningFailure | None:
-        """Give the planner the scene unless it has it; return its refusal of the scene, None if there is none."""
-        if self._changed:
-            scene = dataclasses.replace(self._scene, objects=tuple(self._objects))
-            self._refusal = planner.set_scene(scene)
-            # Only now: a scene that raised must raise again, not count as set.
-            self._changed = False
-        return self._refusal
-
-
 class Worker:
-    """Serves one server.
-
-    Args:
-        channel: to the server.
-        make_planner: loads a robot; gets the clock of allowed times as well.
-    """
+    """Serves one server; ``make_planner`` loads a robot and gets the clock of allowed times."""
 
     def __init__(self, channel: Channel, make_planner: MakePlanner) -> None:
         self._channel = channel
         self._mailbox = Mailbox(channel)
         self._make_planner = make_planner
         self._clock = allowed_time_clock()
-        self._scene = WorkerScene()
+        self._scene = SceneReceiver()
         self._planner: Planner | None = None
         self._memory_limit_bytes = 0
         self._ending = False
@@ -152,10 +117,8 @@ class Worker:
         match message:
             case LoadRobot():
                 self._load(message)
-            case NewScene(scene):
-                self._scene.begin(scene)
-            case MoreObjects(objects):
-                self._scene.extend(objects)
+            case NewScene() | MoreObjects():
+                self._scene.take(message)
             case Ask(number, request) if self._planner is not None:
                 answer = self._answer(self._planner, number, request)
                 self._channel.send(Answered(number, answer, self._ending))
@@ -173,7 +136,7 @@ class Worker:
 
     def _answer(self, planner: Planner, number: int, request: Request) -> Answer:
         try:
-            return self._scene.set_up(planner) or planner.answer(request, self._poll(number, request))
+            return planner.set_scene(self._scene.scene()) or planner.answer(request, self._poll(number, request))
         except MemoryError:
             # The state of the native libraries is not known after that.
             self._ending = True
@@ -183,14 +146,14 @@ class Worker:
             return PlanningFailure(MoveItErrorCode.CRASH, f"the planner failed: {type(error).__name__}: {error}")
 
     def _poll(self, number: int, request: Request) -> Callable[[], bool]:
-        """Return the function that a planner calls all the time, to know if its request is cancelled."""
+        """Return the function by which a planner checks all the time if its request is cancelled."""
         if not isinstance(request, PlanningProblem):
             return lambda: self._mailbox.withdrawn(number)
         send = self._channel.send
-        hardness = Hardness(self._clock, request, lambda spent_s: send(StillSearching(number, spent_s)))
+        search = LongSearch(self._clock, request, lambda spent_s: send(StillSearching(number, spent_s)))
 
         def poll() -> bool:
-            hardness.check()
+            search.check()
             return self._mailbox.withdrawn(number)
 
         return poll
@@ -240,7 +203,7 @@ def _go_first_when_memory_is_short() -> None:
 
 def main(make_planner: MakePlanner) -> None:
     """Be a planner process until the server ends it."""
-    # The server says which signal ended a worker; where in it is only known here.
+    # The server logs which signal ended a worker; the place in the code is known only here.
     faulthandler.enable()
     _end_with_the_server()
     _go_first_when_memory_is_short()
@@ -255,7 +218,7 @@ def main(make_planner: MakePlanner) -> None:
 
 
 def warm_planner(robot: RobotModel, clock: Callable[[], float]) -> Planner:
-    """Load a robot and make its first plans; arguments and errors are those of :class:`planners.pipeline.Planner`."""
+    """Load a robot as :class:`planners.pipeline.Planner` does, and make its first plans."""
     planner = Planner(robot, clock)
     warm_up(planner, robot)
     return planner

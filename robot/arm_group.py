@@ -55,12 +55,7 @@ _OUTCOMES_BY_WEIGHT = (
 
 
 class ArmGroup:
-    """Several arms that are moved as one.
-
-    Args:
-        arms: each by its name, with its joints.
-        leaders: those that are moved by hand: they are enabled by their own name alone.
-    """
+    """Several arms by their names and joints, moved as one; leaders are moved by hand, and enabled by name alone."""
 
     def __init__(self, arms: Mapping[str, tuple[Arm, tuple[str, ...]]], leaders: Collection[str] = ()) -> None:
         self._leaders = frozenset(leaders)

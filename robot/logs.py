@@ -126,7 +126,6 @@ class LogLimiter:
     """Limiter of log lines that repeat: a token bucket for each key. By default each key has one line, ever.
 
     Args:
-        burst: lines of one key at once.
         lines_per_s: lines of one key in the long run [1/s]; 0 for no more than the burst, ever.
         max_keys: keys that have lines, the first ones; None where there are few.
     """

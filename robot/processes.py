@@ -109,10 +109,7 @@ class ForkedProcess:
     """Child of ``fork``: it shares the memory of what this process has loaded, until one of them writes there.
 
     Fork before this process has threads or an event loop: the child would inherit them dead. The child has a session of
-    its own, as a child of :func:`start_module` has.
-
-    Args:
-        run: body of the child; its return, or an exception, ends the child.
+    its own, as a child of :func:`start_module` has, and ends when its body returns or raises.
     """
 
     def __init__(self, run: Callable[[], None]) -> None:
@@ -227,12 +224,7 @@ def _with_channel(start: Callable[[socket.socket, socket.socket], Process]) -> t
 
 
 class Child:
-    """Running child process, and the server's end of its channel.
-
-    Args:
-        on_message: called in the event loop with every message of the child.
-        on_exit: called once in the event loop when the child has ended.
-    """
+    """Running child process, and the server's end of its channel; both callbacks run in the event loop."""
 
     def __init__(
         self,

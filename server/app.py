@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import uvloop
 
+from planners.interface import Planners
 from planners.pool import PlannerPool
 from planners.shared_pool import SharedPlanners
 from robot.arm import CLOSE_LIMIT_S, Arm
@@ -197,10 +198,10 @@ class App:
                 resumed = config.hardware.resumed(recalibrated.position_rad, driven=False)
                 config = replace(config, hardware=resumed)
             self._arm = Arm(config, self._on_state, self._on_health, arm_process, observed=observed)
-        self._pool = (
+        self._pool: Planners = (
             PlannerPool(robot, settings.planning.workers, settings.planning.memory_limit_bytes)
             if inherited is None
-            else SharedPlanners(robot, inherited.planners)
+            else SharedPlanners(inherited.planners)
         )
 
         # Ahead of the parts that latch messages; its file is opened when nothing can refuse the start any more.

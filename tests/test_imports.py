@@ -18,6 +18,7 @@ ALLOWED = {
         "robot",
         "planners.motions.spline",
         "planners.goals",
+        "planners.interface",
         "planners.scene",
         "planners.scene_checks",
         "planners.problem",
@@ -54,10 +55,12 @@ ASYNCIO_OUTSIDE_SERVER = {
     "robot/arm.py",
     "robot/arm_group.py",
     "robot/arm_interface.py",
+    "planners/interface.py",
     "planners/pool.py",
     "planners/pool_host.py",
     "planners/race.py",
     "planners/shared_pool.py",
+    "planners/worker_process.py",
 }
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 

@@ -10,6 +10,7 @@ measure is a concavity that also counts volume, gave 41 parts that stand out by 
 from __future__ import annotations
 
 import heapq
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ from planners.assistant.surface import (
     sample,
     sample_with_normals,
 )
+from planners.geometry.shapes import evenly_spread
 from planners.geometry.surfaces import INSIDE
 from robot.trajectory import Vector
 
@@ -72,20 +74,13 @@ MIN_SLICE_M = 0.001
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds of a decomposition.
+    """Bounds of a decomposition."""
 
-    Attributes:
-        tolerance_m: deviation to reach [m].
-        max_parts: parts of a mesh.
-        max_time_s: CPU time for a mesh [s].
-        seed: of the samples.
-        clock: CPU time [s]: a busy machine makes the same parts, later.
-    """
-
-    tolerance_m: float = TOLERANCE_M
-    max_parts: int = MAX_PARTS
-    max_time_s: float = MAX_TIME_S
-    seed: int = 0
+    tolerance_m: float = TOLERANCE_M  # deviation to reach [m]
+    max_parts: int = MAX_PARTS  # parts of a mesh
+    max_time_s: float = MAX_TIME_S  # CPU time for a mesh [s]
+    seed: int = 0  # of the samples
+    # CPU time [s]: a busy machine makes the same parts, later.
     clock: Callable[[], float] = field(default=time.process_time)
 
 
@@ -98,12 +93,7 @@ class Decomposition:
 
 
 class Reference:
-    """Surface that parts are compared with.
-
-    Args:
-        surface: the whole mesh.
-        random: draws the samples.
-    """
+    """Surface of the whole mesh, with which parts are compared at points that ``random`` draws."""
 
     def __init__(self, surface: Surface, random: np.random.Generator) -> None:
         self._random = random
@@ -140,12 +130,7 @@ class Reference:
 
 
 def decompose(surface: Surface, limits: Limits) -> Decomposition:
-    """Find convex parts that cover a surface and stand out of it by no more than the tolerance.
-
-    Args:
-        surface: with at most :data:`MAX_TRIANGLES` triangles.
-        limits: bounds; the closest parts found within them are returned.
-    """
+    """Find convex parts that cover a surface of :data:`MAX_TRIANGLES` at most, the closest within the limits."""
     until_s = limits.clock() + limits.max_time_s
     reference = Reference(surface, np.random.default_rng(limits.seed))
     pieces = components(surface)
@@ -169,7 +154,7 @@ def _found(
     limits: Limits,
     until_s: float,
 ) -> list[ConvexPart]:
-    """Return parts that stand out by no more than a target where the bounds allow it; arguments as for :func:`_cut`."""
+    """Return parts that stand out by no more than a target where the bounds allow it."""
     whole = ConvexPart(surface.vertices_m)
     if reference.stands_out_m(whole, target_m, 4 * PART_POINTS) == 0.0:
         parts = [whole]
@@ -183,15 +168,7 @@ def _found(
 def _cut(
     pieces: Sequence[Vector], reference: Reference, target_m: float, limits: Limits, until_s: float
 ) -> list[ConvexPart]:
-    """Return the parts that pieces are cut into.
-
-    Args:
-        pieces: corners of the triangles of each piece, shape (m, 3, 3) [m].
-        reference: the whole surface.
-        target_m: how far parts may stand out [m].
-        limits: bounds.
-        until_s: end of the time.
-    """
+    """Return the parts that pieces are cut into, which are corners of triangles, shape (m, 3, 3) [m]."""
     done: list[ConvexPart] = []
     waiting: list[tuple[float, int, Vector, ConvexPart]] = []
 
@@ -203,12 +180,13 @@ def _cut(
         else:
             heapq.heappush(waiting, (-out_m, len(done) + len(waiting), corners_m, part))
 
-    numbered = iter(range(1 << 30))
     for piece in pieces:
         add(piece)
-    while waiting and len(done) + len(waiting) < limits.max_parts and limits.clock() < until_s:
+    for cut in itertools.count():
+        if not waiting or len(done) + len(waiting) >= limits.max_parts or limits.clock() >= until_s:
+            break
         _, _, corners_m, part = heapq.heappop(waiting)
-        place = _best_cut(corners_m, part, np.random.default_rng((limits.seed, next(numbered))))
+        place = _best_cut(corners_m, part, np.random.default_rng((limits.seed, cut)))
         if place is None:
             done.append(part)
             continue
@@ -334,12 +312,3 @@ def _without_contained(parts: Sequence[ConvexPart]) -> list[ConvexPart]:
         if not any(other.depth_m(part.vertices_m).max() <= 0.0 for other in kept):
             kept.append(part)
     return kept
-
-
-def evenly_spread(count: int) -> Vector:
-    """Return unit vectors, shape (count, 3): the six along the axes, those of a Fibonacci lattice otherwise."""
-    i = np.arange(count - 6) + 0.5
-    z = 1.0 - 2.0 * i / (count - 6)
-    angle = np.pi * (1.0 + np.sqrt(5.0)) * i
-    ring = np.sqrt(1.0 - z**2)
-    return np.vstack((np.eye(3), -np.eye(3), np.stack((ring * np.cos(angle), ring * np.sin(angle), z), axis=1)))

@@ -20,23 +20,14 @@ PLACEHOLDER_RAD_S = 20.0
 
 @dataclass(frozen=True)
 class Draft:
-    """All that a robot folder says of an arm.
+    """Description of an arm for a robot folder."""
 
-    Attributes:
-        robot: the robot with joints and links; its SRDF does not count.
-        structure: its groups.
-        gripper: its gripper; None without one.
-        home: joint -> position of the named state home [rad or m].
-        unchecked: pairs of links that are not checked.
-        samples: states that these were found in.
-    """
-
-    robot: RobotModel
+    robot: RobotModel  # the robot with joints and links; its SRDF does not count
     structure: Structure
-    gripper: GripperDraft | None
-    home: Mapping[str, float]
-    unchecked: Sequence[UncheckedPair]
-    samples: int
+    gripper: GripperDraft | None  # None without one
+    home: Mapping[str, float]  # joint -> position of the named state home [rad or m]
+    unchecked: Sequence[UncheckedPair]  # pairs of links that are not checked
+    samples: int  # states that these were found in
 
 
 def srdf(draft: Draft) -> str:
@@ -73,8 +64,7 @@ def srdf(draft: Draft) -> str:
 
 
 def _state(name: str, group: str, positions: Mapping[str, float]) -> list[str]:
-    joints = [f"    <joint name={quoteattr(joint)} value={_number(value)!r}/>" for joint, value in positions.items()]
-    joints = [line.replace("value=", 'value="').replace("/>", '"/>') for line in joints]
+    joints = [f'    <joint name={quoteattr(joint)} value="{_number(value)!r}"/>' for joint, value in positions.items()]
     return [f"  <group_state name={quoteattr(name)} group={quoteattr(group)}>", *joints, "  </group_state>"]
 
 
@@ -169,7 +159,7 @@ def _hardware_lines(joints: Sequence[str]) -> list[str]:
 
 
 def _text(value: str) -> str:
-    # JSON's strings are TOML's basic strings, but for characters beyond the basic plane in pairs.
+    # JSON's strings are TOML's basic strings, except surrogate pairs.
     return json.dumps(value, ensure_ascii=False)
 
 

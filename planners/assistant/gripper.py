@@ -22,19 +22,12 @@ CLEAR_M = 0.002
 
 @dataclass(frozen=True)
 class GripperDraft:
-    """Positions of a gripper's joints.
+    """Positions of a gripper's joints."""
 
-    Attributes:
-        joints: joints with a position of their own.
-        opened: position of each when it is open [rad or m].
-        closed: position of each when it is closed [rad or m].
-        certain: false where the shapes do not tell the two apart.
-    """
-
-    joints: tuple[str, ...]
-    opened: tuple[float, ...]
-    closed: tuple[float, ...]
-    certain: bool
+    joints: tuple[str, ...]  # joints with a position of their own
+    opened: tuple[float, ...]  # position of each when it is open [rad or m]
+    closed: tuple[float, ...]  # position of each when it is closed [rad or m]
+    certain: bool  # false where the shapes do not tell the two apart
 
     @property
     def as_one(self) -> bool:

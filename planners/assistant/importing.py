@@ -15,7 +15,6 @@ import numpy as np
 from planners.assistant import picture
 from planners.assistant.decomposition import MAX_PARTS, MAX_TIME_S, TOLERANCE_M, Limits
 from planners.assistant.draft import ARM, Draft, robot_toml, srdf
-from planners.assistant.errors import AssistantError
 from planners.assistant.gripper import GripperDraft, draft_gripper
 from planners.assistant.link_shapes import (
     LinkParts,
@@ -31,6 +30,7 @@ from planners.assistant.pairs import NEVER, SelfContacts, free_state, unchecked_
 from planners.assistant.staging import copy_meshes, parse_urdf
 from planners.assistant.structure import Structure, Tree, find_structure
 from planners.assistant.surface import ConvexPart, Surface, sample
+from planners.errors import AssistantError
 from planners.geometry.shapes import enclosing
 from planners.goals import JointGoal
 from planners.pipeline import Planner
@@ -58,29 +58,17 @@ PICTURE = "parts.png"
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of an import.
-
-    Attributes:
-        urdf: the URDF.
-        out: folder to make.
-        packages: folders for ``package://``.
-        base: first link of the arm; None for the root.
-        tip: last link of the arm; None to find it.
-        samples: states drawn for the pairs.
-        seed: of all draws: same files and options, same folder.
-        convex: whether convex parts are made; else the meshes are checked themselves.
-        overwrite: whether a robot folder that is there is replaced.
-    """
+    """Options of an import."""
 
     urdf: Path
-    out: Path
-    packages: tuple[Path, ...] = ()
-    base: str | None = None
-    tip: str | None = None
-    samples: int = SAMPLES
-    seed: int = 0
-    convex: bool = True
-    overwrite: bool = False
+    out: Path  # folder to make
+    packages: tuple[Path, ...] = ()  # folders for `package://`
+    base: str | None = None  # first link of the arm; None for the root
+    tip: str | None = None  # last link of the arm; None to find it
+    samples: int = SAMPLES  # states drawn for the pairs
+    seed: int = 0  # of all draws: same files and options, same folder
+    convex: bool = True  # whether convex parts are made; else the meshes are checked themselves
+    overwrite: bool = False  # whether a robot folder that is there is replaced
 
 
 def default_folder(urdf: Path) -> Path:
@@ -95,12 +83,7 @@ def default_folder(urdf: Path) -> Path:
 def import_robot(options: ImportOptions, say: Callable[[str], None]) -> list[str]:
     """Make a robot folder of a URDF; nothing is left of an import that fails or is interrupted.
 
-    Args:
-        options: options.
-        say: takes a line of progress.
-
-    Returns:
-        Lines about the folder: files and all that should be looked at.
+    Returns lines about the folder: its files, and all that should be checked. ``say`` takes a line of progress.
 
     Raises:
         AssistantError: the import cannot be done.
@@ -136,13 +119,7 @@ def _check_target(out: Path, overwrite: bool) -> None:
 
 
 class _Import:
-    """One import, step by step.
-
-    Args:
-        options: options.
-        folder: empty folder that gets the files.
-        say: takes a line of progress.
-    """
+    """One import into an empty folder, step by step; ``say`` takes a line of progress."""
 
     def __init__(self, options: ImportOptions, folder: Path, say: Callable[[str], None]) -> None:
         self._options, self._folder, self._say = options, folder, say
@@ -231,12 +208,12 @@ class _Import:
     ) -> Draft:
         options = self._options
         self._say(f"drawing {options.samples} states for the pairs of links")
-        told = 0
+        reported = 0
 
         def tell(done: int) -> None:
-            nonlocal told
-            if done == options.samples or done - told >= options.samples // 5:
-                told = done
+            nonlocal reported
+            if done == options.samples or done - reported >= options.samples // 5:
+                reported = done
                 self._say(f"  {done} of {options.samples} states")
 
         unchecked = unchecked_pairs(contacts, options.samples, options.seed, tell)

@@ -11,12 +11,13 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from planners.assistant.decomposition import MAX_TRIANGLES, Limits, decompose, evenly_spread
-from planners.assistant.errors import AssistantError
+from planners.assistant.decomposition import MAX_TRIANGLES, Limits, decompose
 from planners.assistant.surface import ConvexPart, Deviation, Surface, merged
+from planners.errors import AssistantError
 from planners.geometry.contacts import Parts, parts_of
 from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import convex, corners, link_name, urdf_shapes
+from planners.geometry.shapes import convex, corners, evenly_spread, link_name, urdf_shapes
+from planners.geometry.surfaces import joined
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
@@ -27,15 +28,10 @@ SPHERE_POINTS, SPHERE_DIRECTIONS = 2000, 92
 
 @dataclass(frozen=True)
 class LinkShape:
-    """One <collision> of a link.
-
-    Attributes:
-        geometry: its shape.
-        placement: where it is in the link's frame.
-    """
+    """One <collision> of a link."""
 
     geometry: coal.CollisionGeometry
-    placement: pin.SE3
+    placement: pin.SE3  # pose in the link's frame
 
     @property
     def mesh(self) -> coal.BVHModelBase | None:
@@ -45,17 +41,11 @@ class LinkShape:
 
 @dataclass(frozen=True)
 class LinkParts:
-    """Convex parts of a link.
+    """Convex parts of a link."""
 
-    Attributes:
-        parts: in the link's frame.
-        deviation: greatest deviation from the link's meshes; zero for a link without meshes.
-        meshes: number of its meshes.
-    """
-
-    parts: tuple[ConvexPart, ...]
-    deviation: Deviation
-    meshes: int
+    parts: tuple[ConvexPart, ...]  # in the link's frame
+    deviation: Deviation  # greatest deviation from the link's meshes; zero for a link without meshes
+    meshes: int  # number of its meshes
 
 
 def link_shapes(robot: RobotModel) -> dict[str, list[LinkShape]]:
@@ -79,12 +69,7 @@ def link_shapes(robot: RobotModel) -> dict[str, list[LinkShape]]:
 def convex_links(
     shapes: Mapping[str, list[LinkShape]], limits: Limits, progress: Callable[[str, LinkParts], None]
 ) -> dict[str, LinkParts]:
-    """Return the convex parts of each link.
-
-    Args:
-        shapes: of each link.
-        limits: bounds of each mesh's decomposition.
-        progress: called with each link that is done.
+    """Return the convex parts of each link; ``progress`` is called with each link that is done.
 
     Raises:
         AssistantError: a mesh has no triangles, or too many.
@@ -124,8 +109,7 @@ def surface_of(link: str, mesh: coal.BVHModelBase) -> Surface:
             f"a mesh of the link {link!r} has {mesh.num_tris} triangles, from 1 to {MAX_TRIANGLES} are allowed:"
             " simplify it, in Blender by the modifier Decimate"
         )
-    triangles = np.array([tuple(mesh.tri_indices(i)[k] for k in range(3)) for i in range(mesh.num_tris)])
-    return merged(np.asarray(mesh.vertices(), dtype=np.float64), triangles.astype(np.int64))
+    return merged(*joined([(mesh, pin.SE3.Identity())]))
 
 
 def primitive_points(shape: coal.CollisionGeometry) -> Vector:

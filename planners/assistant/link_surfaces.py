@@ -2,8 +2,7 @@
 
 Written by ``python -m planners.assistant.link_surfaces URDF SRDF FILE``.
 
-The file is what ``robot.surfaces`` of a ``robot.toml`` names: where the parts of a link are too wide to tell whether it
-touches something, its surface decides.
+The file is what ``robot.surfaces`` of a ``robot.toml`` names: the surface of a link tells what is inside it.
 """
 
 from __future__ import annotations
@@ -12,47 +11,24 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import coal
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import link_name, urdf_shapes
-from planners.geometry.surfaces import packed
+from planners.assistant.link_shapes import link_shapes
+from planners.geometry.surfaces import joined, packed
 from robot.description import model
 from robot.description.model import RobotModel
-from robot.trajectory import Vector
 
 USAGE = "usage: python -m planners.assistant.link_surfaces URDF SRDF FILE"
 
 
 def link_surfaces(robot: RobotModel) -> dict[str, NDArray[Any]]:
-    """Return the arrays of the file; links without meshes have none.
-
-    Args:
-        robot: the arm, with the meshes that its URDF names.
-
-    Raises:
-        ShapeError: a mesh cannot be loaded.
-    """
-    pin_model = pin.buildModelFromXML(kinematic_urdf(robot))
-    meshes: dict[str, list[tuple[Vector, NDArray[np.int64]]]] = {}
-    for shape in urdf_shapes(robot, pin_model):
-        if not isinstance(shape.geometry, coal.BVHModelBase):
-            continue
-        place = pin_model.frames[shape.parentFrame].placement.inverse() * shape.placement
-        vertices_m = np.asarray(shape.geometry.vertices()) @ place.rotation.T + place.translation
-        numbers = (shape.geometry.tri_indices(i) for i in range(shape.geometry.num_tris))
-        triangles = np.array([(each[0], each[1], each[2]) for each in numbers])
-        meshes.setdefault(link_name(pin_model, shape), []).append((vertices_m, triangles))
+    """Return the arrays of the file for an arm with the meshes that its URDF names; links without meshes have none."""
     arrays: dict[str, NDArray[Any]] = {}
-    for link, parts in meshes.items():
-        before = np.cumsum([0, *(len(vertices_m) for vertices_m, _ in parts)])
-        triangles = np.vstack([each + shift for (_, each), shift in zip(parts, before, strict=False)])
-        arrays[f"{link}.vertices"], arrays[f"{link}.triangles"] = packed(
-            np.vstack([each for each, _ in parts]), triangles
-        )
+    for link, shapes in link_shapes(robot).items():
+        meshes = [(shape.mesh, shape.placement) for shape in shapes if shape.mesh is not None]
+        if meshes:
+            arrays[f"{link}.vertices"], arrays[f"{link}.triangles"] = packed(*joined(meshes))
     return arrays
 
 

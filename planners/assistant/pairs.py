@@ -70,7 +70,7 @@ class SelfContacts:
         return state
 
     def touching(self, state: Vector, pairs: Collection[Pair]) -> list[Pair]:
-        """Return those of some pairs that touch in a state."""
+        """Return the pairs among some that touch in a state."""
         self._forward.place(state)
         links = {link for pair in pairs for link in pair}
         at = {link: self._forward.placement(link) for link in links}
@@ -100,17 +100,13 @@ def unchecked_pairs(
 ) -> list[UncheckedPair]:
     """Return the pairs that are adjacent, that touch in every drawn state and that touch in none.
 
-    Args:
-        contacts: the robot's links.
-        samples: states to draw.
-        seed: of the draws; same seed, same pairs.
-        progress: called with the number of states that are done.
+    Same seed, same pairs; ``progress`` is called with the number of states that are done.
     """
     random = np.random.default_rng(seed)
     seen: dict[Pair, set[bool]] = {pair: set() for pair in contacts.pairs}
     done = 0
     while done < samples:
-        # A pair that was seen both ways is to be checked, whatever the other states say.
+        # A pair that was seen both ways must be checked, whatever happens in other states.
         undecided = [pair for pair, found in seen.items() if len(found) < 2]
         for _ in range(min(BATCH, samples - done)):
             touching = set(contacts.touching(contacts.draw(random), undecided))
@@ -130,15 +126,8 @@ def free_state(
 ) -> tuple[Vector, bool]:
     """Return the first of some states in which nothing touches, else the drawn one that is nearest to the first.
 
-    Args:
-        contacts: the robot's links.
-        unchecked: pairs that may touch.
-        states: states to try first, shape (n,) each; without any the first free one that is drawn is taken.
-        tries: states to draw.
-        seed: of the draws.
-
-    Returns:
-        The state; false where no state is free, with the first of all.
+    Without states the first free one of ``tries`` drawn states is returned. Where no state is free, the first of all is
+    returned with false.
     """
     excused = {frozenset((pair.first, pair.second)) for pair in unchecked}
     checked = [pair for pair in contacts.pairs if frozenset(pair) not in excused]

@@ -42,14 +42,7 @@ def draw(
     parts: Mapping[str, Sequence[Surface]],
     placements: Mapping[str, pin.SE3],
 ) -> None:
-    """Write a picture as PNG.
-
-    Args:
-        path: the file.
-        meshes: surfaces of each link as they are, in the link's frame.
-        parts: surfaces of each link's convex parts, in the link's frame.
-        placements: pose of each link.
-    """
+    """Write a picture as PNG of surfaces in the frames of their links, whose poses are ``placements``."""
     whole = Image.new("RGB", (2 * SIZE, len(VIEWS) * SIZE), BACKGROUND)
     clouds = [_cloud(surfaces, placements, by_part) for surfaces, by_part in ((meshes, False), (parts, True))]
     lower = np.min([cloud[0].min(axis=0) for cloud in clouds], axis=0)

@@ -7,12 +7,12 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
 
-from planners.assistant.errors import AssistantError
+from planners.errors import AssistantError
 from robot.description.mesh_files import find_mesh
 
 MESHES = "meshes"
 
-# Meshes of one robot together: twenty times those of the SO-101.
+# Size of the meshes of one robot: twenty times the SO-101's.
 MAX_MESH_BYTES = 500 << 20
 
 
@@ -34,16 +34,7 @@ def parse_urdf(urdf_path: Path) -> ET.Element:
 
 
 def copy_meshes(root: ET.Element, urdf_path: Path, packages: Sequence[Path], folder: Path) -> int:
-    """Copy the meshes of a URDF into a folder, and name the copies in the URDF.
-
-    Args:
-        root: the URDF, whose mesh names are changed.
-        urdf_path: its file.
-        packages: folders for ``package://``.
-        folder: folder that gets the folder of meshes.
-
-    Returns:
-        The number of meshes.
+    """Copy the meshes of a URDF into a folder, name the copies in ``root``, and return the number of meshes.
 
     Raises:
         DescriptionError: a mesh of a <collision> is not there; the text has the paths that were tried.
@@ -76,7 +67,7 @@ def copy_meshes(root: ET.Element, urdf_path: Path, packages: Sequence[Path], fol
 
 
 def _source(mesh: ET.Element, shape: ET.Element, urdf_path: Path, packages: Sequence[Path]) -> Path | None:
-    """Return the file of a mesh; None for one that is only seen and is not there."""
+    """Return the file of a mesh; None for a visual mesh that does not exist."""
     try:
         return find_mesh(mesh.get("filename", ""), urdf_path.resolve().parent, packages)
     except Exception:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from planners.assistant.errors import AssistantError
+from planners.errors import AssistantError
 from robot.description.model import Joint
 
 # A joint of the wrist may carry a link called gripper_link: the hand, no finger.
@@ -26,32 +26,19 @@ MIN_ARM_JOINTS = 2
 
 @dataclass(frozen=True)
 class Structure:
-    """Groups that an arm's SRDF will have.
+    """Planning groups for an arm's SRDF."""
 
-    Attributes:
-        base_link: first link of the arm.
-        tip_link: last link of the arm: the frame of goals.
-        hand_link: link of the arm that carries the gripper.
-        arm_joints: movable joints from base to tip.
-        gripper_joints: movable joints behind the hand, those that mimic others left out; empty without a gripper.
-        held_joints: movable joints of neither.
-    """
-
-    base_link: str
-    tip_link: str
-    hand_link: str
-    arm_joints: tuple[str, ...]
+    base_link: str  # first link of the arm
+    tip_link: str  # last link of the arm: the frame of goals
+    hand_link: str  # link of the arm that carries the gripper
+    arm_joints: tuple[str, ...]  # movable joints from base to tip
+    # Movable joints behind the hand, those that mimic others left out; empty without a gripper.
     gripper_joints: tuple[str, ...]
-    held_joints: tuple[str, ...]
+    held_joints: tuple[str, ...]  # movable joints of neither
 
 
 class Tree:
-    """Links and joints of a robot as a tree.
-
-    Args:
-        links: link names, root first.
-        joints: every joint by name.
-    """
+    """Links, root first, and joints of a robot as a tree."""
 
     def __init__(self, links: Sequence[str], joints: Mapping[str, Joint]) -> None:
         self.root = links[0]

@@ -1,8 +1,8 @@
 """Triangle surfaces and convex parts of links, and how far parts are from the surface that they stand for.
 
 The deviation is measured by samples in both directions: points of the surface that no part covers, and points of the
-parts that stand out of the surface. A point is inside a surface where the generalized winding number (Jacobson,
-Kavan, Sorkine-Hornung 2013) is above one half, which small holes in a mesh hardly change.
+parts that stand out of the surface. A point is inside a surface where its winding number is above one half, which small
+holes in a mesh hardly change.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
 
-from planners.geometry.surfaces import INSIDE, solid_angles
+from planners.geometry.surfaces import INSIDE, of_triangles
 from robot.trajectory import Vector
 
 # Vertices of STL files nearer than this share of the mesh's size are one: the format repeats a vertex a triangle.
@@ -34,21 +34,13 @@ REFERENCE_POINTS = 200_000
 # Points on the parts and on the surface at which the deviation is measured.
 TEST_POINTS = 4_000
 
-# Points whose winding number is computed at a time: arrays of some 10 MB for a mesh of 40 000 triangles.
-WINDING_CHUNK = 16
-
 
 @dataclass(frozen=True)
 class Surface:
-    """Triangles of a mesh.
+    """Triangles of a mesh."""
 
-    Attributes:
-        vertices_m: shape (n, 3) [m].
-        triangles: shape (m, 3), indices into ``vertices_m``.
-    """
-
-    vertices_m: Vector
-    triangles: NDArray[np.int64]
+    vertices_m: Vector  # shape (n, 3) [m]
+    triangles: NDArray[np.int64]  # shape (m, 3), indices into `vertices_m`
 
     @property
     def corners_m(self) -> Vector:
@@ -65,15 +57,10 @@ class Surface:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Greatest distances between a surface and the union of its parts.
+    """Greatest distances between a surface and the union of its parts."""
 
-    Attributes:
-        outside_m: how far the parts stand out of the surface [m].
-        uncovered_m: how far points of the surface are outside of every part [m].
-    """
-
-    outside_m: float = 0.0
-    uncovered_m: float = 0.0
+    outside_m: float = 0.0  # how far the parts stand out of the surface [m]
+    uncovered_m: float = 0.0  # how far points of the surface are outside of every part [m]
 
     @property
     def greatest_m(self) -> float:
@@ -82,10 +69,7 @@ class Deviation:
 
 
 class ConvexPart:
-    """Hull of points; of flat ones, a thin plate around them.
-
-    Args:
-        points_m: shape (n, 3), n >= 1 [m].
+    """Hull of points, shape (n, 3), n >= 1 [m]; of flat ones, a thin plate around them.
 
     Attributes:
         vertices_m: corners of the hull, shape (k, 3) [m].
@@ -111,11 +95,7 @@ class ConvexPart:
         return distances
 
     def within(self, directions: Vector) -> ConvexPart:
-        """Return the part that the planes across some directions enclose this one with: larger, with fewer corners.
-
-        Args:
-            directions: unit vectors, shape (d, 3), in all directions.
-        """
+        """Return the part between planes across unit vectors, shape (d, 3): larger, with fewer corners."""
         middle = self.vertices_m.mean(axis=0)
         size = np.maximum(np.ptp(self.vertices_m, axis=0), PLATE_M)
         # Directions that are spread evenly suit a body as long as it is wide, so it is seen in its own proportions.
@@ -170,34 +150,21 @@ def sample_with_normals(surface: Surface, count: int, random: np.random.Generato
     return points, across[drawn] / np.maximum(areas[drawn], 1e-30)[:, np.newaxis]
 
 
-def winding_numbers(points_m: Vector, surface: Surface) -> Vector:
-    """Return how often a surface winds around each point, shape (n,): 1 inside of a closed one, 0 outside.
-
-    A mirrored mesh counts as any other.
-    """
-    rays = surface.corners_m[np.newaxis] - points_m[:, np.newaxis, np.newaxis]
-    turns: Vector = np.abs(solid_angles(rays).sum(axis=1)) / (4.0 * np.pi)
-    return turns
-
-
 def measure(surface: Surface, parts: Sequence[ConvexPart], random: np.random.Generator) -> Deviation:
     """Measure how far parts are from a surface, by :data:`TEST_POINTS` samples each way.
 
-    Distances are to samples of the surface, so those of parts are too long rather than too short.
+    Distances are to samples of the surface, so distances of parts are too long rather than too short.
     """
     on_surface = sample(surface, TEST_POINTS, random)
     uncovered_m = np.min([part.depth_m(on_surface) for part in parts], axis=0).max()
     outer_m = _outer_points(parts, random)
-    if not len(outer_m):
-        return Deviation(0.0, max(0.0, float(uncovered_m)))
-    distances_m, _ = cKDTree(sample(surface, REFERENCE_POINTS, random)).query(outer_m)
-    farthest = np.argsort(-distances_m)
-    for start in range(0, len(farthest), WINDING_CHUNK):
-        chunk = farthest[start : start + WINDING_CHUNK]
-        outside = chunk[winding_numbers(outer_m[chunk], surface) < INSIDE]
-        if len(outside):
-            return Deviation(float(distances_m[outside[0]]), max(0.0, float(uncovered_m)))
-    return Deviation(0.0, max(0.0, float(uncovered_m)))
+    outside_m = 0.0
+    if len(outer_m):
+        distances_m, _ = cKDTree(sample(surface, REFERENCE_POINTS, random)).query(outer_m)
+        winding_number = of_triangles(surface.vertices_m, surface.triangles).winding_number
+        farthest = (i for i in np.argsort(-distances_m) if abs(winding_number(outer_m[i])) < INSIDE)
+        outside_m = next((float(distances_m[i]) for i in farthest), 0.0)
+    return Deviation(outside_m, max(0.0, float(uncovered_m)))
 
 
 def _outer_points(parts: Sequence[ConvexPart], random: np.random.Generator) -> Vector:

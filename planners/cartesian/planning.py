@@ -19,7 +19,7 @@ from planners.cartesian.following import (
 )
 from planners.cartesian.tip_path import TipPath, as_pose, check_path, check_shape
 from planners.geometry.certificate import certify
-from planners.geometry.collision import Closeness, CollidingPair, CollisionModel
+from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import ConditionSet, Joints, conditions
@@ -82,16 +82,9 @@ def plan_cartesian(
     path = TipPath(start, problem.segments)
     rates = _rate_limits(robot, problem)
 
-    def task(closest: Closeness) -> _Task:
-        check_point = _PointCheck(space, constraints, problem.avoid_collisions, closest)
-        return _Task(problem, robot.groups[problem.group].joints, rates, tracker, path, space, check_point)
-
-    plan = task(Closeness.PARTS).plan(start_q[columns], budget)
-    stopped_by = None if isinstance(plan, PlanningFailure) else plan.stopped_by
-    if stopped_by is None or stopped_by.details["reason"] != "collision":
-        return plan
-    # Surfaces take a hundred times as long, above all next to a contact that ends a path: only whole ones are worth it.
-    return task(Closeness.SURFACES).plan_whole(start_q[columns], budget) or plan
+    check_point = _PointCheck(space, constraints, problem.avoid_collisions)
+    task = _Task(problem, robot.groups[problem.group].joints, rates, tracker, path, space, check_point)
+    return task.plan(start_q[columns], budget)
 
 
 def _rate_limits(robot: RobotModel, problem: CartesianProblem) -> RateLimits:
@@ -109,12 +102,10 @@ class _PointCheck:
     space: JointSpace
     constraints: ConditionSet
     avoid_collisions: bool
-    closest: Closeness
 
     def __call__(self, point: Vector) -> PathEnd | None:
         if self.avoid_collisions:
-            free = self.space.free(point)
-            free = free or (self.space.look_closer_at(point, self.closest) and self.space.free(point))
+            free = self.space.free(point) or (self.space.refine_at(point) and self.space.free(point))
             return None if free else self.ended(self.space.contacts(point), point)
         return None if self.constraints.holds(self.space.configuration(point)) else self.ended((), point)
 
@@ -144,14 +135,6 @@ class _Task:
         """Follow the path, and shorten it until what is left is certified."""
         return self._certified(self._followed(start, budget.used_up), start, budget)
 
-    def plan_whole(self, start: Vector, budget: Budget) -> CartesianPlan | None:
-        """Follow the path to its end, if that can be done and certified."""
-        followed = self._followed(start, budget.used_up)
-        if followed.ended is not None:
-            return None
-        plan = self._certified(followed, start, budget)
-        return plan if isinstance(plan, CartesianPlan) and plan.stopped_by is None else None
-
     def _certified(self, followed: FollowedPath, start: Vector, budget: Budget) -> CartesianPlan | PlanningFailure:
         while not budget.used_up() and len(followed.points) > 1:
             drawn = tip_curve(followed, self.path, self.tracker)
@@ -175,7 +158,7 @@ class _Task:
         if len(beyond):
             sample, joint = beyond[0]
             return motion.positions_rad[sample], leaves_limits(self.joint_names[joint])
-        contact = certify(self.space, motion, self.check_point.closest) if self.problem.avoid_collisions else None
+        contact = certify(self.space, motion) if self.problem.avoid_collisions else None
         if contact is None:
             return None
         point = motion.sample(contact.time_s)[0]

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 # A scheduler answers within milliseconds, and its workers need seconds to join when they are just starting.
 CONNECT_TIMEOUT_S = 5.0
 
-# Planners that a worker keeps, of a few MB each: one for each of its threads and each of the last files.
+# Planners of a few MB each that a worker keeps: one for each of its threads and each of the last files.
 MAX_PLANNERS = 8
 
 # All that is pickled, and all that makes the answers, is defined there.
@@ -43,30 +43,19 @@ _SOURCES = (("planners", "**/*.py"), ("robot", "model.py"), ("robot", "trajector
 
 @dataclass(frozen=True)
 class Setup:
-    """All that the problems of a file share.
+    """All that the problems of a file share."""
 
-    Attributes:
-        digest: of robot and scene, by which setups are distinguished.
-        robot: the arm to plan for.
-        scene: what stands around.
-    """
-
-    digest: str
-    robot: RobotModel = field(compare=False)
+    digest: str  # of robot and scene, by which setups are distinguished
+    robot: RobotModel = field(compare=False)  # the arm to plan for
     scene: Scene = field(compare=False)
 
 
 def plan_on(
     address: str, problems: Sequence[tuple[ProblemFile, PlanningProblem]]
 ) -> Iterator[tuple[int, Plan | PlanningFailure, float]]:
-    """Plan problems on a Dask cluster.
+    """Plan problems on the Dask cluster of a scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``.
 
-    Args:
-        address: of the scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``.
-        problems: each with the file that it is from.
-
-    Yields:
-        Number of the problem, its answer and the CPU time spent on it [s], in the order in which they are answered.
+    Yields number, answer and CPU time [s] of each problem, in the order in which they are answered.
 
     Raises:
         BatchError: there is no cluster that can plan them.
@@ -75,7 +64,7 @@ def plan_on(
         from distributed import CancelledError, as_completed
 
         _check_workers(client, address)
-        # As tasks, and not scattered: a setup that is lost with a worker is made anew on another one.
+        # As tasks, and not scattered: a setup that is lost with a worker is made again on another one.
         setups = {id(file): client.submit(pickle.loads, _packed_setup(file), pure=False) for file, _ in problems}
         futures = client.map(
             answer,
@@ -94,15 +83,7 @@ def plan_on(
 
 
 def answer(setup: Setup, problem: bytes, asked_by: str) -> tuple[Plan | PlanningFailure, float]:
-    """Plan a problem in a Dask worker.
-
-    Args:
-        setup: robot and scene.
-        problem: a pickled :class:`PlanningProblem`.
-        asked_by: version of the armbridge that sends the problem.
-
-    Returns:
-        The answer and the CPU time spent on it [s].
+    """Plan a pickled :class:`PlanningProblem` in a Dask worker; return the answer and the CPU time spent on it [s].
 
     Raises:
         BatchError: this worker, which joined after the others had been checked, runs another armbridge.
@@ -128,7 +109,7 @@ def version() -> str:
 
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Client]:
-    """Connect to a scheduler; leaving it cancels what is not done."""
+    """Connect to a scheduler; leaving the context cancels open problems."""
     if find_spec("distributed") is None:
         raise BatchError("--scheduler needs the package distributed: pip install 'armbridge[dask]'")
     if not re.fullmatch(r"(tcp|tls)://[^/@\s]+:\d+", address):
@@ -140,7 +121,7 @@ def _connected(address: str) -> Iterator[Client]:
     for name in ("distributed", "distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        # Certificates of tls:// are those of Dask's own configuration.
+        # Dask's own configuration names the certificates of tls://.
         client = Client(address, timeout=CONNECT_TIMEOUT_S)
     except (OSError, TypeError, ValueError) as error:
         raise BatchError(f"the Dask scheduler {address} cannot be reached: {error}") from error
@@ -170,7 +151,7 @@ def _packed_setup(file: ProblemFile) -> bytes:
 
 @functools.lru_cache(maxsize=MAX_PLANNERS)
 def _planner(setup: Setup, _thread: int) -> tuple[Planner, PlanningFailure | None]:
-    """Make the planner of one thread, and say what is wrong with the scene; planners work on one problem at a time.
+    """Make the planner of one thread, and return the flaw of the scene; planners work on one problem at a time.
 
     Allowed times are the thread's CPU time: what other threads of the worker do, and Dask itself, does not count.
     """

@@ -32,7 +32,7 @@ POINTS = 400
 # Inches of a row, wide and high.
 ROW_SIZE_IN = (12.0, 2.6)
 
-# Exit codes: every answer is one that its file takes as right; some are not; nothing was planned.
+# Exit codes: every answer is accepted by its file; some are not; nothing was planned.
 EXIT_EXPECTED = 0
 EXIT_UNEXPECTED = 3
 EXIT_USAGE = 2
@@ -46,7 +46,7 @@ _CLEAR_LINE = "\r\x1b[K"
 
 
 def check_available() -> None:
-    """Say so early when there is nothing to draw with.
+    """Check early that pictures can be drawn.
 
     Raises:
         PlottingError: matplotlib is not installed.
@@ -56,11 +56,7 @@ def check_available() -> None:
 
 
 def plot(path: Path, motions: Sequence[tuple[str, Trajectory]]) -> None:
-    """Draw motions into a file, the first :data:`MAX_MOTIONS` of them.
-
-    Args:
-        path: the picture; its ending says of what kind.
-        motions: name and motion.
+    """Draw the first :data:`MAX_MOTIONS` motions, each with its name, into a picture of the kind of its ending.
 
     Raises:
         PlottingError: there is no motion to draw, or no picture of this ending can be drawn.
@@ -90,39 +86,23 @@ def plot(path: Path, motions: Sequence[tuple[str, Trajectory]]) -> None:
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command.
+    """Options of the command."""
 
-    Attributes:
-        paths: the problem files.
-        every: whether the infeasible problems are planned as well.
-        ids: the problems to plan, whatever file and list they are in; empty for all feasible ones.
-        json_path: where the answers go as JSON, or None.
-        plot_path: where the plot of the motions goes, or None.
-        settings: fields of :class:`PlanningProblem` that hold for every problem, whatever the files say.
-        scheduler: address of the Dask scheduler whose workers plan; None to plan here.
-    """
-
-    paths: Sequence[Path]
-    every: bool = False
-    ids: tuple[str, ...] = ()
-    json_path: Path | None = None
-    plot_path: Path | None = None
+    paths: Sequence[Path]  # the problem files
+    every: bool = False  # whether the infeasible problems are planned as well
+    ids: tuple[str, ...] = ()  # the problems to plan, whatever file and list they are in; empty for all feasible ones
+    json_path: Path | None = None  # where the answers go as JSON, or None
+    plot_path: Path | None = None  # where the plot of the motions goes, or None
+    # Fields of PlanningProblem that hold for every problem, whatever the files say.
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
-    scheduler: str | None = None
+    scheduler: str | None = None  # address of the Dask scheduler whose workers plan; None to plan here
 
 
 @dataclass(frozen=True)
 class Task:
-    """One problem to plan.
+    """One problem to plan."""
 
-    Attributes:
-        name: its id, after the path of its file when there are several.
-        path: of its file.
-        file: its file.
-        file_problem: the problem.
-    """
-
-    name: str
+    name: str  # its id, after the path of its file when there are several
     path: Path
     file: ProblemFile
     file_problem: FileProblem
@@ -130,17 +110,11 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of one problem.
-
-    Attributes:
-        file_problem: the problem.
-        answer: its plan, or why there is none.
-        cpu_s: CPU time spent on it [s].
-    """
+    """Outcome of one problem."""
 
     file_problem: FileProblem
     answer: Plan | PlanningFailure
-    cpu_s: float
+    cpu_s: float  # CPU time spent on it [s]
 
     @property
     def code(self) -> MoveItErrorCode:
@@ -198,11 +172,7 @@ def plan_all(file: ProblemFile, problems: Sequence[FileProblem]) -> Iterator[Out
 
 
 def _tasks(options: Options, robot: RobotModel) -> list[Task]:
-    """Read the files, and choose what is planned.
-
-    Raises:
-        ProblemFileError: a file cannot be used, or none has a problem of an id that was named.
-    """
+    """Read the files, and choose the problems."""
     files = [problem_file.read(path, robot) for path in options.paths]
     known = {problem.id for file in files for problem in file.problems}
     for name in options.ids:

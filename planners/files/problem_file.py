@@ -131,11 +131,7 @@ class SceneFields(BaseModel):
     link_scale: dict[str, float] = {}
 
     def scene(self, version: int) -> scene.Scene:
-        """Return the scene.
-
-        Args:
-            version: a number that no other scene has.
-        """
+        """Return the scene; no other scene has its version."""
         return scene.Scene(
             version,
             tuple(fields.object() for fields in self.objects),
@@ -201,40 +197,27 @@ _ADAPTERS: Mapping[type[Any], TypeAdapter[Any]] = {
 
 @dataclass(frozen=True)
 class FileProblem:
-    """One motion of a file.
+    """One motion of a file."""
 
-    Attributes:
-        id: its name in the file.
-        problem: what to plan.
-        accept_codes: values of moveit_msgs/MoveItErrorCodes that are right answers.
-    """
-
-    id: str
+    id: str  # its name in the file
     problem: PlanningProblem
-    accept_codes: tuple[int, ...]
+    accept_codes: tuple[int, ...]  # values of moveit_msgs/MoveItErrorCodes that are right answers
 
     @property
     def feasible(self) -> bool:
-        """True when the file says that there is a motion."""
+        """True when the file expects a motion."""
         return MoveItErrorCode.SUCCESS in self.accept_codes
 
 
 @dataclass(frozen=True)
 class ProblemFile:
-    """Content of a problem file.
-
-    Attributes:
-        robot: the robot that was given, with the file's limits.
-        joint_names: the joints of its problems, in the file's order.
-        scene: what stands around; its version is a checksum of the file.
-        problems: in the file's order.
-    """
+    """Content of a problem file."""
 
     name: str
-    robot: RobotModel
-    joint_names: tuple[str, ...]
-    scene: Scene
-    problems: tuple[FileProblem, ...]
+    robot: RobotModel  # the robot that was given, with the file's limits
+    joint_names: tuple[str, ...]  # the joints of its problems, in the file's order
+    scene: Scene  # its version is a checksum of the file
+    problems: tuple[FileProblem, ...]  # in the file's order
 
 
 class _Limits(BaseModel):
@@ -276,11 +259,7 @@ class _File(SceneFields):
 
 
 def read(path: Path, robot: RobotModel) -> ProblemFile:
-    """Read a file.
-
-    Args:
-        path: the file.
-        robot: the robot that it is about.
+    """Read a file of problems for a robot.
 
     Raises:
         ProblemFileError: it cannot be read, is not of the format, or is about another robot.
@@ -387,17 +366,19 @@ class _Reader:
             )
         return tip
 
-    def _goal_of_kind(self, where: str, said: Mapping[str, Any]) -> Goal:
-        if list(said) == [_ANY_OF] and isinstance(said[_ANY_OF], list):
-            each = (self._single_goal(f"{where}.{_ANY_OF}.{i}", one) for i, one in enumerate(said[_ANY_OF]))
+    def _goal_of_kind(self, where: str, given: Mapping[str, Any]) -> Goal:
+        if list(given) == [_ANY_OF] and isinstance(given[_ANY_OF], list):
+            each = (self._single_goal(f"{where}.{_ANY_OF}.{i}", one) for i, one in enumerate(given[_ANY_OF]))
             return AnyOf(tuple(each))
-        goal: Goal = self._single_goal(where, said)
+        goal: Goal = self._single_goal(where, given)
         return goal
 
-    def _single_goal(self, where: str, said: Any) -> Any:
-        if not (isinstance(said, dict) and len(said) == 1 and set(said) <= set(_GOALS)):
-            raise self._wrong(where, f"must be one of {', '.join(_GOALS)} with its fields (or {_ANY_OF}), not {said!r}")
-        ((kind, fields),) = said.items()
+    def _single_goal(self, where: str, given: Any) -> Any:
+        if not (isinstance(given, dict) and len(given) == 1 and set(given) <= set(_GOALS)):
+            raise self._wrong(
+                where, f"must be one of {', '.join(_GOALS)} with its fields (or {_ANY_OF}), not {given!r}"
+            )
+        ((kind, fields),) = given.items()
         return self._validated(f"{where}.{kind}", _GOALS[kind], fields)
 
     def _validated(self, where: str, kind: type[Any], fields: Any) -> Any:
@@ -424,12 +405,7 @@ class _Reader:
 def text(name: str, problem: PlanningProblem, scene: Scene, robot: RobotModel, answer: PlanningFailure) -> str:
     """Return the text of a file with one problem that failed, so that it can be planned again.
 
-    Args:
-        name: of the file, without its suffix.
-        problem: the problem.
-        scene: its scene.
-        robot: the robot, with the limits that were kept.
-        answer: its answer, noted beside the problem.
+    ``name`` is the file's without its suffix; ``robot`` has the limits that were kept.
     """
     group = robot.groups.get(problem.group)
     names = group.joints if group is not None else tuple(joint.name for joint in robot.movable_joints)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from robot.trajectory import Vector
 
-# Vector products with the unit vectors along x, y and z from the left, as matrices.
+# Cross products with the unit vectors along x, y and z from the left, as matrices.
 _ACROSS = np.zeros((3, 3, 3))
 for _x, _y, _z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _ACROSS[_x, _y, _z], _ACROSS[_x, _z, _y] = -1.0, 1.0
@@ -22,15 +22,10 @@ for _x, _y, _z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
 
 @dataclass(frozen=True)
 class Boxes:
-    """Boxes along the axes of one joint.
+    """Boxes along the axes of one joint."""
 
-    Attributes:
-        middles_m: shape (3, n), in the joint's frame [m].
-        halves_m: shape (3, n), half the edges [m].
-    """
-
-    middles_m: Vector
-    halves_m: Vector
+    middles_m: Vector  # shape (3, n), in the joint's frame [m]
+    halves_m: Vector  # shape (3, n), half the edges [m]
 
     @classmethod
     def between(cls, lower_m: Vector, upper_m: Vector) -> Boxes:
@@ -49,15 +44,10 @@ class Boxes:
 
 
 def overlap_m(first: Boxes, second: Boxes, between: pin.SE3) -> Vector:
-    """Return how far each two boxes overlap along the axis of least overlap, of those of both joints.
+    """Return how far boxes of two joints overlap along the axis of least overlap, shape (first, second) [m].
 
-    Args:
-        first: boxes of one joint.
-        second: boxes of another one.
-        between: where the second joint is, seen from the first one.
-
-    Returns:
-        Shape (first, second) [m]. Shapes in the boxes cannot overlap deeper; below 0 they are at least that far apart.
+    Shapes in the boxes cannot overlap deeper; below 0 they are at least that far apart. ``between`` is the pose of the
+    second joint in the first one's frame.
     """
     # Along the axes of one joint the boxes of the other are wider than they are: by the whole link, for a table.
     by_first_m = _along_axes_m(first, second, between).min(axis=0)
@@ -67,12 +57,9 @@ def overlap_m(first: Boxes, second: Boxes, between: pin.SE3) -> Vector:
 
 
 def least_distance_m(first: Boxes, second: Boxes, between: pin.SE3) -> Vector:
-    """Return lower bounds of the distances of shapes in each two boxes, of their overlap if negative.
+    """Return lower bounds of the distances of shapes in the boxes, of their overlap if negative.
 
-    Arguments as for :func:`overlap_m`.
-
-    Returns:
-        Shape (first, second) [m].
+    Arguments and shape as for :func:`overlap_m`.
     """
     by_first_m = _along_axes_m(first, second, between)
     by_second_m = _along_axes_m(second, first, between.inverse()).swapaxes(1, 2)
@@ -83,19 +70,10 @@ def least_distance_m(first: Boxes, second: Boxes, between: pin.SE3) -> Vector:
 
 
 def near_pairs(first: Boxes, second: Boxes, between: pin.SE3, margin_m: float) -> NDArray[np.intp]:
-    """Return the pairs of boxes that no plane separates by more than a margin.
+    """Return the pairs of boxes that no plane separates by more than a margin, shape (pairs, 2), most overlap first.
 
-    The planes are across the axes of both joints and the products of two of them, as Gottschalk et al. have it in
-    "OBBTree", 1996.
-
-    Args:
-        first: as for :func:`overlap_m`.
-        second: as there.
-        between: as there.
-        margin_m: the margin [m].
-
-    Returns:
-        Shape (pairs, 2), those that overlap most first.
+    The planes are across the axes of both joints and the products of two axes: Gottschalk et al., "OBBTree", 1996.
+    Arguments as for :func:`overlap_m`.
     """
     # Of two links' thousand boxes a few come near the one around all of the other's.
     i = np.flatnonzero(_along_axes_m(second.around, first, between.inverse()).min(axis=0)[0] >= -margin_m)
@@ -120,10 +98,7 @@ def _along_axes_m(first: Boxes, second: Boxes, between: pin.SE3) -> Vector:
 
 
 def _meet_across_edges(first: Boxes, second: Boxes, between: pin.SE3, margin_m: float) -> NDArray[np.bool_]:
-    """Tell which boxes no plane along an edge of both separates by more than a margin.
-
-    The first boxes of both are a pair, and so are the second ones, and all others.
-    """
+    """Return the pairs (i-th with i-th box) that no plane along an edge of both separates by more than a margin."""
     rotation = between.rotation
     axes = (_ACROSS @ rotation).swapaxes(1, 2).reshape(9, 3)
     offset_m = rotation @ second.middles_m + between.translation[:, np.newaxis] - first.middles_m

@@ -1,4 +1,4 @@
-"""The last check of every motion: the timed curve as it will be driven, samples and all that is between them."""
+"""The last check of every motion: the timed curve as it will be driven, the samples and the curve between them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.geometry.collision import Closeness, CollidingPair
+from planners.geometry.collision import CollidingPair
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.sweep import FINEST_STEP_M, Cubics, first_contact
 from robot.trajectory import Trajectory
@@ -14,32 +14,22 @@ from robot.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Contact:
-    """Something touches on a motion.
+    """Something touches on a motion."""
 
-    Attributes:
-        time_s: when, the first time [s].
-        pairs: what, deepest first; empty where not a contact but a condition of the space is in the way.
-    """
-
-    time_s: float
+    time_s: float  # time of the first contact [s]
+    # Pairs in contact, deepest first; empty where a condition of the space does not hold.
     pairs: tuple[CollidingPair, ...]
 
 
-def certify(space: JointSpace, trajectory: Trajectory, closest: Closeness = Closeness.SURFACES) -> Contact | None:
-    """Make sure that nothing touches on a motion, also between its samples, as :meth:`Trajectory.sample` joins them.
+def certify(space: JointSpace, trajectory: Trajectory) -> Contact | None:
+    """Return the first contact on a motion, also between its samples, as :meth:`Trajectory.sample` joins them.
 
-    Args:
-        space: the joints of the motion in their order, and what they must not touch.
-        trajectory: the motion.
-        closest: the closest shapes that may excuse a contact of the hulls.
-
-    Returns:
-        The first contact, or None: then no point between two samples is in contact, or by at most half of
-        :data:`FINEST_STEP_M`.
+    None certifies the motion: no point of it is in contact, or by at most half of :data:`FINEST_STEP_M`. The joints of
+    the motion are those of the space, in the same order.
     """
     time_s = _first_contact_s(space, trajectory)
-    # Hulls are wider than links: where only they touch, what they enclose has the last word. Each turn adds a pair.
-    while time_s is not None and space.look_closer_at(trajectory.sample(time_s)[0], closest):
+    # Hulls are wider than links: overlaps of hulls only are checked again by parts. Each turn adds a pair.
+    while time_s is not None and space.refine_at(trajectory.sample(time_s)[0]):
         time_s = _first_contact_s(space, trajectory)
     return None if time_s is None else Contact(time_s, space.contacts(trajectory.sample(time_s)[0]))
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.geometry.contacts import (
-    MESH_EXCUSE_M,
-    MESH_MARGIN_M,
     Broadphase,
-    ExactShapes,
     Parts,
+    RobotParts,
     deeper_than,
     encloses,
     nearer_than,
@@ -38,53 +35,31 @@ from robot.trajectory import Vector
 # Depths of the same contact differ by this much between runs of the penetration algorithm.
 DEPTH_ACCURACY_M = 0.0002
 
-# By so much a hull reaches beyond what it encloses.
+# A hull reaches at most this far beyond its link.
 HULL_EXCESS_M = 0.02
 
 NO_CONTACT: Mapping[frozenset[str], float] = {}
 
-
-class Closeness(IntEnum):
-    """How closely a pair of names is checked beyond its hulls."""
-
-    PARTS = 1
-    SURFACES = 2
-
-
-# Pairs of names that are checked by closer shapes than their hulls.
-Closer = Mapping[frozenset[str], Closeness]
-NONE_CLOSER: Closer = {}
+# Pairs of names that are checked by their parts in place of their hulls.
+RefinedPairs = Collection[frozenset[str]]
+NONE_REFINED: RefinedPairs = frozenset()
 
 
 @dataclass(frozen=True)
 class Body:
-    """One shape of a link or an object.
+    """One shape of a link or an object."""
 
-    Attributes:
-        name: of the link or the object.
-        shape: where it is and what carries it.
-        is_link: whether it belongs to the robot itself.
-        meets_links: whether it is checked against links.
-        meets_objects: whether it is checked against objects.
-        may_touch: names of links that it may touch.
-        padding_m: how much thicker it is when it meets objects [m].
-    """
-
-    name: str
-    shape: pin.GeometryObject
-    is_link: bool
-    meets_links: bool = True
-    meets_objects: bool = True
-    may_touch: frozenset[str] = frozenset()
-    padding_m: float = 0.0
+    name: str  # name of the link or the object
+    shape: pin.GeometryObject  # where it is and what carries it
+    is_link: bool  # whether it belongs to the robot itself
+    meets_links: bool = True  # whether it is checked against links
+    meets_objects: bool = True  # whether it is checked against objects
+    may_touch: frozenset[str] = frozenset()  # names of links that it may touch
+    padding_m: float = 0.0  # how much thicker it is when it meets objects [m]
 
 
 def link_bodies(model: pin.Model, shapes: Sequence[pin.GeometryObject], scene: Scene) -> list[Body]:
-    """Return the bodies of the robot's links, padded and scaled as in a scene.
-
-    Returns:
-        One body for each shape; after them one for each scaled shape: only objects meet links in their other size.
-    """
+    """Return one body for each shape of the robot; after these one for each scaled shape, which only objects meet."""
     bodies, larger = [], []
     for shape in shapes:
         name = link_name(model, shape)
@@ -100,13 +75,7 @@ def link_bodies(model: pin.Model, shapes: Sequence[pin.GeometryObject], scene: S
 
 
 def attached_bodies(model: pin.Model, attached: AttachedObject, reach_m: float) -> Iterator[Body]:
-    """Yield the bodies of an attached object, which may touch its link.
-
-    Args:
-        model: the robot's joints.
-        attached: the object.
-        reach_m: points further than this from the robot can be left out of a plane [m].
-    """
+    """Yield the bodies of an attached object; a plane is left out further than ``reach_m`` from the robot."""
     frame_id = frame_of_link(model, attached.link)
     frame = model.frames[frame_id]
     touched = attached.touch_links | {attached.link}
@@ -132,7 +101,7 @@ def object_bodies(scene: Scene, reach_m: float) -> Iterator[Body]:
 class PairFilter:
     """Pairs of bodies that are checked against each other.
 
-    Those that do not move against each other are not, be they links of one joint or the root link and the world.
+    Bodies that do not move against each other are not checked: links of one joint, the root link and the world.
 
     Args:
         robot: neighbours and the pairs that its SRDF disables are not checked.
@@ -176,21 +145,13 @@ def padding(bodies: Sequence[Body], pairs: NDArray[np.int64]) -> NDArray[np.floa
 
 @dataclass(frozen=True)
 class CollidingPair:
-    """Two links, or a link and an object, that overlap.
-
-    Attributes:
-        first: one of them.
-        second: the other.
-        depth_m: how deep [m].
-        point_m: the middle of the overlap, in the robot's root link [m].
-        normal: unit vector there, the way that the second one would have to give.
-    """
+    """Two links, or a link and an object, that overlap."""
 
     first: str
     second: str
     depth_m: float
-    point_m: Point = ZERO
-    normal: Point = ZERO
+    point_m: Point = ZERO  # the middle of the overlap, in the robot's root link [m]
+    normal: Point = ZERO  # unit vector there, the way that the second one would have to give
 
     @property
     def links(self) -> frozenset[str]:
@@ -202,9 +163,8 @@ class CollisionModel:
     """Collisions, link positions and travel of one robot in one scene.
 
     A configuration ``q`` is the position of every movable joint in the order of ``joint_names``, shape (n,) [rad].
-    Checks use the robot's hulls, which are larger than its links. Two kinds of pairs of names can be excepted:
-    ``allowed`` ones may overlap, and how deep is said, as :meth:`overlaps_m` tells it [m]; for ``closer`` ones the
-    hulls' contact does not count, only that of their parts or of their surfaces.
+    Checks use the robot's hulls, which are larger than its links. Two kinds of pairs of names are excepted: ``allowed``
+    ones may overlap by a depth, as :meth:`overlaps_m` measures it [m]; ``refined`` ones are checked by their parts.
 
     Args:
         robot: its hulls are used, or else the collision shapes of its URDF.
@@ -225,9 +185,9 @@ class CollisionModel:
         self._model = pin.buildModelFromXML(kinematic_urdf(robot))
         self._data = self._model.createData()
         # Loaded once: the meshes of an arm can take a second.
-        exact = None if robot.hulls else urdf_shapes(robot, self._model)
-        self._shapes = robot_shapes(robot, self._model, exact)
-        self._exact = ExactShapes(robot, self._model, exact)
+        urdf = None if robot.hulls else urdf_shapes(robot, self._model)
+        self._shapes = robot_shapes(robot, self._model, urdf)
+        self._parts = RobotParts(robot, self._model, urdf)
         self._reach = Reach(self._model)
         self._links_reach_m = self._reach.of_shapes(self._shapes)
         self._frames_reach_m = self._reach.of_frames()
@@ -240,11 +200,7 @@ class CollisionModel:
         self._build(EMPTY_SCENE)
 
     def set_scene(self, scene: Scene) -> PlanningFailure | None:
-        """Take over a scene; nothing is done for a version that is there already.
-
-        Returns:
-            The flaw of a scene that cannot be used, which leaves the scene before in place; else None.
-        """
+        """Take over a scene unless it is there; return the flaw of one that cannot be used, which changes nothing."""
         if scene.version == self._version:
             return None
         refusal = check_scene(scene, self._robot.links)
@@ -256,30 +212,23 @@ class CollisionModel:
         self,
         q: Vector,
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
-        closer: Closer = NONE_CLOSER,
+        refined: RefinedPairs = NONE_REFINED,
     ) -> bool:
-        """Tell whether a checked pair touches.
+        """Return true if a checked pair touches.
 
         Args:
             q: configuration.
             allowed: pairs of names that may overlap, and how deep [m].
-            closer: pairs of names of which closer shapes than the hulls count.
+            refined: pairs of names that are checked by their parts.
         """
         if not self._broadphase.touches(q):
             return False
-        if not allowed and not closer:
+        if not allowed and not refined:
             return True
-        return self._any_touches(self._broadphase.touching(q), allowed, closer)
+        return self._any_touches(self._broadphase.touching(q), allowed, refined)
 
     def margins_m(self, joint_travel: Vector) -> Vector:
-        """Return by how much the shapes of each pair can approach when the joints move so far [m].
-
-        Args:
-            joint_travel: shape (m, n) [rad].
-
-        Returns:
-            Shape (m, pairs) [m].
-        """
+        """Return how far each pair can approach when joints travel, (m, n) [rad]: shape (m, pairs) [m]."""
         margins_m: Vector = joint_travel @ self._approach_m.T
         return margins_m
 
@@ -289,7 +238,7 @@ class CollisionModel:
         margin_m: Vector,
         among: Sequence[int] | None = None,
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
-        closer: Closer = NONE_CLOSER,
+        refined: RefinedPairs = NONE_REFINED,
     ) -> tuple[int, ...]:
         """Return the pairs of shapes that are nearer than their clearance and a margin.
 
@@ -298,13 +247,13 @@ class CollisionModel:
             margin_m: of each pair, shape (pairs,) [m].
             among: indices of the pairs to check; None for all.
             allowed: as for :meth:`in_collision`.
-            closer: as for :meth:`in_collision`.
+            refined: as for :meth:`in_collision`.
         """
         broadphase = self._broadphase
         near = broadphase.near(q, margin_m) if among is None else broadphase.near_among(q, among, margin_m)
-        if near and (allowed or closer):
+        if near and (allowed or refined):
             broadphase.place(q)
-            near = [pair for pair in near if not self._excused(pair, float(margin_m[pair]), allowed, closer)]
+            near = [pair for pair in near if not self._is_allowed(pair, float(margin_m[pair]), allowed, refined)]
         return tuple(near)
 
     def touch_among(
@@ -312,18 +261,18 @@ class CollisionModel:
         q: Vector,
         among: Sequence[int],
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
-        closer: Closer = NONE_CLOSER,
+        refined: RefinedPairs = NONE_REFINED,
     ) -> bool:
         """As :meth:`in_collision`, of the pairs of shapes with some indices only."""
         self._broadphase.place(q)
-        return self._any_touches(self._broadphase.touching_among(among), allowed, closer)
+        return self._any_touches(self._broadphase.touching_among(among), allowed, refined)
 
-    def colliding_pairs(self, q: Vector, closer: Closer | None = None) -> list[CollidingPair]:
-        """Every pair of links or objects that overlaps, deepest first.
+    def colliding_pairs(self, q: Vector, refined: RefinedPairs | None = None) -> list[CollidingPair]:
+        """Return every pair of links or objects that overlaps, deepest first.
 
         Args:
             q: configuration.
-            closer: as for :meth:`in_collision`; None for all pairs by their closest shapes.
+            refined: as for :meth:`in_collision`; None for all pairs.
         """
         deepest: dict[frozenset[str], CollidingPair] = {}
         for index in self._broadphase.touching(q):
@@ -332,51 +281,33 @@ class CollisionModel:
             known = deepest.get(pair.links)
             if known is not None and known.depth_m >= pair.depth_m:
                 continue
-            closeness = Closeness.SURFACES if closer is None else closer.get(pair.links)
-            if closeness is not None and self._apart(index, 0.0, closeness):
+            if (refined is None or pair.links in refined) and self._apart(index, 0.0):
                 continue
             point_m, normal = map(_point, self._broadphase.contact(index))
             deepest[pair.links] = replace(pair, point_m=point_m, normal=normal)
         return sorted(deepest.values(), key=lambda pair: -pair.depth_m)
 
     def overlaps_m(self, q: Vector) -> dict[frozenset[str], float]:
-        """Return the depth of overlap of pairs of names, by the most exact shapes known of them [m]."""
+        """Return the depth of overlap of pairs of names, by their parts where these are known [m]."""
         deepest_m: dict[frozenset[str], float] = {}
         for pair in self._broadphase.touching(q):
-            if not self._apart(pair, 0.0, Closeness.SURFACES):
+            if not self._apart(pair, 0.0):
                 names = self._names[pair]
                 deepest_m[names] = max(deepest_m.get(names, 0.0), self._overlap_m(pair))
         return deepest_m
 
-    def collides(self, q: Vector, closeness: Closeness = Closeness.SURFACES) -> bool:
-        """Tell whether anything overlaps by closer shapes than the hulls, where these are known."""
-        return any(not self._apart(pair, 0.0, closeness) for pair in self._broadphase.touching(q))
+    def collides(self, q: Vector) -> bool:
+        """Return true if anything overlaps by its parts, where these are known."""
+        return any(not self._apart(pair, 0.0) for pair in self._broadphase.touching(q))
 
-    def tight_pairs(self, q: Vector, closest: Closeness = Closeness.SURFACES) -> dict[frozenset[str], Closeness]:
-        """Pairs of names that overlap in their hulls but not in closer shapes: to be passed on as ``closer``.
-
-        Args:
-            q: configuration.
-            closest: the closest shapes that are asked.
-        """
-        if not self._exact.available:
-            return {}
-        tight: dict[frozenset[str], Closeness] = {}
-        for pair in self._broadphase.touching(q):
-            names = self._names[pair]
-            asked = (closeness for closeness in Closeness if closeness <= closest)
-            apart = (closeness for closeness in asked if self._apart(pair, 0.0, closeness))
-            if (closeness := next(apart, None)) is not None:
-                tight[names] = max(closeness, tight.get(names, closeness))
-        return tight
+    def hull_only_pairs(self, q: Vector) -> set[frozenset[str]]:
+        """Return the pairs of names that overlap in their hulls but not in their parts: to be checked ``refined``."""
+        if not self._parts.available:
+            return set()
+        return {self._names[pair] for pair in self._broadphase.touching(q) if self._apart(pair, 0.0)}
 
     def near_pairs(self, q: Vector, within_m: float) -> list[NearPair]:
-        """Pairs that are nearer than a distance, and how that changes: by their hulls while these are apart.
-
-        Args:
-            q: configuration.
-            within_m: the distance, beyond what they must be apart anyway [m].
-        """
+        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient."""
         self._broadphase.turn(q)
         found = [(index, self._nearest(index)) for index in self._broadphase.within(within_m).tolist()]
         near = [self._near_pair(index, nearest) for index, nearest in found]
@@ -392,6 +323,8 @@ class CollisionModel:
         return positions
 
     def _build(self, scene: Scene) -> None:
+        # Known once all is built: a scene that raises halfway counts as none, and is built again by the next request.
+        self._version: int | None = None
         movers = link_bodies(self._model, self._shapes, scene)
         for attached in scene.attached:
             movers += attached_bodies(self._model, attached, self._farthest_m)
@@ -400,7 +333,7 @@ class CollisionModel:
         around = list(object_bodies(scene, farthest_m))
         resting = np.zeros((len(around), self._model.nv))
         reach_m = np.vstack((self._links_reach_m, self._reach.of_shapes(added), resting))
-        self._version, self._scaled, self._bodies = scene.version, frozenset(scene.link_scale), [*movers, *around]
+        self._scaled, self._bodies = frozenset(scene.link_scale), [*movers, *around]
         self._known_parts: dict[int, Parts] = {}
         self._pairs = PairFilter(self._robot, scene.allowed).pairs(movers, around)
         self._names = [frozenset(self._bodies[i].name for i in pair) for pair in self._pairs.tolist()]
@@ -409,29 +342,35 @@ class CollisionModel:
         self.travel_m_per_rad = self._joints.travel_by_joint(np.vstack((reach_m, self._frames_reach_m))).max(axis=0)
         shapes = [body.shape for body in self._bodies]
         self._broadphase = Broadphase(self._model, shapes, self._pairs, self._apart_m, self._joints)
+        self._version = scene.version
 
-    def _any_touches(self, pairs: Sequence[int], allowed: Mapping[frozenset[str], float], closer: Closer) -> bool:
-        """Tell whether any of the pairs whose hulls touch is not excused."""
-        # A look at closer shapes takes up to a thousand times as long as this.
-        if any(self._names[pair] not in closer and self._names[pair] not in allowed for pair in pairs):
+    def _any_touches(
+        self, pairs: Sequence[int], allowed: Mapping[frozenset[str], float], refined: RefinedPairs
+    ) -> bool:
+        """Return true if any of the pairs whose hulls touch may not."""
+        # A check of parts takes up to a hundred times as long as this.
+        if any(self._names[pair] not in refined and self._names[pair] not in allowed for pair in pairs):
             return True
-        return not all(self._excused(pair, 0.0, allowed, closer) for pair in pairs)
+        return not all(self._is_allowed(pair, 0.0, allowed, refined) for pair in pairs)
 
-    def _excused(self, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float], closer: Closer) -> bool:
-        """Tell whether a pair is as far apart as it must be, a margin included, although its hulls are not."""
+    def _is_allowed(
+        self, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float], refined: RefinedPairs
+    ) -> bool:
+        """Return true if a pair is as far apart as it must be, a margin included, although its hulls are not."""
         names = self._names[pair]
-        depth_m = allowed[names] + DEPTH_ACCURACY_M - margin_m if names in allowed else -margin_m
-        if names in allowed and -self._broadphase.distance_m(pair) <= depth_m:
-            return True
-        by_parts = names in allowed and self._exact.solid and not names & self._scaled
-        if by_parts and not deeper_than(*self._parts_of_pair(pair), depth_m - float(self._apart_m[pair])):
-            return True
-        return names in closer and self._apart(pair, margin_m, closer[names])
+        if names in allowed:
+            depth_m = allowed[names] + DEPTH_ACCURACY_M - margin_m
+            if -self._broadphase.distance_m(pair) <= depth_m:
+                return True
+            by_parts = self._has_convex_parts(pair)
+            if by_parts and not deeper_than(*self._parts_of_pair(pair), depth_m - float(self._apart_m[pair])):
+                return True
+        return names in refined and self._apart(pair, margin_m)
 
     def _overlap_m(self, pair: int) -> float:
         """Return an upper bound of a pair's overlap, negative for hulls beyond their required clearance [m]."""
         by_hulls_m = -self._broadphase.distance_m(pair)
-        if by_hulls_m <= 0.0 or not self._exact.solid or self._names[pair] & self._scaled:
+        if by_hulls_m <= 0.0 or not self._has_convex_parts(pair):
             return by_hulls_m
         # What overlaps is within both.
         return min(by_hulls_m, overlap_m(*self._parts_of_pair(pair)) + float(self._apart_m[pair]))
@@ -439,7 +378,7 @@ class CollisionModel:
     def _nearest(self, pair: int) -> Nearest:
         """Return the nearest points of a pair's shapes; by their parts where only their hulls may be in the way."""
         by_hulls = self._broadphase.nearest(pair)
-        if by_hulls.distance_m > HULL_EXCESS_M or not self._exact.solid or self._names[pair] & self._scaled:
+        if by_hulls.distance_m > HULL_EXCESS_M or not self._has_convex_parts(pair):
             return by_hulls
         return nearest(*self._parts_of_pair(pair))
 
@@ -450,46 +389,35 @@ class CollisionModel:
             second.name,
             not (first.is_link and second.is_link),
             nearest.distance_m - float(self._apart_m[pair]),
-            self._broadphase.slope_m_per_rad(pair, nearest),
+            self._broadphase.distance_gradient(pair, nearest),
         )
 
-    def _apart(self, pair: int, margin_m: float, closeness: Closeness) -> bool:
-        """Tell whether closer shapes of a pair than its hulls are known and further apart than a margin [m]."""
-        names = self._names[pair]
-        if not self._exact.available or names & self._scaled:
+    def _apart(self, pair: int, margin_m: float) -> bool:
+        """Return true if parts of a pair are known and further apart than a margin [m], none inside the other body."""
+        if not self._has_parts(pair):
             return False
-        margin_m += float(self._apart_m[pair])
-        meshes = self._meshes_of_pair(pair)
-        links = [self._bodies[index].is_link for index in self._pairs[pair]]
-        parts = self._parts_of_pair(pair)
-        if nearer_than(*parts, margin_m):
-            if closeness is Closeness.PARTS or not self._exact.meshes or margin_m > MESH_MARGIN_M:
-                return False
-            if deeper_than(*parts, MESH_EXCUSE_M):
-                return False
-            if nearer_than(*meshes, margin_m + sum(links) * self._exact.mesh_accuracy_m):
-                return False
+        first, second = self._parts_of_pair(pair)[:2], self._parts_of_pair(pair)[2:]
+        if nearer_than(*first, *second, margin_m + float(self._apart_m[pair])):
+            return False
         # Parts are not everywhere inside a link, and triangles nowhere. An object of triangles is a shell like a room.
-        return not (links[0] and encloses(*meshes)) and not (links[1] and encloses(*meshes[2:], *meshes[:2]))
+        first_is_link, second_is_link = (self._bodies[index].is_link for index in self._pairs[pair])
+        return not (first_is_link and encloses(*first, *second)) and not (second_is_link and encloses(*second, *first))
 
-    def _meshes_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
-        first, second = self._pairs[pair].tolist()
-        return *self._meshes_of(first), *self._meshes_of(second)
+    def _has_parts(self, pair: int) -> bool:
+        return self._parts.available and not self._names[pair] & self._scaled
 
-    def _meshes_of(self, index: int) -> tuple[Parts, pin.SE3]:
-        parts, place = self._exact_parts(index)
-        body = self._bodies[index]
-        return (self._exact.meshes.get(body.name, parts) if body.is_link else parts), place
+    def _has_convex_parts(self, pair: int) -> bool:
+        return self._parts.convex and not self._names[pair] & self._scaled
 
     def _parts_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
         first, second = self._pairs[pair].tolist()
-        return *self._exact_parts(first), *self._exact_parts(second)
+        return *self._parts_of_body(first), *self._parts_of_body(second)
 
-    def _exact_parts(self, index: int) -> tuple[Parts, pin.SE3]:
+    def _parts_of_body(self, index: int) -> tuple[Parts, pin.SE3]:
         body = self._bodies[index]
         # Measuring an object takes ten times as long as a check of its pairs.
         if index not in self._known_parts:
-            self._known_parts[index] = self._exact.of_link(body.name) if body.is_link else parts_of([body.shape])
+            self._known_parts[index] = self._parts.of_link(body.name) if body.is_link else parts_of([body.shape])
         return self._known_parts[index], self._broadphase.placement(body.shape.parentJoint)
 
 

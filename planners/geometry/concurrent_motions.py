@@ -2,7 +2,7 @@
 
 The two are not timed against each other: a motion can be slowed, paused, stopped and sent back at any moment. So every
 position of one is checked with every position of the other: a rectangle of their times, which is divided until no
-shape that one motion carries can come near one that the other carries, within a whole part of it.
+shape carried by one motion can come near a shape carried by the other, within a whole part of it.
 """
 
 from __future__ import annotations
@@ -26,26 +26,15 @@ MAX_PARTS = 4000
 
 @dataclass(frozen=True)
 class Encounter:
-    """Two motions that may touch each other.
+    """Two motions that may touch each other."""
 
-    Attributes:
-        first_s: time on the first one [s].
-        second_s: time on the second one [s].
-        pairs: shapes in contact there, deepest first; empty where they only come near.
-    """
-
-    first_s: float
-    second_s: float
-    pairs: tuple[CollidingPair, ...]
+    first_s: float  # time on the first one [s]
+    second_s: float  # time on the second one [s]
+    pairs: tuple[CollidingPair, ...]  # shapes in contact there, deepest first; empty where they only come near
 
 
 class _Way:
-    """Motion as a curve with bounds of its travel.
-
-    Args:
-        motion: the motion.
-        columns: its joints' places in a configuration.
-    """
+    """Motion as a curve with bounds of its travel; its joints are in ``columns`` of a configuration."""
 
     def __init__(self, motion: Trajectory, columns: list[int]) -> None:
         self.motion, self.columns = motion, columns
@@ -74,16 +63,10 @@ class _Way:
 def encounter(
     collision: CollisionModel, first: Trajectory, second: Trajectory, others_rad: Mapping[str, float]
 ) -> Encounter | None:
-    """Find where two motions may touch each other; what each touches alone is not looked at.
+    """Find where two motions of different joints touch or come as near as `NEAREST_M`.
 
-    Args:
-        collision: the robot in its scene.
-        first: a motion.
-        second: a motion of other joints.
-        others_rad: position of every joint that is in neither [rad].
-
-    Returns:
-        A place where they touch or come as near as `NEAREST_M`; None if they cannot, at whatever speed each is played.
+    Contacts of one motion alone are left out. Returns None if they cannot, at whatever speed each is played.
+    ``others_rad`` has every joint that is in neither.
     """
     names = collision.joint_names
     ways = [_Way(motion, [names.index(name) for name in motion.joint_names]) for motion in (first, second)]

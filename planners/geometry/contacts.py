@@ -1,7 +1,8 @@
-"""Contact checks at two levels: all checked pairs of hulls at once, by pinocchio and coal, and exact ones.
+"""Contact checks in two fidelities: all checked pairs of hulls at once, and pairs of links or objects by their parts.
 
-The broad check is quick and conservative, for hulls contain their links. The exact check decides on pairs of links
-whose hulls touch: it uses shapes that are closer to the links than one hull each.
+The check of hulls is quick and conservative, because hulls contain their links. Parts are convex shapes closer to a
+link than its hull: they decide where hulls touch. A body that touches no part may still be inside the link; the link's
+surface decides that.
 """
 
 from __future__ import annotations
@@ -20,17 +21,18 @@ from planners.errors import ShapeError
 from planners.geometry import boxes, surfaces
 from planners.geometry.boxes import Boxes
 from planners.geometry.kinematics import JointMap
-from planners.geometry.nearness import BoundingSpheres, Nearest, slope_m_per_rad
+from planners.geometry.nearness import BoundingSpheres, Nearest, distance_gradient
 from planners.geometry.shapes import convex, corners, link_name, on_link, outline, urdf_shapes
+from planners.geometry.surfaces import TriangleSurface
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
 # With coal's default of 1e-6 one pair in 80 000 that overlaps, by up to 48 mm, is called free: the search for a common
-# point gives up too early on shapes of a few centimetres. With this none of 1.6 million was, at no cost.
+# point gives up too early on shapes of a few centimetres. With this tolerance it errs on 0 of 1.6 million, at no cost.
 GJK_TOLERANCE = 1e-9
 
 # With a margin of exactly 0 coal calls one in a thousand pairs free that overlap by centimetres and whose faces are
-# parallel, as those of an arm in its zero position and of boxes are; with any other margin none of 27 000.
+# parallel, as those of an arm in its zero position and of boxes are; with any other margin 0 of 27 000.
 CONTACT_M = 1e-6
 
 # Finds the pairs whose boxes overlap. With each box compared to each other a check of 7 to 14 shapes takes 0.45 to 0.5
@@ -40,23 +42,15 @@ BOXES_ONE_BY_ONE = pin.BroadPhaseManager_NaiveCollisionManager
 TREE_OF_BOXES = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager
 FEW_SHAPES = 100
 
-# Parts that overlap deeper than this touch, whatever the meshes of a link with gaps say. Two links' parts within 3 mm
-# of their meshes overlap by 6 mm at most where the meshes are apart, except for grooves that another link reaches
-# into [m].
-MESH_EXCUSE_M = 0.01
-
-# Whether something is further away than this is told by parts alone: there is time to look again nearer by [m].
-MESH_MARGIN_M = 0.004
-
 
 class Broadphase:
-    """Shapes and the pairs of them that must not touch.
+    """Shapes, and pairs of shapes that must not touch.
 
     A configuration ``q`` is the position of every movable joint, shape (n,) [rad].
 
     Args:
         model: the robot's joints.
-        shapes: what there is.
+        shapes: all shapes.
         pairs: indices of shapes, shape (pairs, 2), the smaller first.
         apart_m: how far the shapes of each pair must stay apart, shape (pairs,) [m].
         joints: positions of the model's joints; None where each has a position of its own, in the model's order.
@@ -77,7 +71,7 @@ class Broadphase:
             self._geometry.addGeometryObject(shape)
         checked = np.zeros((len(shapes), len(shapes)), dtype=bool)
         checked[pairs[:, 0], pairs[:, 1]] = True
-        # They come out in the order of ``pairs``: row by row.
+        # They come out in the order of `pairs`: row by row.
         self._geometry.setCollisionPairs(checked, True)
         self._pairs, self._apart_m = pairs, apart_m
         self._carriers = [shape.parentJoint for shape in shapes]
@@ -100,7 +94,7 @@ class Broadphase:
         self._least_m = (CONTACT_M + apart_m).tolist()
 
     def touches(self, q: Vector) -> bool:
-        """Tell whether shapes of any pair touch, or are nearer than they may be."""
+        """Return true if shapes of any pair touch, or are nearer than they may be."""
         return pin.computeCollisions(self._model, self._data, self._any_contact, self._positions(q), True)
 
     def near(self, q: Vector, margin_m: Vector) -> list[int]:
@@ -121,17 +115,17 @@ class Broadphase:
         return found
 
     def place(self, q: Vector) -> None:
-        """Put the shapes where they are at a configuration: the methods below are about there."""
+        """Place the shapes at a configuration, to which the methods below refer."""
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._contact, self._positions(q))
 
     def touching(self, q: Vector) -> list[int]:
-        """Put the shapes where they are as :meth:`place` does; indices of the pairs that touch."""
+        """Place the shapes as :meth:`place` does; return the indices of the pairs that touch."""
         if not pin.computeCollisions(self._model, self._data, self._contacts, self._positions(q), False):
             return []
         return _taken(self._contact_results)
 
     def touching_among(self, pairs: Iterable[int]) -> list[int]:
-        """Those of some pairs that touch."""
+        """Return the pairs among some that touch."""
         found = [pair for pair in pairs if pin.computeCollision(self._geometry, self._contact, pair)]
         for pair in found:
             self._contact_results[pair].clear()
@@ -152,14 +146,14 @@ class Broadphase:
         found = self._distance(pair)
         return Nearest(float(found.min_distance), np.array(found.getNearestPoint1()), np.array(found.normal))
 
-    def slope_m_per_rad(self, pair: int, nearest: Nearest) -> Vector:
+    def distance_gradient(self, pair: int, nearest: Nearest) -> Vector:
         """Return the gradient of a pair's distance by joint at the last :meth:`turn`, shape (n,) [m/rad]."""
         first, second = (self._carriers[i] for i in self._pairs[pair])
-        slope = slope_m_per_rad(self._model, self._data, nearest, first, second)
-        return slope if self._joints is None else self._joints.by_joint(slope)
+        gradient = distance_gradient(self._model, self._data, nearest, first, second)
+        return gradient if self._joints is None else self._joints.by_joint(gradient)
 
     def turn(self, q: Vector) -> None:
-        """As :meth:`place`, and make ready for :meth:`slope_m_per_rad`."""
+        """As :meth:`place`, and make ready for :meth:`distance_gradient`."""
         self.place(q)
         pin.computeJointJacobians(self._model, self._data, self._positions(q))
 
@@ -209,114 +203,102 @@ def _taken(results: Sequence[coal.CollisionResult]) -> list[int]:
 
 @dataclass(frozen=True)
 class Parts:
-    """Shapes that are carried together, each within a box along the axes of the joint that carries them.
-
-    Attributes:
-        shapes: the shapes.
-        boxes: the boxes.
-        places: where shapes are in the joint's frame, each place once: those of a link mostly share one.
-        place_of: index of each shape's place.
-    """
+    """Shapes that are carried together, each within a box along the axes of the joint that carries them."""
 
     shapes: Sequence[coal.CollisionGeometry]
     boxes: Boxes
+    # Where shapes are in the joint's frame, each place once: shapes of a link mostly share one.
     places: Sequence[pin.SE3]
-    place_of: Sequence[int]
+    place_of: Sequence[int]  # index of each shape's place
+    # Surface of the whole, or its meshes, where these are known beside the shapes.
+    enclosed_by: TriangleSurface | Parts | None = None
 
     def outline(self) -> Vector:
         """Points whose hull encloses the shapes, shape (n, 3) [m], in the joint's frame."""
         return np.vstack([corners(shape) @ place.rotation.T + place.translation for shape, place in self._placed()])
 
-    @cached_property
-    def surface(self) -> surfaces.Pieces | None:
-        """Triangles among the shapes, in the joint's frame; None without any."""
-        if isinstance(self.shapes, surfaces.Pieces):
-            return self.shapes
-        meshes = [(shape, place) for shape, place in self._placed() if isinstance(shape, coal.BVHModelBase)]
-        return surfaces.of_meshes(meshes) if meshes else None
+    @property
+    def surface(self) -> TriangleSurface | None:
+        """Surface in the joint's frame that encloses the inside; None for solid shapes: what is inside touches them."""
+        around = self.enclosed_by
+        return around.surface if isinstance(around, Parts) else around or self._mesh_surface
 
     @cached_property
     def points_m(self) -> Vector:
         """One point of each connected body, shape (n, 3) [m], in the joint's frame."""
-        if isinstance(self.shapes, surfaces.Pieces):
-            return self.shapes.points_m
         solid = (pair for pair in self._placed() if not isinstance(pair[0], coal.BVHModelBase))
         middles_m = [place.act(corners(shape).mean(axis=0)) for shape, place in solid]
-        return np.vstack([*middles_m, *([] if self.surface is None else [self.surface.points_m])])
+        return np.vstack([*middles_m, *([] if self._mesh_surface is None else [self._mesh_surface.points_m])])
+
+    @cached_property
+    def _mesh_surface(self) -> TriangleSurface | None:
+        meshes = [(shape, place) for shape, place in self._placed() if isinstance(shape, coal.BVHModelBase)]
+        return surfaces.of_meshes(meshes) if meshes else None
 
     def _placed(self) -> Iterator[tuple[coal.CollisionGeometry, pin.SE3]]:
         return zip(self.shapes, (self.places[place] for place in self.place_of), strict=True)
 
 
-def parts_of(shapes: Sequence[pin.GeometryObject]) -> Parts:
-    """Shapes of one joint with the boxes around them."""
+def parts_of(shapes: Sequence[pin.GeometryObject], enclosed_by: TriangleSurface | Parts | None = None) -> Parts:
+    """Return shapes of one joint with the boxes around them."""
     points_m = [outline(shape) for shape in shapes]
     lower_m = np.array([points.min(axis=0) for points in points_m]).reshape(-1, 3)
     upper_m = np.array([points.max(axis=0) for points in points_m]).reshape(-1, 3)
     places = {shape.placement.homogeneous.tobytes(): shape.placement for shape in shapes}
     order = list(places)
     place_of = [order.index(shape.placement.homogeneous.tobytes()) for shape in shapes]
-    return Parts([shape.geometry for shape in shapes], Boxes.between(lower_m, upper_m), list(places.values()), place_of)
+    geometries = [shape.geometry for shape in shapes]
+    return Parts(geometries, Boxes.between(lower_m, upper_m), list(places.values()), place_of, enclosed_by)
 
 
-def parts_of_surface(pieces: surfaces.Pieces) -> Parts:
-    """The pieces of a surface with the boxes around them."""
-    return Parts(pieces, Boxes.between(pieces.lower_m, pieces.upper_m), [pin.SE3.Identity()], [0] * len(pieces))
-
-
-class ExactShapes:
-    """A robot's links closer than their hulls: in convex parts where these are known, and by their surfaces.
+class RobotParts:
+    """Parts of a robot's links: convex ones where these are known, or else the shapes of the URDF with their meshes.
 
     All are loaded at once: their 0.1 s, with meshes of the URDF a second, would come in the middle of a plan otherwise.
 
     Args:
-        robot: its parts are used, or else the meshes that its URDF names.
+        robot: its parts and surfaces are used, or else the meshes that its URDF names.
         model: its joints.
-        exact: shapes of the URDF where these are loaded already.
+        urdf: shapes of the URDF where these are loaded already.
 
     Attributes:
-        available: whether there are any.
-        solid: whether they are parts: of these it is known how deep they overlap.
-        meshes: surface of each link, which is closer than its parts: from the robot's file of them, or else the URDF's
-            shapes; empty for a robot without parts or without both.
-        mesh_accuracy_m: each surface is where ``meshes`` has it within so much [m].
+        available: whether there are any that are closer than the hulls.
+        convex: whether they are convex, so that the depth of their overlap is known.
     """
 
-    def __init__(self, robot: RobotModel, model: pin.Model, exact: Sequence[pin.GeometryObject] | None = None) -> None:
-        self._robot, self._model = robot, model
-        self.solid = bool(robot.parts)
+    def __init__(self, robot: RobotModel, model: pin.Model, urdf: Sequence[pin.GeometryObject] | None = None) -> None:
+        self.convex = bool(robot.parts)
         has_meshes = "<mesh" in robot.urdf
-        self.available = self.solid or (not robot.hulls and has_meshes)
-        if exact is None and self.available and has_meshes:
-            exact = self._from_urdf()
-        self.meshes, self.mesh_accuracy_m = dict[str, Parts](), 0.0
-        if self.solid and robot.surfaces:
-            self.meshes = {link: parts_of_surface(pieces) for link, pieces in surfaces.load(robot.surfaces, model)}
-            self.mesh_accuracy_m = surfaces.ACCURACY_M
-        elif self.solid and has_meshes:
-            self.meshes = _by_link(model, exact or ())
-        self._links = self._load(exact or ()) if self.available else {}
+        self.available = self.convex or (not robot.hulls and has_meshes)
+        self._links: dict[str, Parts] = {}
+        if not self.available:
+            return
+        if urdf is None and has_meshes:
+            urdf = _urdf_shapes(robot, model)
+        meshes = _by_link(model, urdf or ())
+        enclosed_by: dict[str, TriangleSurface | Parts] = {**meshes, **dict(surfaces.load(robot.surfaces, model))}
+        self._links = (
+            meshes
+            if not self.convex
+            else {
+                link: parts_of([on_link(model, link, convex(each)) for each in parts], enclosed_by.get(link))
+                for link, parts in robot.parts.items()
+            }
+        )
 
     def of_link(self, link: str) -> Parts:
-        """The shapes of a link."""
+        """The parts of a link."""
         return self._links[link]
 
-    def _from_urdf(self) -> list[pin.GeometryObject]:
-        try:
-            return urdf_shapes(self._robot, self._model)
-        except ShapeError:
-            # Hulls and parts do without the meshes that they were made of.
-            if self.solid:
-                return []
-            raise
 
-    def _load(self, exact: Sequence[pin.GeometryObject]) -> dict[str, Parts]:
-        if not self.solid:
-            return _by_link(self._model, exact)
-        return {
-            link: parts_of([on_link(self._model, link, convex(vertices)) for vertices in parts])
-            for link, parts in self._robot.parts.items()
-        }
+def _urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
+    try:
+        return urdf_shapes(robot, model)
+    except ShapeError:
+        # Hulls and parts do without the meshes that they were made of.
+        if robot.parts:
+            return []
+        raise
 
 
 def _by_link(model: pin.Model, shapes: Iterable[pin.GeometryObject]) -> dict[str, Parts]:
@@ -327,13 +309,13 @@ def _by_link(model: pin.Model, shapes: Iterable[pin.GeometryObject]) -> dict[str
 
 
 def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, margin_m: float) -> bool:
-    """Tell whether parts come nearer to each other than a margin; at a margin of 0, whether they touch.
+    """Return true if parts come nearer to each other than a margin [m]; at a margin of 0, if they touch.
 
     Args:
         first: some parts.
-        at_first: where the joint that carries them is.
+        at_first: pose of the joint that carries them.
         second: other parts.
-        at_second: where the joint that carries those is.
+        at_second: pose of the joint that carries these.
         margin_m: greatest distance that counts [m].
     """
     request, result = coal.CollisionRequest(), coal.CollisionResult()
@@ -349,10 +331,7 @@ def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.S
 
 
 def encloses(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> bool:
-    """Tell whether a body of the second parts is inside the first ones' surface, where the two do not touch.
-
-    Solid shapes without a surface enclose nothing: what is inside touches them. Arguments as for :func:`nearer_than`.
-    """
+    """Return true if a body of the second parts is inside the surface of the first, where the two do not touch."""
     if first.surface is None:
         return False
     between = at_first.actInv(at_second)
@@ -360,7 +339,7 @@ def encloses(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3)
 
 
 def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, depth_m: float) -> bool:
-    """Tell whether solid parts overlap deeper than so much, below 0 whether they are less than that apart [m]."""
+    """Return true if convex parts overlap deeper than a depth [m]; below 0, if they are less than that apart."""
     if depth_m < 0.0:
         return nearer_than(first, at_first, second, at_second, -depth_m)
     request, result = coal.DistanceRequest(), coal.DistanceResult()
@@ -375,12 +354,12 @@ def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.S
 
 
 def overlap_m(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> float:
-    """Return the overlap of solid parts, their distance if negative [m]; arguments as for :func:`nearer_than`."""
+    """Return the overlap of convex parts, their distance if negative [m]."""
     return -nearest(first, at_first, second, at_second).distance_m
 
 
 def nearest(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> Nearest:
-    """Return the nearest or deepest points of solid parts in the root link's frame; as for :func:`nearer_than`."""
+    """Return the nearest or deepest points of convex parts, in the root link's frame."""
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.gjk_tolerance = GJK_TOLERANCE
     between = at_first.actInv(at_second)
@@ -393,19 +372,13 @@ def nearest(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) 
         result.clear()
         distance_m = coal.distance(*placed.pair(*divmod(index, len(second.shapes))), request, result)
         if distance_m < found.distance_m:
-            # What the result shows of itself changes with the next pair.
+            # Copied: the result's own arrays change with the next pair.
             found = Nearest(distance_m, np.array(result.getNearestPoint1()), np.array(result.normal))
     return found.transformed(at_first)
 
 
 class _Placed:
-    """Parts of two joints as coal takes them, seen from the first one's joint.
-
-    Args:
-        first: parts there.
-        second: other parts.
-        between: where the second one's joint is.
-    """
+    """Parts of two joints as coal takes them, in the frame of the first joint, in which ``between`` is the second."""
 
     def __init__(self, first: Parts, second: Parts, between: pin.SE3) -> None:
         self._first, self._second = first, second

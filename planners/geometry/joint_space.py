@@ -9,15 +9,8 @@ from numpy.typing import NDArray
 
 from planners.budget import never
 from planners.errors import StoppedError
-from planners.geometry.collision import (
-    DEPTH_ACCURACY_M,
-    NO_CONTACT,
-    Closeness,
-    Closer,
-    CollidingPair,
-    CollisionModel,
-)
-from planners.geometry.sweep import ALL_PAIRS, CandidatePairs, Cubics, first_contact, line_is_free
+from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingPair, CollisionModel
+from planners.geometry.sweep import ALL_PAIRS, CandidatePairs, line_is_free, polyline_is_free
 from robot.description.model import Group
 from robot.trajectory import Vector
 
@@ -42,11 +35,11 @@ class JointSpace:
         collision: the robot's collisions.
         group: the joints that move; points of this space have them in this order, shape (n,) [rad].
         start_q: configuration of all joints; those outside the group stay there.
-        allowed: pairs of names that overlap at the start and may do so near it, less and less, and how deep [m].
+        allowed: pairs of names that may overlap near the start, less and less, with their depth there [m].
         holds: a condition on configurations that free ones meet as well.
         also_free: configurations beside the start, such as goals, that are known to touch nothing although hulls may
-            overlap there; with the start they determine the pairs that are checked by their meshes.
-        should_stop: ends long checks with :exc:`StoppedError`: a certificate of what nearly touches can take seconds.
+            overlap there; with the start they determine the pairs that are checked by their parts.
+        should_stop: ends long checks with :exc:`StoppedError`: certifying a motion close to a contact can take seconds.
 
     Attributes:
         lower_rad: shape (n,), lower position limits.
@@ -69,9 +62,9 @@ class JointSpace:
         self._q = start_q.copy()
         self._allowed = allowed
         # What overlaps at the start is left in the parts long before it is in the hulls.
-        self._closer = dict.fromkeys(allowed, Closeness.PARTS)
+        self._refined = set(allowed)
         for q in (start_q, *also_free):
-            self._check_closer(collision.tight_pairs(q))
+            self._refined |= collision.hull_only_pairs(q)
         self._holds = holds
         self._should_stop = should_stop
         self._start = self.point(start_q).copy()
@@ -94,18 +87,14 @@ class JointSpace:
         """Tell whether the robot touches nothing there, and the condition holds."""
         self._q[self._columns] = point
         allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
-        if self._collision.in_collision(self._q, allowed, self._closer):
+        if self._collision.in_collision(self._q, allowed, self._refined):
             return False
         return self._holds is None or self._holds(self._q)
 
     def candidate_pairs(
         self, points: Vector, joint_travel: Vector, among: Sequence[CandidatePairs]
     ) -> list[CandidatePairs]:
-        """Return pairs that may touch, and the condition; see :class:`planners.geometry.sweep.CollisionChecker`.
-
-        Raises:
-            StoppedError: in the middle of it.
-        """
+        """Return pairs that may touch, and the condition; see :class:`planners.geometry.sweep.CollisionChecker`."""
         configurations, travel = np.tile(self._q, (len(points), 1)), np.zeros((len(points), len(self._q)))
         configurations[:, self._columns] = points
         travel[:, self._columns] = joint_travel
@@ -115,10 +104,10 @@ class JointSpace:
         for i, q in enumerate(configurations):
             allowed = self._allowed and self._allowed_near(away[i])
             known = among[i]
-            # What takes long here is a large scene as a whole, and closer shapes.
-            if (known is ALL_PAIRS or self._closer) and self._should_stop():
+            # What takes long here is a large scene as a whole, and parts.
+            if (known is ALL_PAIRS or self._refined) and self._should_stop():
                 raise StoppedError
-            pairs = self._collision.candidate_pairs(q, margins_m[i], known and _pairs(known), allowed, self._closer)
+            pairs = self._collision.candidate_pairs(q, margins_m[i], known and _pairs(known), allowed, self._refined)
             found.append(pairs if self._holds_around(q, joint_travel[i], among[i]) else (*pairs, CONDITION))
         return found
 
@@ -128,41 +117,29 @@ class JointSpace:
             return not self.free(point)
         self._q[self._columns] = point
         allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
-        if self._collision.touch_among(self._q, _pairs(among), allowed, self._closer):
+        if self._collision.touch_among(self._q, _pairs(among), allowed, self._refined):
             return True
         return self._holds is not None and CONDITION in among and not self._holds(self._q)
 
     def line_free(self, start: Vector, end: Vector, step_m: float = CHECK_STEP_M) -> bool:
-        """Tell whether the robot touches nothing on a straight line.
-
-        Args:
-            start: first point, taken to be free.
-            end: last point, checked as well.
-            step_m: a range between two free points in which nothing moves further than this is not checked further [m].
-        """
+        """Return true if the robot touches nothing on a straight line; see :func:`line_is_free`."""
         return line_is_free(self, start, end, step_m)
 
     def curve_free(self, points: Vector, step_m: float = CHECK_STEP_M) -> bool:
-        """Tell whether the robot touches nothing along a polyline.
+        """Return true if the robot touches nothing on a polyline, shape (m, n); its first point is taken to be free."""
+        return polyline_is_free(self, points, step_m)
 
-        Args:
-            points: shape (m, n); the first is taken to be free, the last is checked.
-            step_m: as for :meth:`line_free`.
-        """
-        shares = np.array([0.0, 1.0, 2.0, 3.0])[:, np.newaxis] / 3.0
-        start, end = points[:-1, np.newaxis], points[1:, np.newaxis]
-        lines = Cubics(start + shares * (end - start))
-        return self.free(points[-1]) and first_contact(self, lines, step_m, earliest=False) is None
-
-    def look_closer_at(self, point: Vector, closest: Closeness = Closeness.SURFACES) -> bool:
-        """Check pairs of which only wider shapes touch at a point by closer ones from now on; true if any is new."""
+    def refine_at(self, point: Vector) -> bool:
+        """Let parts decide from now on where only hulls touch at a point; return true if any pair is new."""
         self._q[self._columns] = point
-        return self._check_closer(self._collision.tight_pairs(self._q, closest))
+        new = self._collision.hull_only_pairs(self._q) - self._refined
+        self._refined |= new
+        return bool(new)
 
     def contacts(self, point: Vector) -> tuple[CollidingPair, ...]:
         """Return the forbidden contacts at a point, deepest first."""
         self._q[self._columns] = point
-        pairs = self._collision.colliding_pairs(self._q, self._closer)
+        pairs = self._collision.colliding_pairs(self._q, self._refined)
         allowed = self._allowed_near(np.abs(point - self._start))
         if not allowed:
             return tuple(pairs)
@@ -173,12 +150,6 @@ class JointSpace:
             if pair.links not in allowed or overlaps_m.get(pair.links, 0.0) > allowed[pair.links] + DEPTH_ACCURACY_M
         )
 
-    def _check_closer(self, pairs: Closer) -> bool:
-        """Check pairs as closely as is said, or as before if that was closer; return true if any changes."""
-        new = {names: closeness for names, closeness in pairs.items() if closeness > self._closer.get(names, 0)}
-        self._closer.update(new)
-        return bool(new)
-
     def _holds_around(self, q: Vector, joint_travel: Vector, among: CandidatePairs) -> bool:
         """Tell whether the condition holds where the joints move by so much at most, shape (n,) [rad]."""
         if self._holds is None or (among is not ALL_PAIRS and CONDITION not in among):
@@ -186,7 +157,7 @@ class JointSpace:
         return bool(joint_travel @ self.travel_m_per_rad <= CONDITION_STEP_M) and self._holds(q)
 
     def _allowed_near(self, joint_travel: Vector) -> dict[frozenset[str], float]:
-        """Return the overlaps that are still allowed, with their depths, so far from the start, shape (n,) [rad]."""
+        """Return the overlaps that are still allowed, with depths, at a distance from the start, shape (n,) [rad]."""
         shrunk_m = LEAVING * float(joint_travel @ self.travel_m_per_rad)
         left_m = {names: depth_m - shrunk_m for names, depth_m in self._allowed.items()}
         return {names: depth_m for names, depth_m in left_m.items() if depth_m > -DEPTH_ACCURACY_M}

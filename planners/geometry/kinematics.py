@@ -21,7 +21,7 @@ from robot.trajectory import Vector
 
 
 class JointMap:
-    """Positions of pinocchio's joints, which are those that move, from those of joints with a position of their own.
+    """Map from positions of independent joints to positions of pinocchio's joints, which are all joints that move.
 
     Args:
         robot: the arm.
@@ -68,15 +68,10 @@ class JointMap:
 
 @dataclass(frozen=True)
 class Placements:
-    """Poses of a link in many configurations.
+    """Poses of a link in many configurations."""
 
-    Attributes:
-        rotations: shape (m, 3, 3).
-        positions_m: shape (m, 3) [m].
-    """
-
-    rotations: Vector
-    positions_m: Vector
+    rotations: Vector  # shape (m, 3, 3)
+    positions_m: Vector  # shape (m, 3) [m]
 
 
 class ForwardKinematics:
@@ -141,14 +136,9 @@ class Reach:
                 self._slides_m[joint] = max(abs(limits[0]), abs(limits[1]))
 
     def about_joints(self, joint: int, points: Vector) -> Vector:
-        """Upper bound of the travel of points for each joint's motion.
+        """Return an upper bound of the travel of points by each joint, shape (nv,) [m/rad]; 1 for a prismatic one.
 
-        Args:
-            joint: index of the joint that carries the points.
-            points: shape (n, 3), in that joint's frame [m].
-
-        Returns:
-            Shape (nv,) [m/rad], 1 for a prismatic joint [m/m], 0 for joints that do not carry them.
+        The points are in the frame of the joint that carries them, shape (n, 3) [m].
         """
         reach = np.zeros(self._model.nv)
         swing_m = 0.0
@@ -183,16 +173,10 @@ class Reach:
 
 
 def approach(reach_m: Vector, pairs: NDArray[np.int64]) -> Vector:
-    """Upper bound of how much nearer the shapes of each pair come for each joint's motion.
+    """Return an upper bound of how much nearer the shapes of each pair come by each joint, shape (pairs, nv) [m/rad].
 
-    Joints that carry both shapes of a pair change nothing between them.
-
-    Args:
-        reach_m: travel of each shape's points, shape (shapes, nv) [m/rad].
-        pairs: indices of shapes, shape (pairs, 2).
-
-    Returns:
-        Shape (pairs, nv) [m/rad].
+    Joints that carry both shapes of a pair change nothing between them. ``reach_m`` is the travel of each shape's
+    points, shape (shapes, nv) [m/rad].
     """
     first, second = reach_m[pairs[:, 0]], reach_m[pairs[:, 1]]
     return np.where((first > 0.0) & (second > 0.0), 0.0, first + second)

@@ -14,69 +14,46 @@ from robot.trajectory import Vector
 
 @dataclass(frozen=True)
 class Nearest:
-    """Points at which two shapes are nearest to each other, or overlap deepest.
+    """Points at which two shapes are nearest to each other, or overlap deepest."""
 
-    Attributes:
-        distance_m: between them, below 0 how deep they overlap [m].
-        point_m: a point of the first one there, shape (3,) [m].
-        normal: unit vector from the first to the second, shape (3,): against it the first one gets away.
-    """
-
-    distance_m: float
-    point_m: Vector
-    normal: Vector
+    distance_m: float  # below 0 the depth of the overlap [m]
+    point_m: Vector  # a point of the first one there, shape (3,) [m]
+    normal: Vector  # unit vector from the first to the second, shape (3,)
 
     def transformed(self, place: pin.SE3) -> Nearest:
-        """The same in the frame in which ``place`` gives the present one."""
+        """Return the same points in the frame in which ``place`` is the present frame."""
         return Nearest(self.distance_m, place.rotation @ self.point_m + place.translation, place.rotation @ self.normal)
 
 
 @dataclass(frozen=True)
 class NearPair:
-    """Two links, or a link and an object, that are near each other.
-
-    Attributes:
-        first: name of the one.
-        second: name of the other.
-        by_object: whether one of them is no link.
-        distance_m: beyond what they must be apart anyway [m].
-        slope_m_per_rad: how the distance grows with each joint, shape (n,) [m/rad].
-    """
+    """Two links, or a link and an object, that are near each other."""
 
     first: str
     second: str
-    by_object: bool
-    distance_m: float
-    slope_m_per_rad: Vector
+    by_object: bool  # whether an object is among the two
+    distance_m: float  # distance beyond their required clearance [m]
+    distance_gradient: Vector  # gradient of the distance by each joint, shape (n,) [m/rad]
 
 
-def slope_m_per_rad(model: pin.Model, data: pin.Data, nearest: Nearest, first: int, second: int) -> Vector:
+def distance_gradient(model: pin.Model, data: pin.Data, nearest: Nearest, first: int, second: int) -> Vector:
     """Return the gradient of the distance between two shapes by joint, shape (n,) [m/rad].
 
-    Args:
-        model: the robot's joints.
-        data: with their Jacobians at the present configuration.
-        nearest: where the shapes are nearest, in the root link's frame.
-        first: the joint that carries the first one; 0 for what stands.
-        second: the joint that carries the second one.
+    ``data`` has the Jacobians at the present configuration; ``first`` and ``second`` are the joints that carry the
+    shapes, 0 for the root link and the world.
     """
-    slopes = np.zeros(model.nv)
+    gradient = np.zeros(model.nv)
     second_m = nearest.point_m + nearest.distance_m * nearest.normal
     for joint, point_m, sign in ((first, nearest.point_m, -1.0), (second, second_m, 1.0)):
         if joint:
             rows = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
             arm_m = point_m - data.oMi[joint].translation
-            slopes += sign * (nearest.normal @ rows[:3] + np.cross(arm_m, nearest.normal) @ rows[3:])
-    return slopes
+            gradient += sign * (nearest.normal @ rows[:3] + np.cross(arm_m, nearest.normal) @ rows[3:])
+    return gradient
 
 
 class BoundingSpheres:
-    """A sphere around each shape, to leave out quickly what is far.
-
-    Args:
-        shapes: what there is.
-        pairs: indices of shapes, shape (pairs, 2).
-    """
+    """A sphere around each shape, to leave out distant pairs, shape (pairs, 2), quickly."""
 
     def __init__(self, shapes: Sequence[pin.GeometryObject], pairs: NDArray[np.int64]) -> None:
         for shape in shapes:

@@ -21,7 +21,7 @@ from robot.description.model import RobotModel
 from robot.errors import DescriptionError
 from robot.trajectory import Vector
 
-# A check's time grows with the corners: hulls of the SO-101's meshes have thousands and take five times as long.
+# A check's time grows with the corners: hulls of the SO-101's meshes have thousands, which take five times as long.
 MAX_CORNERS = 250
 
 # A hull around faces in 126 directions has at most 248 corners and is 1 to 2 mm wider than links of 10 cm.
@@ -69,7 +69,7 @@ def enclosing(points: Vector) -> coal.Convex:
     # Evenly spread directions suit a body as long as it is wide, so it is seen in its own proportions. Corners of the
     # solid {x : d . x <= h} are, from a point in it, the faces of the hull of d / h.
     middle, size = corners.mean(axis=0), np.ptp(corners, axis=0)
-    directions = _directions(DIRECTIONS)
+    directions = evenly_spread(DIRECTIONS)
     heights = ((corners - middle) / size @ directions.T).max(axis=0)
     dual = convex(directions / heights[:, np.newaxis])
     triangles = np.asarray(dual.points())[_triangles(dual)]
@@ -91,8 +91,8 @@ def _triangles(hull: coal.Convex) -> NDArray[np.int64]:
     return np.array([(polygon[0], polygon[1], polygon[2]) for polygon in polygons])
 
 
-def _directions(count: int) -> Vector:
-    """Unit vectors spread evenly, the six along the axes first; those of a Fibonacci lattice otherwise."""
+def evenly_spread(count: int) -> Vector:
+    """Return unit vectors, shape (count, 3): the six along the axes, then those of a Fibonacci lattice."""
     i = np.arange(count - 6) + 0.5
     z = 1.0 - 2.0 * i / (count - 6)
     angle = np.pi * (1.0 + np.sqrt(5.0)) * i
@@ -102,20 +102,20 @@ def _directions(count: int) -> Vector:
 
 
 def robot_shapes(
-    robot: RobotModel, model: pin.Model, exact: Sequence[pin.GeometryObject] | None = None
+    robot: RobotModel, model: pin.Model, urdf: Sequence[pin.GeometryObject] | None = None
 ) -> list[pin.GeometryObject]:
-    """The shapes that are checked: solid and quick to check.
+    """Return the solid shapes that are checked: the robot's hulls, or else its URDF's shapes, with hulls for meshes.
 
     Args:
-        robot: its hulls, or else its URDF's shapes, meshes in hulls.
+        robot: the arm.
         model: its joints.
-        exact: shapes of the URDF where these are loaded already.
+        urdf: shapes of the URDF where these are loaded already.
 
     Raises:
         ShapeError: a shape of the URDF cannot be loaded, or there is none.
     """
     shapes = [on_link(model, link, convex(hull.vertices)) for link, hull in robot.hulls.items()]
-    shapes = shapes or [_solid(shape) for shape in (urdf_shapes(robot, model) if exact is None else exact)]
+    shapes = shapes or [_solid(shape) for shape in (urdf_shapes(robot, model) if urdf is None else urdf)]
     if not shapes:
         raise ShapeError(robot.name, "no link has a collision shape")
     return shapes
@@ -224,12 +224,7 @@ def _slab(plane: Plane, reach_m: float) -> tuple[coal.CollisionGeometry, pin.SE3
 
 
 def triangle_tree(vertices_m: Vector, triangles: NDArray[np.integer[Any]]) -> coal.BVHModelOBBRSS:
-    """A surface of triangles.
-
-    Args:
-        vertices_m: shape (n, 3) [m].
-        triangles: shape (m, 3), indices into ``vertices_m``.
-    """
+    """Return a search tree over triangles, shape (m, 3), indices into vertices, shape (n, 3) [m]."""
     surface = coal.BVHModelOBBRSS()
     surface.beginModel(len(triangles), len(vertices_m))
     surface.addVertices(np.asarray(vertices_m, dtype=np.float64))

@@ -1,18 +1,13 @@
-"""Surfaces of links to the last triangle, from a file.
+"""Triangle surfaces of links, which decide what is inside: a body in a link's material may touch none of its parts.
 
-A search tree over all triangles of an SO-101 takes 150 MB and a second, where a contact concerns a few centimetres of
-them. So triangles lie in pieces, neighbours together, of which the boxes are known: the tree of a piece is made when
-something first comes into its box, and kept while it is of use.
-
-Triangles touch nothing that is wholly inside a surface, so a winding number tells what is: Jacobson, Kavan and
-Sorkine-Hornung, "Robust inside-outside segmentation using generalized winding numbers", 2013.
+The measure is the winding number: Jacobson, Kavan and Sorkine-Hornung, "Robust inside-outside segmentation using
+generalized winding numbers", 2013. Neighbouring triangles lie in pieces, so that far ones count together.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import coal
 import numpy as np
@@ -20,21 +15,14 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.errors import ShapeError
-from planners.geometry.shapes import frame_of_link, triangle_tree
+from planners.geometry.shapes import frame_of_link
 from robot.description.model import LinkSurface
 from robot.trajectory import Vector
 
 # Coordinates in files are multiples of this [m].
 UNIT_M = 1e-5
 
-# A surface is where the file has it within half the diagonal of that grid's cells [m].
-ACCURACY_M = 0.5 * math.sqrt(3.0) * UNIT_M
-
-# A tree of so many takes 0.2 ms to make and 65 kB; of the boxes around larger pieces too much is empty.
 TRIANGLES_A_PIECE = 128
-
-# So many trees of a link are kept: of what is near a few obstacles.
-TREES_KEPT = 128
 
 # Bits by which each coordinate of a triangle's middle counts in the order of triangles.
 ORDER_BITS = 10
@@ -51,26 +39,25 @@ INSIDE = 0.5
 
 Triangles = NDArray[np.int32]
 
+# A mesh and its place in the frame of a link or joint.
+PlacedMesh = tuple[coal.BVHModelBase, pin.SE3]
 
-class Pieces(Sequence[coal.CollisionGeometry]):
-    """The trees of the pieces of a surface, in the frame of a joint.
+
+class TriangleSurface:
+    """Surface of one or several bodies, in the frame of a joint.
 
     Args:
         vertices_m: shape (n, 3) [m].
         triangles: shape (m, 3), indices into ``vertices_m``, neighbours mostly next to each other.
-
-    Attributes:
-        lower_m: shape (pieces, 3), lower corners of the boxes around the pieces [m].
-        upper_m: shape (pieces, 3), upper corners [m].
     """
 
     def __init__(self, vertices_m: Vector, triangles: Triangles) -> None:
         self._vertices_m, self._triangles = vertices_m, triangles
         starts = np.arange(0, len(triangles), TRIANGLES_A_PIECE)
         corners_m = vertices_m[triangles]
-        self.lower_m: Vector = np.minimum.reduceat(corners_m.min(axis=1), starts)
-        self.upper_m: Vector = np.maximum.reduceat(corners_m.max(axis=1), starts)
-        self._tree = lru_cache(TREES_KEPT)(self._make)
+        # Corners of the boxes around the pieces.
+        self._lower_m: Vector = np.minimum.reduceat(corners_m.min(axis=1), starts)
+        self._upper_m: Vector = np.maximum.reduceat(corners_m.max(axis=1), starts)
 
     @cached_property
     def points_m(self) -> Vector:
@@ -84,16 +71,21 @@ class Pieces(Sequence[coal.CollisionGeometry]):
                 return self._vertices_m[np.unique(body[self._triangles])]
             body = joined
 
+    @cached_property
+    def box_m(self) -> tuple[Vector, Vector]:
+        """Lower and upper corner of the box around it, shape (3,) each [m]."""
+        return self._lower_m.min(axis=0), self._upper_m.max(axis=0)
+
     def encloses(self, points_m: Vector) -> bool:
-        """Tell whether any of some points, shape (n, 3) [m], is inside; a mirrored mesh counts as any other."""
-        lower_m, upper_m = self.lower_m.min(axis=0), self.upper_m.max(axis=0)
+        """Return true if any of some points, shape (n, 3) [m], is inside; a mirrored mesh counts as any other."""
+        lower_m, upper_m = self.box_m
         near_m = points_m[((points_m > lower_m) & (points_m < upper_m)).all(axis=1)]
         return any(abs(self.winding_number(point_m)) > INSIDE for point_m in near_m)
 
     def winding_number(self, point_m: Vector) -> float:
         """Return how often the surface winds around a point, shape (3,) [m]."""
-        half_m = 0.5 * (self.upper_m - self.lower_m)
-        far = np.linalg.norm(self.lower_m + half_m - point_m, axis=1) > FAR * np.linalg.norm(half_m, axis=1)
+        half_m = 0.5 * (self._upper_m - self._lower_m)
+        far = np.linalg.norm(self._lower_m + half_m - point_m, axis=1) > FAR * np.linalg.norm(half_m, axis=1)
         middles_m, areas_m2 = self._dipoles
         away_m = middles_m[far] - point_m
         of_far = (areas_m2[far] * away_m).sum(axis=1) / np.linalg.norm(away_m, axis=1) ** 3
@@ -111,29 +103,12 @@ class Pieces(Sequence[coal.CollisionGeometry]):
         middles_m = np.add.reduceat(weights * (a + b + c) / 3.0, starts) / np.add.reduceat(weights, starts)
         return middles_m, np.add.reduceat(areas_m2, starts)
 
-    def __len__(self) -> int:
-        return len(self.lower_m)
 
-    def __getitem__(self, index: int) -> coal.CollisionGeometry:  # type: ignore[override]
-        if not 0 <= index < len(self):
-            raise IndexError(f"there are {len(self)} pieces, there is no piece {index}")
-        return self._tree(index)
-
-    def _make(self, index: int) -> coal.BVHModelOBBRSS:
-        first = TRIANGLES_A_PIECE * index
-        used, again = np.unique(self._triangles[first : first + TRIANGLES_A_PIECE], return_inverse=True)
-        return triangle_tree(self._vertices_m[used], again.reshape(-1, 3))
-
-
-def load(surfaces: Mapping[str, LinkSurface], model: pin.Model) -> Iterator[tuple[str, Pieces]]:
+def load(surfaces: Mapping[str, LinkSurface], model: pin.Model) -> Iterator[tuple[str, TriangleSurface]]:
     """Yield each link with its surface, in the frame of the joint that carries the link.
 
-    Args:
-        surfaces: where the surface of each link is.
-        model: the robot's joints.
-
     Raises:
-        ShapeError: a file cannot be read, or is not one of surfaces.
+        ShapeError: a file cannot be read, or has no surfaces.
     """
     for link, surface in surfaces.items():
         try:
@@ -147,33 +122,38 @@ def load(surfaces: Mapping[str, LinkSurface], model: pin.Model) -> Iterator[tupl
             raise ShapeError(link, f"{surface.path} has triangles without vertices")
         frame = model.frames[frame_of_link(model, link)]
         vertices_m = UNIT_M * vertices @ frame.placement.rotation.T + frame.placement.translation
-        yield link, Pieces(vertices_m, triangles)
+        yield link, TriangleSurface(vertices_m, triangles)
 
 
-def of_meshes(meshes: Sequence[tuple[coal.BVHModelBase, pin.SE3]]) -> Pieces:
-    """Return the pieces of meshes, each with its place in the frame of a joint."""
+def of_meshes(meshes: Sequence[PlacedMesh]) -> TriangleSurface:
+    """Return the surface of meshes."""
+    vertices_m, triangles = joined(meshes)
+    # STL files repeat a vertex for each triangle, which would make each a body.
+    once_m, same = np.unique(vertices_m, axis=0, return_inverse=True)
+    return of_triangles(once_m, same.ravel()[triangles])
+
+
+def of_triangles(vertices_m: Vector, triangles: NDArray[np.int64]) -> TriangleSurface:
+    """Return the surface of triangles in any order."""
+    order = np.argsort(_along_a_curve(vertices_m[triangles].mean(axis=1)), kind="stable")
+    return TriangleSurface(vertices_m, triangles[order].astype(np.int32))
+
+
+def joined(meshes: Sequence[PlacedMesh]) -> tuple[Vector, NDArray[np.int64]]:
+    """Return the vertices of meshes, shape (n, 3) [m], and their triangles as indices into these, shape (m, 3)."""
     vertices_m, triangles, count = [], [], 0
     for mesh, place in meshes:
         vertices_m.append(np.asarray(mesh.vertices()) @ place.rotation.T + place.translation)
         numbers = (mesh.tri_indices(i) for i in range(mesh.num_tris))
-        triangles.append(np.array([(each[0], each[1], each[2]) for each in numbers]) + count)
+        triangles.append(np.array([(each[0], each[1], each[2]) for each in numbers]).reshape(-1, 3) + count)
         count += len(vertices_m[-1])
-    # STL files repeat a vertex for each triangle, which would make each a body.
-    once_m, same = np.unique(np.vstack(vertices_m), axis=0, return_inverse=True)
-    found = same.ravel()[np.vstack(triangles)].astype(np.int32)
-    return Pieces(once_m, found[np.argsort(_along_a_curve(once_m[found].mean(axis=1)), kind="stable")])
+    return np.vstack(vertices_m), np.vstack(triangles)
 
 
 def solid_angles(corners_m: Vector) -> Vector:
-    """Return the solid angles of triangles seen from the origin, positive from behind [sr].
+    """Return the solid angles of triangles, shape (..., 3, 3) [m], seen from the origin, positive from behind [sr].
 
     Formula of van Oosterom and Strackee, "The solid angle of a plane triangle", 1983.
-
-    Args:
-        corners_m: shape (..., 3, 3) [m].
-
-    Returns:
-        Shape (...).
     """
     # numpy is slow with a last axis of three.
     a, b, c = np.ascontiguousarray(np.moveaxis(corners_m, (-2, -1), (0, 1)))
@@ -186,15 +166,10 @@ def solid_angles(corners_m: Vector) -> Vector:
     return angles
 
 
-def packed(vertices_m: Vector, triangles: Triangles) -> tuple[NDArray[np.int16], Triangles]:
+def packed(vertices_m: Vector, triangles: NDArray[np.int64]) -> tuple[NDArray[np.int16], Triangles]:
     """Return a surface as files have it: on the grid, each triangle once, neighbours next to each other.
 
-    Args:
-        vertices_m: shape (n, 3), each coordinate within 0.32 m [m].
-        triangles: shape (m, 3), indices into ``vertices_m``.
-
-    Returns:
-        Vertices in units of :data:`UNIT_M`, and triangles.
+    Vertices, shape (n, 3), are within 0.32 m of the origin [m], and returned in units of :data:`UNIT_M`.
     """
     vertices, numbers = np.unique(np.rint(vertices_m / UNIT_M).astype(np.int16), axis=0, return_inverse=True)
     found = numbers.ravel()[triangles].astype(np.int32)

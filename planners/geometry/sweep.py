@@ -25,7 +25,7 @@ NO_CANDIDATES: CandidatePairs = ()
 # Contacts deeper than half of this are found: it is the width of ranges that are not halved any more.
 FINEST_STEP_M = 0.0001
 
-# On longer pieces than this something is near nearly always: only their middle is checked.
+# On longer pieces than this only the middle is checked.
 WIDEST_MARGIN_M = 0.1
 
 # After the first contact, earlier ones are searched for this finely only: enough for the time of the contact.
@@ -65,36 +65,6 @@ class CollisionChecker(Protocol):
     def touches_any(self, point: Vector, among: CandidatePairs) -> bool:
         """Tell whether any candidate pair of a range touches at a point of the range, shape (n,)."""
         ...
-
-
-def line_is_free(checker: CollisionChecker, start: Vector, end: Vector, step_m: float) -> bool:
-    """Tell whether nothing touches on a straight line.
-
-    Args:
-        checker: checks points.
-        start: first point, taken to be free.
-        end: last point, checked as well.
-        step_m: on pieces along which nothing moves more than this only the ends are checked [m].
-    """
-    if not checker.free(end):
-        return False
-    joint_travel = 0.5 * np.abs(end - start)
-    travel_m = float(joint_travel @ checker.travel_m_per_rad)
-    at, half = np.array([0.5]), 0.5
-    candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
-    while len(at) and 2.0 * travel_m > step_m:
-        points = start + at[:, np.newaxis] * (end - start)
-        if travel_m <= WIDEST_MARGIN_M:
-            candidate_pairs = checker.candidate_pairs(points, np.tile(joint_travel, (len(at), 1)), candidate_pairs)
-            unsure = [i for i, candidates in enumerate(candidate_pairs) if candidates != NO_CANDIDATES]
-            at, points, candidate_pairs = at[unsure], points[unsure], [candidate_pairs[i] for i in unsure]
-        if any(
-            checker.touches_any(point, candidates) for point, candidates in zip(points, candidate_pairs, strict=True)
-        ):
-            return False
-        half, joint_travel, travel_m = 0.5 * half, 0.5 * joint_travel, 0.5 * travel_m
-        at, candidate_pairs = np.concatenate((at - half, at + half)), candidate_pairs + candidate_pairs
-    return True
 
 
 class Cubics:
@@ -197,46 +167,47 @@ class _Parts:
         return _Parts(halves, np.concatenate((start, start + length)), length), np.concatenate((of, of))
 
 
+def line_is_free(checker: CollisionChecker, start: Vector, end: Vector, step_m: float) -> bool:
+    """Return true if nothing touches on a straight line; see :func:`polyline_is_free`."""
+    return polyline_is_free(checker, np.array([start, end]), step_m)
+
+
+def polyline_is_free(checker: CollisionChecker, points: Vector, step_m: float) -> bool:
+    """Return true if nothing touches on a polyline, shape (m, n) [rad], whose first point is taken to be free.
+
+    On pieces along which nothing moves more than ``step_m`` only the ends are checked [m].
+    """
+    shares = np.array([0.0, 1.0, 2.0, 3.0])[:, np.newaxis] / 3.0
+    start, end = points[:-1, np.newaxis], points[1:, np.newaxis]
+    lines = Cubics(start + shares * (end - start))
+    return checker.free(points[-1]) and first_contact(checker, lines, step_m, earliest=False) is None
+
+
 def first_contact(checker: CollisionChecker, curve: Cubics, step_m: float, *, earliest: bool) -> float | None:
-    """Find a contact on a curve, coarse to fine; the ends are taken to be free.
+    """Find a contact on a curve, coarse to fine, in pieces from the start; the ends are taken to be free.
 
-    Args:
-        checker: checks points.
-        curve: the curve.
-        step_m: on pieces along which nothing moves more than this only the ends are checked [m].
-        earliest: true for the first contact on the way, false for any.
-
-    Returns:
-        In pieces from the start, or None.
+    The contact is the first on the way if ``earliest``, else any. ``step_m`` as for
+    :func:`polyline_is_free`.
     """
     found: float | None = None
     spans = curve.spans()
     candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
     while len(spans.at):
         travel_m = spans.joint_travel @ checker.travel_m_per_rad
-        candidate_pairs = _narrowed(checker, spans, travel_m, candidate_pairs)
-        unsure = [i for i, candidates in enumerate(candidate_pairs) if candidates != NO_CANDIDATES]
+        least_m = step_m if found is None else max(step_m, EARLIEST_STEP_M)
+        checked = (2.0 * travel_m > least_m) & (spans.start < (np.inf if found is None else found))
+        # Something is near the widest spans nearly always: these keep their candidate pairs.
+        narrow = np.flatnonzero(checked & (travel_m <= WIDEST_MARGIN_M))
+        among = [candidate_pairs[i] for i in narrow]
+        left = checker.candidate_pairs(spans.points[narrow], spans.joint_travel[narrow], among)
+        for i, candidates in zip(narrow, left, strict=True):
+            candidate_pairs[i] = candidates
+        unsure = [i for i in np.flatnonzero(checked) if candidate_pairs[i] != NO_CANDIDATES]
         for i in unsure:
             if (found is None or spans.at[i] < found) and checker.touches_any(spans.points[i], candidate_pairs[i]):
                 found = float(spans.at[i])
                 if not earliest:
                     return found
-        least_m = step_m if found is None else max(step_m, EARLIEST_STEP_M)
-        going_on = (2.0 * travel_m > least_m) & (spans.start < (np.inf if found is None else found))
-        spans, parents = spans.halves(np.array([i for i in unsure if going_on[i]], dtype=np.int64))
+        spans, parents = spans.halves(np.array(unsure, dtype=np.int64))
         candidate_pairs = [candidate_pairs[i] for i in parents]
     return found
-
-
-def _narrowed(
-    checker: CollisionChecker, spans: Spans, travel_m: Vector, candidate_pairs: Sequence[CandidatePairs]
-) -> list[CandidatePairs]:
-    """Narrow the candidate pairs of each span; those of the widest spans stay as they are."""
-    narrow = np.flatnonzero(travel_m <= WIDEST_MARGIN_M)
-    left = checker.candidate_pairs(
-        spans.points[narrow], spans.joint_travel[narrow], [candidate_pairs[i] for i in narrow]
-    )
-    narrowed = list(candidate_pairs)
-    for i, candidates in zip(narrow, left, strict=True):
-        narrowed[i] = candidates
-    return narrowed

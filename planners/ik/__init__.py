@@ -1,1 +1,1 @@
-"""From a goal to configurations in which it holds: placo."""
+"""Inverse kinematics: from goals to configurations by placo, and from velocities of frames to those of joints."""

@@ -232,13 +232,7 @@ class Violation:
 
 @dataclass(frozen=True)
 class Joints:
-    """The joints of a configuration.
-
-    Attributes:
-        names: in the order of its values.
-        lower_rad: shape (n,), lower position limits.
-        upper_rad: shape (n,), upper position limits.
-    """
+    """The joints of a configuration, and their position limits, shape (n,) [rad]."""
 
     names: tuple[str, ...]
     lower_rad: Vector
@@ -247,12 +241,7 @@ class Joints:
 
 @dataclass(frozen=True)
 class GoalConditions:
-    """Conditions of a goal.
-
-    Attributes:
-        required: conditions that must hold.
-        preferred: conditions that hold as nearly as possible.
-    """
+    """Conditions of a goal: some must hold, and others are to hold as nearly as possible."""
 
     required: tuple[Condition, ...]
     preferred: tuple[Condition, ...] = ()

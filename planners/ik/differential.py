@@ -83,11 +83,9 @@ def barrier(distances: Vector, gradients: Vector, max_change: Vector, period: fl
 
 
 def free_directions(jacobian: Vector, damping: float) -> Vector:
-    """Return the projection onto velocities that change nothing about a task, shape (n, n).
+    """Return the projection onto velocities that change nothing about a task, shape (n, n), from its Jacobian (m, n).
 
-    Args:
-        jacobian: of the task, shape (m, n).
-        damping: what is below it counts as no change, so that the projection is finite at singularities; above 0.
+    Changes below the damping count as none, so that the projection is finite at singularities.
     """
     square = jacobian @ jacobian.T
     square.flat[:: len(square) + 1] += damping**2
@@ -142,15 +140,7 @@ def bounded_least_squares(
 ) -> tuple[Vector, NDArray[np.intp]]:
     """Return the x of least ``|matrix x - desired|^2 + damping^2 |x|^2`` for which ``rows x <= bounds``.
 
-    Args:
-        matrix: shape (m, n).
-        desired: shape (m,).
-        damping: above 0.
-        rows: shape (k, n).
-        bounds: shape (k,), none below 0: x = 0 is always allowed.
-
-    Returns:
-        x, shape (n,), and the indices of the active inequalities.
+    No bound is below 0, so that x = 0 is always allowed. Returned with x are the indices of the active inequalities.
     """
     size = matrix.shape[1]
     hessian = matrix.T @ matrix + damping**2 * np.eye(size)

@@ -13,7 +13,7 @@ from itertools import islice
 import numpy as np
 
 from planners.budget import Budget
-from planners.geometry.collision import Closeness, CollidingPair, CollisionModel
+from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.kinematics import ForwardKinematics, Placements
 from planners.goals import AnyOf, AxisGoal, Constraints, Goal, JointGoal, PoseGoal, PositionGoal, SingleGoal
 from planners.ik.constraints import (
@@ -150,10 +150,6 @@ class DescentResults:
                 self._fruitless = 0
             self._least_preference_error_m = min(self._least_preference_error_m, end.preference_error_m)
 
-    def look_closer(self) -> None:
-        """Check by surfaces what touches by its parts and meets the required conditions."""
-        self._ends = [self._by_surfaces(end) if end.violation_m == 0.0 and end.collides else end for end in self._ends]
-
     def result(self, move_time_s: Callable[[Vector], float]) -> SearchResult:
         """Return the solutions, or the nearest configuration; ``move_time_s`` is the time of a move to one [s]."""
         nearest = min(self._ends, key=lambda end: (end.collides, end.violation_m, end.preference_error_m))
@@ -170,11 +166,8 @@ class DescentResults:
 
     def _judged(self, q: Vector) -> _End:
         tight = self._collision is not None and self._collision.in_collision(q)
-        collides = tight and self._collision is not None and self._collision.collides(q, Closeness.PARTS)
+        collides = tight and self._collision is not None and self._collision.collides(q)
         return _End(q, tight, collides, self._required.violation_m(q), self._preferred.violation_m(q))
-
-    def _by_surfaces(self, end: _End) -> _End:
-        return replace(end, collides=self._collision is not None and self._collision.collides(end.q))
 
     def _pairs(self, end: _End | None) -> tuple[CollidingPair, ...]:
         return tuple(self._collision.colliding_pairs(end.q)) if self._collision is not None and end is not None else ()
@@ -247,8 +240,6 @@ class GoalSearch:
         if results.only_touching and not query.budget.used_up():
             starts = self._free_samples_near(required, query)
             self._descend(results, required, starts, query, patience=RESTARTS_AMONG_OBSTACLES)
-        if results.only_touching and not query.budget.used_up():
-            results.look_closer()
         if results.only_colliding:
             # Every descent ended in a contact: the nearest free point is then known to a few centimetres only.
             results.add(next(self._free_samples_near(goal_conditions, query), query.start_q))

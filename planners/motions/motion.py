@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import count, product
+from itertools import count
 
 import numpy as np
 
 from planners.budget import Budget
 from planners.geometry.certificate import certify
-from planners.geometry.collision import Closeness
 from planners.geometry.joint_space import JointSpace
 from planners.motions.curve import (
     Curve,
@@ -192,13 +191,13 @@ def _straight(task: MotionTask, budget: Budget) -> Motion | None:
     return None
 
 
-def _certified(task: MotionTask, curve: Curve, closest: Closeness = Closeness.PARTS) -> Trajectory | None:
+def _certified(task: MotionTask, curve: Curve) -> Trajectory | None:
     """Return the curve's samples, their jerk limited, if nothing touches on them."""
     if not curve.stays_within(task.space.lower_rad, task.space.upper_rad):
         return None
     names = task.joint_names
     trajectory = averaged(curve, task.window, names) if task.window else curve.sampled(names)
-    return None if certify(task.space, trajectory, closest) else trajectory
+    return None if certify(task.space, trajectory) else trajectory
 
 
 def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
@@ -239,10 +238,9 @@ class _Searching:
         """Return the shortest in time of the motions found while there is work to be done."""
         while not self._budget.used_up():
             found = sorted(self._found(), key=lambda each: each[1].duration_ticks)
-            # Surfaces take a hundred times as long: only where nothing else is left they decide.
-            for closest, (method, curve) in product(Closeness, found):
+            for method, curve in found:
                 # The best motion is still of use after the deadline, but not once the request is cancelled.
-                trajectory = None if self._budget.stopped else _certified(self._task, curve, closest)
+                trajectory = None if self._budget.stopped else _certified(self._task, curve)
                 if trajectory is not None:
                     return Motion(trajectory, method, self._goal_at_end_of(curve))
             if found:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.geometry.nearness import NearPair
-from planners.ik.differential import ROUNDING, Limit, barrier, bounded_least_squares
+from planners.ik.differential import ROUNDING, Limit, Task, barrier, solve
 from planners.servo.question import ServoLimits
 from robot.trajectory import Vector
 
@@ -94,8 +94,8 @@ def velocity_bounds(
     kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
     watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
     left_m = np.array([pair.distance_m - kept_m - CURVATURE_M for pair, kept_m in watched])
-    slopes = np.array([pair.slope_m_per_rad[columns] for pair, _ in watched]).reshape(-1, len(q))
-    gradients = np.vstack((-np.eye(len(q)), np.eye(len(q)), slopes))
+    distance_gradients = np.array([pair.distance_gradient[columns] for pair, _ in watched]).reshape(-1, len(q))
+    gradients = np.vstack((-np.eye(len(q)), np.eye(len(q)), distance_gradients))
     distances = np.concatenate((upper - q, q - lower, left_m))
     found = barrier(distances, gradients, BRAKING_SHARE * max_change, period_s, APPROACH_PER_S)
     return VelocityBounds(found.rows, found.bounds, [pair for pair, _ in watched])
@@ -123,10 +123,11 @@ def within_reach(wanted: Vector, reach: Vector, limit: Limit) -> Vector:
     rows, left = rows[concerned], left[concerned]
     size, count = len(wanted), len(left)
     excess = np.maximum(-left, 0.0)
-    none = np.zeros((size, count))
-    all_rows = np.block([[rows, -np.eye(count)], [np.eye(size), none], [-np.eye(size), none], [none.T, -np.eye(count)]])
-    bounds = np.concatenate((left + excess, reach, reach, excess))
-    matrix = np.diag(np.concatenate((np.ones(size), np.full(count, EXCESS_COST))))
-    desired = np.concatenate((wanted, -EXCESS_COST * excess))
-    found, _ = bounded_least_squares(matrix, desired, ROUNDING, all_rows, bounds)
+    # Unknown are the change, and by how much each inequality is exceeded more than it is now.
+    change, further = np.eye(size, size + count), np.eye(count, size + count, size)
+    limit = Limit(
+        np.vstack((rows @ change - further, change, -change, -further)),
+        np.concatenate((left + excess, reach, reach, excess)),
+    )
+    found, _ = solve([Task(change, wanted), Task(further, -excess, EXCESS_COST)], ROUNDING, limit)
     return np.asarray(found[:size])

@@ -32,11 +32,7 @@ def needs_middle(servo: ServoSpec, sweep: Sweep) -> bool:
 
 
 def calibrate(servos: Sequence[ServoSpec], swept: Swept, *, recentre: bool) -> Calibration:
-    """Compute the calibration.
-
-    Args:
-        recentre: True for new homing offsets, which must then be written to the servos; False to keep theirs.
-    """
+    """Compute the calibration: with new homing offsets for the servos where ``recentre`` is True, else with theirs."""
     return Calibration(tuple(_joint(servo, swept, recentre=recentre) for servo in servos))
 
 

@@ -115,9 +115,7 @@ def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Pla
 def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) -> Placed:
     """Place a joint that turns freely: its range is the turn, and its middle the tick that lerobot takes for it.
 
-    Args:
-        middle: position at which the joint is in its middle [ticks].
-        offset: register HOMING_OFFSET at that time [ticks].
+    Middle, and register HOMING_OFFSET when it was shown, are in ticks.
     """
     if recentre:
         return Placed(_centred(middle, offset)[0], 0, MAX_TICK)

@@ -120,7 +120,7 @@ def seen_findings(seen: Sequence[tuple[str, frozenset[str]]], ends: frozenset[st
     """Return a sentence for each joint that looked otherwise than the model.
 
     Args:
-        seen: name of each pose that was reached, the zero first, with the joints that looked otherwise there.
+        seen: name of each pose that was reached, zero first, with the joints that looked otherwise there.
         ends: joints whose zero is given by the ends of their range, as a gripper's.
     """
     findings = []

@@ -65,11 +65,7 @@ class Persistence:
         self._since_s = self._never
 
     def lasting(self, condition: Flags, now_s: float) -> Vector:
-        """Update with the condition of each joint, and return for how long it has held.
-
-        Returns:
-            Time without a break, -inf where the condition does not hold, shape (joints,) [s].
-        """
+        """Update the condition of each joint; return for how long it has held, -inf where it does not [s]."""
         if not condition.any():
             self._since_s = self._never
             return -self._never

@@ -13,11 +13,11 @@ from typing import Any, Protocol
 
 from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
 from robot.control.checks import checked
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling, enter_realtime
+from robot.control.pacing import MAX_TICK_S, PERIOD_S, LoopClock, Pacer, SimulationClock
+from robot.control.realtime import Scheduling, enter_realtime
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
-from robot.hardware.clock import MAX_TICK_S, LoopClock, MachineClock, SimulationClock
 from robot.hardware.config import DynamixelConfig, EmulatedConfig, EmulatedDynamixelConfig, FeetechConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface
 from robot.messages import ArmConfig, Command, Order
@@ -73,7 +73,7 @@ class ArmLoop:
         self._channel = channel
         self._config = config
         self._simulated = config.hardware.simulated
-        self._clock: LoopClock = SimulationClock(time.monotonic()) if self._simulated else MachineClock()
+        self._clock: LoopClock = SimulationClock(time.monotonic()) if self._simulated else LoopClock()
         self._source: HardwareSource | None = None
         self._supervisor = Supervisor(config, self._send, self._clock, scheduling)
 

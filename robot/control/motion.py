@@ -213,10 +213,9 @@ class Motion(Playback):
         return min(abs(self.pace), self.ceiling)
 
     def limit_speed(self, share: float) -> None:
-        """Play all of it so much slower that no joint is faster than a share of its velocity limit.
+        """Play all of it so much slower that no joint is faster than a share of its velocity limit, above 0 to 1.
 
-        Args:
-            share: above 0 to 1; plans may exceed it as they may exceed the velocity limits, by VELOCITY_TOLERANCE.
+        Plans may exceed the share as they may exceed the velocity limits, by VELOCITY_TOLERANCE.
         """
         planned = self._peak_share <= share * checks.VELOCITY_TOLERANCE
         self._fastest = 1.0 if planned else share / self._peak_share

@@ -1,38 +1,26 @@
-"""Pacing of the control loop: deadlines and lateness of ticks, and real-time priority."""
+"""Time of the control loop: deadlines and lateness of ticks, and the clock of the arm.
+
+A real arm moves on while the machine is busy, so its loop must see how late it is, and its clock is the machine's. The
+time of a simulated arm passes tick by tick, by no more than :data:`MAX_TICK_S` each, so that a starved loop runs slower
+than real time without effect on its guards, timers and servos.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import gc
-import logging
 import math
-import os
-import resource
+import time
 from collections import deque
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 
-log = logging.getLogger("armbridge.arm")
-
 PERIOD_S = 0.01
 
-# Ticks whose lateness is kept: the last second.
-KEPT = round(1.0 / PERIOD_S)
+# Ticks over which lateness and the real-time factor are kept: the last second.
+TICKS_KEPT = round(1.0 / PERIOD_S)
 
-# Lowest priority of its class: above every ordinary process, below the kernel's own threads.
-REAL_TIME_PRIORITY = 1
-
-# Tried where real-time priority is not permitted.
-NICENESS = -10
-
-# Flags of mlockall(2) on x86 and ARM (linux/mman.h): what is mapped, what will be, and each page when it is first used.
-MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
-
-# Least RLIMIT_MEMLOCK under which memory is locked. All that the process maps counts against it, whether it is used or
-# not: 180 MB at its start, of which it uses 36.
-MIN_LOCKABLE_BYTES = 1 << 30
+# Two periods: a tick that starts one period late advances by both, as on a real arm.
+MAX_TICK_S = 2.0 * PERIOD_S
 
 # Far above the rounding of monotonic times in periods, far below any visible effect.
 ROUNDING = 1e-9
@@ -48,7 +36,7 @@ class Pacer:
 
     def __init__(self, now_s: float) -> None:
         self.deadline_s = now_s + PERIOD_S
-        self.lateness_s: deque[float] = deque(maxlen=KEPT)
+        self.lateness_s: deque[float] = deque(maxlen=TICKS_KEPT)
 
     def start_tick(self, now_s: float) -> None:
         """Record the start of the tick that was due, and set the next deadline."""
@@ -79,48 +67,47 @@ def percentiles(values_s: Iterable[float]) -> tuple[float, float, float]:
     return p50, p99, greatest
 
 
-class Scheduling(NamedTuple):
-    """Protection of the loop's ticks against the rest of the machine."""
+class LoopClock:
+    """Clock of the control loop, the machine's monotonic one; call it for the time [s]."""
 
-    real_time: bool = False
-    memory_locked: bool = False
+    def __call__(self) -> float:
+        """Return the time [s]."""
+        return time.monotonic()
 
+    def start_tick(self, machine_s: float, at_most_s: float = MAX_TICK_S) -> None:
+        """Mark the start of a tick at a time of the machine [s]; the machine's time passes by itself.
 
-def enter_realtime() -> Scheduling:
-    """Request real-time priority, and with it locked memory, and switch garbage collection off.
+        Args:
+            at_most_s: longest time that may pass for a simulated arm; more after skipped ticks [s].
+        """
 
-    A collection in the middle of a motion would delay ticks; the loop makes no reference cycles.
-    """
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    real_time = take_priority()
-    return Scheduling(real_time, real_time and lock_memory())
-
-
-def lock_memory() -> bool:
-    """Keep the process's memory from being swapped out; return True if it is kept, log why not.
-
-    A page that must first be read from a disk makes a tick late by milliseconds. A limit that is reached later would
-    make an allocation fail in the middle of a motion, so memory is not locked under a low one.
-    """
-    limit_bytes, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    if limit_bytes != resource.RLIM_INFINITY and limit_bytes < MIN_LOCKABLE_BYTES:
-        log.info("memory is not locked: RLIMIT_MEMLOCK is %d bytes, less than %d", limit_bytes, MIN_LOCKABLE_BYTES)
-        return False
-    import ctypes  # 10 ms of a start that needs it only here
-
-    if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT):
-        log.info("memory is not locked: mlockall: %s", os.strerror(ctypes.get_errno()))
-        return False
-    return True
+    @property
+    def real_time_factor(self) -> float:
+        """Real-time factor as in simulators: arm's time per machine's time."""
+        return 1.0
 
 
-def take_priority() -> bool:
-    """Request real-time priority, else a low niceness; return True if it is real-time."""
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
-        return True
-    with contextlib.suppress(OSError):
-        os.nice(NICENESS)
-    return False
+class SimulationClock(LoopClock):
+    """Clock that starts at a time of the machine, and advances at the start of each tick only."""
+
+    def __init__(self, machine_s: float) -> None:
+        self._now_s = self._tick_s = machine_s
+        self._passed_s: deque[tuple[float, float]] = deque(maxlen=TICKS_KEPT)
+
+    def __call__(self) -> float:
+        """Return the time [s]."""
+        return self._now_s
+
+    def start_tick(self, machine_s: float, at_most_s: float = MAX_TICK_S) -> None:
+        """Advance by the time since the last tick, up to a bound."""
+        elapsed_s = max(machine_s - self._tick_s, 0.0)
+        passed_s = min(elapsed_s, at_most_s)
+        self._tick_s = machine_s
+        self._now_s += passed_s
+        self._passed_s.append((passed_s, elapsed_s))
+
+    @property
+    def real_time_factor(self) -> float:
+        """Real-time factor over the last second's ticks; 1 before the first."""
+        elapsed_s = sum(elapsed for _, elapsed in self._passed_s)
+        return sum(passed for passed, _ in self._passed_s) / elapsed_s if elapsed_s > 0.0 else 1.0

@@ -10,9 +10,9 @@ import numpy as np
 
 from robot.advice import ServoAlert, ServoWarning
 from robot.control.cycle import ControlCycle
-from robot.control.pacing import Pacer, Scheduling, percentiles
+from robot.control.pacing import LoopClock, Pacer, percentiles
+from robot.control.realtime import Scheduling
 from robot.faults import Fault
-from robot.hardware.clock import LoopClock
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode, Pace
 
 

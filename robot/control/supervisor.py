@@ -17,12 +17,12 @@ import numpy as np
 from robot.control.controller import RELAXING, ArmController
 from robot.control.cycle import ControlCycle
 from robot.control.orders import Orders
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling
+from robot.control.pacing import PERIOD_S, LoopClock, Pacer
 from robot.control.parking import Parking
+from robot.control.realtime import Scheduling
 from robot.control.reports import arm_health, arm_state, disconnected
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
-from robot.hardware.clock import LoopClock
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface, Steps, run_to_end
 from robot.logs import LogLimiter, suppressed_note

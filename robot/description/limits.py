@@ -26,11 +26,7 @@ log = logging.getLogger("armbridge.arm")
 
 
 def within_calibration(robot: RobotModel, calibration: Calibration) -> RobotModel:
-    """Return the robot with every joint's limits narrowed to its calibrated range, less a margin, and to its servo.
-
-    Raises:
-        DescriptionError: a calibrated joint is not a joint of the robot, or nothing is left of its range.
-    """
+    """Return the robot with each joint's limits narrowed to its calibrated range, less a margin, and to its servo."""
     joints = dict(robot.joints)
     for calibrated in calibration.joints:
         joint = joints.get(calibrated.joint)

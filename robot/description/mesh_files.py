@@ -32,15 +32,9 @@ def package_path(environment: Mapping[str, str]) -> tuple[Path, ...]:
 
 
 def find_mesh(name: str, directory: Path | None, packages: Sequence[Path]) -> Path:
-    """Return the file of a mesh.
+    """Return the file of a mesh: by a ``package://`` or ``file://`` URL, or by a path relative to the URDF's folder.
 
-    Args:
-        name: as the URDF has it: a ``package://`` or ``file://`` URL, or a path, relative to the URDF's folder.
-        directory: folder of the URDF; None for a text without one.
-        packages: folders that contain packages, or are packages.
-
-    Raises:
-        DescriptionError: there is no such file; the text has the paths that were tried.
+    Packages are folders that contain packages, or are packages. The error names the paths that were tried.
     """
     tried = list(dict.fromkeys(_candidates(name, directory, packages)))
     found = next((path for path in tried if path.is_file()), None)

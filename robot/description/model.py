@@ -78,7 +78,7 @@ class RobotModel:
     # Link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in the link's
     # frame; for the cases in which a hull is too wide.
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
-    # Link name -> its surface; for the cases in which its parts are too wide.
+    # Link name -> its surface, which decides what is inside the link.
     surfaces: Mapping[str, LinkSurface] = field(default_factory=dict)
     # Name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
     planning_frame: str = ""

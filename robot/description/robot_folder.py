@@ -102,14 +102,11 @@ def problems(name_or_folder: str) -> tuple[str, ...]:
 def load(
     folder: Path, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
 ) -> RobotFolder:
-    """Load an arm from its folder.
+    """Load an arm from its folder; a RobotFileError names all its problems.
 
     Args:
         urdf: URDF in place of the folder's, whose hulls, parts and surfaces then do not apply.
         package_directories: folders for ``package://``, ahead of the folder's own.
-
-    Raises:
-        DescriptionError: the folder does not describe an arm; a RobotFileError names all problems.
     """
     path = folder / robot_file.FILE_NAME
     if not folder.is_dir():

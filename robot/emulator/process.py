@@ -23,7 +23,7 @@ from pathlib import Path
 from types import FrameType, MappingProxyType
 
 from robot.calibration import Calibration
-from robot.control.pacing import take_priority
+from robot.control.realtime import take_priority
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
 from robot.emulator.adapter import Adapter

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from robot.description.limits import JointBounds
 from robot.faults import Fault
-from robot.hardware.clock import LoopClock
 from robot.hardware.config import IdealConfig
 from robot.hardware.interface import Actuation, Condition, Flags, HardwareInterface, Measured, Steps, Survey
 from robot.trajectory import Vector
@@ -31,7 +30,7 @@ class IdealArm(HardwareInterface):
     """
 
     def __init__(
-        self, config: IdealConfig, joint_names: tuple[str, ...], bounds: JointBounds, clock: LoopClock
+        self, config: IdealConfig, joint_names: tuple[str, ...], bounds: JointBounds, clock: Callable[[], float]
     ) -> None:
         joints = len(joint_names)
         super().__init__(joint_names, np.ones(joints))

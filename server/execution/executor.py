@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.arm_interface import ArmInterface
@@ -135,7 +135,7 @@ class GoalExecutor:
         self,
         arm: ArmInterface,
         robot: RobotModel,
-        pool: PlannerPool,
+        pool: Planners,
         scene: SceneSource,
         failed_goals: FailedGoals | None = None,
         show: Callable[[Performed], None] = lambda _performed: None,

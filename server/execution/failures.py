@@ -12,7 +12,7 @@ from typing import Any
 
 from planners.files import problem_file
 from planners.goals import JointGoal, PoseGoal, PositionGoal
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import (
     CartesianProblem,
     MoveItErrorCode,
@@ -91,7 +91,7 @@ ASKING_TIMEOUT_S = 2.0
 
 
 async def with_nearest_goal(
-    failure: PlanningFailure, problem: Problem | None, scene: Scene, pool: PlannerPool
+    failure: PlanningFailure, problem: Problem | None, scene: Scene, pool: Planners
 ) -> PlanningFailure:
     """Add the nearest goal that works to a failure, if one was found: its detail ``free_rad`` or ``free_m``.
 

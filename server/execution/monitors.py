@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, Protocol, TypeAlias
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import (
     ConcurrencyQuestion,
     MoveItErrorCode,
@@ -176,7 +176,7 @@ class SceneMonitor:
 
     def __init__(
         self,
-        pool: PlannerPool,
+        pool: Planners,
         source: SceneSource,
         retry_for_s: float = 0.0,
         clock: Callable[[], float] = time.monotonic,

@@ -80,7 +80,7 @@ Motion: TypeAlias = PlannedMotion | ExternalTrajectory
 
 
 class AskPlanner(Protocol):
-    """Function that has a planner answer, as `planners.pool.PlannerPool.ask` does."""
+    """Function that has a planner answer, as `planners.interface.Planners.ask` does."""
 
     def __call__(self, request: Problem, scene: Scene, /) -> Awaitable[Plan | CartesianPlan | PlanningFailure]:
         """Plan a motion in a scene."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from planners.goals import JointGoal
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import MoveItErrorCode, Plan, PlanningProblem
 from robot.arm import Arm
 from robot.description.model import RobotModel
@@ -102,7 +102,7 @@ class Parking:
         robot: RobotModel,
         settings: ArmSettings,
         parameters: MoveItParameters,
-        pool: PlannerPool,
+        pool: Planners,
         scene: SceneSource,
         queue: GoalQueue[Motion],
     ) -> None:

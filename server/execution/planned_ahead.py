@@ -7,7 +7,7 @@ import logging
 import time
 from dataclasses import replace
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import PLANNER_IDS, VIA_POINT, CartesianPlan, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from server.errors import RefusedError
@@ -33,7 +33,7 @@ class PlannedAhead:
         pool: the planners, which plan ahead only while they have nothing else to plan.
     """
 
-    def __init__(self, pool: PlannerPool) -> None:
+    def __init__(self, pool: Planners) -> None:
         self._pool = pool
         # Goal, end of the motion before it, and version of the scene; None to begin anew.
         self._made_for: tuple[Motion, Positions, int] | None = None

@@ -15,7 +15,7 @@ from server.gateway.http import HttpResponse
 from server.monitoring.goal_counters import GoalCounters
 
 if TYPE_CHECKING:
-    from planners.pool import PlannerPool
+    from planners.interface import Planners
     from robot.arm_interface import ArmInterface
     from server.execution.queue import GoalQueue
     from server.recording.recorder import Recorder
@@ -52,7 +52,7 @@ class Sources:
     queue: GoalQueue[Any] | None = None
     arm: ArmInterface | None = None
     arm_health: ArmHealth | None = None
-    planners: PlannerPool | None = None
+    planners: Planners | None = None
     recorder: Recorder | None = None
     zenoh: Bridge | None = None
     started: bool = False
@@ -130,7 +130,7 @@ def _reasons_arm_is_not_ready(arm: ArmInterface) -> Iterator[str]:
         yield f"the last state of the arm is older than {stale_s:g} s"
 
 
-def _reasons_planners_are_not_ready(planners: PlannerPool) -> Iterator[str]:
+def _reasons_planners_are_not_ready(planners: Planners) -> Iterator[str]:
     if planners.load_failure is not None:
         yield "the planners cannot be started"
     elif planners.loaded_count == 0:

@@ -44,7 +44,7 @@ from server.monitoring.health import (
 from server.monitoring.systemd import SystemdNotifier
 
 if TYPE_CHECKING:
-    from planners.pool import PlannerPool
+    from planners.interface import Planners
     from robot.arm_interface import ArmInterface
     from server.execution.queue import GoalQueue
     from server.recording.recorder import Recorder
@@ -216,7 +216,7 @@ def queue_metrics(queue: GoalQueue[Any]) -> Iterator[Metric]:
     yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on.", queue.active_count)
 
 
-def planner_metrics(planners: PlannerPool) -> Iterator[Metric]:
+def planner_metrics(planners: Planners) -> Iterator[Metric]:
     """Yield the metrics of planners."""
     for state, count in (("loaded", planners.loaded_count), ("idle", planners.idle_count)):
         yield GaugeMetricFamily(f"armbridge_planners_{state}", f"Planner processes that are {state}.", count)

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose, Scene
 from protocol.errors import MessageError
@@ -345,7 +345,7 @@ class GoalChecks:
         reports: GoalReports,
         translator: GoalTranslator,
         current: CurrentState,
-        pool: PlannerPool,
+        pool: Planners,
         scene: SceneState,
     ) -> None:
         self._graph = graph
@@ -410,7 +410,7 @@ def _problem(
 
 
 async def answers_in_time(
-    problems: list[PlanningProblem | PlanningFailure], pool: PlannerPool, scene: Scene
+    problems: list[PlanningProblem | PlanningFailure], pool: Planners, scene: Scene
 ) -> list[IkAnswer | PlanningFailure]:
     """Answer all goals: each gets a short check, then those without an answer share the rest of the time.
 
@@ -440,7 +440,7 @@ def _undecided(answer: IkAnswer | PlanningFailure) -> bool:
 
 
 async def _find(
-    problem: PlanningProblem | PlanningFailure, allowed_s: float, pool: PlannerPool, scene: Scene
+    problem: PlanningProblem | PlanningFailure, allowed_s: float, pool: Planners, scene: Scene
 ) -> IkAnswer | PlanningFailure:
     if isinstance(problem, PlanningFailure):
         return problem

@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from robot.arm_interface import ArmInterface
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
@@ -79,7 +79,7 @@ class MoveItInterface:
         settings: Settings,
         keep_parameter: Callable[[str, str], None],
         arm: ArmInterface,
-        pool: PlannerPool,
+        pool: Planners,
     ) -> None:
         moveit, goals = settings.moveit, settings.goals
         self._graph = graph

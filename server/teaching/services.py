@@ -7,7 +7,7 @@ import logging
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeAlias
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import Plan, PlanningFailure
 from robot.description.model import RobotModel
 from robot.messages import ArmState
@@ -69,7 +69,7 @@ class Teaching:
         graph: Graph,
         robot: RobotModel,
         motions: MotionFiles,
-        pool: PlannerPool,
+        pool: Planners,
         scene: SceneSource,
         current: CurrentState,
     ) -> None:

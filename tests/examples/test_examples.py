@@ -100,7 +100,7 @@ def test_an_argument_that_is_wrong_is_named_before_connecting(
 DONE = {
     "a named goal is reached": (("named_goal.py", "ready"), "1 the arm is there\n"),
     "a point to the right has a negative coordinate": (("pose_goal.py", "0.25", "-0.1", "0.2"), "the arm is there\n"),
-    "a square is drawn in the air": (("square_in_the_air.py",), "a square of 6 cm, 100% of it\n"),
+    "a square is drawn in the air": (("square_in_the_air.py",), "a square of 6 cm\n"),
     "a box is picked up and put down": (
         ("pick_and_place.py",),
         "the box is held\nthe box stands in its new place\n",

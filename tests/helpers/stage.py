@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import Answer, Request
 from planners.scene import EMPTY_SCENE, Scene
 from protocol.registry import Registry
@@ -61,7 +61,7 @@ class ServerStage:
 
     def __init__(self, arm: Arm, settings: Settings = DEFAULTS) -> None:
         self.graph = Graph(Registry.load())
-        pool = cast("PlannerPool", TimedPool())
+        pool = cast("Planners", TimedPool())
         self._arm = arm
         self.moveit = MoveItInterface(self.graph, ROBOT, settings, lambda _name, _value: None, arm, pool)
         parking = Parking(arm, ROBOT, ArmSettings(), settings.moveit, pool, self.moveit.scene, self.moveit.queue)

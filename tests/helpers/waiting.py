@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from typing import Any
 
 # What takes a millisecond takes much longer on a busy machine.
 TIMEOUT_S = 30.0
@@ -23,3 +24,11 @@ def wait_until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) ->
     while not condition():
         assert time.monotonic() < until_s, "it has not come to it in time"
         time.sleep(0.005)
+
+
+async def given_up(*asking: asyncio.Task[Any]) -> None:
+    """Cancel tasks that are not done, and wait for their end."""
+    for task in asking:
+        assert not task.done()
+        task.cancel()
+    await asyncio.wait(asking)

@@ -94,11 +94,11 @@ def drive(page: OpenPage, press: Callable[[], None], let_go: Callable[[], None])
 
 
 def press_until(page: OpenPage, condition: str, press: Callable[[], None], let_go: Callable[[], None]) -> None:
-    """Press an input until a condition of the state; a busy server may refuse a command, which ends the press."""
+    """Press an input until a condition of the state; on a busy machine the servo loop may end, and want a new press."""
     until_s = time.monotonic() + MOVES_WITHIN_S
     while True:
         press()
-        page.until_state(f"{condition} || s.servo_node.code === -1")
+        page.until_state(f"{condition} || s.servo_node.message.startsWith('steering was ended')")
         if page.page.evaluate(f"(() => {{ const s = window.armbridge.state(); return {condition}; }})()"):
             return
         assert time.monotonic() < until_s, page.state("servo_node")

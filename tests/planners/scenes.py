@@ -31,6 +31,11 @@ def thing(shape, *position_m, name="thing"):
     return SceneObject(name, ((shape, Pose()),), Pose(position_m or (0.0, 0.0, 0.0)))
 
 
+def boxes(count):
+    """Small boxes out of reach of a small arm."""
+    return tuple(thing(Box((0.01, 0.01, 0.01)), 2.0 + 0.02 * i, 0.0, 0.0, name=f"box {i}") for i in range(count))
+
+
 def around_the_arm(seed):
     """Objects of every shape in reach of a small arm."""
     rng = np.random.default_rng(seed)

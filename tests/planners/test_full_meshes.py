@@ -67,7 +67,7 @@ def test_a_share_of_the_shared_problems_is_planned_and_valid(name: str) -> None:
     entries = {entry["id"]: entry for key in LISTS for entry in fields[key][::SHARE]}
     file = problem_file.read(path, so101())
     outcomes = list(plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=tuple(entries)))))
-    wrong = {outcome.asked.id: outcome.code.name for outcome in outcomes if not outcome.expected}
+    wrong = {outcome.file_problem.id: outcome.code.name for outcome in outcomes if not outcome.expected}
     assert not wrong
     answers = plan_command.as_json(outcomes, file.joint_names)
     judge = judged(name)[1]

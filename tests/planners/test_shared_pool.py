@@ -13,16 +13,16 @@ import pytest
 import pytest_asyncio
 
 from planners import pool_host, shared_pool
-from planners.pool import PART_BYTES
 from planners.pool_host import LONGEST_PLANNING_S, PlannerHost, bounded
 from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure
 from planners.scene import Box, Mesh, Pose, Scene, SceneObject
+from planners.scene_transfer import PART_BYTES
 from planners.shared_pool import SharedPlanners
 from robot import channel
 from tests.helpers.fake_workers import CRASHES, DEAF, HARD, SOUND, TOUCHING, FakeWorker, Farm
 from tests.helpers.motions import EASY, STATE
 from tests.helpers.robots import so101
-from tests.helpers.waiting import TIMEOUT_S, until
+from tests.helpers.waiting import TIMEOUT_S, given_up, until
 
 Servers = tuple[SharedPlanners, SharedPlanners]
 
@@ -45,7 +45,7 @@ async def servers(farm: Farm, tmp_path: Path) -> AsyncIterator[Servers]:
     farm.load_s = 0.0
     async with AsyncExitStack() as stack:
         await stack.enter_async_context(running_host(tmp_path / "planners"))
-        both = SharedPlanners(so101(), tmp_path / "planners"), SharedPlanners(so101(), tmp_path / "planners")
+        both = SharedPlanners(tmp_path / "planners"), SharedPlanners(tmp_path / "planners")
         for each in both:
             await each.start()
             stack.push_async_callback(each.close)
@@ -141,7 +141,7 @@ async def test_a_host_that_does_not_answer_is_given_up(servers: Servers, monkeyp
 
 async def test_a_robot_that_the_host_cannot_load_is_told(farm: Farm, tmp_path: Path) -> None:
     farm.load_s, farm.refusal = 0.0, "no link"
-    server = SharedPlanners(so101(), tmp_path / "planners")
+    server = SharedPlanners(tmp_path / "planners")
     async with running_host(tmp_path / "planners"):
         await server.start()
         assert await server.wait_until_loaded() == "no link"
@@ -158,7 +158,7 @@ async def test_a_host_that_ends_answers_what_is_under_way_and_another_takes_its_
     farm: Farm, tmp_path: Path
 ) -> None:
     farm.load_s = 0.0
-    server = SharedPlanners(so101(), tmp_path / "planners")
+    server = SharedPlanners(tmp_path / "planners")
     await server.start()
     async with running_host(tmp_path / "planners"):
         assert await server.ask(STATE) == SOUND
@@ -177,9 +177,3 @@ async def under_way(server: SharedPlanners, farm: Farm) -> asyncio.Task[Answer]:
     asking = asyncio.create_task(server.ask(dataclasses.replace(EASY, group=DEAF, allowed_time_s=3600.0)))
     await until(lambda: sum(len(worker.asked) for worker in farm.workers) > before)
     return asking
-
-
-async def given_up(asking: asyncio.Task[Answer]) -> None:
-    assert not asking.done()
-    asking.cancel()
-    await asyncio.wait([asking])

@@ -19,8 +19,9 @@ import numpy as np
 import psutil
 import uvloop
 
-from planners import pool as pool_module
-from planners.pool import LOAD_TIMEOUT_S, OVERTIME_S, PlannerPool
+from planners import worker_process
+from planners.interface import LOAD_TIMEOUT_S
+from planners.pool import OVERTIME_S, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem
 from robot.description.robot_folder import built_in
 from tests.helpers.broken_planner import FAULTS
@@ -122,7 +123,7 @@ def _code(answer: Answer) -> str:
 
 
 async def _run(seconds: float, seed: int) -> None:
-    pool_module.WORKER_MODULE = "tests.helpers.broken_planner"
+    worker_process.WORKER_MODULE = "tests.helpers.broken_planner"
     pool = PlannerPool(built_in("so101").model, memory_limit_bytes=MEMORY_LIMIT_BYTES)
     campaign = Campaign(pool, random.Random(seed))
     process = psutil.Process()

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from robot.control.pacing import take_priority
+from robot.control.realtime import take_priority
 from robot.emulator.feetech import FEETECH
 from robot.emulator.servo_bus import Instruction, InstructionParser
 from robot.hardware.feetech.bus import Bus

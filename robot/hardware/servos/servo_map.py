@@ -85,7 +85,9 @@ class ServoMap:
         The servos' turns are by id [ticks], as :meth:`turns_ticks` gives them; 0 without an entry.
         """
         goals = self.goals_ticks(goal_rad)
-        return {servo: self.goal_block(servo, ticks - turns_ticks.get(servo, 0)) for servo, ticks in goals.items()}
+        if turns_ticks:
+            goals = {servo: ticks - turns_ticks.get(servo, 0) for servo, ticks in goals.items()}
+        return {servo: self.goal_block(servo, ticks) for servo, ticks in goals.items()}
 
     def goals_ticks(self, goal_rad: Vector) -> dict[int, int]:
         """Convert goals, shape (joints,) [rad], to calibrated positions by servo id [ticks]."""

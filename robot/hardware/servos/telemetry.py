@@ -10,7 +10,7 @@ from dataclasses import dataclass
 class Telemetry:
     """Measurements of one servo; signs are of the servo's rotation."""
 
-    position_ticks: int  # present position, with the turns that the servo has counted
+    position_ticks: int  # present position; the tracker takes the turns out that the servo has counted
     velocity_ticks_s: float  # present velocity [ticks/s]
     load: float  # share of full motor duty
     current_a: float  # motor current; NaN for a servo that does not measure it [A]
@@ -18,4 +18,4 @@ class Telemetry:
     temperature_c: float  # temperature of the motor; NaN in a reply without it [degC]
     status: int = 0  # bits of :class:`robot.hardware.interface.StatusFlag`
     reports_error: bool = False  # True for a servo whose error register must be read
-    turns_ticks: int = 0  # whole turns to add to the position for the calibrated one
+    turns_ticks: int = 0  # whole turns that were added for the calibrated position

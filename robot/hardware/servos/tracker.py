@@ -41,7 +41,6 @@ class ServoTracker:
         self._family = family
         self._servos = servos
         self._seen: dict[int, Telemetry] = {}
-        self._error_status: dict[int, int] = {}
         self._error_known: set[int] = set()
         self._read_at_s: dict[int, float] = {}
         self._frames: Mapping[int, StatusFrame] = {}
@@ -88,7 +87,7 @@ class ServoTracker:
 
     def take_error(self, servo_id: int, status: int) -> None:
         """Take the status flags of a servo's error register, which count until the servo reports none."""
-        self._error_status[servo_id] = status
+        self._seen[servo_id].status = status
         self._error_known.add(servo_id)
         self._measured = None
 
@@ -110,12 +109,14 @@ class ServoTracker:
             self._read_at_s = dict.fromkeys(self._servos.ids, now_s)
             return
         self._frames, self._measured = frames, None
-        readings = {servo: self._reading(servo, frame) for servo, frame in frames.items()}
+        parse, joints = self._family.parse_telemetry, self._servos.by_id
+        readings = {servo: parse(frame, joints[servo]) for servo, frame in frames.items()}
+        if self._family.counts_turns:
+            self._add_turns(readings)
         jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
         believed = readings.keys() - (jumped - self._suspect_ids)
         self._suspect_ids = (self._suspect_ids - frames.keys()) | (jumped - believed)
-        for servo in believed:
-            self._believe(servo, readings[servo], now_s)
+        self._believe({servo: readings[servo] for servo in believed}, now_s)
         if len(believed) < len(self._servos.ids):
             self._count_misses(asked, frames, believed)
         self._empty_reads = 0 if frames else self._empty_reads + 1
@@ -137,37 +138,35 @@ class ServoTracker:
         seen = [self._seen[servo] for servo in ids]
         # From plain numbers: an operation on arrays costs more than all the arithmetic for six joints.
         self._measured = Measured(
-            position_rad=np.array(servos.positions_rad([each.position_ticks + each.turns_ticks for each in seen])),
+            position_rad=np.array(servos.positions_rad([each.position_ticks for each in seen])),
             velocity_rad_s=np.array(servos.velocities_rad_s([each.velocity_ticks_s for each in seen])),
             load=np.array(servos.signed([each.load for each in seen])),
             current_a=np.array(servos.signed([each.current_a for each in seen])),
             voltage_v=np.array([each.voltage_v for each in seen]),
-            temperature_c=np.array([float(each.temperature_c) for each in seen]),
-            status=np.array(
-                [each.status | self._error_status.get(servo, 0) for servo, each in zip(ids, seen, strict=True)]
-            ),
+            temperature_c=np.array([each.temperature_c for each in seen], dtype=float),
+            status=np.array([each.status for each in seen]),
             age_s=age_s,
             stamp_s=stamp_s,
         )
         return self._measured
 
-    def _reading(self, servo_id: int, frame: StatusFrame) -> Telemetry:
-        reading = self._family.parse_telemetry(frame, self._servos.by_id[servo_id])
-        if self._family.counts_turns:
-            reading.turns_ticks = self._servos.turns_ticks(servo_id, reading.position_ticks)
-        return reading
+    def _add_turns(self, readings: Mapping[int, Telemetry]) -> None:
+        for servo, reading in readings.items():
+            reading.turns_ticks = self._servos.turns_ticks(servo, reading.position_ticks)
+            reading.position_ticks += reading.turns_ticks
 
-    def _believe(self, servo_id: int, reading: Telemetry, now_s: float) -> None:
-        before = self._seen.get(servo_id)
-        if not math.isnan(reading.voltage_v):
-            self._error_known.discard(servo_id)
-        elif before is not None:
-            reading.voltage_v, reading.temperature_c = before.voltage_v, before.temperature_c
-        self._seen[servo_id] = reading
-        if not reading.reports_error:
-            self._error_status.pop(servo_id, None)
-        self._read_at_s[servo_id] = now_s
-        self._misses_in_row[servo_id] = 0
+    def _believe(self, readings: Mapping[int, Telemetry], now_s: float) -> None:
+        for servo, reading in readings.items():
+            before = self._seen.get(servo, reading)
+            if math.isnan(reading.voltage_v):
+                reading.voltage_v, reading.temperature_c = before.voltage_v, before.temperature_c
+            else:
+                self._error_known.discard(servo)
+            if reading.reports_error and before.reports_error:
+                reading.status = before.status
+            self._seen[servo] = reading
+            self._read_at_s[servo] = now_s
+            self._misses_in_row[servo] = 0
 
     def _count_misses(self, asked: Sequence[int], frames: Mapping[int, StatusFrame], believed: set[int]) -> None:
         missing = [servo for servo in asked if servo not in frames]
@@ -182,5 +181,5 @@ class ServoTracker:
         before = self._seen.get(servo_id)
         if before is None:
             return False
-        way_ticks = abs(reading.position_ticks + reading.turns_ticks - before.position_ticks - before.turns_ticks)
-        return way_ticks * RAD_PER_TICK > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])
+        way_rad = abs(reading.position_ticks - before.position_ticks) * RAD_PER_TICK
+        return way_rad > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
 from robot.description.forward_kinematics import ForwardPlacements
@@ -170,7 +170,7 @@ class PlanningContext:
     """
 
     robot: RobotModel
-    pool: PlannerPool
+    pool: Planners
     forward: ForwardPlacements
     frames: Frames
     scene_state: SceneState

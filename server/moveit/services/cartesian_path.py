@@ -21,12 +21,9 @@ from robot.trajectory import Trajectory, Vector
 from server.execution.monitors import state_message
 from server.graph.node import Node
 from server.moveit.poses import Message, pose_of
-from server.moveit.requests.error_codes import deviation_note, failure_code, invalid, required, success
+from server.moveit.requests.error_codes import deviation_note, invalid, required, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.trajectories import to_message
-
-# MoveIt's clients take a path with at least this fraction for complete.
-COMPLETE_FRACTION = 0.99
 
 # Steps up to this exceed no factor: a flip of an elbow or a wrist is larger, and at the start of a path five joints
 # that turn towards the requested orientation move far more than the mean.
@@ -48,7 +45,8 @@ ALIKE = 1.0 - 1e-9
 async def compute_cartesian_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
     """Plan a path of the tip through waypoints; returns the response of moveit_msgs/GetCartesianPath.
 
-    If only a part of the path can be followed, the response has that part, its fraction, and the code of the obstacle.
+    If only a part of the path can be followed, the response has that part and its fraction. The code is SUCCESS, as in
+    MoveIt (cartesian_path_service_capability.cpp), and its message has the reason.
 
     Raises:
         RefusedError: the request cannot be used, or not even a part of the path can be followed.
@@ -71,15 +69,13 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
         "start_state": start_state,
         "solution": solution,
         "fraction": plan.fraction,
-        "error_code": _code(plan, (*start.warnings, *built.warnings)),
+        "error_code": success(
+            *start.warnings,
+            *built.warnings,
+            "" if plan.stopped_by is None else plan.stopped_by.message,
+            deviation_note(plan.deviation),
+        ),
     }
-
-
-def _code(plan: CartesianPlan, notes: tuple[str, ...]) -> dict[str, Any]:
-    if plan.stopped_by is not None and plan.fraction < COMPLETE_FRACTION:
-        return failure_code(plan.stopped_by)
-    reason = "" if plan.stopped_by is None else plan.stopped_by.message
-    return success(*notes, reason, deviation_note(plan.deviation))
 
 
 async def _without_jumps(

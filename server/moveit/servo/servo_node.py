@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import PlanningFailure
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from protocol.errors import MessageError
@@ -328,7 +328,7 @@ class ServoNode:
         scene: SceneState,
         resolve: Resolve,
         arm: ArmInterface,
-        pool: PlannerPool,
+        pool: Planners,
         busy: Callable[[], str],
         current: CurrentState | None = None,
     ) -> None:

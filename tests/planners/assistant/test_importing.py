@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from planners.assistant.errors import AssistantError
 from planners.assistant.importing import ImportOptions, default_folder, import_robot
+from planners.errors import AssistantError
 from planners.geometry.collision import CollisionModel
 from robot.description import robot_folder
 from robot.errors import DescriptionError

@@ -4,8 +4,8 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from planners.assistant.errors import AssistantError
 from planners.assistant.structure import Tree, find_structure
+from planners.errors import AssistantError
 from robot.description import model, robot_folder
 from tests.helpers.robots import SEVEN_JOINT_URDF
 from tests.helpers.stl_arm import URDF

@@ -10,7 +10,6 @@ from planners.assistant.surface import (
     measure,
     merged,
     sample_with_normals,
-    winding_numbers,
 )
 from tests.helpers.stl_arm import boxes_union, channel
 
@@ -32,15 +31,6 @@ def test_triangles_that_meet_share_their_vertices():
 def test_pieces_that_do_not_touch_are_components():
     two = surface(boxes_union([((0.0, 0.0, 0.0), (0.1, 0.1, 0.1)), ((0.2, 0.0, 0.0), (0.3, 0.1, 0.1))]))
     assert [len(piece.triangles) for piece in components(two)] == [12, 12]
-
-
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_a_closed_surface_winds_once_around_what_is_inside(mirrored):
-    triangles = CUBE.triangles[:, ::-1] if mirrored else CUBE.triangles
-    turns = winding_numbers(
-        np.array([[0.0, 0.05, 0.09], [0.0, 0.0, 0.11], [0.5, 0.5, 0.5]]), Surface(CUBE.vertices_m, triangles)
-    )
-    assert turns == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
 
 
 def test_samples_lie_on_the_surface_and_normals_point_outwards():

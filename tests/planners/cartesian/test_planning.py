@@ -204,10 +204,9 @@ def test_the_nearer_an_obstacle_the_less_of_the_path_is_followed(follower, put):
     ("beside_m", "asked", "least", "most"),
     [
         (0.1288, {}, 0.9, 0.99),
-        (0.130078125, {}, 1.0, 1.0),
         (0.11, {"avoid_collisions": False}, 1.0, 1.0),
     ],
-    ids=["a contact within the last step", "only parts touch", "contacts are not to be avoided"],
+    ids=["a contact within the last step", "contacts are not to be avoided"],
 )
 def test_a_path_ends_only_at_a_contact_that_counts(follower, put, beside_m, asked, least, most):
     put(follower.collision, wall(follower, beside_m))

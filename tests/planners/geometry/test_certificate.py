@@ -40,8 +40,8 @@ def motion(names, points, period_s=0.1):
     return Trajectory(names, times_s, points, velocities, np.zeros_like(points))
 
 
-def is_tight(collision, q):
-    return collision.tight_pairs(q) and not collision.colliding_pairs(q)
+def only_hulls_touch(collision, q):
+    return collision.hull_only_pairs(q) and not collision.colliding_pairs(q)
 
 
 def turn(arm, *pans_rad):
@@ -109,7 +109,7 @@ def test_if_only_hulls_touch_the_parts_decide(own_collision, space_in, arm, robo
     rng = np.random.default_rng(5)
     space = space_in(scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)))
     points = rng.uniform(0.6 * space.lower_rad, 0.6 * space.upper_rad, (1000, 5))
-    tight = [point for point in points if is_tight(own_collision, np.append(point, 0.0))]
+    tight = [point for point in points if only_hulls_touch(own_collision, np.append(point, 0.0))]
     assert tight
     for point in tight[:10]:
         fresh = space_in(scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)))
@@ -123,7 +123,7 @@ def test_a_certificate_is_given_up_when_its_request_is_cancelled(own_collision, 
     box = scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15))
     free = space_in(box)
     points = rng.uniform(0.6 * free.lower_rad, 0.6 * free.upper_rad, (1000, 5))
-    tight = next(point for point in points if is_tight(own_collision, np.append(point, 0.0)))
+    tight = next(point for point in points if only_hulls_touch(own_collision, np.append(point, 0.0)))
     asked = itertools.count()
     space = space_in(box, also_free=[np.append(tight, 0.0)], should_stop=lambda: next(asked) == 2)
     with pytest.raises(StoppedError):

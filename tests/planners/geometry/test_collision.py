@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from planners.geometry import collision as collision_module
 from planners.geometry.collision import (
     DEPTH_ACCURACY_M,
     CollisionModel,
@@ -26,6 +27,12 @@ POST = SceneObject("post", ((Box((0.1, 0.1, 0.5)), Pose()),), Pose((0.3, 0.3, 0.
 FINGERS = frozenset({"moving_jaw_so101_v1_link"})
 HELD = AttachedObject(SceneObject("bar", ((Box((0.02, 0.02, 0.1)), Pose()),)), "gripper_link", FINGERS)
 GRIPPER_AND_WRIST = frozenset({"gripper_link", "wrist_link"})
+
+
+def in_scene(robot, each):
+    model = CollisionModel(robot)
+    model.set_scene(each)
+    return model
 
 
 @pytest.fixture(scope="session")
@@ -55,6 +62,19 @@ def checked(robot, bodies):
         return {frozenset((everything[i].name, everything[j].name)) for i, j in pairs}
 
     return names
+
+
+def test_a_scene_that_cannot_be_built_leaves_none_and_the_next_is_built_whole(robot, monkeypatch):
+    model, free, blocked = CollisionModel(robot), scene(), scene(POST)
+    q = np.zeros(len(model.joint_names))
+    for each in (free, blocked):
+        model.set_scene(free)
+        with monkeypatch.context() as patch:
+            patch.setattr(collision_module, "padding", lambda *_: 1 / 0)
+            with pytest.raises(ZeroDivisionError):
+                model.set_scene(scene(CUBE))
+        assert model.set_scene(each) is None
+        assert model.in_collision(q) == in_scene(robot, each).in_collision(q)
 
 
 def test_links_are_checked_but_for_neighbours_and_disabled_pairs(robot, checked):

@@ -50,7 +50,7 @@ def test_the_slope_of_a_distance_is_how_it_grows(among_balls, seed):
     both = there.keys() & back.keys() & here.keys()
     for names in (names for names in both if names[1] in ("left", "above") and here[names].distance_m > 0.0):
         grown_m = there[names].distance_m - back[names].distance_m
-        assert grown_m == pytest.approx(2.0 * here[names].slope_m_per_rad @ step, abs=2e-5)
+        assert grown_m == pytest.approx(2.0 * here[names].distance_gradient @ step, abs=2e-5)
 
 
 def test_two_that_overlap_get_apart_against_the_slope(robot):
@@ -59,5 +59,5 @@ def test_two_that_overlap_get_apart_against_the_slope(robot):
     q = np.array([0.0, 1.2, -0.4, 0.6, 0.0, 0.0])
     deep = min(model.near_pairs(q, WITHIN_M), key=lambda pair: pair.distance_m)
     assert deep.distance_m < 0.0
-    moved = near(model, q + 0.01 * deep.slope_m_per_rad / np.linalg.norm(deep.slope_m_per_rad))
+    moved = near(model, q + 0.01 * deep.distance_gradient / np.linalg.norm(deep.distance_gradient))
     assert moved[deep.first, deep.second].distance_m > deep.distance_m

@@ -15,7 +15,7 @@ import psutil
 import pytest
 import pytest_asyncio
 
-from planners import budget
+from planners import budget, worker_process
 from planners import pool as pool_module
 from planners.budget import read_run_delay_s
 from planners.pipeline import Planner
@@ -45,7 +45,7 @@ def made_of(robot: model.RobotModel) -> PlannerPool:
 async def pool() -> AsyncIterator[PlannerPool]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(ROOT))
-        patch.setattr(pool_module, "WORKER_MODULE", "tests.helpers.broken_planner")
+        patch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.broken_planner")
         # Two, also on a machine with one.
         cores = os.sched_getaffinity(0) | {0, 1}
         patch.setattr(os, "sched_getaffinity", lambda _pid: cores)
@@ -177,13 +177,13 @@ async def test_a_robot_that_no_worker_can_load_is_told() -> None:
 
 async def test_processes_that_end_at_once_are_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.01)
-    monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.no_such_module")
+    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.no_such_module")
     pool = made_of(so101())
     await pool.start()
     answer = await asyncio.wait_for(pool.ask(EASY), 60.0)
     assert isinstance(answer, PlanningFailure)
     assert "planner processes ended while starting" in answer.message
-    monkeypatch.setattr(pool_module, "WORKER_MODULE", "planners.worker")
+    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.worker")
     await until(lambda: pool.load_failure is None, 60.0)
     assert isinstance(await pool.ask(EASY), Plan)
     await pool.close()

@@ -10,10 +10,10 @@ import pytest
 
 from robot.channel import Channel
 from robot.control.loop import ArmLoop, hardware_source
-from robot.control.pacing import Pacer, Scheduling
+from robot.control.pacing import MAX_TICK_S, Pacer
+from robot.control.realtime import Scheduling
 from robot.description.limits import within_calibration
 from robot.errors import PortError, PortNotFound
-from robot.hardware.clock import MAX_TICK_S
 from robot.hardware.config import (
     DynamixelConfig,
     EmulatedConfig,
@@ -91,9 +91,9 @@ def test_sequences_go_on_when_every_tick_is_late() -> None:
 def test_the_ideal_arm_loads_no_serial_library() -> None:
     program = (
         "import sys; from robot.description.robot_folder import built_in; from robot.messages import ArmConfig; "
-        "from robot.hardware.config import IdealConfig; from robot.hardware.clock import MachineClock; "
+        "from robot.hardware.config import IdealConfig; from robot.control.pacing import LoopClock; "
         "from robot.control.loop import hardware_source; "
-        "hardware_source(ArmConfig(built_in('so101').model, IdealConfig()), MachineClock()).open(); "
+        "hardware_source(ArmConfig(built_in('so101').model, IdealConfig()), LoopClock()).open(); "
         "print(sorted({'serial', 'scservo_sdk', 'dynamixel_sdk'} & set(sys.modules)))"
     )
     printed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)

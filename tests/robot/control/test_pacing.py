@@ -10,16 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.control.pacing import (
+from robot.control.pacing import PERIOD_S, Pacer, percentiles
+from robot.control.realtime import (
     MCL_CURRENT,
     MCL_FUTURE,
     MCL_ONFAULT,
-    PERIOD_S,
-    Pacer,
     Scheduling,
     enter_realtime,
     lock_memory,
-    percentiles,
 )
 
 
@@ -148,7 +146,7 @@ def test_memory_is_locked_only_with_real_time_priority(monkeypatch: pytest.Monke
     locks = MemoryLocks()
     monkeypatch.setattr("ctypes.CDLL", locks)
     monkeypatch.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    monkeypatch.setattr("robot.control.pacing.take_priority", lambda: real_time)
+    monkeypatch.setattr("robot.control.realtime.take_priority", lambda: real_time)
     try:
         assert enter_realtime() == Scheduling(real_time, real_time)
     finally:

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from robot.control.cycle import ControlCycle
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling
+from robot.control.pacing import PERIOD_S, Pacer, SimulationClock
+from robot.control.realtime import Scheduling
 from robot.control.supervisor import SILENCE_BURST, SILENCE_LINES_PER_S, Watchdog, arm_health, arm_state, disconnected
 from robot.faults import Fault, FaultCode
-from robot.hardware.clock import SimulationClock
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import Feetech

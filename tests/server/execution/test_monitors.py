@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
 from protocol.messages import Stamp, complete
@@ -141,7 +141,7 @@ class Place:
 
 
 def watching(place: Place) -> SceneMonitor:
-    pool: PlannerPool = place  # type: ignore[assignment]
+    pool: Planners = place  # type: ignore[assignment]
     monitor = SceneMonitor(pool, place)
     monitor.start(1, lambda: (QUESTION,), place.contacts.append)
     return monitor

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, ParkingPlan
@@ -62,7 +62,7 @@ class World:
             ROBOT,
             ArmSettings.model_validate({"on_server_lost": "park", **settings}),
             MoveItParameters(),
-            cast("PlannerPool", self),
+            cast("Planners", self),
             self,
             cast("GoalQueue[Any]", self),
         )

@@ -80,7 +80,6 @@ test("everything is released at once, and the inputs hear of it", () => {
 test.each([
   ["a stop of this page", ({ jog }: ReturnType<typeof sender>) => jog.releaseAll()],
   ["anyone's stop", ({ store }: ReturnType<typeof sender>) => store.patch("arm", { last_stop: "7" })],
-  ["a command that the server refuses", ({ store }: ReturnType<typeof sender>) => store.patch("servo_node", { code: -1 })],
 ])("after %s nothing moves before every input is let go", (_, end) => {
   const page = sender();
   const { jog, sent } = page;

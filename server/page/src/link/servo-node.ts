@@ -1,4 +1,4 @@
-import { armGripper, armJoints, armNamespace, currentPositions, hasTip } from "../logic/joints";
+import { armGripper, armJoints, armNamespace, currentPositions, DESCRIPTION, hasTip } from "../logic/joints";
 import { summed, type JogCommand, type JogStep } from "../logic/jog";
 import { denialReason } from "../logic/permissions";
 import { planningGroup } from "../logic/robot-info";
@@ -24,12 +24,6 @@ export const GRIPPER_RANGE_S = 1.5;
 const COMMAND_TYPES = { joints: 0, tip: 1 } as const;
 
 type ArmKind = keyof typeof COMMAND_TYPES;
-
-/** moveit_msgs/ServoStatus.INVALID: a command was not followed. */
-const REFUSED = -1;
-
-/** Parts of the state that decide which arm the planning group belongs to. */
-const DESCRIPTION = ["limits", "urdf", "srdf", "group", "actions"] as const;
 
 /** Call back with the namespace of the planning group's arm, now and whenever it is another. */
 export function onArm(store: PageStore, listener: (namespace: string) => void): void {
@@ -107,8 +101,6 @@ export class JogSender {
       this.namespace = namespace;
       this.jogged = [];
     });
-    // What the server refuses would begin by itself when its reason is gone.
-    store.subscribe((state) => state.servo_node, ({ code }) => code === REFUSED && this.arm_kind && this.releaseAll());
     // Anyone's stop.
     store.subscribe((state) => state.arm.last_stop, () => this.releaseAll());
   }

@@ -2,8 +2,9 @@ import type { Joints, JointValues, State } from "../state/state";
 import { t } from "../texts/texts";
 import { planningGroup, robotInfo, type GripperInfo, type JointKind } from "./robot-info";
 
-/** Parts of the state that tell which joints there are. */
-type KnownJoints = Pick<State, "limits" | "named" | "urdf" | "srdf" | "group" | "actions">;
+/** Parts of the state that tell which joints, groups and arms there are. */
+export const DESCRIPTION = ["limits", "named", "urdf", "srdf", "group", "actions"] as const;
+type KnownJoints = Pick<State, (typeof DESCRIPTION)[number]>;
 
 /** Return the joints that goals are for: those of the planning group that are driven; without groups, all. */
 export function armJoints(known: KnownJoints): string[] {

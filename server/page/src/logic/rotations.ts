@@ -3,6 +3,12 @@ import type { Orientation } from "../state/state";
 /** Roll, pitch and yaw [rad]: rotations about the fixed axes x, y and z, in this order, as in URDF. */
 export type RollPitchYaw = [number, number, number];
 
+/** Axes of a place, in the order of its coordinates. */
+export const AXES = ["x", "y", "z"] as const;
+
+/** Rotations about the fixed axes x, y and z, with their limits [rad]. */
+export const ROTATIONS = [["roll", Math.PI], ["pitch", Math.PI / 2], ["yaw", Math.PI]] as const;
+
 /** Distance of the pitch's sine from 1 at which roll and yaw turn about the same axis. */
 const GIMBAL_LOCK = 1e-9;
 

@@ -63,11 +63,12 @@ class GamepadReader {
       return this.show(other ? t("drive.gamepad.mapping", { name: other.id }) : t("drive.gamepad.none"));
     }
     const is_held = isDeadManHeld(pad);
-    const counts = this.dead_man.counts(is_held) && document.hasFocus();
+    const is_locked = !this.dead_man.counts(is_held) && is_held;
+    const counts = is_held && !is_locked && document.hasFocus();
     this.show(t(counts ? "drive.gamepad.moving" : "drive.gamepad.ready", { name: pad.id }));
     const { store, jogSender } = this.context;
     // A dead-man that is locked, and held still, is an input that has not been let go.
-    if (is_held && !counts) return;
+    if (is_locked) return;
     const commands = counts ? gamepadCommands(pad, tipAxes(armJoints(store.state).length)) : [];
     this.releaseExcept(commands.map(({ kind }) => `gamepad ${kind}`));
     for (const command of commands) {

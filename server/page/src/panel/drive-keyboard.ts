@@ -1,4 +1,4 @@
-import { armGripper, armJoints } from "../logic/joints";
+import { armGripper, armJoints, DESCRIPTION } from "../logic/joints";
 import { tipAxes } from "../logic/jog";
 import { GRIPPER_KEYS, jointKeys, keyCommand, printedKey, tipKeys, type KeyPair } from "../logic/jog-keys";
 import type { State } from "../state/state";
@@ -18,7 +18,7 @@ export function keyboardSection(context: PanelContext, controls: JogControls): H
     const gripper = armGripper(state) ? [keyLine(t("drive.gripper"), GRIPPER_KEYS)] : [];
     legend.replaceChildren(...tip, ...gripper, ...joints.map((name, index) => keyLine(name, jointKeys(index))));
   };
-  store.watch(["limits", "urdf", "srdf", "group", "actions"], show);
+  store.watch(DESCRIPTION, show);
   on.addEventListener("change", () => jogSender.releaseAll());
   listenForKeys(context, controls, () => on.checked, legend);
   const line = el("label", { class: "line" }, permissionFieldset(context, "drive", on), t("drive.keys.on"));

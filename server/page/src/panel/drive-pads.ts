@@ -1,4 +1,4 @@
-import { armJoints } from "../logic/joints";
+import { armJoints, DESCRIPTION } from "../logic/joints";
 import { scaled, tipAxes, isRotation, type TipAxis } from "../logic/jog";
 import { LEFT_PAD, padCommand, rightPad, type PadAxes } from "../logic/jog-pads";
 import type { State } from "../state/state";
@@ -42,7 +42,7 @@ export function padsSection(context: PanelContext, controls: JogControls): HTMLE
     right.element.setAttribute("aria-label", t("drive.pads.right", { axis }));
   };
   turning.addEventListener("change", () => show(store.state));
-  store.watch(["limits", "urdf", "srdf", "group"], show);
+  store.watch(DESCRIPTION, show);
   const pads = permissionFieldset(context, "drive", el("div", { class: "pads" }, left.element, right.element), bar);
   const hint = el("p", { class: "hint", text: t("drive.pads.hint") });
   const line = el("label", { class: "line" }, `${t("drive.pads.rotation")} `, turning);

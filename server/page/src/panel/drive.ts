@@ -1,5 +1,5 @@
 import "./drive.css";
-import { armGripper, armJoints, hasTip, jointKind } from "../logic/joints";
+import { armGripper, armJoints, DESCRIPTION, hasTip, jointKind } from "../logic/joints";
 import { GRIPPER_RANGE_S } from "../link/servo-node";
 import { isRotation, JogStep, scaled, tipAxes, type JogCommand, type TipAxis } from "../logic/jog";
 import type { State } from "../state/state";
@@ -17,9 +17,6 @@ const STEPS = [
   { length_mm: 5, angle_deg: 5, opening: 0.1 },
   { length_mm: 20, angle_deg: 15, opening: 0.3 },
 ] as const;
-
-/** Parts of the state that tell which joints there are. */
-const DESCRIPTION = ["limits", "urdf", "srdf", "group", "actions"] as const;
 
 /** Create the panel of driving by hand: settings, the servo node's status, and a section for each kind of input. */
 export function driveSection(context: PanelContext): HTMLElement {

@@ -2,6 +2,7 @@ import {
   armGripper,
   armJoints,
   currentPositions,
+  DESCRIPTION,
   displayedPositions,
   hasTip,
   jointKind,
@@ -11,7 +12,7 @@ import {
 } from "../logic/joints";
 import { angleUnit, distanceText, fromUnit, lengthUnit, positionText, toUnit, unitOf, type NumberRange, type Unit } from "../logic/numbers";
 import { robotInfo, planningGroup } from "../logic/robot-info";
-import { quaternionOf, rollPitchYawOf, type RollPitchYaw } from "../logic/rotations";
+import { AXES, ROTATIONS, quaternionOf, rollPitchYawOf, type RollPitchYaw } from "../logic/rotations";
 import type { Orientation, Point, State } from "../state/state";
 import { selectGoal, selectTarget } from "../state/store";
 import { t } from "../texts/texts";
@@ -23,14 +24,6 @@ const MAX_COORDINATE_M = 5;
 
 /** Time between two updates of numbers [ms]; faster ones cannot be read. */
 const UPDATE_PERIOD_MS = 100;
-
-const AXES = ["x", "y", "z"] as const;
-
-/** Rotations about the fixed axes x, y and z, with their limits [rad]. */
-const ROTATIONS = [["roll", Math.PI], ["pitch", Math.PI / 2], ["yaw", Math.PI]] as const;
-
-/** Parts of the state that tell which joints there are. */
-const DESCRIPTION = ["limits", "named", "urdf", "srdf", "group"] as const;
 
 /** Create the choice of the joint group that goals are for, which is hidden where there is one alone. */
 export function groupChoice(context: PanelContext): HTMLElement {
@@ -214,6 +207,6 @@ export function gripperSection(context: PanelContext): HTMLElement {
     const unit = unitOf(jointKind(state, finger), state.settings.units);
     setText(measured, `${positionText(position, unit)}${unit.suffix}`);
   });
-  store.watch(["joints", "settings", "actions", ...DESCRIPTION], show);
+  store.watch(["joints", "settings", ...DESCRIPTION], show);
   return box;
 }

@@ -1,5 +1,5 @@
 import type { ArmCommands } from "../link/commands";
-import { groupPoses } from "../logic/joints";
+import { DESCRIPTION, groupPoses } from "../logic/joints";
 import { duration_s } from "../logic/trajectory";
 import type { State } from "../state/state";
 import { selectGoal, type PageStore } from "../state/store";
@@ -64,7 +64,7 @@ function namedPoses(context: PanelContext): HTMLElement {
       }),
     );
   };
-  store.watch(["named", "limits", "urdf", "srdf", "group"], show);
+  store.watch(DESCRIPTION, show);
   store.subscribe(
     (state) => state.selection,
     ({ name }) => {

@@ -1,5 +1,6 @@
 import { FILE_UNITS, fileProblem, makeMesh, MESH_KINDS, MAX_FILE_BYTES } from "../logic/scene-mesh";
 import { distanceText, type UnitSystem } from "../logic/numbers";
+import { AXES } from "../logic/rotations";
 import {
   INITIAL_SIZES_M,
   MAX_PLACE_M,
@@ -23,7 +24,6 @@ import "./scene.css";
 /** Place where a typed object stands at first: out of the arm's way [m]. */
 const INITIAL_PLACE_M: Point = [0.3, 0.15, 0.04];
 
-const AXES = ["x", "y", "z"] as const;
 const KINDS = [...SIZED_KINDS, "mesh"] as const;
 type Kind = (typeof KINDS)[number];
 

@@ -1,17 +1,12 @@
 import { holderOf } from "../logic/scene-attach";
 import { MAX_NAME_LENGTH, MAX_PLACE_M, MAX_SIZE_M, MIN_SIZE_M, nameProblem, sizesOf, withSize } from "../logic/scene-objects";
-import { quaternionOf, rollPitchYawOf, type RollPitchYaw } from "../logic/rotations";
+import { AXES, ROTATIONS, quaternionOf, rollPitchYawOf, type RollPitchYaw } from "../logic/rotations";
 import type { Color, Point, SceneObject, State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
 import { button, el, keyedList, section, setText, type ListItem } from "./dom";
 import { measureField, measureLine, type MeasureField } from "./scene-fields";
-
-const AXES = ["x", "y", "z"] as const;
-
-/** Rotations about the fixed axes x, y and z, with their limits [rad]. */
-const ROTATIONS = [["roll", Math.PI], ["pitch", Math.PI / 2], ["yaw", Math.PI]] as const;
 
 /** Colour of the field while an object has none of its own: that of the theme's objects. */
 const THEME_COLOR = "#6f9a5c";

@@ -1,6 +1,6 @@
 import "./sequence.css";
 import { setWaypoints } from "../link/sequence";
-import { armGripper, armJoints, currentPositions } from "../logic/joints";
+import { armGripper, armJoints, currentPositions, DESCRIPTION } from "../logic/joints";
 import { planningGroup } from "../logic/robot-info";
 import {
   edited,
@@ -34,7 +34,7 @@ export function sequenceSection(context: PanelContext): HTMLElement {
     empty.hidden = waypoints.length > 0;
     editing.disabled = playing !== null;
   };
-  store.watch(["sequence", "settings", "urdf", "srdf", "limits"], show);
+  store.watch(["sequence", "settings", ...DESCRIPTION], show);
   return section("sequence", t("sequence.title"), true, editing, playControls(context));
 }
 
@@ -53,7 +53,7 @@ function addButtons(store: PageStore): HTMLElement {
     goal.disabled = full || chosenJoints(state) === null;
     here.title = full ? t("sequence.full", { limit: MAX_WAYPOINTS }) : "";
   };
-  store.watch(["joints", "sequence", "selection", "target", "urdf", "srdf", "group"], show);
+  store.watch(["joints", "sequence", "selection", "target", ...DESCRIPTION], show);
   return el("div", { class: "buttons" }, here, goal);
 }
 

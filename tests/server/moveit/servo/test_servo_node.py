@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from planners.pool import PlannerPool
+from planners.interface import Planners
 from planners.scene import EMPTY_SCENE, Pose, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from robot.stop_epochs import STOP_EPOCHS
@@ -70,7 +70,7 @@ class Rig:
             SceneState(ROBOT),
             lambda _frame, _positions: Pose(),
             self.arm.as_arm,
-            cast("PlannerPool", self),
+            cast("Planners", self),
             lambda: self.busy,
         )
         self.node._session._clock = asyncio.get_running_loop().time

@@ -1,0 +1,161 @@
+"""Planners as the server sees them: every request gets one answer, in turns of motions and of questions.
+
+:class:`planners.pool.PlannerPool` has processes of its own; :class:`planners.shared_pool.SharedPlanners` connects to a
+host whose processes other servers use as well.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from abc import ABC, abstractmethod
+from typing import overload
+
+from planners.problem import (
+    Answer,
+    CartesianPlan,
+    CartesianProblem,
+    ConcurrencyQuestion,
+    IkAnswer,
+    IkQuestion,
+    JointPathProblem,
+    MoveItErrorCode,
+    NearestGoalAnswer,
+    NearestGoalQuestion,
+    Plan,
+    PlanningFailure,
+    PlanningProblem,
+    RecheckAnswer,
+    RecheckQuestion,
+    Request,
+    StateAnswer,
+    StateQuestion,
+)
+from planners.scene import EMPTY_SCENE, Scene
+from planners.servo.question import ServoAnswer, ServoQuestion
+
+# Requests of a server that wait for a planner; past these, requests come faster than they can be answered.
+MAX_WAITING = 64
+
+# A planner process imports its libraries in half a second; a loaded machine may take many times that.
+LOAD_TIMEOUT_S = 30.0
+
+
+class Planners(ABC):
+    """Planners of one robot.
+
+    Args:
+        active: number of motions that may be planned at the same time.
+        questions: number of questions that may be answered at the same time.
+        max_waiting: number of requests that may wait for their turn.
+        in_background: whether idle planners also plan motions that nothing waits for.
+
+    Attributes:
+        load_failure: reason for which there is no planner and probably never will be; None as long as one may come.
+        waiting_count: number of requests that wait for their turn.
+    """
+
+    def __init__(
+        self, active: int = 1, questions: int = 1, max_waiting: int = MAX_WAITING, *, in_background: bool = True
+    ) -> None:
+        self._max_waiting = max_waiting
+        self._motion_turns = asyncio.Semaphore(active)
+        self._question_turns = asyncio.Semaphore(questions)
+        self._plans_in_background = in_background
+        # Motions that are planned as long as nothing else is to be planned.
+        self._background: set[asyncio.Task[Plan | PlanningFailure]] = set()
+        self.load_failure: str | None = None
+        self.waiting_count = 0
+
+    @abstractmethod
+    async def start(self) -> None:
+        """Begin to get ready; requests sent meanwhile wait."""
+
+    @abstractmethod
+    async def close(self) -> None:
+        """End all that was started."""
+
+    @abstractmethod
+    async def wait_until_loaded(self) -> str | None:
+        """Wait until a planner takes requests; return the reason for which none can plan for the robot, else None."""
+
+    @property
+    @abstractmethod
+    def pids(self) -> tuple[int, ...]:
+        """Process ids of the planners."""
+
+    @property
+    @abstractmethod
+    def loaded_count(self) -> int:
+        """Number of processes that have loaded the robot."""
+
+    @property
+    @abstractmethod
+    def idle_count(self) -> int:
+        """Number of processes that wait for a request."""
+
+    @abstractmethod
+    async def _answer(self, request: Request, scene: Scene) -> Answer:
+        """Have a request answered, whose turn it is."""
+
+    @overload
+    async def ask(self, request: PlanningProblem | JointPathProblem, scene: Scene = ...) -> Plan | PlanningFailure: ...
+    @overload
+    async def ask(self, request: CartesianProblem, scene: Scene = ...) -> CartesianPlan | PlanningFailure: ...
+    @overload
+    async def ask(
+        self, request: PlanningProblem | CartesianProblem | JointPathProblem, scene: Scene = ...
+    ) -> Plan | CartesianPlan | PlanningFailure: ...
+    @overload
+    async def ask(self, request: IkQuestion, scene: Scene = ...) -> IkAnswer | PlanningFailure: ...
+    @overload
+    async def ask(self, request: NearestGoalQuestion, scene: Scene = ...) -> NearestGoalAnswer | PlanningFailure: ...
+    @overload
+    async def ask(self, request: StateQuestion, scene: Scene = ...) -> StateAnswer | PlanningFailure: ...
+    @overload
+    async def ask(
+        self, request: RecheckQuestion | ConcurrencyQuestion, scene: Scene = ...
+    ) -> RecheckAnswer | PlanningFailure: ...
+    @overload
+    async def ask(self, request: ServoQuestion, scene: Scene = ...) -> ServoAnswer | PlanningFailure: ...
+
+    async def ask(self, request: Request, scene: Scene = EMPTY_SCENE) -> Answer:
+        """Have a planner answer, in a scene.
+
+        Cancelling this call stops the work on it. A planner that dies answers CRASH, a planner that overruns TIMED_OUT.
+        """
+        if self.waiting_count >= self._max_waiting:
+            message = f"{self.waiting_count} requests wait for a planner already (limit {self._max_waiting})"
+            return PlanningFailure(MoveItErrorCode.FAILURE, message)
+        motion = isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | NearestGoalQuestion)
+        turns = self._motion_turns if motion else self._question_turns
+        if motion and turns.locked():
+            for task in self._background:
+                task.cancel()
+        self.waiting_count += 1
+        try:
+            await turns.acquire()
+        finally:
+            self.waiting_count -= 1
+        try:
+            return await self._answer(request, scene)
+        finally:
+            turns.release()
+
+    async def ask_in_background(
+        self, problem: PlanningProblem, scene: Scene = EMPTY_SCENE
+    ) -> Plan | PlanningFailure | None:
+        """Have a planner plan a motion that nothing waits for, in a scene.
+
+        Returns:
+            None if all planners of motions are at work, or as soon as another request needs the one that plans this.
+        """
+        if not self._plans_in_background or self._motion_turns.locked():
+            return None
+        asking = asyncio.create_task(self.ask(problem, scene), name="planning in the background")
+        self._background.add(asking)
+        try:
+            await asyncio.wait([asking])
+        finally:
+            self._background.discard(asking)
+            asking.cancel()
+        return None if asking.cancelled() else asking.result()

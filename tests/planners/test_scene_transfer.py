@@ -1,0 +1,57 @@
+"""Scenes in parts: what is sent, and what the receiver makes of it."""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planners.messages import MoreObjects, NewScene
+from planners.scene import Box, Mesh, Pose, Scene, SceneObject
+from planners.scene_transfer import OBJECT_BYTES, PART_BYTES, SceneReceiver, SceneSender, parts
+from tests.planners.scenes import boxes
+
+
+async def test_a_scene_arrives_as_it_was_and_is_sent_once() -> None:
+    receiver, sent = SceneReceiver(), []
+    sender = SceneSender(sent.append, partial(asyncio.sleep, 0))
+    for scene, messages in ((Scene(1, boxes(600)), 6), (Scene(1, boxes(600)), 0), (Scene(2, boxes(1)), 2)):
+        sent.clear()
+        await sender.send(scene)
+        assert len(sent) == messages
+        for message in sent:
+            receiver.take(message)
+        assert receiver.scene() == scene
+
+
+async def test_what_comes_of_a_scene_that_is_given_up_half_way_is_dropped() -> None:
+    receiver = SceneReceiver()
+    for message in (NewScene(Scene(4)), MoreObjects(boxes(2)), NewScene(Scene(5)), MoreObjects(boxes(1))):
+        receiver.take(message)
+    assert receiver.scene() == Scene(5, boxes(1))
+
+
+meshes = st.integers(0, 3 * PART_BYTES // 24).map(
+    lambda vertices: Mesh(np.zeros((vertices, 3)), np.zeros((0, 3), dtype=np.int32))
+)
+
+
+@given(st.lists(st.one_of(meshes, st.just(Box((1.0, 1.0, 1.0)))), max_size=20))
+async def test_parts_hold_all_objects_in_order_and_none_could_do_with_fewer(shapes: list[Mesh | Box]) -> None:
+    objects = tuple(SceneObject(str(i), ((shape, Pose()),)) for i, shape in enumerate(shapes))
+    divided = list(parts(objects))
+    assert tuple(each for part in divided for each in part) == objects
+    for part in divided:
+        sizes = [
+            OBJECT_BYTES + (shape.vertices_m.nbytes if isinstance(shape, Mesh) else 0)
+            for each in part
+            for shape, _ in each.shapes
+        ]
+        assert sum(sizes[:-1]) < PART_BYTES
+
+
+async def test_ten_thousand_objects_come_in_many_parts() -> None:
+    assert max(len(part) for part in parts(boxes(10_000))) <= 128

@@ -1,0 +1,241 @@
+"""Handle on one planner process: deadlines, and what goes over its channel."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import pytest_asyncio
+
+from planners import worker_process
+from planners.messages import (
+    Answered,
+    Ask,
+    Cancel,
+    Loaded,
+    LoadFailed,
+    LoadRobot,
+    MoreObjects,
+    NewScene,
+    StillSearching,
+)
+from planners.problem import MoveItErrorCode, PlanningFailure, Request
+from planners.scene import EMPTY_SCENE, Scene
+from planners.scene_transfer import parts
+from planners.worker_process import DEADLINE_CHECK_S, WorkerProcess, timeout_after
+from tests.helpers.fake_workers import PLAN, SOUND, TIMED_OUT
+from tests.helpers.motions import EASY, STATE
+from tests.helpers.robots import so101
+from tests.helpers.waiting import given_up
+from tests.planners.scenes import boxes
+
+pytestmark = pytest.mark.stepped_time
+
+
+def waiting_until(until_s: float) -> Callable[[], float]:
+    """Waits of a process that waits for a core from time 0 on, and at a time no more."""
+    return lambda: min(asyncio.get_running_loop().time(), until_s)
+
+
+@pytest.mark.parametrize(("until_s", "ends_s"), [(0.0, 1.0), (5.0, 6.0)])
+async def test_work_has_its_time_and_what_its_process_waits_for_a_core(until_s: float, ends_s: float) -> None:
+    with pytest.raises(TimeoutError):
+        async with timeout_after(1.0, waiting_until(until_s)):
+            await asyncio.sleep(10.0)
+    assert asyncio.get_running_loop().time() == pytest.approx(ends_s + DEADLINE_CHECK_S)
+
+
+async def test_an_answer_that_comes_while_the_event_loop_is_held_up_is_not_too_late(worked: Worked) -> None:
+    loop = asyncio.get_running_loop()
+
+    def hold_up() -> None:
+        loop.advance(10.0)
+        loop.call_soon(lambda: worked.child.answers(PLAN))
+
+    loop.call_later(0.5, hold_up)
+    async with timeout_after(1.0, waiting_until(0.0)):
+        assert await worked.worker.ask(EASY, EMPTY_SCENE) is PLAN
+
+
+async def test_nothing_looks_at_a_deadline_once_the_work_is_done() -> None:
+    looked_at_s: list[float] = []
+
+    def run_delay_s() -> float:
+        looked_at_s.append(asyncio.get_running_loop().time())
+        return 0.0
+
+    async with timeout_after(1.0, run_delay_s):
+        pass
+    await asyncio.sleep(5.0)
+    assert max(looked_at_s) == 0.0
+
+
+# One worker, and what goes over its channel.
+
+
+class FakeChild:
+    """A child process that takes what it is sent."""
+
+    pid, running, ending = 1, True, "SIGSEGV"
+
+    def __init__(self, _started: object, on_message: Callable[[Any], None], on_exit: Callable[[], None], **_: Any):
+        self.receives, self.exits = on_message, on_exit
+        self.sent: list[Any] = []
+        self.too_large = False
+        self.killed = False
+
+    async def connect(self) -> None:
+        pass
+
+    def send(self, message: object) -> None:
+        if self.too_large:
+            raise ValueError("a message of 9 bytes is over the limit of 8")
+        self.sent.append(message)
+
+    async def wait(self, timeout_s: float) -> None:
+        pass
+
+    async def kill(self) -> None:
+        self.killed = True
+
+    def answers(self, answer: object, *, ending: bool = False) -> None:
+        """Answer the last request."""
+        (number,) = [message.number for message in self.sent if isinstance(message, Ask)][-1:]
+        self.receives(Answered(number, answer, ending))
+
+
+class Worked:
+    """A worker whose child is fake, and its requests."""
+
+    def __init__(self) -> None:
+        self.loaded: list[str | None] = []
+        self.worker = WorkerProcess(so101(), 1 << 30, lambda _, refusal: self.loaded.append(refusal), lambda _: None)
+        self.child: Any = self.worker._child
+        self.hard_s: list[float] = []
+
+    async def asked(self, request: Request = STATE, scene: Scene = EMPTY_SCENE) -> asyncio.Task[Any]:
+        """Ask; what this sends has been sent then."""
+        asking = asyncio.create_task(self.worker.ask(request, scene, self.hard_s.append))
+        await asyncio.sleep(0.001)
+        return asking
+
+    @property
+    def sent(self) -> list[type]:
+        """Kinds of the messages since the last look."""
+        kinds = [type(message) for message in self.child.sent]
+        self.child.sent.clear()
+        return kinds
+
+
+@pytest_asyncio.fixture
+async def worked(monkeypatch: pytest.MonkeyPatch) -> Worked:
+    """A worker that has loaded its robot."""
+    monkeypatch.setattr(worker_process, "StartedChild", lambda _module: None)
+    monkeypatch.setattr(worker_process, "Child", FakeChild)
+    made = Worked()
+    await made.worker.start()
+    assert made.sent == [LoadRobot]
+    assert not made.worker.usable
+    made.child.receives(Loaded())
+    assert made.worker.usable
+    return made
+
+
+async def test_a_worker_that_cannot_load_its_robot_says_why(worked: Worked) -> None:
+    worked.child.receives(LoadFailed("no link"))
+    assert worked.loaded == [None, "no link"]
+
+
+async def test_a_scene_is_sent_again_only_when_its_version_is_another(worked: Worked) -> None:
+    for scene, sent in (
+        (Scene(1, boxes(1)), [NewScene, MoreObjects, Ask]),
+        (Scene(1), [Ask]),
+        (Scene(2), [NewScene, Ask]),
+    ):
+        asking = await worked.asked(STATE, scene)
+        worked.child.answers(SOUND)
+        assert await asking is SOUND
+        assert worked.sent == sent
+        assert worked.worker.has(scene)
+    assert not worked.worker.has(Scene(1))
+
+
+async def test_a_scene_given_up_half_way_is_sent_anew(worked: Worked) -> None:
+    large = Scene(3, boxes(600))
+    asking = asyncio.create_task(worked.worker.ask(STATE, large))
+    await asyncio.sleep(0)
+    await given_up(asking)
+    await worked.worker.cancel()
+    assert worked.sent == [NewScene]
+    assert not worked.worker.has(large)
+    await worked.asked(STATE, large)
+    sent = worked.sent
+    assert (sent[0], sent[-1]) == (NewScene, Ask)
+    assert len(sent) == 2 + len(list(parts(large.objects)))
+
+
+async def test_a_request_too_large_for_a_message_is_refused_and_harms_nothing(worked: Worked) -> None:
+    worked.child.too_large = True
+    answer = await worked.worker.ask(STATE, Scene(4))
+    assert isinstance(answer, PlanningFailure)
+    assert "over the limit of 8" in answer.message
+    worked.child.too_large = False
+    asking = await worked.asked(STATE, Scene(4))
+    assert worked.sent == [NewScene, Ask]
+    worked.worker._resolve(SOUND)
+    assert await asking is SOUND
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"), [(SOUND, "answered a PlanningProblem with StateAnswer"), ("yes", "with str")]
+)
+async def test_a_worker_that_answers_with_something_else_gets_no_further_request(
+    worked: Worked, answer: object, words: str
+) -> None:
+    asking = await worked.asked(EASY)
+    worked.child.answers(answer)
+    failure = await asking
+    assert failure.code is MoveItErrorCode.CRASH
+    assert words in failure.message
+    assert not worked.worker.usable
+
+
+async def test_a_worker_that_ends_over_a_request_says_how(worked: Worked) -> None:
+    asking = await worked.asked(EASY)
+    worked.child.exits()
+    assert (await asking).message == "the planner process ended (SIGSEGV) while it worked on this"
+    assert not worked.worker.usable
+
+
+async def test_a_worker_that_answers_and_intends_to_end_gets_no_further_request(worked: Worked) -> None:
+    asking = await worked.asked(EASY)
+    worked.child.answers(PLAN, ending=True)
+    assert await asking is PLAN
+    assert not worked.worker.usable
+
+
+async def test_what_comes_for_an_earlier_request_counts_for_none(worked: Worked) -> None:
+    await given_up(await worked.asked(EASY))
+    (earlier,) = (message.number for message in worked.child.sent if isinstance(message, Ask))
+    asking = await worked.asked(EASY)
+    worked.child.receives(StillSearching(earlier, 0.1))
+    worked.child.receives(Answered(earlier, TIMED_OUT))
+    worked.child.receives(StillSearching(earlier + 1, 0.2))
+    worked.child.answers(PLAN)
+    assert await asking is PLAN
+    assert worked.hard_s == [0.2]
+
+
+@pytest.mark.parametrize(("starved", "killed"), [(False, True), (True, False)])
+async def test_a_cancelled_worker_is_ended_unless_it_answers_or_waits_for_a_core(
+    worked: Worked, monkeypatch: pytest.MonkeyPatch, starved: bool, killed: bool
+) -> None:
+    loop = asyncio.get_running_loop()
+    monkeypatch.setattr(worker_process, "read_run_delay_s", lambda _pid: loop.time() if starved else 0.0)
+    await given_up(await worked.asked(EASY))
+    loop.call_later(10.0, lambda: worked.child.answers(TIMED_OUT))
+    await worked.worker.cancel()
+    assert worked.sent[-1] is Cancel
+    assert (worked.child.killed, worked.worker.usable) == (killed, not killed)

@@ -78,7 +78,9 @@ def _command(example: object, meaning: str) -> Any:
 class LiveCommand(BaseModel):
     """Live commands of one line, by name; a line has any number of them."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
+    model_config = ConfigDict(
+        extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True
+    )
 
     drop: Probability = _command(0.01, "probability that a reply is lost")
     corrupt: Probability = _command(0.05, "probability that one byte of a reply is wrong")

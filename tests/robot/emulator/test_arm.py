@@ -24,10 +24,10 @@ from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import HardwareInterface, run_to_end
 from robot.messages import GuardLimits
 from tests.helpers import arm_rig, dynamixel
+from tests.helpers.emulated_family import run
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration, so101
 from tests.helpers.server import read_write_log
-from tests.helpers.servo_family import run
 
 STEP_S = 0.01
 

@@ -13,8 +13,8 @@ from robot.emulator.servo_bus import ServoBus
 from robot.emulator.write_log import WriteLog
 from robot.hardware.feetech.registers import Register, encode
 from robot.hardware.interface import StatusFlag
+from tests.helpers.emulated_family import run
 from tests.helpers.robots import nominal_calibration
-from tests.helpers.servo_family import run
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from robot.emulator.dynamixel import (
 from robot.emulator.plant import Plant
 from robot.hardware.dynamixel.packets import ALERT
 from robot.hardware.dynamixel.registers import MODELS, OperatingMode, Register, decode, encode
-from tests.helpers.servo_family import run
+from tests.helpers.emulated_family import run
 
 
 def servo_at(

@@ -23,7 +23,7 @@ from robot.hardware.feetech.registers import (
     parse_telemetry,
 )
 from robot.hardware.interface import StatusFlag
-from tests.helpers.servo_family import run
+from tests.helpers.emulated_family import run
 
 
 def servo_at(ticks=2048.0, limits=(800, 3300), offset=0):

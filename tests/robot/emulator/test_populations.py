@@ -13,9 +13,9 @@ from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import Register, encode
 from robot.hardware.interface import StatusFlag
+from tests.helpers.emulated_family import run
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import nominal_calibration, so101
-from tests.helpers.servo_family import run
 
 JOINTS = [joint.joint for joint in nominal_calibration().joints]
 

@@ -12,7 +12,7 @@ from robot.emulator.feetech import MEMORY_BYTES
 from robot.emulator.servo import Memory, Protection, Thresholds
 from robot.hardware.feetech.registers import TABLE, Register, decode
 from robot.hardware.interface import StatusFlag
-from tests.helpers.servo_family import OF_BOTH_FAMILIES, Family, run
+from tests.helpers.emulated_family import OF_BOTH_FAMILIES, Family, run
 
 
 @OF_BOTH_FAMILIES

@@ -22,6 +22,7 @@ from robot.emulator.servo_bus import PARTIAL_PACKET_S, Instruction, InstructionP
 from robot.emulator.write_log import WriteLog
 from robot.hardware.dynamixel.packets import ALERT
 from robot.hardware.feetech.registers import Register, encode
+from tests.helpers.emulated_family import ALL, DYNAMIXEL, FEETECH, IDS, OF_BOTH_FAMILIES, Family
 from tests.helpers.emulator import (
     ACTION,
     BACKUP,
@@ -37,7 +38,6 @@ from tests.helpers.emulator import (
     packet,
 )
 from tests.helpers.robots import nominal_calibration
-from tests.helpers.servo_family import ALL, DYNAMIXEL, FEETECH, IDS, OF_BOTH_FAMILIES, Family
 
 RESET = 10
 

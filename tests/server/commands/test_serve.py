@@ -160,7 +160,7 @@ def test_help_lists_options_and_live_commands(capsys: pytest.CaptureFixture[str]
         cli.main(["emulate", "--help"])
     printed = capsys.readouterr().out
     assert "--lose-instruction" in printed
-    assert '{"plugged": "renamed"}' in printed
+    assert '{"plugged": false}' in printed
     assert ":mod:" not in printed
 
 

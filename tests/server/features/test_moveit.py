@@ -8,7 +8,7 @@ from typing import Any
 
 from websockets.asyncio.client import connect
 
-from planners.interface import Planners
+from planners.pool import PlannerPool
 from protocol.registry import Registry
 from robot.description.model import RobotModel, parse
 from robot.description.servo_table import HardwareTable
@@ -141,7 +141,7 @@ async def test_settings_reach_their_parts() -> None:
 def context_for(robot: RobotModel, settings: Settings | None = None) -> ServerContext:
     settings = settings or Settings()
     served = ServedArm("", settings.arm, Description("", robot, HardwareTable(), None), FakeArm().as_arm)
-    return context_of(settings, Graph(Registry.load()), (served, (served,)), Planners(robot))
+    return context_of(settings, Graph(Registry.load()), (served, (served,)), PlannerPool(robot))
 
 
 def test_an_arm_has_the_gripper_of_its_description() -> None:

@@ -89,13 +89,14 @@ def test_a_page_that_stood_still_moves_nothing_after_the_stop_of_another(
     page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer, stop: str
 ) -> None:
     move(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
+    last_stop = page.state("arm.last_stop")
     stopping = threading.Timer(0.5, stop_from_elsewhere, (server.url, stop))
     stopping.start()
     page.page.evaluate("(() => { const end = performance.now() + 1500; while (performance.now() < end); })()")
     stopping.join()
     time.sleep(0.2)
     assert record.stands(WATCHED_S)
-    page.until_state("s.servo_node.code === -1")
+    page.until_state(f"s.arm.last_stop !== '{last_stop}'")
 
 
 def stop_from_elsewhere(url: str, way: str) -> None:

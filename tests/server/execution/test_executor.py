@@ -16,6 +16,7 @@ import pytest_asyncio
 
 from planners.goals import JointGoal
 from planners.interface import Planners
+from planners.pool import PlannerPool
 from planners.problem import (
     ConcurrencyQuestion,
     MoveItErrorCode,
@@ -95,7 +96,7 @@ async def processes() -> AsyncIterator[tuple[Arm, Planners, RobotModel]]:
     robot = within_calibration(so101(), calibration)
     arm = Arm(ArmConfig(robot, EmulatedConfig(calibration)), lambda _state: None)
     await arm.start(TIMEOUT_S)
-    pool = Planners(robot)
+    pool = PlannerPool(robot)
     await pool.start()
     yield arm, pool, robot
     await arm.close()
@@ -152,7 +153,7 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
 async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
-    executor = executor_of(arm, robot, Planners(robot))
+    executor = executor_of(arm, robot, PlannerPool(robot))
     answer = await executor.run(to(shoulder_pan=0.5), lambda _progress: None, 0)
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
     assert "starting" in answer.message
@@ -164,7 +165,7 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
 def test_the_scene_monitor_waits_for_planners_as_long_as_for_the_arm(hardware: HardwareConfig) -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, hardware), lambda _state: None)
-    executor = executor_of(arm, robot, Planners(robot))
+    executor = executor_of(arm, robot, PlannerPool(robot))
     assert executor._scene_monitor._retry_for_s == arm.state_max_age_s
 
 

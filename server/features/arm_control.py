@@ -40,8 +40,9 @@ class ArmControl(Feature):
 
     def on_state(self, arm: str, state: ArmState) -> None:
         each = self._arms[arm]
-        # Every state costs as much again where several arms are listened to by one topic alone.
-        if each.graph.subscribers(JOINT_STATES):
+        # The joints of all arms are published without subscribers too, for a recording. The joints of one of several arms
+        # would cost as much again.
+        if not arm or each.graph.subscribers(JOINT_STATES):
             self._joint_states[arm].publish(read_now(each.served.arm, state))
         self._states[arm].take_state(state, each.served.arm.last_stop)
 

@@ -40,8 +40,8 @@ class ArmControl(Feature):
 
     def on_state(self, arm: str, state: ArmState) -> None:
         each = self._arms[arm]
-        # The joints of all arms are published without subscribers too, for a recording; one arm's own would cost as much
-        # again.
+        # The joints of all arms are published without subscribers too, for a recording. One arm's own would cost as
+        # much again.
         if not arm or each.graph.subscribers(JOINT_STATES):
             self._joint_states[arm].publish(read_now(each.served.arm, state))
         self._states[arm].take_state(state, each.served.arm.last_stop)

@@ -19,7 +19,7 @@ from robot.commissioning.servo_registers import ServoRegisters, read_registers
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE
+from robot.hardware.feetech.family import NO_LIMITS, PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile
 from robot.hardware.feetech.registers import (
     MODELS,
@@ -128,10 +128,10 @@ def search(
     if not found:
         raise StartupError(NO_ANSWER)
     names = {servo.servo_id: servo.joint for servo in arm}
-    present = ", ".join(f"{servo.servo_id} ({names[servo.servo_id]})" for servo in found)
+    present = ", ".join(f"{servo.servo_id} ({names.get(servo.servo_id, 'of another arm')})" for servo in found)
     raise StartupError(
-        f"only servo {present} answers, which has its id already: plug in the servo of {joint.joint}, or push its plug "
-        "home"
+        f"only servo {present} answers, which has its id or a calibration already: plug in the servo of {joint.joint}, "
+        "or push its plug home. To use a servo that was calibrated elsewhere, reset it with Feetech's FD program first"
     )
 
 
@@ -212,7 +212,7 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
         Register.BAUD_RATE: BAUDRATE_CODE,
     }
     lowest, highest = FULL_RANGE_TICKS
-    if servo.servo_id != joint.servo_id or servo.settings.angle_limits_ticks == (0, 0):
+    if servo.servo_id != joint.servo_id or servo.settings.angle_limits_ticks == NO_LIMITS:
         wanted |= {Register.MIN_ANGLE_LIMIT: lowest, Register.MAX_ANGLE_LIMIT: highest}
     # After the limits: an interrupted write must not leave a new offset with old limits.
     if servo.servo_id != joint.servo_id:
@@ -326,10 +326,18 @@ class _Writer:
 
 
 def _candidates(found: Sequence[FoundServo], joint: ServoSpec, arm: Sequence[ServoSpec]) -> list[FoundServo]:
-    """Return the candidates for a joint: the servo with its id, else the servos without an id of the arm."""
+    """Return the candidates for a joint: the servo with its id, else the servos without a calibration or another's id.
+
+    The first joint has the id of new servos; its calibration tells it from one of these.
+    """
     own = [servo for servo in found if servo.servo_id == joint.servo_id]
     others = {servo.servo_id for servo in arm} - {FACTORY_ID}
-    return own or [servo for servo in found if servo.servo_id not in others]
+    return own or [servo for servo in found if servo.servo_id not in others and not _is_calibrated(servo)]
+
+
+def _is_calibrated(servo: FoundServo) -> bool:
+    # Angle limits are of a calibration always; a new servo may have an offset.
+    return servo.settings.angle_limits_ticks not in (NO_LIMITS, FULL_RANGE_TICKS)
 
 
 def _answers(bus: Bus, servo_id: int) -> bool:

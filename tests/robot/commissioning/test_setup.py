@@ -153,13 +153,14 @@ def test_silence_is_explained(kit):
         find(kit, GRIPPER)
 
 
-def test_a_calibration_stays_with_its_joint_and_leaves_with_it(kit):
+def test_a_calibrated_joint_is_never_offered_for_another(kit):
     calibration = {Register.MIN_ANGLE_LIMIT: 900, Register.MAX_ANGLE_LIMIT: 3100, Register.HOMING_OFFSET: -40}
     set_registers(kit.servos[0], calibration)
     kit.plug(0)
     assert {register: set_up(kit, PAN).registers[register] for register in calibration} == calibration
-    cleared = set_up(kit, ELBOW).registers
-    assert [cleared[register] for register in calibration] == [0, 4095, 0]
+    with pytest.raises(StartupError, match=r"only servo 1 \(shoulder_pan\) answers, .* has .* a calibration already"):
+        set_up(kit, ELBOW)
+    assert {register: kit.servos[0].value(register) for register in calibration} == calibration
 
 
 def test_a_servo_without_limits_gets_them_though_its_id_is_right(kit):

@@ -162,7 +162,7 @@ class _Conversation:
             return step.answers[0]
         first, *others = step.answers
         typed = "".join(f", or type {each!r} and Enter" for each in others)
-        self._terminal.say(f"{step.instruction} Enter: {first}{typed}.")
+        self._terminal.ask(f"{step.instruction} Enter: {first}{typed}.")
         while (line := self._terminal.line_typed()) is None:
             if step.name != HOLD:
                 self._follow()

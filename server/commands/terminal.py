@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import sys
+import termios
 from collections.abc import Sequence
 from enum import IntEnum
 
@@ -59,13 +60,20 @@ class Terminal:
         print(redraw + text, file=sys.stderr, flush=True)  # noqa: T201 - the command's own output
         self._live_lines = text.count("\n") + 1
 
+    def ask(self, question: str) -> None:
+        """Print a question; keys pressed before it do not count. A pipe or file keeps the answers that it has ready."""
+        if os.isatty(self._input):
+            termios.tcflush(self._input, termios.TCIFLUSH)
+            self._received = b""
+        self.say(question)
+
     def confirm(self, question: str) -> bool:
         """Ask a question; whatever is not yes is no.
 
         Raises:
             AnswerMissing: the input ended.
         """
-        self.say(f"{question} [y/N]")
+        self.ask(f"{question} [y/N]")
         return self._line().strip().lower() in YES
 
     def await_enter(self, request: str) -> None:
@@ -74,7 +82,7 @@ class Terminal:
         Raises:
             AnswerMissing: the input ended.
         """
-        self.say(f"{request}, then press Enter.")
+        self.ask(f"{request}, then press Enter.")
         self._line()
 
     def line_typed(self) -> str | None:

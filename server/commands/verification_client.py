@@ -109,7 +109,7 @@ class VerificationClient:
         others = "".join(f", or type {each!r} and Enter" for each in answers[1:])
         asked = f" Enter: {answers[0]}{others}." if answers else ""
         if instruction := self._state.get("instruction", ""):
-            self._terminal.say(f"{instruction}{asked}")
+            self._terminal.ask(f"{instruction}{asked}")
 
     def _send(self, operation: Mapping[str, Any]) -> None:
         self._websocket.send(json.dumps(operation))

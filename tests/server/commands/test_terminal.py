@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import pty
 
 import pytest
 
@@ -31,6 +32,30 @@ def test_each_question_takes_one_line_of_many(typed):
     assert not terminal.confirm("two")
     assert terminal.line_typed() == ""
     assert terminal.line_typed() is None
+
+
+class Answered(Terminal):
+    """A terminal at which somebody has pressed keys too early, and types ``n`` once a question is printed."""
+
+    def __init__(self, keyboard: int, descriptor: int) -> None:
+        super().__init__(descriptor)
+        self._keyboard = keyboard
+
+    def say(self, text: str) -> None:
+        super().say(text)
+        os.write(self._keyboard, b"n\n")
+
+
+def test_keys_pressed_before_a_question_do_not_answer_it(capsys):
+    keyboard, descriptor = pty.openpty()
+    terminal = Answered(keyboard, descriptor)
+    os.write(keyboard, b"y\ny\n")
+    assert not terminal.confirm("Write this?")
+    os.write(keyboard, b"\n\n")
+    terminal.ask("Hold the arm. Enter: done.")
+    assert terminal.line_typed() == "n"
+    for each in (keyboard, descriptor):
+        os.close(each)
 
 
 def test_looking_for_a_line_does_not_wait_for_its_enter(typed):

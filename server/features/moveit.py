@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import logging
 import os
 import time
 
+from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
 from server.execution.motions import Motion
@@ -40,6 +42,12 @@ from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
 from server.timers import call_later
+
+log = logging.getLogger("armbridge.servo")
+
+# A joint that brakes from its full speed within this time comes to rest before a limit that it approaches at 2.5 times
+# its distance per second, with the 0.7 of its acceleration that steering uses (planners/servo/velocity_limits.py).
+BRAKES_WITHIN_S = 2.0 * 0.7 / 2.5
 
 # The queue waits so long for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0
@@ -252,9 +260,22 @@ class Servo(Feature):
 
     def __init__(self, context: ServerContext) -> None:
         self.nodes = {arm.name: _servo_node(arm) for arm in context.arms}
+        for joint, brakes_s in slow_to_brake(context.planning.robot).items():
+            log.info(
+                "joint %s needs %.1f s to brake from its full speed, so steering approaches limits and obstacles more "
+                "slowly with it (max_velocity and max_acceleration in robot.toml)",
+                joint,
+                brakes_s,
+            )
 
     async def stop(self) -> None:
         await asyncio.gather(*(node.close() for node in self.nodes.values()))
+
+
+def slow_to_brake(robot: RobotModel) -> dict[str, float]:
+    """Return the joints of which steering counts on more braking than they have, with their times to brake [s]."""
+    brakes_s = {joint.name: joint.max_velocity / joint.max_acceleration for joint in robot.movable_joints}
+    return {name: time_s for name, time_s in brakes_s.items() if time_s > BRAKES_WITHIN_S}
 
 
 def _servo_node(arm: ArmContext) -> ServoNode:

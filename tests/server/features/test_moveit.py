@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from dataclasses import replace
 from typing import Any
 
 from websockets.asyncio.client import connect
@@ -17,7 +18,7 @@ from server.arm.setup import Description
 from server.config import ArmSettings, GoalSettings, GuardSettings, Settings
 from server.execution.time_limits import TimeLimits
 from server.features.context import ServerContext, context_of
-from server.features.moveit import MoveGroup, PlanningScene
+from server.features.moveit import MoveGroup, PlanningScene, slow_to_brake
 from server.graph.topics import Graph
 from server.moveit.gripper import GripperLimits
 from server.moveit.parameters import MoveItParameters
@@ -142,6 +143,13 @@ def context_for(robot: RobotModel, settings: Settings | None = None) -> ServerCo
     settings = settings or Settings()
     served = ServedArm("", settings.arm, Description("", robot, HardwareTable(), None), FakeArm().as_arm)
     return context_of(settings, Graph(Registry.load()), (served, (served,)), PlannerPool(robot))
+
+
+def test_joints_that_brake_slowly_are_named_for_steering() -> None:
+    robot = so101()
+    assert slow_to_brake(robot) == {}
+    slow = replace(robot.joints["elbow_flex"], max_acceleration=robot.joints["elbow_flex"].max_velocity / 2.0)
+    assert slow_to_brake(replace(robot, joints={**robot.joints, "elbow_flex": slow})) == {"elbow_flex": 2.0}
 
 
 def test_an_arm_has_the_gripper_of_its_description() -> None:

@@ -16,8 +16,7 @@ TIP = "gripper_frame_link"
 SIDE_M = 0.06
 # In front of the arm, with room on every side [rad].
 START = {"shoulder_pan": 0.0, "shoulder_lift": -0.5, "elbow_flex": 0.5, "wrist_flex": 0.0, "wrist_roll": 0.0}
-# Result codes are those of moveit_msgs/MoveItErrorCodes.
-SUCCESS = 1
+SUCCESS = 1  # of moveit_msgs/MoveItErrorCodes
 
 
 def connect(host: str, port: int) -> roslibpy.Ros:
@@ -57,8 +56,7 @@ def send_goal(client: roslibpy.Ros, name: str, action_type: str, goal: dict[str,
     except queue.Empty:
         action.cancel_goal(goal_id)
         sys.exit(f"{name}: no result within {MOTION_TIMEOUT_S} s")
-    # The result of a rejected goal is a sentence.
-    if not isinstance(values, dict):
+    if not isinstance(values, dict):  # a rejected goal's result is a sentence
         sys.exit(f"{name}: {values}")
     check(name, values["error_code"])
 
@@ -79,9 +77,9 @@ def draw(client: roslibpy.Ros) -> None:
     request = {"group_name": "arm", "link_name": TIP, "waypoints": corners, "max_step": 0.005}
     path = call_service(client, "/compute_cartesian_path", "moveit_msgs/srv/GetCartesianPath", request)
     if path["fraction"] < 1.0:
-        raise SystemExit(f"only {path['fraction']:.0%} of the square can be drawn: {path['error_code']['message']}")
-    motion = {"trajectory": path["solution"]}
-    send_goal(client, "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", motion)
+        sys.exit(f"only {path['fraction']:.0%} of the square can be drawn: {path['error_code']['message']}")
+    square = {"trajectory": path["solution"]}
+    send_goal(client, "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", square)
     print(f"a square of {SIDE_M * 100:g} cm")
 
 

@@ -226,6 +226,9 @@ class Parts:
     @cached_property
     def points_m(self) -> Vector:
         """One point of each connected body, shape (n, 3) [m], in the joint's frame."""
+        # The convex parts of a link cover its few bodies: a point of each of the parts would be checked in vain.
+        if self.enclosed_by is not None:
+            return self.enclosed_by.points_m
         solid = (pair for pair in self._placed() if not isinstance(pair[0], coal.BVHModelBase))
         middles_m = [place.act(corners(shape).mean(axis=0)) for shape, place in solid]
         return np.vstack([*middles_m, *([] if self._mesh_surface is None else [self._mesh_surface.points_m])])

@@ -168,8 +168,31 @@ class _Parts:
 
 
 def line_is_free(checker: CollisionChecker, start: Vector, end: Vector, step_m: float) -> bool:
-    """Return true if nothing touches on a straight line; see :func:`polyline_is_free`."""
-    return polyline_is_free(checker, np.array([start, end]), step_m)
+    """Return true if nothing touches on a straight line whose first point is taken to be free.
+
+    On pieces along which nothing moves more than ``step_m`` only the ends are checked [m]. All pieces of a line are
+    alike, so this takes half the time of :func:`first_contact`, and most motions are lines.
+    """
+    if not checker.free(end):
+        return False
+    joint_travel = 0.5 * np.abs(end - start)
+    travel_m = float(joint_travel @ checker.travel_m_per_rad)
+    at, half = np.array([0.5]), 0.5
+    candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
+    while len(at) and 2.0 * travel_m > step_m:
+        points = start + at[:, np.newaxis] * (end - start)
+        # Something is near the widest pieces nearly always: these keep their candidate pairs.
+        if travel_m <= WIDEST_MARGIN_M:
+            candidate_pairs = checker.candidate_pairs(points, np.tile(joint_travel, (len(at), 1)), candidate_pairs)
+            unsure = [i for i, candidates in enumerate(candidate_pairs) if candidates != NO_CANDIDATES]
+            at, points, candidate_pairs = at[unsure], points[unsure], [candidate_pairs[i] for i in unsure]
+        if any(
+            checker.touches_any(point, candidates) for point, candidates in zip(points, candidate_pairs, strict=True)
+        ):
+            return False
+        half, joint_travel, travel_m = 0.5 * half, 0.5 * joint_travel, 0.5 * travel_m
+        at, candidate_pairs = np.concatenate((at - half, at + half)), candidate_pairs + candidate_pairs
+    return True
 
 
 def polyline_is_free(checker: CollisionChecker, points: Vector, step_m: float) -> bool:

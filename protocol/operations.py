@@ -22,12 +22,13 @@ def qualify(name: str) -> str:
     return name if name.startswith("/") else f"/{name}"
 
 
+# Texts that mean false where any value counts.
+_SAYS_NO = ("", "false", "0", "no", "null", "none")
+
+
 def is_true(value: object) -> bool:
     """Return the truth value of any JSON value; of texts, those that say no are false."""
     return value.strip().lower() not in _SAYS_NO if isinstance(value, str) else bool(value)
-
-
-_SAYS_NO = ("", "false", "0", "no", "null", "none")
 
 
 # ROS 2 middleware takes no longer names of topics and types.

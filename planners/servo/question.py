@@ -14,6 +14,12 @@ from planners.scene import Point, Pose
 # With a longer period the arm moves too far between two commands.
 MAX_PERIOD_S = 0.1
 
+# Share of the joints' acceleration that steering uses; the arm, which rounds the corners, needs some of the rest.
+ACCELERATION_SHARE = 0.7
+
+# Speed of approach per distance left. With it a joint at full speed brakes as hard as it can, and no harder.
+APPROACH_PER_S = 2.5
+
 ZERO: Point = (0.0, 0.0, 0.0)
 
 

@@ -23,6 +23,7 @@ from planners.ik.goal_checks import check_link, invalid_goal
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Point, Pose
 from planners.servo.question import (
+    ACCELERATION_SHARE,
     MAX_PERIOD_S,
     Anchor,
     JointVelocities,
@@ -78,9 +79,6 @@ TURN_DAMPING = 0.05
 
 # Weight of keeping the last rotation: without it the rotation flutters between two obstacles.
 STEADINESS = 0.5
-
-# Share of the joints' acceleration that steering uses; the arm, which rounds the corners, needs some of the rest.
-ACCELERATION_SHARE = 0.7
 
 # At a velocity bound the tip could go on by turning about the obstacle. A turn of a radian costs as much as this way,
 # so that the tip stops instead [m/rad].

@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 
 from planners.geometry.nearness import NearPair
 from planners.ik.differential import ROUNDING, Limit, Task, barrier, solve
-from planners.servo.question import ServoLimits
+from planners.servo.question import APPROACH_PER_S, ServoLimits
 from robot.trajectory import Vector
-
-# Speed of approach per distance left. With it a joint at full speed brakes as hard as it can, and no harder.
-APPROACH_PER_S = 2.5
 
 # Room for the curvature of the way: a pair's direction holds for the present configuration only. Under random sticks an
 # SO-101 came up to 2 mm nearer to a table than without it [m].

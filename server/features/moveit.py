@@ -8,6 +8,7 @@ import logging
 import os
 import time
 
+from planners.servo.question import ACCELERATION_SHARE, APPROACH_PER_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
@@ -45,9 +46,8 @@ from server.timers import call_later
 
 log = logging.getLogger("armbridge.servo")
 
-# A joint that brakes from its full speed within this time comes to rest before a limit that it approaches at 2.5 times
-# its distance per second, with the 0.7 of its acceleration that steering uses (planners/servo/velocity_limits.py).
-BRAKES_WITHIN_S = 2.0 * 0.7 / 2.5
+# A joint that brakes from its full speed within this time comes to rest before the limits that steering approaches.
+BRAKES_WITHIN_S = 2.0 * ACCELERATION_SHARE / APPROACH_PER_S
 
 # The queue waits so long for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0

@@ -57,11 +57,7 @@ MAX_PARAMETER_BYTES = 16 << 20
 
 
 class Request(NamedTuple):
-    """Request of a rosapi service.
-
-    Attributes:
-        dialect: the caller's; type names in the response are spelled in it.
-    """
+    """Request of a rosapi service."""
 
     values: Mapping[str, Any]
     dialect: Dialect
@@ -82,16 +78,7 @@ Handlers: TypeAlias = Mapping[str, tuple[str, Handler]]
 
 
 class RosApi:
-    """Offers the services of rosapi on a graph.
-
-    Args:
-        graph: topics, services and actions to describe; the services are offered here as well.
-        wall_clock: seconds since the epoch.
-        params: parameters that clients may use; None for all.
-
-    Attributes:
-        parameters: parameters that clients and the server keep.
-    """
+    """Offers the services of rosapi on a graph."""
 
     def __init__(
         self, graph: Graph, wall_clock: Callable[[], float] = time.time, params: NameFilter | None = None
@@ -254,11 +241,7 @@ class RosApi:
 
 
 class Latest:
-    """Response that is the same for all until the names in use change: made once for each change and dialect.
-
-    Args:
-        names: the names that it is made of.
-    """
+    """Response that is the same for all until the names in use change: made once for each change and dialect."""
 
     def __init__(self, names: TypedNames, make: Callable[[Dialect], dict[str, Any]]) -> None:
         self._names = names
@@ -275,14 +258,7 @@ class Latest:
 
 
 class Parameters:
-    """Parameters: JSON texts by name, kept for the life of the server.
-
-    Args:
-        names: parameters that clients may use; None for all.
-
-    Attributes:
-        handlers: the services that read and change parameters.
-    """
+    """Parameters: JSON texts by name, kept for the life of the server."""
 
     def __init__(self, names: NameFilter | None = None) -> None:
         self._names = names or NameFilter("access.params_glob")

@@ -169,15 +169,7 @@ def _doctor(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 def examine_bus(
     bus: Bus, servos: Sequence[ServoSpec], calibration: Calibration | None, cycles: int, terminal: Terminal
 ) -> tuple[ScanResult, list[Finding]]:
-    """Scan the bus, measure it and judge both; nothing is written.
-
-    Args:
-        calibration: calibration of the arm; None if it is not known.
-        cycles: number of cycles at 100 Hz to measure.
-
-    Raises:
-        PortLost: the port is gone.
-    """
+    """Scan the bus, measure it and judge both; nothing is written."""
     terminal.say("looking at the servos ...")
     result = scan(bus, tuple(servo.servo_id for servo in servos))
     findings = judge_scan(result, servos, calibration)
@@ -261,11 +253,7 @@ def _relax(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def relax_arm(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> ExitCode:
-    """Relax whatever holds; says which servos may still be driven.
-
-    Raises:
-        PortLost: the port is gone.
-    """
+    """Relax whatever holds; says which servos may still be driven."""
     holding, silent = _look(bus, servos)
     if not holding and not silent:
         terminal.say("torque is off on all servos")

@@ -87,17 +87,7 @@ def run_certificate(options: argparse.Namespace) -> int:
 
 
 def ensure_token(directory: Path) -> tuple[Path, str]:
-    """Make a file of tokens with one in it, if there is none.
-
-    Args:
-        directory: the folder of the file; it exists.
-
-    Returns:
-        The file, and the token that was made; empty where there was a file.
-
-    Raises:
-        ConfigurationError: the file cannot be written.
-    """
+    """Make a file of tokens with one in it, if there is none."""
     file, token = directory / TOKEN_FILE, secrets.token_hex(TOKEN_BYTES)
     try:
         with locked(file):
@@ -110,11 +100,7 @@ def ensure_token(directory: Path) -> tuple[Path, str]:
 
 
 def description_of(files: CertificateFiles, outcome: Outcome, tokens: Path, token: str) -> str:
-    """Return what was made, and what to do with it.
-
-    Args:
-        token: the token that was made; empty for none.
-    """
+    """Return what was made, and what to do with it."""
     certificate = f"The certificate is valid until {outcome.ends:%Y-%m-%d}"
     made = f"{certificate}; it was made because {outcome.reason}." if outcome.reason else f"{certificate}; it stays."
     known = "" if outcome.made_authority else " Phones that trust it already need nothing."

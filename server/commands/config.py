@@ -183,13 +183,7 @@ def server_command(python: Path) -> list[str]:
 
 
 def unit(command: list[str], config: Path | None, user: str | None, group: str) -> str:
-    """The unit's text.
-
-    Args:
-        command: how the server is called.
-        config: file of its settings; None for none.
-        user: who it runs as; None for a user that exists only as long as the service runs.
-    """
+    """The unit's text."""
     words = [*command, "serve", *([] if config is None else ["--config", str(config.absolute())])]
     return _UNIT.format(
         command=" ".join(_quoted(word) for word in words),

@@ -71,11 +71,7 @@ def websocket_url(text: str) -> str:
 
 
 def read_hardware(options: argparse.Namespace) -> HardwareTable:
-    """Read the hardware of the robot that the options name, which has Feetech servos.
-
-    Raises:
-        DescriptionError: there is no such robot, or it has other servos.
-    """
+    """Read the hardware of the robot that the options name, which has Feetech servos."""
     hardware = robot_folder.resolve(options.robot).hardware
     if hardware.kind != "feetech":
         raise DescriptionError(
@@ -85,20 +81,12 @@ def read_hardware(options: argparse.Namespace) -> HardwareTable:
 
 
 def open_bus(options: argparse.Namespace) -> Bus:
-    """Open the bus that the options name.
-
-    Raises:
-        PortError: it cannot be opened.
-    """
+    """Open the bus that the options name."""
     return Bus.open(resolve_port(options.serial))
 
 
 def read_calibration(options: argparse.Namespace) -> Calibration | None:
-    """Read the calibration that the options name, if they name one.
-
-    Raises:
-        CalibrationError: it cannot be used.
-    """
+    """Read the calibration that the options name, if they name one."""
     if options.calibration is None:
         return None
     hardware = read_hardware(options)
@@ -210,11 +198,7 @@ def read_settings(options: argparse.Namespace) -> tuple[Settings, dict[str, str]
 
 
 def overrides(options: argparse.Namespace) -> dict[str, Any]:
-    """The settings that options override, by section and key.
-
-    Raises:
-        ConfigurationError: a ``--set`` that is no assignment.
-    """
+    """The settings that options override, by section and key."""
     values: dict[str, Any] = {}
     for text in options.assignments:
         key, equals, value = text.partition("=")

@@ -59,11 +59,7 @@ def _output(options: argparse.Namespace) -> Path:
 
 
 def report_to(path: Path, options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    """Write the report; what cannot be had is named in it.
-
-    Args:
-        path: file to write, which must not exist.
-    """
+    """Write the report; what cannot be had is named in it."""
     # Imported when it is needed: --help answers without the server's libraries.
     from server.monitoring.report import CONTENTS
 
@@ -92,11 +88,7 @@ def report_to(path: Path, options: argparse.Namespace, terminal: Terminal) -> Ex
 
 
 def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dict[str, int]]:
-    """Collect the report.
-
-    Returns:
-        The archive, and the size of each member [bytes].
-    """
+    """Collect the report."""
     # Imported when it is needed: --help answers without the server's libraries.
     from server.access.authentication import Tokens
     from server.monitoring.report import Redactor, Report, add_faults, add_machine, add_settings

@@ -46,9 +46,8 @@ MAX_NODE_NAMES = 8192
 # As many as any robot's parameter server has.
 MAX_PARAMETERS = 10_000
 
-# Value of a parameter that there is not, of a request without a default: rosapi's JSON of what each generation has for
-# nothing. Clients read every value as JSON.
-NO_PARAMETER: Mapping[Dialect, str] = {"ros2": '""', "ros1": "null"}
+# Value of a missing parameter, of a request without a default. Clients read every value as JSON.
+NO_PARAMETER = "null"
 
 # What rosapi's answers about parameters tell since 2025.
 DONE = {"successful": True, "reason": ""}
@@ -308,7 +307,7 @@ class Parameters:
             return {"value": value, **DONE}
         if default:
             return {"value": _as_json(default), **DONE}
-        return {"value": NO_PARAMETER[request.dialect], "successful": False, "reason": f"there is no parameter {name}"}
+        return {"value": NO_PARAMETER, "successful": False, "reason": f"there is no parameter {name}"}
 
     def _has_param(self, request: Request) -> dict[str, Any]:
         return {"exists": self._allowed_name(request) in self._values}
@@ -331,6 +330,9 @@ class Parameters:
     def _allowed_name(self, request: Request) -> str:
         """Return the name of the requested parameter."""
         name: str = request.values["name"]
+        # ROS 2 has parameters of nodes, `<node>:<name>`; a node's slash may be left out (rosapi/params.py).
+        if ":" in name and not name.startswith("/"):
+            name = f"/{name}"
         refusal = self._names.refusal("parameter", name)
         if refusal is not None:
             raise ServiceError(refusal)

@@ -96,6 +96,7 @@ class Topic:
     name: str
     type_name: str
     last_used_s: float
+    published_count: int = 0
     publishers: set[Node] = field(default_factory=set)
     subscribers: dict[Node, Subscriber] = field(default_factory=dict)
     latching: set[Node] = field(default_factory=set)
@@ -350,6 +351,8 @@ class Graph:
         self._distribute(topic, published, node, lifespan_s)
 
     def _distribute(self, topic: Topic, published: PublishedMessage, node: Node, lifespan_s: float) -> str | None:
+        topic.published_count += 1
+        published.sequence_number = topic.published_count
         for watch in self._watchers:
             watch(published, topic.keeps(node))
         for subscriber in tuple(topic.subscribers.values()):

@@ -330,6 +330,9 @@ class Parameters:
     def _allowed_name(self, request: Request) -> str:
         """Return the name of the requested parameter."""
         name: str = request.values["name"]
+        # ROS 2 has parameters of nodes, `<node>:<name>`; a node's slash may be left out (rosapi/params.py).
+        if ":" in name and not name.startswith("/"):
+            name = f"/{name}"
         refusal = self._names.refusal("parameter", name)
         if refusal is not None:
             raise ServiceError(refusal)

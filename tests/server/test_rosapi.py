@@ -405,6 +405,18 @@ def test_a_parameter_that_is_no_json_is_refused(kept: Kept, value: str) -> None:
     assert kept.ask("get_param_names") == {"names": []}
 
 
+def test_the_parameters_of_a_node_have_its_name_with_or_without_the_slash(kept: Kept) -> None:
+    kept.ask("set_param", name="camera:rate", value="30")
+    for name in ("camera:rate", "/camera:rate"):
+        assert kept.ask("get_param", name=name, default_value="")["value"] == "30"
+        assert kept.ask("has_param", name=name) == {"exists": True}
+    assert kept.ask("get_param_names") == {"names": ["/camera:rate"]}
+
+
+def test_the_default_of_a_parameter_may_have_its_older_name(world: AskedWorld) -> None:
+    assert world.ask("get_param", name="/nothing", default="3")["value"] == "3"
+
+
 def test_the_servers_own_parameters_are_there_for_clients(kept: Kept) -> None:
     kept.keep("/robot_description", '"<robot/>"')
     assert kept.ask("get_param", name="/robot_description", default_value="")["value"] == '"<robot/>"'

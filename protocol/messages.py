@@ -90,6 +90,8 @@ _OLDER_NAMES: Mapping[str, Mapping[str, str | None]] = {
     HEADER: {"seq": None},
     # ROS 1 and Humble.
     "moveit_msgs/msg/MotionPlanRequest": {"cartesian_speed_end_effector_link": "cartesian_speed_limited_link"},
+    # ROS 1, and the types of roslib 2.
+    "rosapi_msgs/srv/GetParam_Request": {"default": "default_value"},
     # ROS 1 before Noetic.
     "moveit_msgs/msg/PositionIKRequest": {"attempts": None},
 }

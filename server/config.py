@@ -290,11 +290,7 @@ class DiagnosticsSettings(SettingsSection):
     """where they are kept; None for a folder in the user's data directory."""
 
     def directory(self, data: Path) -> Path:
-        """Return the directory of the files about faults.
-
-        Args:
-            data: directory of the server's files.
-        """
+        """Return the directory of the files about faults."""
         return self.fault_directory or data / "faults"
 
 

@@ -28,10 +28,6 @@ def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
 def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Settings, dict[str, str]]:
     """Read the settings, and tell who has set which.
 
-    Args:
-        file: a TOML file, or None.
-        overrides: section -> key -> value from the command line.
-
     Returns:
         The settings, and by key, as in ``server.port``: ``file``, ``environment`` or ``command line``, for those that
         are not left at their defaults.

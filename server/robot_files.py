@@ -35,12 +35,8 @@ class RobotFiles:
     def find(self, name: str) -> Path:
         """Find a file.
 
-        Args:
-            name: a ``package://`` URL, or a path within the URDF's folder.
-
         Raises:
             ServiceError: there is no such file, or it is of another kind or elsewhere.
-            FileTooLargeError: the file is too large.
         """
         for url, folder in self._mesh_folders.items():
             if name.startswith(f"{url}/"):
@@ -91,7 +87,6 @@ def find_file(directory: Path | None, package: str, name: str) -> Path:
 
     Raises:
         ServiceError: there is no such file, or it is of another kind or outside the directory.
-        FileTooLargeError: the file is too large.
     """
     if directory is None:
         raise ServiceError(f"name: {name!r} is not here: this robot's description names no files")

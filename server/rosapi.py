@@ -46,9 +46,8 @@ MAX_NODE_NAMES = 8192
 # As many as any robot's parameter server has.
 MAX_PARAMETERS = 10_000
 
-# Value of a parameter that there is not, of a request without a default: rosapi's JSON of what each generation has for
-# nothing. Clients read every value as JSON.
-NO_PARAMETER: Mapping[Dialect, str] = {"ros2": '""', "ros1": "null"}
+# Value of a missing parameter, of a request without a default. Clients read every value as JSON.
+NO_PARAMETER = "null"
 
 # What rosapi's answers about parameters tell since 2025.
 DONE = {"successful": True, "reason": ""}
@@ -58,11 +57,7 @@ MAX_PARAMETER_BYTES = 16 << 20
 
 
 class Request(NamedTuple):
-    """Request of a rosapi service.
-
-    Attributes:
-        dialect: the caller's; type names in the response are spelled in it.
-    """
+    """Request of a rosapi service."""
 
     values: Mapping[str, Any]
     dialect: Dialect
@@ -83,16 +78,7 @@ Handlers: TypeAlias = Mapping[str, tuple[str, Handler]]
 
 
 class RosApi:
-    """Offers the services of rosapi on a graph.
-
-    Args:
-        graph: topics, services and actions to describe; the services are offered here as well.
-        wall_clock: seconds since the epoch.
-        params: parameters that clients may use; None for all.
-
-    Attributes:
-        parameters: parameters that clients and the server keep.
-    """
+    """Offers the services of rosapi on a graph."""
 
     def __init__(
         self, graph: Graph, wall_clock: Callable[[], float] = time.time, params: NameFilter | None = None
@@ -255,11 +241,7 @@ class RosApi:
 
 
 class Latest:
-    """Response that is the same for all until the names in use change: made once for each change and dialect.
-
-    Args:
-        names: the names that it is made of.
-    """
+    """Response that is the same for all until the names in use change: made once for each change and dialect."""
 
     def __init__(self, names: TypedNames, make: Callable[[Dialect], dict[str, Any]]) -> None:
         self._names = names
@@ -276,14 +258,7 @@ class Latest:
 
 
 class Parameters:
-    """Parameters: JSON texts by name, kept for the life of the server.
-
-    Args:
-        names: parameters that clients may use; None for all.
-
-    Attributes:
-        handlers: the services that read and change parameters.
-    """
+    """Parameters: JSON texts by name, kept for the life of the server."""
 
     def __init__(self, names: NameFilter | None = None) -> None:
         self._names = names or NameFilter("access.params_glob")
@@ -332,7 +307,7 @@ class Parameters:
             return {"value": value, **DONE}
         if default:
             return {"value": _as_json(default), **DONE}
-        return {"value": NO_PARAMETER[request.dialect], "successful": False, "reason": f"there is no parameter {name}"}
+        return {"value": NO_PARAMETER, "successful": False, "reason": f"there is no parameter {name}"}
 
     def _has_param(self, request: Request) -> dict[str, Any]:
         return {"exists": self._allowed_name(request) in self._values}
@@ -355,6 +330,9 @@ class Parameters:
     def _allowed_name(self, request: Request) -> str:
         """Return the name of the requested parameter."""
         name: str = request.values["name"]
+        # ROS 2 has parameters of nodes, `<node>:<name>`; a node's slash may be left out (rosapi/params.py).
+        if ":" in name and not name.startswith("/"):
+            name = f"/{name}"
         refusal = self._names.refusal("parameter", name)
         if refusal is not None:
             raise ServiceError(refusal)

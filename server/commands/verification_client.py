@@ -29,9 +29,6 @@ class ServerLost(RobotError):  # noqa: N818 - named by the fact
 def verify(url: str, token: str | None, terminal: Terminal) -> ExitCode:
     """Have a server verify its arm.
 
-    Args:
-        token: of an admin; None where none is needed.
-
     Raises:
         ServerLost: the server cannot be reached, refuses, or has left.
     """
@@ -53,12 +50,7 @@ class VerificationClient:
         self._told: set[str] = set()
 
     def run(self, token: str | None) -> ExitCode:
-        """Begin a verification, and ask the person what the server asks.
-
-        Raises:
-            ServerLost: the server refuses.
-            WebSocketException: it has left.
-        """
+        """Begin a verification, and ask the person what the server asks."""
         if token is not None:
             self._send({"op": "auth", "token": token})
         self._call(BEGIN, {"procedure": "verify", "name": ""})

@@ -53,10 +53,7 @@ class ExportOptions:
     """Options of an export.
 
     Attributes:
-        task: task of episodes whose marks name none; None for none.
         action_topic: topic of the actions; None for the leader's, else a controller's state, else the next state.
-        units: radians, or lerobot's degrees and percent of the gripper.
-        video: True to export what cameras saw.
     """
 
     recordings: Sequence[Path]
@@ -70,13 +67,7 @@ class ExportOptions:
 
 @dataclass(frozen=True)
 class Exported:
-    """Outcome of an export.
-
-    Attributes:
-        episodes: number of episodes.
-        frames: number of frames.
-        problems: sentences about what was left out.
-    """
+    """Outcome of an export."""
 
     episodes: int
     frames: int
@@ -97,9 +88,6 @@ class _Source:
 
 def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
     """Write a dataset of recordings.
-
-    Args:
-        tell: takes sentences about the progress.
 
     Raises:
         ExportError: the recordings make no dataset, or an extra is not installed.
@@ -242,11 +230,7 @@ def _image_times_s(images: Sequence[tuple[float, float]]) -> Times:
 
 
 def camera_keys(topics: Iterable[str]) -> dict[str, str]:
-    """Return the key of each camera's video -> its topic: ``/wrist/image_raw/compressed`` is the camera ``wrist``.
-
-    Args:
-        topics: names of image topics.
-    """
+    """Return the key of each camera's video -> its topic: ``/wrist/image_raw/compressed`` is the camera ``wrist``."""
     keys: dict[str, str] = {}
     for topic in sorted(topics):
         whole = [part for part in topic.split("/") if part]

@@ -61,8 +61,6 @@ class _Told:
     """A goal as the status topic tells it.
 
     Attributes:
-        goal_info: its action_msgs/GoalInfo.
-        status: a value of action_msgs/GoalStatus.
         ended_s: when it ended [s], None while it has not.
     """
 
@@ -72,11 +70,7 @@ class _Told:
 
 
 class ActionTopics:
-    """Topics of all actions; followed by :class:`server.graph.actions.Actions`.
-
-    Args:
-        clock: monotonic time [s].
-    """
+    """Topics of all actions; followed by :class:`server.graph.actions.Actions`."""
 
     def __init__(self, topics: Topics, clock: Callable[[], float]) -> None:
         self._topics = topics

@@ -41,8 +41,6 @@ class Result:
     """The end of a goal.
 
     Attributes:
-        ok: whether there is a result message.
-        status: a value of `GoalStatus`.
         values: the complete result message; without one a sentence, or what the provider gave.
     """
 
@@ -54,16 +52,9 @@ class Result:
 class Goal(PendingRequest[Result]):
     """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts.
 
-    Args:
-        action: fully qualified name.
-        type_name: canonical name of the action's type.
-        on_feedback: gets the complete feedback messages, None when nobody wants them.
-
     Attributes:
         goal_id: sixteen octets that no other goal has.
         sender_id: the sender's own mark for it, None where it has none.
-        cancel_requested: whether somebody has asked for the end of the goal.
-        sender_left: whether its sender is to be told nothing any more.
     """
 
     def __init__(
@@ -94,11 +85,7 @@ class Goal(PendingRequest[Result]):
         self._on_every_feedback = callback
 
     def feedback(self, values: object) -> None:
-        """Tell how the goal goes; what the message leaves out gets its default.
-
-        Raises:
-            MessageError: the values do not fit the action's type.
-        """
+        """Tell how the goal goes; what the message leaves out gets its default."""
         completed = self._message_types.complete(f"{self.type_name}_Feedback", values)
         if self.ended:
             return
@@ -162,7 +149,6 @@ class ActionProvider(Provider):
     """An action that somebody offers.
 
     Attributes:
-        check_lists: checks the lists of a goal message before it is completed; None for any.
         goals: those in flight by their id in base64, the oldest first.
     """
 
@@ -189,10 +175,6 @@ class Actions(ProviderDirectory[ActionProvider]):
 
     Args:
         services: where each action gets its service ``<action>/_action/cancel_goal``.
-        call_later: does something after a delay.
-
-    Attributes:
-        rules: rules of the actions of local parts, by name.
     """
 
     def __init__(self, message_types: MessageTypes, services: Services, call_later: CallLater) -> None:
@@ -222,11 +204,8 @@ class Actions(ProviderDirectory[ActionProvider]):
         """Offer an action; a client takes the place of a client that offered it before.
 
         Args:
-            name: fully qualified name.
-            type_name: the action's type.
             start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
                 `Goal.when_canceled` tells when somebody wants it ended, `Goal.when_ended` when it has ended.
-            limits: of the lists in a goal message; None for any.
             rule: requirements of the senders of goals; None for those of a client's action.
 
         Raises:
@@ -274,11 +253,7 @@ class Actions(ProviderDirectory[ActionProvider]):
         """Send a goal.
 
         Args:
-            name: fully qualified name of the action.
-            type_name: the action's type, as the sender knows it.
-            arguments: the goal message, as in `MessageTypes.complete_arguments`.
             on_result: called once, perhaps before this returns; not if the sender leaves before.
-            on_feedback: called with every feedback message.
 
         Returns:
             The goal, to be cancelled perhaps; None when it was not taken on.
@@ -296,11 +271,7 @@ class Actions(ProviderDirectory[ActionProvider]):
         return goal
 
     def cancel_left_behind(self, name: str, sender_id: Mark) -> None:
-        """Cancel the goals of an action with this mark whose senders have left.
-
-        Args:
-            name: fully qualified name of the action.
-        """
+        """Cancel the goals of an action with this mark whose senders have left."""
         offer = self._offers.get(name)
         for goal in list(offer.goals.values()) if offer is not None else ():
             if goal.sender_left and goal.sender_id == sender_id:

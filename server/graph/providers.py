@@ -23,11 +23,7 @@ End = TypeVar("End")
 
 
 class PendingRequest(Generic[End]):
-    """Base of calls and goals on their way.
-
-    Attributes:
-        ended: whether it has ended; another end goes nowhere.
-    """
+    """Base of calls and goals on their way."""
 
     def __init__(self) -> None:
         self.ended = False
@@ -55,12 +51,7 @@ _TYPE_KINDS: dict[ProvidedKind, Kind] = {"service": "srv", "action": "action"}
 
 @dataclass(eq=False)
 class Provider:
-    """A service or an action that a node provides.
-
-    Attributes:
-        name: fully qualified name.
-        type_name: canonical name of its type.
-    """
+    """A service or an action that a node provides."""
 
     node: Node
     name: str
@@ -74,11 +65,7 @@ class Providers(Generic[AnyProvider]):
     """All offers of one kind, one a name.
 
     Args:
-        limit: greatest number of offers.
         end: called with an offer that has just been withdrawn or replaced, to end what is on its way.
-
-    Attributes:
-        names: names that are offered, with their types.
     """
 
     def __init__(
@@ -147,11 +134,7 @@ class Providers(Generic[AnyProvider]):
 
 
 class ProviderDirectory(Generic[AnyProvider]):
-    """Names and types of what is provided, for introspection.
-
-    Attributes:
-        names: names that are offered, with their types.
-    """
+    """Names and types of what is provided, for introspection."""
 
     def __init__(self, offers: Providers[AnyProvider]) -> None:
         self._offers = offers

@@ -56,16 +56,7 @@ class Response:
 
 
 class Call(PendingRequest[Response]):
-    """A call that its provider is to end with :meth:`succeed` or :meth:`fail`; only the first end counts.
-
-    Args:
-        service: fully qualified name.
-        type_name: canonical name of the service's type.
-        dialect: which generation of ROS the caller wants to be told about; messages are in ROS 2 spelling all the same.
-
-    Attributes:
-        caller_left: True once the caller has left.
-    """
+    """A call that its provider is to end with :meth:`succeed` or :meth:`fail`; only the first end counts."""
 
     def __init__(
         self,
@@ -166,13 +157,7 @@ DEFAULT_LIMITS = ListLimits()
 
 @dataclass(eq=False)
 class ServiceProvider(Provider):
-    """A service that somebody offers.
-
-    Attributes:
-        timeout_s: how long a call may take that names no time of its own [s].
-        check_lists: checks the lists of a request before it is completed; None for any.
-        calls: those in flight, the oldest first.
-    """
+    """A service that somebody offers."""
 
     start: Callable[[Call], None]
     timeout_s: float
@@ -181,14 +166,7 @@ class ServiceProvider(Provider):
 
 
 class Services(ProviderDirectory[ServiceProvider]):
-    """All services.
-
-    Args:
-        call_later: does something after a delay.
-
-    Attributes:
-        rules: rules of the services of local parts, by name.
-    """
+    """All services."""
 
     def __init__(self, message_types: MessageTypes, call_later: CallLater) -> None:
         super().__init__(Providers("service", MAX_SERVICES, message_types, _fail_calls))
@@ -212,11 +190,8 @@ class Services(ProviderDirectory[ServiceProvider]):
         """Offer a service of a local part.
 
         Args:
-            name: fully qualified name.
-            type_name: the service's type.
             function: gets the complete request and returns the response, at once or when awaited. It raises
                 ServiceError with the reason when it cannot.
-            timeout_s: how long a call may take that names no time of its own [s].
             rule: requirements of its callers; None for those of a client's service.
 
         Raises:
@@ -239,9 +214,6 @@ class Services(ProviderDirectory[ServiceProvider]):
 
         A client takes the place of a client that offered the service before. Its requests have no limits, None: what
         another client answers costs the server no more than to pass it on.
-
-        Raises:
-            GraphError: the type is unknown, or the name is taken by a part of the server.
         """
         canonical = self._offers.claim(node, name, type_name)
         check_lists = None
@@ -275,11 +247,7 @@ class Services(ProviderDirectory[ServiceProvider]):
         """Call a service.
 
         Args:
-            name: fully qualified name.
-            arguments: the request, as in `MessageTypes.complete_arguments`.
-            on_response: called once, perhaps before this returns.
             timeout_s: how long to wait [s], 0 for `MAX_TIMEOUT_S`, None for what the service's offer says.
-            dialect: which generation of ROS the caller wants to be told about.
         """
         offer = self._offers.get(name)
         if offer is None:

@@ -34,14 +34,7 @@ _TOPICS = {
 
 
 class RunningServer:
-    """The server that the settings describe, if it runs on this machine.
-
-    Args:
-        token: token to show; None for none.
-
-    Attributes:
-        runs: True if it answers.
-    """
+    """The server that the settings describe, if it runs on this machine."""
 
     def __init__(self, settings: Settings, token: str | None) -> None:
         server = settings.server

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot.files import locked, replace
-from server.commands.options import Subparsers
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
+from server.commands.options import Subparsers, add_command
+from server.commands.terminal import ExitCode, Terminal
 from server.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -41,14 +41,15 @@ TOKEN_BYTES = 16
 
 def add_certificate_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "certificate",
-        help="make a certificate for this machine that phones and browsers accept (https)",
-        description="Make a local certificate authority, once, and a certificate of it for the names and addresses of "
+        _certificate,
+        "make a certificate for this machine that phones and browsers accept (https)",
+        "Make a local certificate authority, once, and a certificate of it for the names and addresses of "
         "this machine, and say how the server and a phone take them. The first time, make a token as well. "
         "Called again it renews the certificate when it "
         "is about to end or when names or addresses are missing. Nothing is sent anywhere.",
-        epilog=EXIT_CODES,
     )
     parser.add_argument(
         "--name",
@@ -61,18 +62,15 @@ def add_certificate_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--directory", type=Path, metavar="FOLDER", help="where the files are kept (tls in the data folder)"
     )
-    parser.set_defaults(run=run_certificate)
 
 
-def run_certificate(options: argparse.Namespace) -> int:
-    """Carry out the command."""
+def _certificate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.access.certificates import CertificateFiles, ensure_certificate
     from server.access.host_addresses import host_addresses
     from server.gateway.admission import own_names
     from server.moveit.named_states import data_directory
 
-    terminal = Terminal()
     directory = options.directory or data_directory(os.environ) / "tls"
     files = CertificateFiles(directory.absolute())
     own = ("localhost", *reversed(own_names()), *host_addresses(), "127.0.0.1", "::1")

@@ -98,7 +98,6 @@ def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> tuple[ServoRegisters, ...]:
-    """Read every servo of the arm."""
     terminal.say("looking at the servos ...")
     result = scan(bus, tuple(servo.servo_id for servo in servos))
     if missing := explain_missing(result, servos):
@@ -107,8 +106,6 @@ def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> tup
 
 
 class _Conversation:
-    """Calibration session at a terminal."""
-
     def __init__(
         self,
         session: CalibrationSession,

@@ -108,8 +108,6 @@ class _Work:
 
 
 class _Visit:
-    """A visit to the servos of an arm."""
-
     def __init__(
         self,
         line: ServoLine,

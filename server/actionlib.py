@@ -49,13 +49,7 @@ STATUS_OF_END = {GoalStatus.SUCCEEDED: Status.SUCCEEDED, GoalStatus.CANCELED: St
 
 @dataclass(frozen=True)
 class Tracked:
-    """A goal.
-
-    Attributes:
-        goal_id: its actionlib_msgs/GoalID, complete.
-        text: a sentence about that.
-        ended_s: when it ended [s], None while it has not.
-    """
+    """A goal."""
 
     goal_id: GoalId
     status: Status = Status.PENDING
@@ -73,11 +67,7 @@ class Tracked:
 
 
 class TrackedGoals:
-    """All goals of one action that have not been forgotten.
-
-    Args:
-        action: name of the action, for the ids of goals that have none.
-    """
+    """All goals of one action that have not been forgotten."""
 
     def __init__(self, action: str) -> None:
         self._action = action
@@ -94,7 +84,6 @@ class TrackedGoals:
 
         Args:
             goal_id: as its client gave it; without an id it gets one, without a stamp that of now.
-            now: wall-clock time.
 
         Returns:
             The goal; None when its id is known already.
@@ -175,12 +164,7 @@ def has_actionlib_types(registry: Registry, type_name: str) -> bool:
 
 
 class ActionlibBridge:
-    """Keeps the topics of several actions.
-
-    Args:
-        clock: monotonic time [s].
-        call_later: does something after a delay.
-    """
+    """Keeps the topics of several actions."""
 
     def __init__(self, graph: Graph, clock: Callable[[], float], call_later: CallLater) -> None:
         self._graph = graph
@@ -203,12 +187,7 @@ class ActionlibBridge:
 
 
 class BridgedAction:
-    """The topics of one action.
-
-    Args:
-        type_name: canonical name of its type.
-        clock: monotonic time [s].
-    """
+    """The topics of one action."""
 
     def __init__(self, graph: Graph, name: str, type_name: str, clock: Callable[[], float]) -> None:
         self._graph = graph

@@ -63,11 +63,7 @@ ARM_STOP_S = CLOSE_LIMIT_S + 10.0
 
 @dataclass(frozen=True)
 class Inherited:
-    """Parts of a server that the process which has forked it made for several.
-
-    Attributes:
-        planners: path of the socket of the planners' host.
-    """
+    """Parts of a server that the process which has forked it made for several."""
 
     description: Description
     planners: Path
@@ -75,11 +71,6 @@ class Inherited:
 
 def serve(settings: Settings, arm_process: StartedChild | None = None, inherited: Inherited | None = None) -> None:
     """Run the server until SIGINT or SIGTERM.
-
-    Args:
-        settings: everything that can be chosen.
-        arm_process: the arm's process, if it was started ahead.
-        inherited: parts that are made already; None for a server on its own.
 
     Raises:
         ConfigurationError: settings that contradict each other or the robot.
@@ -102,26 +93,14 @@ def serve(settings: Settings, arm_process: StartedChild | None = None, inherited
 
 @dataclass(frozen=True)
 class NewStart:
-    """Start of the server in place of one that has ended: the arm was calibrated.
-
-    Attributes:
-        settings: everything that can be chosen.
-    """
+    """Start of the server in place of one that has ended: the arm was calibrated."""
 
     settings: Settings
     recalibrated: Recalibrated
 
 
 class App:
-    """The server: its context, and the list of its features; made in the event loop in which it runs.
-
-    Args:
-        settings: everything that can be chosen.
-        arm_process: the arm's process, if it was started ahead.
-        inherited: parts that are made already; None for a server on its own.
-        recalibrated: calibration that the server before this one has written; None for the first.
-        notifier: notifier of systemd; None for a server that is not its service.
-    """
+    """The server: its context, and the list of its features; made in the event loop in which it runs."""
 
     def __init__(
         self,
@@ -270,7 +249,6 @@ class App:
 
 
 def _what_arm_runs(served: ServedArm) -> str:
-    """Return what the log says at the start about an arm."""
     arm, serial, description = served.arm, served.settings.serial, served.description
     bus = f"on {serial}" if serial is not None else "simulated"
     if description.calibration is None:

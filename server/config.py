@@ -290,11 +290,7 @@ class DiagnosticsSettings(SettingsSection):
     """where they are kept; None for a folder in the user's data directory."""
 
     def directory(self, data: Path) -> Path:
-        """Return the directory of the files about faults.
-
-        Args:
-            data: directory of the server's files.
-        """
+        """Return the directory of the files about faults."""
         return self.fault_directory or data / "faults"
 
 
@@ -336,7 +332,6 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _arms_have_their_own(self) -> Settings:
-        """Refuse arms whose names, ports or sockets are not their own."""
         if self.arms and self.arm != ArmSettings():
             raise ValueError("arm: with several arms each has its settings in its own section, as [arms.left]")
         for name, other in itertools.permutations(self.arms, 2):

@@ -28,10 +28,6 @@ def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
 def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Settings, dict[str, str]]:
     """Read the settings, and tell who has set which.
 
-    Args:
-        file: a TOML file, or None.
-        overrides: section -> key -> value from the command line.
-
     Returns:
         The settings, and by key, as in ``server.port``: ``file``, ``environment`` or ``command line``, for those that
         are not left at their defaults.
@@ -81,7 +77,6 @@ def known_keys() -> list[str]:
 
 
 def _keys_of_arm(name: str) -> list[str]:
-    """Every key of one of several arms."""
     return [f"arms.{name}.{key}" for key, _, _ in every_field(NamedArmSettings)]
 
 

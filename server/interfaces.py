@@ -51,9 +51,6 @@ MAX_NAMES_TOLD = 10
 def load_registry(folders: Sequence[Path]) -> Registry:
     """Return the packaged types and those of the user's packages.
 
-    Args:
-        folders: each a ROS package or a folder of packages, as in the setting ``server.interfaces``.
-
     Raises:
         ConfigurationError: something in them cannot be used, with everything that cannot.
     """

@@ -51,7 +51,6 @@ class Feature:
     the empty name stands for the only arm, or for all arms together.
 
     Attributes:
-        name: its name in the log.
         deadline_s: longest time for the stop [s].
         beyond_total: True where the time of its stop does not count towards the total of all.
     """
@@ -79,12 +78,7 @@ class Feature:
 
 
 class Together(Feature):
-    """Features that are started in order, and stopped in reverse within one deadline.
-
-    Args:
-        name: their name in the log.
-        deadline_s: longest time for the stop of all [s].
-    """
+    """Features that are started in order, and stopped in reverse within one deadline."""
 
     def __init__(self, name: str, features: Sequence[Feature], deadline_s: float) -> None:
         self.name = name
@@ -101,13 +95,7 @@ class Together(Feature):
 
 
 class BackgroundTask(Feature):
-    """A coroutine that runs beside the others from its start to its stop; the log says at once if it fails.
-
-    Args:
-        name: its name in the log.
-        run: returns the coroutine, which runs until it is cancelled.
-        deadline_s: longest time for the stop [s].
-    """
+    """A coroutine that runs beside the others from its start to its stop; the log says at once if it fails."""
 
     def __init__(self, name: str, run: Callable[[], Coroutine[Any, Any, None]], deadline_s: float = 0.1) -> None:
         self.name = name
@@ -161,7 +149,6 @@ def on_hangup(
 
     Args:
         stop: begins the stop; called if the terminal has hung up, where nobody could stop the server any more.
-        is_terminal: returns True for a descriptor of a terminal that has not hung up.
     """
     began_in_terminal = is_terminal(STDIN)
 
@@ -215,7 +202,6 @@ async def stop_in_reverse(
     Args:
         total_s: longest time of all stops together, but for those beyond the total [s].
         hurry: set by whoever will not wait; each part then has HURRIED_S.
-        clock: monotonic time [s].
     """
     hurry = hurry or asyncio.Event()
     until_s = clock() + total_s
@@ -230,13 +216,7 @@ async def stop_in_reverse(
 
 
 def allowance_s(deadline_s: float, left_s: float, parts_left: int) -> float:
-    """Return the time for a stop [s]: its deadline, or the rest of the total less the shares of the parts left.
-
-    Args:
-        deadline_s: of this part [s].
-        left_s: of the total [s].
-        parts_left: number of parts that are stopped after it.
-    """
+    """Return the time for a stop [s]: its deadline, or the rest of the total less the shares of the parts left."""
     return min(deadline_s, max(RESERVED_S, left_s - RESERVED_S * parts_left))
 
 

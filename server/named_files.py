@@ -32,9 +32,7 @@ class NamedFiles:
     They raise OSError, and ValueError with a sentence, which :meth:`in_thread` makes a ServiceError.
 
     Args:
-        folder: of the files; created with the first one.
         kind: word for one of the things in the files, in sentences.
-        max_files: limit of their number.
     """
 
     def __init__(self, folder: Path, kind: str, max_files: int) -> None:

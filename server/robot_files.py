@@ -35,12 +35,8 @@ class RobotFiles:
     def find(self, name: str) -> Path:
         """Find a file.
 
-        Args:
-            name: a ``package://`` URL, or a path within the URDF's folder.
-
         Raises:
             ServiceError: there is no such file, or it is of another kind or elsewhere.
-            FileTooLargeError: the file is too large.
         """
         for url, folder in self._mesh_folders.items():
             if name.startswith(f"{url}/"):
@@ -91,7 +87,6 @@ def find_file(directory: Path | None, package: str, name: str) -> Path:
 
     Raises:
         ServiceError: there is no such file, or it is of another kind or outside the directory.
-        FileTooLargeError: the file is too large.
     """
     if directory is None:
         raise ServiceError(f"name: {name!r} is not here: this robot's description names no files")
@@ -99,7 +94,6 @@ def find_file(directory: Path | None, package: str, name: str) -> Path:
 
 
 def _checked(directory: Path, inner: str, name: str, url: str) -> Path:
-    """Return a file in a directory."""
     nowhere = f"name: {name!r} is no file below {url}"
     try:
         root = directory.resolve()
@@ -136,7 +130,6 @@ def _hidden(path: Path) -> bool:
 
 
 def _within(root: Path, package: str, name: str) -> str:
-    """Return the path below the directory that a name means."""
     if not name.startswith(_PACKAGE):
         return name
     inner = name.removeprefix(_PACKAGE)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from robot.calibration import MAX_HOMING_OFFSET, MAX_TICK, RAD_PER_TICK, TICKS_PER_TURN, WIDEST_RANGE_TICKS
+from robot.calibration import MAX_TICK, RAD_PER_TICK, TICKS_PER_TURN, WIDEST_RANGE_TICKS
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError
 
@@ -100,7 +100,7 @@ def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Pla
         )
     if recentre:
         middle = (lowest + highest) // 2
-        offset, shift = _centred(middle, offset)
+        offset, shift = _centred(servo, middle, offset)
         lowest, highest = lowest + shift, highest + shift
     if lowest < 0 or highest > MAX_TICK:
         raise CalibrationError(
@@ -118,7 +118,7 @@ def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) ->
     Middle, and register HOMING_OFFSET when it was shown, are in ticks.
     """
     if recentre:
-        return Placed(_centred(middle, offset)[0], 0, MAX_TICK)
+        return Placed(_centred(servo, middle, offset)[0], 0, MAX_TICK)
     middle %= TICKS_PER_TURN
     if abs(middle - MIDDLE_TICK) > FREE_MIDDLE_WITHIN_TICKS:
         raise CalibrationError(
@@ -130,7 +130,7 @@ def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) ->
     return Placed(offset, 0, MAX_TICK)
 
 
-def _centred(middle: int, offset: int) -> tuple[int, int]:
+def _centred(servo: ServoSpec, middle: int, offset: int) -> tuple[int, int]:
     """Return the homing offset that makes a position the middle, and the shift of positions with it [ticks].
 
     The register has 11 bits and a sign: where 2048 would be needed, the middle is one tick off.
@@ -139,5 +139,5 @@ def _centred(middle: int, offset: int) -> tuple[int, int]:
     centred = (encoder - MIDDLE_TICK) % TICKS_PER_TURN
     if centred > TICKS_PER_TURN // 2:
         centred -= TICKS_PER_TURN
-    centred = min(centred, MAX_HOMING_OFFSET)
+    centred = min(centred, servo.max_homing_offset)
     return centred, (encoder - centred) % TICKS_PER_TURN - middle

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from functools import lru_cache
 
 from dynamixel_sdk import INST_PING, INST_READ, INST_REBOOT, INST_STATUS, INST_SYNC_READ
 
@@ -386,13 +385,7 @@ class DynamixelCodec(Codec):
 
     def status_packet(self, servo_id: int, error: int, data: bytes = b"") -> bytes:
         """Build a servo's reply."""
-        return _status_packet(servo_id, error, data)
-
-
-# An arm at rest repeats its replies, a moving one those to writes.
-@lru_cache(maxsize=64)
-def _status_packet(servo_id: int, error: int, data: bytes) -> bytes:
-    return packet(servo_id, INST_STATUS, bytes([error]) + data)
+        return packet(servo_id, INST_STATUS, bytes([error]) + data)
 
 
 DYNAMIXEL = DynamixelCodec()

@@ -211,7 +211,7 @@ class FeetechServo(EmulatedServo[Register]):
     def step(self, duration_s: float) -> None:
         """Advance by ``duration_s`` [s]."""
         if not self._turn_ticks[0] <= self.plant.position_ticks < self._turn_ticks[1]:
-            self._drive = self._drive_from_registers()
+            self._follow_drive()
         super().step(duration_s)
 
     def _measured(self) -> Iterable[tuple[Register, int]]:

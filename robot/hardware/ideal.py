@@ -45,6 +45,7 @@ class IdealArm(HardwareInterface):
         self._at_s = clock()
         self._zeros = np.zeros(joints)
         self._unmeasured = np.full(joints, np.nan)
+        self._no_limit = np.full(joints, np.inf)
         self._no_status = np.zeros(joints, dtype=int)
 
     def open(self) -> HardwareInterface:
@@ -59,8 +60,8 @@ class IdealArm(HardwareInterface):
             self._bounds,
             self._on.copy(),
             goal_rad,
-            np.full(len(self._on), np.inf),
-            Actuation.unprotected(len(self._on)),
+            self._no_limit,
+            Actuation.unprotected(self._no_limit, self._no_limit),
             reply_latency_s=0.0,
         )
 

@@ -47,9 +47,6 @@ class Tokens:
 
     Args:
         anonymous: identity of clients without a token; None when they may do nothing.
-
-    Attributes:
-        any: True when there are tokens.
     """
 
     def __init__(self, tokens: dict[str, Identity], anonymous: Identity | None) -> None:
@@ -101,7 +98,6 @@ class RosauthVerifier:
 
         Args:
             proof: operation with the fields of rosauth's ``authenticate``; its level does not count.
-            now_s: seconds since the epoch.
         """
         if abs(now_s - proof.t) > GOOD_FOR_S:
             return f"field t: the proof was made {now_s - proof.t:+.0f} s ago by this server's clock, the limit is 5"
@@ -130,11 +126,7 @@ class RosauthVerifier:
 
 
 class AuthThrottle:
-    """Throttle of clients that guess: counts wrong tokens by the address that they came from.
-
-    Args:
-        clock: monotonic time [s].
-    """
+    """Throttle of clients that guess: counts wrong tokens by the address that they came from."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -204,7 +196,6 @@ def _anonymous(settings: AccessSettings, *, any_tokens: bool) -> Identity | None
 
 
 def _read(file: Path) -> AccessSettings:
-    """Read the tokens in a file; no error shows any of them."""
     try:
         if file.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH):
             log.warning("access.token_file: %s can be read by other users of this machine; chmod 600 it", file)

@@ -251,15 +251,7 @@ class Access:
     """Authentication and authorization as the settings describe them.
 
     Args:
-        settings: the section ``access``.
-        clock: monotonic time [s].
-        wall_clock: seconds since the epoch.
         arms: by the name of each of several arms, what returns the goal that is worked on there.
-
-    Attributes:
-        lease: control of the arm, or of all arms.
-        leases_of_arms: control of each of several arms, by its name.
-        drivers: clients that are connected and whose role lets them drive.
 
     Raises:
         ConfigurationError: the tokens cannot be used.

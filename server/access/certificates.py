@@ -51,11 +51,7 @@ _MAX_COMMON_NAME_CHARACTERS = 64
 
 @dataclass(frozen=True)
 class CertificateFiles:
-    """Files of the local authority and of the server's certificate.
-
-    Attributes:
-        directory: folder of all of them, open to its owner alone.
-    """
+    """Files of the local authority and of the server's certificate."""
 
     directory: Path
 
@@ -85,8 +81,6 @@ class Outcome:
     """Outcome of :func:`ensure_certificate`.
 
     Attributes:
-        names: names and addresses in the certificate.
-        authority_name: name of the authority, as phones show it.
         fingerprint: of the authority, SHA-256 as phones show it.
         made_authority: True when the authority is new, so that phones do not know it yet.
         reason: reason for a new certificate; empty when the old one stays.
@@ -108,11 +102,6 @@ class _Pair:
 
 def ensure_certificate(files: CertificateFiles, names: Iterable[str], now: datetime | None = None) -> Outcome:
     """Make the server's certificate, and the authority before it; leave alone what is still good.
-
-    Args:
-        files: where everything is kept.
-        names: host names and IP addresses that the certificate must have.
-        now: present time; None for the clock's.
 
     Raises:
         ConfigurationError: a name is no host name and no address, or the files cannot be used.

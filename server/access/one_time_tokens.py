@@ -48,11 +48,7 @@ class _Issued:
 
 
 class OneTimeTokens:
-    """One-time tokens that wait for their connection, and those of connections that are open.
-
-    Args:
-        clock: monotonic time [s].
-    """
+    """One-time tokens that wait for their connection, and those of connections that are open."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -61,9 +57,6 @@ class OneTimeTokens:
 
     def issue(self, asker: Identity | None, role: str) -> str:
         """Return a new token.
-
-        Args:
-            role: role of the connection; empty for operate.
 
         Raises:
             OneTimeTokenError: there is no such role, or it is above the asker's.
@@ -120,7 +113,6 @@ class OneTimeTokenService:
 
     Args:
         tokens: the server's tokens; without any, nobody needs a token.
-        page_urls: returns the URLs of the page for other machines.
     """
 
     def __init__(

@@ -17,7 +17,6 @@ class RateLimiter:
 
     Args:
         per_s: rate in the long run [1/s]; 0 for no more than the burst, ever.
-        burst: number at once.
     """
 
     # Every client has some of them.

@@ -44,12 +44,7 @@ READY_TIMEOUT_S = 0.3
 
 @dataclass(frozen=True)
 class ClassroomOptions:
-    """Size and place of a classroom.
-
-    Attributes:
-        students: number of them.
-        planners: number of motions that may be planned at the same time.
-    """
+    """Size and place of a classroom."""
 
     students: int
     planners: int
@@ -58,9 +53,6 @@ class ClassroomOptions:
 
 def run_classroom(settings: Settings, options: ClassroomOptions) -> None:
     """Run a classroom until SIGINT or SIGTERM.
-
-    Args:
-        settings: those that all servers have; the port is that of the first.
 
     Raises:
         ConfigurationError: settings that contradict each other, the robot, or a classroom.

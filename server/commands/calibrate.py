@@ -24,8 +24,8 @@ from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES,
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Difference
 from server.commands.arm import relax_arm
-from server.commands.options import Subparsers, add_robot, add_serial, guarded, open_bus, read_hardware
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
+from server.commands.options import Subparsers, add_command, add_robot, add_serial, open_bus, read_hardware
+from server.commands.terminal import ExitCode, Terminal, table
 
 # Fast enough to follow a hand across the seam (no joint turns by half a turn meanwhile), slow enough to be read.
 SWEEP_PERIOD_S = 0.02
@@ -33,13 +33,14 @@ SWEEP_PERIOD_S = 0.02
 
 def add_calibrate_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "calibrate",
-        help="record the ranges and directions of the joints in a calibration file of lerobot's format",
-        description="Switches torque off, asks you to move every joint from stop to stop, asks for a motion of each "
+        _calibrate,
+        "record the ranges and directions of the joints in a calibration file of lerobot's format",
+        "Switches torque off, asks you to move every joint from stop to stop, asks for a motion of each "
         "joint that shows its direction, and writes a file like lerobot's. "
         "Nothing is written to the servos unless you say --write-servos.",
-        epilog=EXIT_CODES,
     )
     parser.add_argument(
         "file", metavar="NAME_OR_PATH", help="where to write: a file, or an id for lerobot's calibration directory"
@@ -62,12 +63,6 @@ def add_calibrate_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--yes", action="store_true", help="do not ask before torque is switched off, nor before anything is written"
     )
-    parser.set_defaults(run=run_calibrate)
-
-
-def run_calibrate(options: argparse.Namespace) -> int:
-    """Carry out the command."""
-    return guarded(lambda terminal: (_write_back if options.write_back else _calibrate)(options, terminal))
 
 
 def _write_back(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
@@ -90,6 +85,8 @@ def _write_back(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    if options.write_back:
+        return _write_back(options, terminal)
     hardware = read_hardware(options)
     path = new_calibration_path(options.file, hardware.calibrations, os.environ)
     with reserved(path, overwrite=options.overwrite), contextlib.closing(open_bus(options)) as bus:
@@ -101,7 +98,6 @@ def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> tuple[ServoRegisters, ...]:
-    """Read every servo of the arm."""
     terminal.say("looking at the servos ...")
     result = scan(bus, tuple(servo.servo_id for servo in servos))
     if missing := explain_missing(result, servos):
@@ -110,8 +106,6 @@ def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> tup
 
 
 class _Conversation:
-    """Calibration session at a terminal."""
-
     def __init__(
         self,
         session: CalibrationSession,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import logging
+import math
 import os
 import re
 import tomllib
@@ -10,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from robot import logs
 from robot.calibration import Calibration, find_calibration
 from robot.description import robot_folder
 from robot.description.servo_table import HardwareTable
@@ -17,10 +20,10 @@ from robot.errors import DescriptionError, PortBusy, RobotError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.port import AUTO, resolve_port
 from server.arm.setup import DEFAULT_ROBOT
-from server.commands.terminal import ExitCode, Terminal
+from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.config import Settings
 from server.config_loader import load_with_sources
-from server.errors import ConfigurationError
+from server.errors import ConfigurationError, ServerError
 
 Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 - argparse has no public name for it
 
@@ -29,6 +32,69 @@ SERIAL_HELP = (
     "socket://host:port, or auto for the one adapter plugged in"
 )
 CALIBRATION_HELP = "the arm's calibration: a file, or the arm's id in lerobot's calibration directory"
+
+DEFAULT_URL = "ws://127.0.0.1:9090"
+
+# Where a token does not show in the list of processes.
+TOKEN_VARIABLE = "ARMBRIDGE_TOKEN"  # noqa: S105 - the name of a variable
+
+# Carries a command out; its errors become exit codes in `guarded`.
+Run: TypeAlias = Callable[[argparse.Namespace, Terminal], ExitCode]
+
+
+def add_command(
+    subparsers: Subparsers, name: str, run: Run, summary: str, description: str, **more: Any
+) -> argparse.ArgumentParser:
+    """Add a command to those of a parser; its help ends with the meaning of exit codes."""
+    parser = subparsers.add_parser(name, help=summary, description=description, **{"epilog": EXIT_CODES, **more})
+    parser.set_defaults(run=run)
+    return parser
+
+
+def number(kind: type[int] | type[float], least: float, greatest: float) -> Callable[[str], float]:
+    """Return a reader of an option's number, within bounds."""
+    wanted = f"a whole number from {least:g} to {greatest:g}" if kind is int else f"{least:g} to {greatest:g}"
+
+    def read(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= greatest:
+            raise argparse.ArgumentTypeError(f"must be {wanted}, not {text!r}")
+        return value
+
+    return read
+
+
+def add_connect(parser: argparse.ArgumentParser) -> None:
+    """Describe ``--connect``."""
+    parser.add_argument(
+        "--connect", type=websocket_url, default=DEFAULT_URL, metavar="URL", help=f"of the server ({DEFAULT_URL})"
+    )
+
+
+def add_token_file(parser: argparse.ArgumentParser, tokens: str) -> None:
+    """Describe ``--token-file``, for one of the tokens of a setting."""
+    parser.add_argument(
+        "--token-file",
+        type=Path,
+        metavar="FILE",
+        help=f"file with one of {tokens} and nothing else; else it comes from {TOKEN_VARIABLE}",
+    )
+
+
+def read_token(options: argparse.Namespace) -> str | None:
+    """Read the token that a client shows, if it has one.
+
+    Raises:
+        ConfigurationError: the file cannot be read.
+    """
+    file: Path | None = options.token_file
+    try:
+        return os.environ.get(TOKEN_VARIABLE) if file is None else file.read_text().strip()
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"--token-file: {file} cannot be read: {error}") from error
 
 
 def add_serial(parser: argparse.ArgumentParser) -> None:
@@ -71,11 +137,7 @@ def websocket_url(text: str) -> str:
 
 
 def read_hardware(options: argparse.Namespace) -> HardwareTable:
-    """Read the hardware of the robot that the options name, which has Feetech servos.
-
-    Raises:
-        DescriptionError: there is no such robot, or it has other servos.
-    """
+    """Read the hardware of the robot that the options name, which has Feetech servos."""
     hardware = robot_folder.resolve(options.robot).hardware
     if hardware.kind != "feetech":
         raise DescriptionError(
@@ -85,20 +147,12 @@ def read_hardware(options: argparse.Namespace) -> HardwareTable:
 
 
 def open_bus(options: argparse.Namespace) -> Bus:
-    """Open the bus that the options name.
-
-    Raises:
-        PortError: it cannot be opened.
-    """
+    """Open the bus that the options name."""
     return Bus.open(resolve_port(options.serial))
 
 
 def read_calibration(options: argparse.Namespace) -> Calibration | None:
-    """Read the calibration that the options name, if they name one.
-
-    Raises:
-        CalibrationError: it cannot be used.
-    """
+    """Read the calibration that the options name, if they name one."""
     if options.calibration is None:
         return None
     hardware = read_hardware(options)
@@ -106,13 +160,16 @@ def read_calibration(options: argparse.Namespace) -> Calibration | None:
 
 
 def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
-    """Run a command on the arm; what it refuses or fails at becomes one line and an exit code."""
+    """Run a command; its refusal or failure becomes one line and an exit code."""
     terminal = Terminal()
     try:
         return command(terminal)
     except PortBusy as error:
         terminal.say(f"armbridge: {error}. If that is armbridge serve, stop it first or use its services.")
-    except RobotError as error:
+    except ConfigurationError as error:
+        terminal.say(f"armbridge: {error}")
+        return ExitCode.USAGE
+    except (RobotError, ServerError) as error:
         terminal.say(f"armbridge: {error}")
     except KeyboardInterrupt:
         terminal.say("armbridge: stopped")
@@ -209,12 +266,15 @@ def read_settings(options: argparse.Namespace) -> tuple[Settings, dict[str, str]
     return load_with_sources(options.config, overrides(options))
 
 
-def overrides(options: argparse.Namespace) -> dict[str, Any]:
-    """The settings that options override, by section and key.
+def configure_logs(settings: Settings) -> None:
+    """Configure the log of a server."""
+    logs.configure(settings.server.log_level.upper(), settings.server.log_format)
+    # A line for every handshake and request that is no WebSocket; the gateway logs what matters of a client.
+    logging.getLogger("websockets").setLevel(logging.WARNING)
 
-    Raises:
-        ConfigurationError: a ``--set`` that is no assignment.
-    """
+
+def overrides(options: argparse.Namespace) -> dict[str, Any]:
+    """The settings that options override, by section and key."""
     values: dict[str, Any] = {}
     for text in options.assignments:
         key, equals, value = text.partition("=")

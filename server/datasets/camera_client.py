@@ -41,10 +41,6 @@ class CameraOptions:
 
     Attributes:
         token: of an operator; None where none is needed.
-        fps: images a second, at most.
-        width: to scale images to [pixels]; None for the camera's.
-        quality: of JPEG, 1 to 95.
-        frame_id: of the images' headers.
     """
 
     url: str
@@ -72,9 +68,6 @@ class CameraClient:
     An image is published when the server has taken the last one: a ping follows each, and its pong says that the server
     has read everything before it (RFC 6455, section 5.5.2). On a slow network there are fewer images, and no old ones.
 
-    Args:
-        tell: takes sentences about the connection.
-
     Attributes:
         published: number of images that the server has taken.
     """
@@ -87,11 +80,7 @@ class CameraClient:
         self._complaints: set[str] = set()
 
     async def run(self, source: ImageSource) -> None:
-        """Publish the images of a camera; comes back when they end.
-
-        Args:
-            source: the camera; closed at the end.
-        """
+        """Publish the images of a camera; comes back when they end."""
         loop = asyncio.get_running_loop()
         images = NewestImage(source, 1.0 / self._options.fps, lambda: _wake(loop, self._arrived))
         images.start()
@@ -125,9 +114,6 @@ class CameraClient:
 
     async def publish(self, connection: Connection, images: NewestImage) -> None:
         """Publish images on a connection until they end.
-
-        Args:
-            images: the camera's.
 
         Raises:
             WebSocketException: the connection has ended.
@@ -193,10 +179,6 @@ def _complaint(answer: Any) -> str:
 
 async def publish_camera(options: CameraOptions, source: ImageSource, tell: Callable[[str], None]) -> tuple[int, bool]:
     """Publish a camera's images until they end, SIGINT or SIGTERM.
-
-    Args:
-        source: the camera; closed at the end.
-        tell: takes sentences about the connection.
 
     Returns:
         Number of published images, and True if a signal has ended it.

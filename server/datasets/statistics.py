@@ -35,11 +35,7 @@ def statistics_of(values: NDArray[Any]) -> Statistics:
 
 
 class ImageStatistics:
-    """Statistics of a camera's frames, channel by channel, from the histogram of their pixels.
-
-    Attributes:
-        frames: number of frames.
-    """
+    """Statistics of a camera's frames, channel by channel, from the histogram of their pixels."""
 
     def __init__(self) -> None:
         self.frames = 0
@@ -50,7 +46,6 @@ class ImageStatistics:
 
         Args:
             image: shape (height, width, 3).
-            times: number of frames that show this image.
         """
         self.frames += times
         for channel in range(3):

@@ -45,7 +45,6 @@ class VideoWriter:
 
     Attributes:
         shape: height and width [pixels]; zeros before the first frame.
-        frames: number of frames written.
     """
 
     def __init__(self, path: Path, fps: int) -> None:
@@ -78,7 +77,6 @@ class VideoWriter:
 
         Args:
             image: shape (height, width, 3).
-            times: number of frames that show it.
 
         Raises:
             VideoError: it has another size than the first one, or one that H.264 cannot have.

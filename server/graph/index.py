@@ -87,9 +87,5 @@ class TypedNames:
         return self._types[dialect].copy()
 
     def of_type(self, type_name: str) -> list[str]:
-        """Return the names that have a type, in order of entry; none for an unknown type.
-
-        Args:
-            type_name: the type in the spelling of either dialect.
-        """
+        """Return the names that have a type, in order of entry; none for an unknown type."""
         return self._by_type.of(spell_type(type_name, "ros1"))

@@ -36,11 +36,7 @@ class ListLimits:
     max_values: int = MAX_VALUES
 
     def check(self, registry: Registry, type_name: str) -> CheckLists:
-        """Return the check of a type's messages; their fields may also come as a list, in order of declaration.
-
-        Raises:
-            InterfaceError: the type is unknown.
-        """
+        """Return the check of a type's messages; their fields may also come as a list, in order of declaration."""
         counted = _counted(registry, type_name, "", self.max_elements)
         names = tuple(each.name for each in registry.message(type_name).fields)
 
@@ -62,8 +58,6 @@ class _Member:
     """A field with lists in it, or one that is a list itself.
 
     Attributes:
-        path: of the field, for errors.
-        is_list: True for a list.
         max_elements: limit of a list; None if only its values are counted.
         values: number of values of an element.
         inner: members of the message, or of each message in the list.

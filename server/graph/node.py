@@ -12,7 +12,6 @@ class Node:
         remote: whether it is a client, which may not take the place of a part of the server.
         takes_goals_along: whether the goals that it has sent to actions are cancelled when it leaves.
         identity: who it is; None for a client that has yet to say so.
-        address: where a client connects from; empty where that does not matter.
     """
 
     def __init__(

@@ -102,10 +102,7 @@ class FaultFiles:
     """Writer of a file about each fault, when it latches, and about each loss of the connection to the arm.
 
     Args:
-        directory: created with the first file; several servers may share it.
         keep: limit of files, of some 300 kB each; the oldest make room for new ones. 0 writes none.
-        robot_name: name of the arm.
-        clock: monotonic time [s].
 
     Attributes:
         latest: the last file that this has written; None before.

@@ -39,11 +39,7 @@ class GoalCounters(Collector):
         )
 
     def count(self, source: str, answer: Answer) -> None:
-        """Count an answered goal.
-
-        Args:
-            source: topic or action by which the goal came; one of the server's own.
-        """
+        """Count an answered goal."""
         self._answered.labels(source, answer.code.name).inc()
         performed = answer.performed
         if performed is None:

@@ -33,11 +33,7 @@ class Sources:
     """Parts of the server that are monitored; None for those that a server does not have.
 
     Attributes:
-        refused_connections: returns the number of refused connections by reason.
-        recorder: recording; None also if nothing is to be recorded.
-        zenoh: member of a zenoh network; None also if zenoh is off.
         started: True once the arm has been taken over, and goals are accepted.
-        stopping: True once the server is about to stop.
     """
 
     traffic: Traffic | None = None
@@ -69,8 +65,6 @@ class Health:
     Attributes:
         live: False if only a restart can help.
         ready: True if a goal would be carried out now, as far as that depends on the server.
-        reasons: reasons for which it is not live or not ready, a sentence each.
-        warnings: other problems, a sentence each.
     """
 
     live: bool
@@ -79,11 +73,7 @@ class Health:
     warnings: tuple[str, ...] = ()
 
     def response(self, *, good: bool) -> HttpResponse:
-        """Return the HTTP response with the health as JSON.
-
-        Args:
-            good: True for status 200, False for 503.
-        """
+        """Return the HTTP response with the health as JSON."""
         status = HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE
         return HttpResponse.of_data(status, json.dumps(dataclasses.asdict(self)).encode() + b"\n", "application/json")
 

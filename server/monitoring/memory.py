@@ -54,7 +54,6 @@ class CollectorPolicy:
     """Policy of Python's garbage collector, by which no collection takes long.
 
     Args:
-        clock: monotonic time [s].
         keeps_frozen: True to leave out of every collection what was left out before; a collection writes to each object
             that it goes through, and so would copy the memory that a forked process shares with others.
     """
@@ -120,8 +119,6 @@ class MemoryKeeper:
     The C library keeps what a burst of large messages took, unless it happens to be the last of its heap.
 
     Args:
-        quiet: returns True while nothing moves.
-        read_bytes: returns the resident memory [bytes].
         trim: gives free memory back; called on a thread.
     """
 
@@ -149,11 +146,7 @@ class MemoryKeeper:
             await self.check(time.monotonic())
 
     async def check(self, now_s: float) -> None:
-        """Collect or trim where it is due.
-
-        Args:
-            now_s: monotonic time [s].
-        """
+        """Collect or trim where it is due."""
         resident = self._read_bytes()
         settled = resident <= self._latest_bytes + SETTLED_BYTES
         self._latest_bytes = resident

@@ -89,11 +89,7 @@ class Exposition(NamedTuple):
 
 
 class Metrics:
-    """All metrics of the server.
-
-    Attributes:
-        loop_lag_s: delay with which the event loop wakes up [s].
-    """
+    """All metrics of the server."""
 
     def __init__(self, sources: Sources) -> None:
         self.registry = CollectorRegistry(auto_describe=False)
@@ -291,11 +287,7 @@ def _statistics(name: str, meaning: str, values_s: tuple[float, float, float]) -
 
 
 def process_metrics(processes: Mapping[str, int]) -> Iterator[Metric]:
-    """Yield the metrics of processes; those that have ended have none.
-
-    Args:
-        processes: process ids by the names of the processes.
-    """
+    """Yield the metrics of processes; those that have ended have none."""
     threads = GaugeMetricFamily("armbridge_process_threads", "Threads.", labels=("process",))
     families: dict[str, Metric] = {}
     for name, pid in processes.items():
@@ -321,11 +313,7 @@ WATCHDOG_NOTIFICATIONS = 3.0
 
 
 class Monitor:
-    """Monitor of the server.
-
-    Attributes:
-        routes: handlers of HTTP requests, by path.
-    """
+    """Monitor of the server."""
 
     def __init__(self, sources: Sources, notifier: SystemdNotifier) -> None:
         self._sources = sources
@@ -382,12 +370,7 @@ class Monitor:
 
 
 class EventLoopMonitor:
-    """Measures the lag of the event loop, and keeps systemd's watchdog and status line up to date.
-
-    Args:
-        lag_s: takes the delay of each wake-up [s].
-        period_s: time between two checks [s].
-    """
+    """Measures the lag of the event loop, and keeps systemd's watchdog and status line up to date."""
 
     def __init__(
         self, notifier: SystemdNotifier, health: Callable[[], Health], lag_s: Histogram, period_s: float = PERIOD_S
@@ -410,11 +393,7 @@ class EventLoopMonitor:
             self.check(now_s)
 
     def check(self, now_s: float) -> None:
-        """Notify systemd of changes, and of the server being alive.
-
-        Args:
-            now_s: present time [s], monotonic.
-        """
+        """Notify systemd of changes, and of the server being alive."""
         self._notifier.flush()
         watchdog_s = self._notifier.watchdog_s
         health = self._health()

@@ -7,12 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class SampleRing:
-    """The latest samples of some quantities.
-
-    Args:
-        capacity: number of samples that are kept.
-        columns: number of values of a sample.
-    """
+    """The latest samples of some quantities."""
 
     def __init__(self, capacity: int, columns: int) -> None:
         self._at_s = np.zeros(capacity)
@@ -23,7 +18,6 @@ class SampleRing:
         """Add a sample, in the place of the oldest when there are as many as are kept.
 
         Args:
-            at_s: its time [s].
             values: shape (columns,).
         """
         place = self._count % len(self._at_s)

@@ -44,11 +44,7 @@ class Event(NamedTuple):
 
 
 class ServoHistory:
-    """History of an arm's servos.
-
-    Args:
-        clock: monotonic time [s].
-    """
+    """History of an arm's servos."""
 
     def __init__(self, graph: Graph, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock

@@ -54,7 +54,6 @@ class SessionThread:
 
     Attributes:
         opened: the session's id, as soon as it is open.
-        rejected: jobs that found no room.
     """
 
     def __init__(self, open_session: Callable[[], zenoh.Session]) -> None:
@@ -138,11 +137,7 @@ class SessionThread:
 
 
 class ReceiveQueue(Generic[Item]):
-    """Bounded queue from zenoh's threads to the event loop.
-
-    Args:
-        handle: called there with each item, in order.
-    """
+    """Bounded queue from zenoh's threads to the event loop."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, handle: Callable[[Item], None]) -> None:
         self._loop = loop

@@ -99,11 +99,7 @@ class ZenohSettings(SettingsSection):
 
 
 def check_installed(settings: ZenohSettings) -> None:
-    """Check that zenoh is installed if it is enabled, without importing it.
-
-    Raises:
-        ConfigurationError: it is not installed.
-    """
+    """Check that zenoh is installed if it is enabled, without importing it."""
     if settings.mode != "off" and importlib.util.find_spec("zenoh") is None:
         raise ConfigurationError(
             f"zenoh.mode: {settings.mode} needs the package eclipse-zenoh; pip install 'armbridge[zenoh]' brings it"

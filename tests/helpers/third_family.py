@@ -119,6 +119,9 @@ class Third(ServoFamily):
     def max_voltage_v(self, values: Values) -> float:
         return 8.4
 
+    def free_speed_rad_s(self, joint: JointCalibration) -> float:
+        return 5.0
+
     def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
         values = TABLE.parse(self.motion, frame.data)
         return Telemetry(

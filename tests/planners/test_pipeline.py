@@ -22,7 +22,8 @@ from planners.goals import (
 )
 from planners.ik.goal_states import GoalStates
 from planners.motions.path import PROJECTED_SEARCH
-from planners.motions.path_timing import SplinePath, time_along
+from planners.motions.path_timing import time_along
+from planners.motions.spline import NaturalSpline
 from planners.pipeline import Planner, recheck
 from planners.problem import (
     VIA_POINT,
@@ -289,7 +290,7 @@ POINTS = np.array([[-1.2, 0.0, 0.0, 0.0, 0.0], [1.2, 0.2, -0.2, 0.3, 0.5]])
 def motion(arm):
     """A swing around the pan axis with the arm stretched out."""
     return time_along(
-        SplinePath(np.array([0.0, 1.0]), POINTS), arm.joints, RateLimits(np.full(5, 2.0), np.full(5, 6.0))
+        NaturalSpline(np.array([0.0, 1.0]), POINTS), arm.joints, RateLimits(np.full(5, 2.0), np.full(5, 6.0))
     )
 
 

@@ -156,6 +156,10 @@ class Dynamixel(ServoFamily):
         """Return register MAX_VOLTAGE_LIMIT."""
         return values[Register.MAX_VOLTAGE_LIMIT] * VOLT_PER_UNIT
 
+    def free_speed_rad_s(self, joint: JointCalibration) -> float:
+        """Return the speed of the joint's model."""
+        return model_of(joint).free_speed_rad_s
+
     def has_watchdog(self, joint: JointCalibration, values: Values) -> bool:
         """Return True for a firmware that has the bus watchdog."""
         return values[Register.FIRMWARE_VERSION] >= model_of(joint).watchdog_firmware

@@ -20,6 +20,7 @@ from robot.hardware.feetech.calibration import read_differences, write_to_servos
 from robot.hardware.feetech.profiles import FACTORY, ServoProfile, meaning, nearest_profile
 from robot.hardware.feetech.registers import (
     CONTROL,
+    FREE_SPEED_RAD_S,
     GOAL_ADDRESS,
     MODELS,
     PERMILLE,
@@ -30,7 +31,7 @@ from robot.hardware.feetech.registers import (
     parse_telemetry,
 )
 from robot.hardware.feetech.settings import SETTINGS, SETTINGS_BLOCK, ServoSettings
-from robot.hardware.interface import FREE_SPEED_RAD_S, Actuation, Steps
+from robot.hardware.interface import Actuation, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame, write_verified
 from robot.hardware.servos.family import Difference, Limit, ServoFamily, ServoFound, Values, label
 from robot.hardware.servos.registers import Block
@@ -126,18 +127,25 @@ class Feetech(ServoFamily):
         """Return register MAX_VOLTAGE."""
         return ServoSettings(values).max_voltage_v
 
-    def actuation(self, found: Sequence[ServoFound]) -> Actuation:
+    def free_speed_rad_s(self, joint: JointCalibration) -> float:  # noqa: ARG002 - the same for all
+        """Return the speed of an STS3215."""
+        return FREE_SPEED_RAD_S
+
+    def actuation(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> Actuation:
         """Return the strength that the settings leave."""
-        settings = [_settings(servo) for servo in found]
+        settings = [_settings(found[joint.servo_id]) for joint in joints]
         factory_gain = FACTORY.registers[Register.P_GAIN]
-        return Actuation(
-            stiffness=np.array([each[Register.P_GAIN] / factory_gain for each in settings]),
-            max_torque=np.array([each.max_torque for each in settings]),
-            overload_torque=np.array([each.overload_torque for each in settings]),
-            overload_time_s=np.array([each.protection_time_s for each in settings]),
-            overload_current_a=np.array([each.protection_current_a for each in settings]),
-            stall_current_a=np.full(len(found), STALL_CURRENT_A),
-            free_speed_rad_s=np.full(len(found), FREE_SPEED_RAD_S),
+        return (
+            super()
+            .actuation(joints, found)
+            ._replace(
+                stiffness=np.array([each[Register.P_GAIN] / factory_gain for each in settings]),
+                max_torque=np.array([each.max_torque for each in settings]),
+                overload_torque=np.array([each.overload_torque for each in settings]),
+                overload_time_s=np.array([each.protection_time_s for each in settings]),
+                overload_current_a=np.array([each.protection_current_a for each in settings]),
+                stall_current_a=np.full(len(joints), STALL_CURRENT_A),
+            )
         )
 
     def settings(self, values: Values) -> dict[str, int]:

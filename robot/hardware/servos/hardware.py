@@ -109,7 +109,7 @@ class ServoHardware(HardwareInterface):
         self.needs_survey = False
         self._shares = []
         found = [self._found[servo] for servo in self.servos.ids]
-        actuation = self._family.actuation(found)
+        actuation = self._family.actuation(self.servos.joints, self._found)
         self.servos.limit_torque(actuation.max_torque)
         self.full_torque = self.servos.full_torque
         own_limits = {servo: self._torque.goal_limits_ticks(servo) for servo in self.servos.ids}

@@ -13,10 +13,10 @@ from planners.cartesian.following import (
     FollowedPath,
     PathEnd,
     PathFollower,
-    SplinePath,
     tip_curve,
 )
 from planners.cartesian.tip_path import TipPath, apart_m
+from planners.motions.spline import NaturalSpline
 from tests.helpers.resources import examples
 from tests.planners.following import line, shares
 from tests.planners.invariants import never
@@ -27,10 +27,9 @@ START = np.array([0.0, -0.5, 0.7, 0.4, 0.0])
 def following(follower, start, segments, check_point=lambda point: None, should_stop=never, **asked):
     tracker = follower.tracker(start)
     path = TipPath(tracker.pose(start), segments)
-    names = follower.robot.groups["arm"].joints
     options = {"max_step_m": 0.005, "keep_orientation": "orientation_tolerance_rad" in asked} | asked
     problem = follower.problem(start, *segments, **options)
-    return PathFollower(problem, tracker, names, path, check_point, should_stop)
+    return PathFollower(problem, tracker, path, check_point, should_stop)
 
 
 def shifted(follower, *offset_m):
@@ -98,7 +97,7 @@ spacings = st.integers(1, 5)
 def spline(points, spacing):
     """Knots now near each other, now further apart."""
     spans = 0.01 * (1.0 + np.arange(len(points) - 1) % spacing)
-    return SplinePath(np.concatenate(([0.0], np.cumsum(spans))), points)
+    return NaturalSpline(np.concatenate(([0.0], np.cumsum(spans))), points)
 
 
 @given(curves, spacings)
@@ -110,7 +109,7 @@ def test_the_grid_has_every_knot_and_rises(points, spacing):
 
 def test_points_that_are_not_finite_make_no_curve():
     with pytest.raises(ValueError, match="finite"):
-        SplinePath(np.array([0.0, 1.0]), np.array([[0.0], [np.nan]]))
+        NaturalSpline(np.array([0.0, 1.0]), np.array([[0.0], [np.nan]]))
 
 
 @pytest.fixture

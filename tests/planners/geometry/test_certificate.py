@@ -26,7 +26,7 @@ def own_collision(robot):
 def space_in(own_collision, arm):
     def build(surroundings, **arguments):
         assert own_collision.set_scene(surroundings) is None
-        return JointSpace(own_collision, arm, np.zeros(6), **arguments)
+        return JointSpace(own_collision, arm.joints, np.zeros(6), **arguments)
 
     return build
 

@@ -184,12 +184,12 @@ def test_a_motion_out_of_a_gap_is_judged_by_the_mesh(crane):
     collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.15, 0.01, 0.28)))
     arm, start = crane.groups["arm"], np.zeros(3)
     lifted, extended, elsewhere = np.array([(0.0, -0.3, 0.0), (0.0, 0.0, 0.1), (1.0, 0.0, 0.0)])
-    space = JointSpace(collision, arm, start)
+    space = JointSpace(collision, arm.joints, start)
     assert space.free(start)
     assert space.line_free(start, lifted)
     assert space.line_free(start, extended)
-    assert not JointSpace(collision, arm, elsewhere).free(start)
-    assert JointSpace(collision, arm, elsewhere, also_free=[start]).free(start)
+    assert not JointSpace(collision, arm.joints, elsewhere).free(start)
+    assert JointSpace(collision, arm.joints, elsewhere, also_free=[start]).free(start)
 
 
 def test_parts_of_the_builtin_arm_cover_the_official_meshes(robot, shared_data):
@@ -212,7 +212,7 @@ def test_parts_of_the_builtin_arm_cover_the_official_meshes(robot, shared_data):
 def test_the_folded_arm_is_free_by_its_parts(robot, collision, jaw_rad, joints_rad):
     q = np.array([*joints_rad, jaw_rad])
     assert not collision.colliding_pairs(q)
-    assert JointSpace(collision, robot.groups["arm"], q).free(q[:5])
+    assert JointSpace(collision, robot.groups["arm"].joints, q).free(q[:5])
 
 
 def _on_surface(mesh, rng, count):

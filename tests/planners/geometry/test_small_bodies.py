@@ -124,7 +124,7 @@ def test_no_motion_is_certified_along_which_a_small_body_stays_inside_a_link(rob
     collision.set_scene(scene(thing(Sphere(0.001), *point_m.tolist())))
     # The surface moves by 0.02 mm at most, so it never touches the sphere.
     start, end = np.zeros(5), np.array([0.0, 0.0, 0.0, 0.0, 1e-4])
-    space = JointSpace(collision, robot.groups["arm"], np.zeros(len(collision.joint_names)))
+    space = JointSpace(collision, robot.groups["arm"].joints, np.zeros(len(collision.joint_names)))
     rest = np.zeros((2, 5))
     motion = Trajectory(robot.groups["arm"].joints, np.array([0.0, 0.1]), np.array([start, end]), rest, rest)
     assert not space.free(start)

@@ -84,7 +84,7 @@ def test_a_line_is_free_when_no_disc_is_on_it(start, end, obstacles):
 def test_a_curve_is_free_when_no_disc_is_on_it(seed, obstacles):
     curve, around = wavy(seed), Discs(*obstacles)
     nearest = min(around.distance(point_on(curve, at)) for at in np.linspace(0.0, len(curve), 2001))
-    at = first_contact(around, curve, FINEST_STEP_M, earliest=False)
+    at = first_contact(around, curve, FINEST_STEP_M)
     if at is None:
         assert nearest > -1e-3 or min(map(around.distance, curve.coefficients[[0, -1], [0, 3]])) <= 0.0
     else:
@@ -94,7 +94,7 @@ def test_a_curve_is_free_when_no_disc_is_on_it(seed, obstacles):
 def test_an_obstacle_much_thinner_than_the_line_is_long_is_found():
     around = Discs((0.123, 0.0, 0.0003))
     assert not line_is_free(around, np.array([-1.0, 0.0]), np.array([1.0, 0.0]), FINEST_STEP_M)
-    assert first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M, earliest=False) is not None
+    assert first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M) is not None
 
 
 def test_a_coarse_step_only_glances():
@@ -113,7 +113,7 @@ def test_far_from_everything_few_questions_are_enough():
 
 def test_the_earliest_of_several_contacts_is_told():
     around = Discs((-0.5, 0.0, 0.05), (0.0, 0.0, 0.2), (0.7, 0.0, 0.1))
-    at = first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M, earliest=True)
+    at = first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M)
     assert -1.0 + 2.0 * at == pytest.approx(-0.55, abs=2.0 * EARLIEST_STEP_M)
 
 
@@ -156,7 +156,7 @@ def test_only_what_threatened_a_wider_range_is_looked_at_again():
 
     around = Watched((0.0, 0.02, 0.01), (5.0, 5.0, 0.1))
     assert line_is_free(around, np.array([-1.0, 0.0]), np.array([1.0, 0.0]), FINEST_STEP_M)
-    assert first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M, earliest=False) is None
+    assert first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M) is None
     assert set(looked_at) == {(0,)}
 
 

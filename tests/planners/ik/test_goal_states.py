@@ -28,7 +28,6 @@ from planners.ik.goal_states import (
     PREFERENCE_SLACK_RAD,
     DescentResults,
     GoalQuery,
-    GoalSearch,
     GoalStates,
 )
 from planners.problem import MoveItErrorCode, PlanningFailure
@@ -122,7 +121,7 @@ def test_of_preferences_only_the_best_met_stay(goal_states, collision, joints):
 
 @pytest.fixture(scope="module")
 def search(robot, collision):
-    return GoalSearch(robot, collision)
+    return GoalStates(robot, collision)
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +151,7 @@ def test_the_pose_of_a_free_configuration_is_reached_free_and_within_limits(
 ):
     for state in free_states:
         wanted = goal_conditions(goal_at(search, state), joints)
-        found = search.find(wanted, query(arm))
+        found = search.search(wanted, query(arm))
         assert found.solutions, state
         for q in found.solutions:
             assert ConditionSet(search.forward, wanted.required).holds(q)
@@ -163,8 +162,8 @@ def test_the_pose_of_a_free_configuration_is_reached_free_and_within_limits(
 def test_solutions_differ_and_the_soonest_comes_first(search, arm, joints, free_states):
     for state in free_states[:20]:
         goal = PositionGoal(TIP, pose_of(search.forward, state).position_m, 0.001)
-        solutions = search.find(goal_conditions(goal, joints), query(arm)).solutions
-        times_s = [search.move_time_s(HOME, q) for q in solutions]
+        solutions = search.search(goal_conditions(goal, joints), query(arm)).solutions
+        times_s = [search._move_time_s(HOME, q) for q in solutions]
         assert times_s == sorted(times_s)
         assert len(solutions) <= MAX_SOLUTIONS
         for i, q in enumerate(solutions):
@@ -173,7 +172,7 @@ def test_solutions_differ_and_the_soonest_comes_first(search, arm, joints, free_
 
 def test_no_more_solutions_are_found_than_wanted(search, arm, joints):
     goal = PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001)
-    assert len(search.find(goal_conditions(goal, joints), query(arm, wanted=1)).solutions) == 1
+    assert len(search.search(goal_conditions(goal, joints), query(arm, wanted=1)).solutions) == 1
 
 
 def test_solutions_of_a_preference_are_about_equally_good(search, arm, joints, free_states):
@@ -182,7 +181,7 @@ def test_solutions_of_a_preference_are_about_equally_good(search, arm, joints, f
         orientation = rng.normal(size=4)
         pose = Pose(pose_of(search.forward, state).position_m, tuple(orientation / np.linalg.norm(orientation)))
         wanted = goal_conditions(PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02)), joints)
-        found = search.find(wanted, query(arm))
+        found = search.search(wanted, query(arm))
         assert found.solutions
         turned = [ConditionSet(search.forward, wanted.preferred).violation_m(q) for q in found.solutions]
         assert max(turned) - min(turned) <= 0.1 * PREFERENCE_SLACK_RAD + 1e-9
@@ -194,7 +193,7 @@ def test_nearest_orientation_is_as_near_as_sampling_finds_it(search, arm, joints
     wanted = goal_conditions(
         PoseGoal(TIP, Pose(tuple(target_m), (0.5, 0.5, 0.5, 0.5)), 0.001, (0.02, 0.02, 0.02)), joints
     )
-    found = search.find(wanted, query(arm))
+    found = search.search(wanted, query(arm))
     preferred = ConditionSet(search.forward, wanted.preferred)
     states = rng.uniform(collision.lower_rad, collision.upper_rad, (30_000, 6))
     near = np.linalg.norm(search.forward.placements(states, TIP).positions_m - target_m, axis=1) < 0.02
@@ -207,7 +206,7 @@ def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_
     states = rng.uniform(collision.lower_rad, collision.upper_rad, (20_000, 6))
     positions_m = search.forward.placements(states, TIP).positions_m
     for target_m in ((0.1, 0.0, 0.15), (0.6, 0.2, 0.3), (0.0, 0.7, 0.1)):
-        found = search.find(goal_conditions(PositionGoal(TIP, target_m, 0.001), joints), query(arm))
+        found = search.search(goal_conditions(PositionGoal(TIP, target_m, 0.001), joints), query(arm))
         order = np.argsort(np.linalg.norm(positions_m - target_m, axis=1))
         best = next(i for i in order if not collision.in_collision(states[i]))
         assert not found.solutions
@@ -217,18 +216,18 @@ def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_
 
 def test_contacts_do_not_matter_when_they_are_not_minded(search, arm, joints):
     wanted = goal_conditions(PositionGoal(TIP, (0.0, 0.0, 0.02), 0.01), joints)
-    assert search.find(wanted, query(arm)).colliding
-    assert search.find(wanted, query(arm, avoid_collisions=False)).solutions
+    assert search.search(wanted, query(arm)).colliding
+    assert search.search(wanted, query(arm, avoid_collisions=False)).solutions
 
 
 def test_descents_end_when_told_to(search, arm, joints):
-    found = search.find(goal_conditions(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints), query(arm, lambda: True))
+    found = search.search(goal_conditions(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints), query(arm, lambda: True))
     assert len(found.solutions) <= 1
 
 
 def test_same_question_has_the_same_answer(robot, collision, search, arm, joints):
     wanted = goal_conditions(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints)
-    answers = [each.find(wanted, query(arm)).solutions for each in (search, GoalSearch(robot, collision), search)]
+    answers = [each.search(wanted, query(arm)).solutions for each in (search, GoalStates(robot, collision), search)]
     np.testing.assert_array_equal(answers[0], answers[1])
     np.testing.assert_array_equal(answers[0], answers[2])
 

@@ -12,12 +12,12 @@ from scipy.interpolate import CubicSpline
 from planners.motions.path_timing import (
     SAMPLE_PERIOD_S,
     Profile,
-    SplinePath,
     sampled,
     time_along,
     toppra_profile,
     within_limits,
 )
+from planners.motions.spline import NaturalSpline
 from planners.problem import RateLimits
 from robot.trajectory import Trajectory
 from tests.helpers.resources import examples
@@ -37,7 +37,7 @@ def test_a_profile_takes_the_time_of_its_mean_rates() -> None:
 
 
 def test_samples_begin_and_end_at_rest_in_the_ends_and_are_no_further_apart_than_a_tick() -> None:
-    path = SplinePath(np.array([0.0, 0.6, 1.3]), POINTS)
+    path = NaturalSpline(np.array([0.0, 0.6, 1.3]), POINTS)
     end = float(path.grid[-1])
     profile = Profile(np.array([0.0, 0.5 * end, end]), np.array([0.0, 1.0, 0.0]))
     motion = sampled(path, profile, ("a", "b"))
@@ -70,7 +70,7 @@ polylines = (
 
 def spline(points):
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return SplinePath(np.concatenate(([0.0], np.cumsum(lengths))), points)
+    return NaturalSpline(np.concatenate(([0.0], np.cumsum(lengths))), points)
 
 
 def least_time_s(distance, velocity, acceleration):
@@ -117,7 +117,7 @@ def test_a_straight_line_takes_the_least_time_there_is(goal):
 @pytest.mark.parametrize("seed", range(5))
 def test_some_joint_is_at_a_limit_nearly_all_the_time(seed):
     rough = spline(np.cumsum(np.random.default_rng(seed).uniform(-0.5, 0.5, (6, 3)), axis=0))
-    path = SplinePath(at := np.linspace(0.0, rough.knots[-1], 150), rough(at))
+    path = NaturalSpline(at := np.linspace(0.0, rough.knots[-1], 150), rough(at))
     profile = toppra_profile(path, LIMITS)
     between = 0.5 * (path.grid[1:] + path.grid[:-1])
     square = 0.5 * (profile.rate[1:] ** 2 + profile.rate[:-1] ** 2)[:, np.newaxis]
@@ -197,7 +197,7 @@ def test_a_motion_is_the_same_whatever_unit_progress_has():
     points = np.random.default_rng(2).uniform(-1.0, 1.0, (6, 3))
     path = spline(points)
     durations_s = [
-        time_along(SplinePath(unit * path.knots, points), NAMES, LIMITS).duration_s for unit in (1e-6, 1.0, 1e6)
+        time_along(NaturalSpline(unit * path.knots, points), NAMES, LIMITS).duration_s for unit in (1e-6, 1.0, 1e6)
     ]
     assert durations_s == pytest.approx([durations_s[1]] * 3, rel=1e-6)
 
@@ -206,8 +206,8 @@ def test_a_motion_is_the_same_whatever_unit_progress_has():
 def test_a_stretch_where_no_joint_moves_hardly_takes_time(points):
     moving = np.linspace(0.0, 1.0, 16)[:, np.newaxis] * np.array([1.0, 0.5, 0.0])
     standing = np.tile(moving[-1], (points, 1))
-    path = SplinePath(np.arange(16.0 + points), np.vstack((moving, standing)))
-    alone_s = time_along(SplinePath(np.arange(16.0), moving), NAMES, LIMITS).duration_s
+    path = NaturalSpline(np.arange(16.0 + points), np.vstack((moving, standing)))
+    alone_s = time_along(NaturalSpline(np.arange(16.0), moving), NAMES, LIMITS).duration_s
     motion = time_along(path, NAMES, LIMITS)
     assert_keeps_rates(motion, LIMITS)
     assert motion.duration_s < 1.5 * alone_s
@@ -220,7 +220,7 @@ ENDS = np.array([[0.0] * 3, [1.0] * 3])
 @pytest.mark.parametrize(
     ("path", "limits"),
     [
-        (SplinePath(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3))), LIMITS),
+        (NaturalSpline(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3))), LIMITS),
         (spline(np.vstack((OUT, OUT[-2::-1]))), LIMITS),
         (spline(ENDS), RateLimits(np.ones(3), np.full(3, np.nan))),
     ],
@@ -232,6 +232,6 @@ def test_a_path_without_any_timing_has_none(path, limits):
 
 def test_a_curve_of_many_points_takes_as_long_as_one_of_few():
     short = spline(np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0]]))
-    long = SplinePath(np.linspace(0.0, short.knots[-1], 400), short(np.linspace(0.0, short.knots[-1], 400)))
+    long = NaturalSpline(np.linspace(0.0, short.knots[-1], 400), short(np.linspace(0.0, short.knots[-1], 400)))
     durations_s = [time_along(path, NAMES, LIMITS).duration_s for path in (short, long)]
     assert durations_s[1] == pytest.approx(durations_s[0], rel=0.02)

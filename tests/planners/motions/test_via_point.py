@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from planners.motions.path import CountedSpace, Query
+from planners.motions.path import Query
 from planners.motions.via_point import MOST_CHECKS, via_point
 from tests.planners.invariants import BLOCKED_LINES, never
 
@@ -21,8 +21,10 @@ class Walled:
 
     def __init__(self, *gap):
         self.gap = gap
+        self.checks = 0
 
     def free(self, point):
+        self.checks += 1
         return abs(point[0]) > 0.1 or self.gap[0] < point[1] < self.gap[1]
 
 
@@ -30,7 +32,7 @@ LEFT, RIGHT = np.array([-0.8, 0.0]), np.array([0.8, 0.0])
 
 
 def query(space, *goals):
-    return Query(CountedSpace(space), LEFT, goals, STEP_M)
+    return Query(space, LEFT, goals, STEP_M)
 
 
 def found(asked, seed=0, should_stop=never, velocity_rad_s=(1.0, 1.0)):
@@ -81,7 +83,7 @@ def test_a_search_that_is_stopped_checks_nothing():
 
 def test_a_path_of_the_arm_ends_at_a_goal_and_is_free_at_its_points(joint_space):
     start, goal = (np.array(point) for point in BLOCKED_LINES[1])
-    asked = Query(CountedSpace(joint_space), start, [goal], 0.08)
+    asked = Query(joint_space, start, [goal], 0.08)
     paths = (via_point(asked, WHOLE, np.random.default_rng(seed), never) for seed in range(20))
     path = next(path for path in paths if path is not None)
     np.testing.assert_array_equal(path[[0, 2]], [start, goal])

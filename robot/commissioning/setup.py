@@ -137,8 +137,8 @@ def search(
     present = ", ".join(f"{servo.servo_id} ({names.get(servo.servo_id, 'of another arm')})" for servo in found)
     raise StartupError(
         f"only servo {present} answers, which has its id or a calibration already: plug in the servo of {joint.joint}, "
-        f"or push its plug home. If it is the servo of {joint.joint} with another joint's id, connect it alone and call "
-        f"armbridge setup --joint {joint.joint}. To use a servo that was calibrated elsewhere, reset it with "
+        f"or push its plug home. If it is the servo of {joint.joint} with another joint's id, connect it alone and "
+        f"call armbridge setup --joint {joint.joint}. To use a servo that was calibrated elsewhere, reset it with "
         "Feetech's FD program first"
     )
 

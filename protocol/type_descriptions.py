@@ -128,7 +128,7 @@ def _literal(value: Scalar | tuple[Scalar, ...]) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-# Primitive types as rosapi of ROS 2 names them in TypeDefs, those of rosidl_parser; clients of ROS 2 are written for them.
+# Names of primitive types in rosapi's TypeDefs for ROS 2, which come from rosidl_parser.
 _IDL_NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
 
 

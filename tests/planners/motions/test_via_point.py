@@ -57,17 +57,6 @@ def test_of_two_gaps_the_path_takes_the_nearer_one(seed):
     assert found(query(TwoGaps(0.7, 0.95), RIGHT), seed)[1, 1] < 0.0
 
 
-def test_a_goal_that_the_wall_does_not_divide_off_is_preferred():
-    beside = np.array([-0.8, 0.5])
-    np.testing.assert_array_equal(found(query(Walled(0.3, 0.9), RIGHT, beside))[-1], beside)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_slow_joint_is_spared(seed):
-    anywhere = Walled(-2.0, 2.0)
-    assert abs(found(query(anywhere, RIGHT), seed, velocity_rad_s=(1.0, 0.01))[1, 1]) < 0.05
-
-
 def test_where_no_line_is_free_the_search_gives_up_after_some_checks():
     asked = query(Walled(2.0, 2.0), RIGHT)
     assert found(asked) is None

@@ -376,10 +376,3 @@ def test_an_arm_that_cannot_be_set_up_is_left_alone(run_setup, kit, options, cod
     assert done == code
     assert words in person.said
     assert [kit.held(place) for place in range(6)] == before
-
-
-def test_questions_that_nobody_answers_end_the_command(armbridge, emulator):
-    emulator.command(offline=[1, 2, 3, 4, 5, 6])
-    answer = armbridge("setup", "--joint", "gripper")
-    assert answer.returncode == ExitCode.FAILED
-    assert "the input ended" in answer.stderr

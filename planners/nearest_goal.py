@@ -19,7 +19,7 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
 from planners.ik.goal_states import GoalQuery, GoalStates
-from planners.motions.path import CountedSpace, Project, Query, reachable
+from planners.motions.path import Project, Query, reachable
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
@@ -74,11 +74,12 @@ def nearest_goal(
     beyond_limits = flaw is not None and "upper_rad" in flaw.details
     if (flaw is not None and not beyond_limits) or checks.check_start(robot, problem.start_rad) is not None:
         return None
-    start_q = np.array([problem.start_rad[name] for name in collision.joint_names])
-    start_q = np.clip(start_q, collision.lower_rad, collision.upper_rad)
+    start_q = collision.clipped(problem.start_rad)
     group, constraints = robot.groups[problem.group], problem.path_constraints
     holds = None if constraints is None or constraints.empty else states.condition_set(constraints).holds
-    space = JointSpace(collision, group, start_q, collision.overlaps_m(start_q), holds, should_stop=budget.should_stop)
+    space = JointSpace(
+        collision, group.joints, start_q, collision.overlaps_m(start_q), holds, should_stop=budget.should_stop
+    )
     search = _Search(problem, states, group, space, start_q, budget)
     for candidates, part in search.phases(problem.goal, around=code not in UNREACHED):
         for candidate in islice(candidates, TRIES):
@@ -241,9 +242,8 @@ class _Search:
         if constraints is not None and not constraints.empty:
             project = self._states.projection(self._group, constraints, self._start_q)
         budget = self._budget.share(TREE_SHARE)
-        space = CountedSpace(self._space, budget.used_up)
-        query = Query(space, self._start, goals, TREE_STEP_M)
-        return reachable(query, project, self._problem.seed, lambda: space.checks >= TREE_CHECKS or budget.used_up())
+        query, most = Query(self._space, self._start, goals, TREE_STEP_M), self._space.checks + TREE_CHECKS
+        return reachable(query, project, self._problem.seed, lambda: self._space.checks >= most or budget.used_up())
 
     def _within_limits(self, point: Vector) -> Vector:
         return np.clip(point, self._space.lower_rad, self._space.upper_rad)

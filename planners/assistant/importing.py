@@ -72,11 +72,7 @@ class ImportOptions:
 
 
 def default_folder(urdf: Path) -> Path:
-    """Return the folder that a URDF is imported to: the robot's name, in the working directory.
-
-    Raises:
-        AssistantError: the URDF cannot be read.
-    """
+    """Return the folder that a URDF is imported to: the robot's name, in the working directory."""
     return Path(_file_name(parse_urdf(urdf).get("name", urdf.stem)))
 
 

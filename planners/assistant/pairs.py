@@ -34,18 +34,11 @@ class UncheckedPair:
 
 
 class SelfContacts:
-    """Contacts of a robot's links with each other.
+    """Contacts of a robot's links with each other, whose shapes are ``parts`` in the links' frames.
 
-    Args:
-        robot: its joints.
-        parts: shapes of each link that has some, in the link's frame.
-
-    Attributes:
-        joint_names: joints of a state.
-        lower: their lower limits, shape (n,) [rad or m].
-        upper: their upper limits, shape (n,) [rad or m].
-        adjacent: pairs that a joint connects, links without shape between them left out.
-        pairs: every other pair of links with shapes.
+    A state has the positions of ``joint_names``, shape (n,), within ``lower`` and ``upper`` [rad or m]. ``adjacent``
+    are the pairs that a joint connects, links without shape between them left out, and ``pairs`` all other pairs of
+    links with shapes.
     """
 
     def __init__(self, robot: RobotModel, parts: Mapping[str, Parts]) -> None:

@@ -17,11 +17,7 @@ MAX_MESH_BYTES = 500 << 20
 
 
 def parse_urdf(urdf_path: Path) -> ET.Element:
-    """Read a URDF.
-
-    Raises:
-        AssistantError: it cannot be read, or is no URDF.
-    """
+    """Read a URDF; AssistantError for a file that cannot be read or is no URDF."""
     try:
         root = ET.fromstring(urdf_path.read_text(encoding="utf-8"))  # noqa: S314 - the user's own file
     except (OSError, UnicodeDecodeError) as error:

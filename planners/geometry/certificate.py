@@ -43,7 +43,7 @@ def _first_contact_s(space: JointSpace, trajectory: Trajectory) -> float | None:
     curve = cubics(trajectory)
     if curve.straight() and space.line_free(positions[0], positions[-1], FINEST_STEP_M):
         return None
-    at = first_contact(space, curve, FINEST_STEP_M, earliest=True)
+    at = first_contact(space, curve, FINEST_STEP_M)
     if at is not None:
         return float(np.interp(at, np.arange(len(positions)), trajectory.time_s))
     return None if space.free(positions[-1]) else trajectory.duration_s

@@ -162,22 +162,13 @@ class CollidingPair:
 class CollisionModel:
     """Collisions, link positions and travel of one robot in one scene.
 
-    A configuration ``q`` is the position of every movable joint in the order of ``joint_names``, shape (n,) [rad].
-    Checks use the robot's hulls, which are larger than its links. Two kinds of pairs of names are excepted: ``allowed``
-    ones may overlap by a depth, as :meth:`overlaps_m` measures it [m]; ``refined`` ones are checked by their parts.
+    A configuration ``q`` is the position of every movable joint in the order of ``joint_names``, shape (n,) [rad];
+    ``lower_rad`` and ``upper_rad`` are the limits. ``travel_m_per_rad`` is the most that any point of the robot or of
+    what it holds moves per motion of each joint, shape (n,).
 
-    Args:
-        robot: its hulls are used, or else the collision shapes of its URDF.
-
-    Raises:
-        ShapeError: the shapes cannot be used.
-
-    Attributes:
-        joint_names: joints of a configuration.
-        lower_rad: shape (n,), lower position limits.
-        upper_rad: shape (n,), upper position limits.
-        travel_m_per_rad: shape (n,), the most that any point of the robot or of what it holds moves per motion of
-            each joint.
+    Checks use the robot's hulls, which are larger than its links, or else the collision shapes of its URDF. Two kinds
+    of pairs of names are excepted: ``allowed`` ones may overlap by a depth, as :meth:`overlaps_m` measures it [m];
+    ``refined`` ones are checked by their parts. ShapeError: the shapes cannot be used.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -200,7 +191,7 @@ class CollisionModel:
         self._build(EMPTY_SCENE)
 
     def set_scene(self, scene: Scene) -> PlanningFailure | None:
-        """Take over a scene unless it is there; return the flaw of one that cannot be used, which changes nothing."""
+        """Take over a scene unless it is there; return the flaw of an unfit scene, which changes nothing."""
         if scene.version == self._version:
             return None
         refusal = check_scene(scene, self._robot.links)
@@ -208,19 +199,18 @@ class CollisionModel:
             self._build(scene)
         return refusal
 
+    def clipped(self, positions_rad: Mapping[str, float]) -> Vector:
+        """Return the configuration of positions by name, which may lie a little beyond the limits, within them."""
+        q = np.array([positions_rad[name] for name in self.joint_names])
+        return np.clip(q, self.lower_rad, self.upper_rad)
+
     def in_collision(
         self,
         q: Vector,
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         refined: RefinedPairs = NONE_REFINED,
     ) -> bool:
-        """Return true if a checked pair touches.
-
-        Args:
-            q: configuration.
-            allowed: pairs of names that may overlap, and how deep [m].
-            refined: pairs of names that are checked by their parts.
-        """
+        """Return true if a checked pair touches."""
         if not self._broadphase.touches(q):
             return False
         if not allowed and not refined:
@@ -240,14 +230,9 @@ class CollisionModel:
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         refined: RefinedPairs = NONE_REFINED,
     ) -> tuple[int, ...]:
-        """Return the pairs of shapes that are nearer than their clearance and a margin.
+        """Return the pairs of shapes that are nearer than their clearance and a margin of each, shape (pairs,) [m].
 
-        Args:
-            q: configuration.
-            margin_m: of each pair, shape (pairs,) [m].
-            among: indices of the pairs to check; None for all.
-            allowed: as for :meth:`in_collision`.
-            refined: as for :meth:`in_collision`.
+        ``among`` are indices of the pairs to check; None for all.
         """
         broadphase = self._broadphase
         near = broadphase.near(q, margin_m) if among is None else broadphase.near_among(q, among, margin_m)
@@ -270,9 +255,7 @@ class CollisionModel:
     def colliding_pairs(self, q: Vector, refined: RefinedPairs | None = None) -> list[CollidingPair]:
         """Return every pair of links or objects that overlaps, deepest first.
 
-        Args:
-            q: configuration.
-            refined: as for :meth:`in_collision`; None for all pairs.
+        Parts decide for the pairs of names ``refined``; for all pairs where it is None.
         """
         deepest: dict[frozenset[str], CollidingPair] = {}
         for index in self._broadphase.touching(q):

@@ -44,16 +44,11 @@ FEW_SHAPES = 100
 
 
 class Broadphase:
-    """Shapes, and pairs of shapes that must not touch.
+    """Shapes, and pairs of shapes that must not touch, which are indices (pairs, 2), the smaller first.
 
-    A configuration ``q`` is the position of every movable joint, shape (n,) [rad].
-
-    Args:
-        model: the robot's joints.
-        shapes: all shapes.
-        pairs: indices of shapes, shape (pairs, 2), the smaller first.
-        apart_m: how far the shapes of each pair must stay apart, shape (pairs,) [m].
-        joints: positions of the model's joints; None where each has a position of its own, in the model's order.
+    A configuration ``q`` is the position of every movable joint, shape (n,) [rad]; ``joints`` maps it to the model's
+    joints, None where each has a position of its own, in the model's order. The shapes of each pair must stay
+    ``apart_m`` apart, shape (pairs,) [m].
     """
 
     def __init__(
@@ -160,7 +155,7 @@ class Broadphase:
     def contact(self, pair: int) -> tuple[Vector, Vector]:
         """Return a pair's contact point and the direction in which the second shape would give, each shape (3,) [m].
 
-        Both are those of the last :meth:`distance_m` of the pair.
+        Both belong to the last :meth:`distance_m` of the pair.
         """
         found = self._contact.distanceResults[pair]
         middle_m: Vector = 0.5 * (found.getNearestPoint1() + found.getNearestPoint2())
@@ -219,7 +214,7 @@ class Parts:
 
     @property
     def surface(self) -> TriangleSurface | None:
-        """Surface in the joint's frame that encloses the inside; None for solid shapes: what is inside touches them."""
+        """Surface in the joint's frame that encloses the inside; None for solid shapes, which touch all inside them."""
         around = self.enclosed_by
         return around.surface if isinstance(around, Parts) else around or self._mesh_surface
 
@@ -257,16 +252,9 @@ def parts_of(shapes: Sequence[pin.GeometryObject], enclosed_by: TriangleSurface 
 class RobotParts:
     """Parts of a robot's links: convex ones where these are known, or else the shapes of the URDF with their meshes.
 
-    All are loaded at once: their 0.1 s, with meshes of the URDF a second, would come in the middle of a plan otherwise.
-
-    Args:
-        robot: its parts and surfaces are used, or else the meshes that its URDF names.
-        model: its joints.
-        urdf: shapes of the URDF where these are loaded already.
-
-    Attributes:
-        available: whether there are any that are closer than the hulls.
-        convex: whether they are convex, so that the depth of their overlap is known.
+    They are ``available`` where they are closer than the hulls, and ``convex`` where the depth of their overlap is
+    known. All are loaded at once: their 0.1 s, with meshes of the URDF a second, would come in the middle of a plan
+    otherwise. ``urdf`` are the shapes of the URDF where these are loaded already.
     """
 
     def __init__(self, robot: RobotModel, model: pin.Model, urdf: Sequence[pin.GeometryObject] | None = None) -> None:
@@ -314,12 +302,7 @@ def _by_link(model: pin.Model, shapes: Iterable[pin.GeometryObject]) -> dict[str
 def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, margin_m: float) -> bool:
     """Return true if parts come nearer to each other than a margin [m]; at a margin of 0, if they touch.
 
-    Args:
-        first: some parts.
-        at_first: pose of the joint that carries them.
-        second: other parts.
-        at_second: pose of the joint that carries these.
-        margin_m: greatest distance that counts [m].
+    Each is in the frame of the joint that carries it, with the pose of that joint.
     """
     request, result = coal.CollisionRequest(), coal.CollisionResult()
     request.gjk_tolerance = GJK_TOLERANCE

@@ -50,15 +50,11 @@ class CollisionChecker(Protocol):
     def candidate_pairs(
         self, points: Vector, joint_travel: Vector, among: Sequence[CandidatePairs]
     ) -> list[CandidatePairs]:
-        """Return the pairs that can touch around points, over a range of the joints around each.
+        """Return the pairs that can touch over a range of the joints around each point.
 
-        Args:
-            points: shape (m, n) [rad].
-            joint_travel: greatest distance of each joint from each point, shape (m, n) [rad].
-            among: for each point the candidate pairs of a range that contains this one; no others are checked.
-
-        Returns:
-            For each point; where it is empty, the range is free.
+        Points and the greatest ``joint_travel`` from each have the shape (m, n) [rad]. For each point ``among`` has the
+        candidate pairs of a range that contains this one; no others are checked. A range without candidate pairs is
+        free.
         """
         ...
 
@@ -68,10 +64,9 @@ class CollisionChecker(Protocol):
 
 
 class Cubics:
-    """Cubic pieces end to end, by their Bernstein coefficients, between which each piece stays.
+    """Cubic pieces end to end, by their Bernstein coefficients, shape (pieces, 4, n) [rad].
 
-    Args:
-        coefficients: shape (pieces, 4, n) [rad]; each piece starts where the one before ends.
+    Each piece stays between its coefficients.
     """
 
     def __init__(self, coefficients: Vector) -> None:
@@ -108,11 +103,8 @@ class Cubics:
 class Spans(Protocol):
     """Ranges of a curve that do not overlap, and a point in each.
 
-    Attributes:
-        at: where the points are, in pieces of the curve from its start, shape (m,).
-        start: where the ranges start, in the same measure, shape (m,).
-        points: shape (m, n) [rad].
-        joint_travel: how far each joint may be from the point in the range, shape (m, n) [rad].
+    Points lie ``at`` places and ranges ``start`` at places in pieces of the curve from its start, shape (m,) each;
+    joints may be ``joint_travel`` away from the ``points`` in the range, shape (m, n) each [rad].
     """
 
     at: Vector
@@ -195,22 +187,10 @@ def line_is_free(checker: CollisionChecker, start: Vector, end: Vector, step_m: 
     return True
 
 
-def polyline_is_free(checker: CollisionChecker, points: Vector, step_m: float) -> bool:
-    """Return true if nothing touches on a polyline, shape (m, n) [rad], whose first point is taken to be free.
+def first_contact(checker: CollisionChecker, curve: Cubics, step_m: float) -> float | None:
+    """Find the first contact on a curve, coarse to fine, in pieces from the start; the ends are taken to be free.
 
-    On pieces along which nothing moves more than ``step_m`` only the ends are checked [m].
-    """
-    shares = np.array([0.0, 1.0, 2.0, 3.0])[:, np.newaxis] / 3.0
-    start, end = points[:-1, np.newaxis], points[1:, np.newaxis]
-    lines = Cubics(start + shares * (end - start))
-    return checker.free(points[-1]) and first_contact(checker, lines, step_m, earliest=False) is None
-
-
-def first_contact(checker: CollisionChecker, curve: Cubics, step_m: float, *, earliest: bool) -> float | None:
-    """Find a contact on a curve, coarse to fine, in pieces from the start; the ends are taken to be free.
-
-    The contact is the first on the way if ``earliest``, else any. ``step_m`` as for
-    :func:`polyline_is_free`.
+    Pieces along which nothing moves more than ``step_m`` are not halved any more [m].
     """
     found: float | None = None
     spans = curve.spans()
@@ -229,8 +209,6 @@ def first_contact(checker: CollisionChecker, curve: Cubics, step_m: float, *, ea
         for i in unsure:
             if (found is None or spans.at[i] < found) and checker.touches_any(spans.points[i], candidate_pairs[i]):
                 found = float(spans.at[i])
-                if not earliest:
-                    return found
         spans, parents = spans.halves(np.array(unsure, dtype=np.int64))
         candidate_pairs = [candidate_pairs[i] for i in parents]
     return found

@@ -30,17 +30,11 @@ NONE_ACTIVE = np.array([], dtype=np.intp)
 
 @dataclass(frozen=True)
 class Task:
-    """A velocity that is linear in those of the joints, and its desired value.
+    """A velocity that is linear in those of the joints, and its desired value."""
 
-    Attributes:
-        jacobian: shape (m, n).
-        velocity: the desired value, shape (m,).
-        cost: weight of its error among the tasks of the same priority.
-    """
-
-    jacobian: Vector
-    velocity: Vector
-    cost: float = 1.0
+    jacobian: Vector  # shape (m, n)
+    velocity: Vector  # the desired value, shape (m,)
+    cost: float = 1.0  # weight of its error among the tasks of the same priority
 
 
 @dataclass(frozen=True)

@@ -61,17 +61,11 @@ def seconds(ticks: Ticks) -> Vector:
 
 @dataclass(frozen=True)
 class Curve:
-    """Joint positions over time.
+    """Joint positions over time."""
 
-    Attributes:
-        ticks: shape (k,), k >= 2, increasing from 0 [:data:`TICK_S`].
-        positions_rad: shape (k, n), at the knots [rad].
-        velocities_rad_s: shape (k, n), there [rad/s].
-    """
-
-    ticks: Ticks
-    positions_rad: Vector
-    velocities_rad_s: Vector
+    ticks: Ticks  # shape (k,), k >= 2, increasing from 0 [:data:`TICK_S`]
+    positions_rad: Vector  # shape (k, n), at the knots [rad]
+    velocities_rad_s: Vector  # shape (k, n), there [rad/s]
 
     @property
     def duration_ticks(self) -> int:

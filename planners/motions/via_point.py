@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.motions.path import Query
+from planners.motions.path import Query, line_free_sparsely
 from robot.trajectory import Vector
 
 # Points drawn at once, and compared in one numpy call.
@@ -34,7 +34,7 @@ def via_point(
             break
         goal, point = goals[index // POINTS], points[index % POINTS]
         lines = ((query.start, point), (point, goal))
-        if all(space.line_free_sparsely(first, last, query.step_m) for first, last in lines):
+        if all(line_free_sparsely(space, first, last, query.step_m) for first, last in lines):
             return np.array([query.start, point, goal])
     return None
 

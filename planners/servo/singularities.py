@@ -37,19 +37,12 @@ class PredictedTip:
 
 @dataclass(frozen=True)
 class RegularizedMotion:
-    """Desired velocity without its part into a singularity, and the regular Jacobian to achieve it.
+    """Desired velocity without its part into a singularity, and the regular Jacobian to achieve it."""
 
-    Attributes:
-        linear_m_s: the desired velocity that remains, shape (3,) [m/s].
-        jacobian: the position's, made regular, shape (3, n) [m/rad].
-        free: directions of the joints that do not move the tip, shape (n, n - 3).
-        status: status that the singularity causes.
-    """
-
-    linear_m_s: Vector
-    jacobian: Vector
-    free: Vector
-    status: ServoStatus = ServoStatus.NO_WARNING
+    linear_m_s: Vector  # the desired velocity that remains, shape (3,) [m/s]
+    jacobian: Vector  # the position's, made regular, shape (3, n) [m/rad]
+    free: Vector  # directions of the joints that do not move the tip, shape (n, n - 3)
+    status: ServoStatus = ServoStatus.NO_WARNING  # status that the singularity causes
 
 
 def regularized(

@@ -32,13 +32,9 @@ WATCHED_M = 0.12
 
 @dataclass(frozen=True)
 class VelocityBounds(Limit):
-    """Barriers of the joints' limits, both ends of each, and then of pairs near each other; at rest all of them hold.
+    """Barriers of both limits of each joint, and then of pairs near each other; at rest all of them hold."""
 
-    Attributes:
-        pairs: pairs of the last rows.
-    """
-
-    pairs: Sequence[NearPair]
+    pairs: Sequence[NearPair]  # pairs of the last rows
 
     def near(self, active: NDArray[np.intp]) -> list[NearPair]:
         """Return the pairs of some inequalities."""

@@ -56,8 +56,6 @@ class VerificationProcedure:
 
     Args:
         ends: joints whose zero is given by the ends of their range.
-        go_to: starts a motion by the goal queue.
-        cancel: cancels one by its number, for a reason.
     """
 
     def __init__(

@@ -96,7 +96,6 @@ def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> dict[int, Mapping[Register, int]]:
-    """Read every servo of the arm; return its registers by id."""
     terminal.say("looking at the servos ...")
     result = scan(bus, tuple(servo.servo_id for servo in servos))
     if missing := explain_missing(result, servos):
@@ -105,8 +104,6 @@ def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> dic
 
 
 class _Conversation:
-    """Calibration session at a terminal."""
-
     def __init__(
         self,
         session: CalibrationSession,

@@ -119,7 +119,6 @@ class ExecutionContext:
         failed_goals: keeps goals that could not be planned; None to keep none.
         show: called with every plan before it is executed.
         confirm: waits for a user's confirmation of a plan; returns None to execute it, else the goal's answer.
-        clock: monotonic time of this machine [s].
     """
 
     robot: RobotModel
@@ -134,11 +133,7 @@ class ExecutionContext:
 
 
 class GoalExecutor:
-    """Executor of one goal at a time, from its motion to its answer.
-
-    Attributes:
-        recorder: records the arm's states for the answers.
-    """
+    """Executor of one goal at a time, from its motion to its answer."""
 
     def __init__(self, arm: AnyArm, context: ExecutionContext, in_progress: MotionsInProgress) -> None:
         self._arm = arm
@@ -183,7 +178,6 @@ class GoalExecutor:
         """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is not known.
 
         Args:
-            request: the next goal, of the same joints.
             left_s: time left of the motion in progress [s].
         """
         held_rad = self._current.positions_rad()
@@ -488,11 +482,7 @@ async def _until_done(ended: asyncio.Future[MotionEnded]) -> None:
 
 
 def _with_more_to_come(report: Callable[[Progress], None], to_come_s: float) -> Callable[[Progress], None]:
-    """Return the report of one motion of a sequence, whose time left is that of the sequence.
-
-    Args:
-        to_come_s: duration of the motions after this one [s].
-    """
+    """Return the report of one motion of a sequence, whose time left is that of the sequence."""
     return lambda progress: report(replace(progress, remaining_s=progress.remaining_s + to_come_s))
 
 

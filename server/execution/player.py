@@ -44,13 +44,7 @@ CODE_OF_OUTCOME = {
 
 @dataclass(frozen=True)
 class CheckedMotion:
-    """Motion that was found free of collisions.
-
-    Attributes:
-        group: of its joints, which are all joints of the group.
-        scene_version: of the scene in which it was found free.
-        summary: its name in progress reports.
-    """
+    """Motion that was found free of collisions."""
 
     group: str
     trajectory: Trajectory
@@ -86,9 +80,6 @@ class OutgoingMotion:
 
 class Player:
     """Player of one motion at a time.
-
-    Args:
-        clock: monotonic time of this machine [s].
 
     Attributes:
         outgoing: the motion of a preempted goal; None if there is none.
@@ -128,7 +119,6 @@ class Player:
         Args:
             report: called with its progress.
             questions: asks planners if the motion is free from a time of it on [s].
-            epoch: stop epoch in which its goal was requested.
             from_s: time on the outgoing motion at which this one begins, to replace it [s]; None to begin at rest.
         """
         self._end = None

@@ -83,9 +83,6 @@ class Answer:
     """Final answer to a goal; there is exactly one.
 
     Attributes:
-        code: MoveIt's code of the end.
-        message: one sentence.
-        details: diagnostic details, as in `PlanningFailure`.
         performed: the motions; None when nothing was planned.
     """
 
@@ -106,14 +103,12 @@ class QueuedGoal(Generic[Request]):
 
     Attributes:
         goal_id: unique in the life of the server.
-        source: topic or action of its client.
         request: the motion; None when the goal was rejected before it was queued.
         on_progress: called with its progress.
         on_answer: called once.
         message: the message of its client; empty when there is none, or none that can be read.
         only_for: the one client that is informed; None for all.
         client: name of its client; empty when it is not known.
-        epoch: stop epoch in which it was requested.
     """
 
     goal_id: str
@@ -138,9 +133,7 @@ class RunningGoal:
     """Goal that occupies the arm, for those who wait for its end.
 
     Attributes:
-        title: its number, its client and its way in.
         remaining_s: time left of its motion [s]; None before it moves.
-        waiting: number of goals that wait.
     """
 
     title: str
@@ -156,7 +149,6 @@ class GoalRunner(Protocol[Request_contra]):
 
         Args:
             report: called with its progress.
-            epoch: stop epoch in which it was requested.
         """
 
     def cancel(self, reason: str) -> None:
@@ -359,7 +351,6 @@ class GoalQueue(Generic[Request]):
         """Answer a goal that cannot be executed, at once and past the queue; return its id.
 
         Args:
-            source: topic or action of its client.
             only_for: the one client that is informed; None for all.
         """
         goal: QueuedGoal[Request] = QueuedGoal(self._next_id(), source, None, message=message, only_for=only_for)

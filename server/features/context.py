@@ -28,10 +28,10 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.monitoring.goal_counters import GoalCounters
+from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
-from server.moveit.goal_messages import GoalOptions, GoalTranslator, OneArm
-from server.moveit.goal_topics import Confirmation
-from server.moveit.gripper import Gripper, GripperLimits
+from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator, OneArm
+from server.moveit.goals.goal_topics import Confirmation
 from server.moveit.named_states import NamedStates, NamedStatesFile, default_path
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.context import planning_group
@@ -52,13 +52,7 @@ class GoalListener(Protocol):
 
 
 class Goals:
-    """Way of goals to the arms.
-
-    Attributes:
-        queue: of all goals; those of different arms run at the same time.
-        confirmation: decides if goals are to be confirmed.
-        listeners: features that take the news of goals, in their order.
-    """
+    """Way of goals to the arms."""
 
     def __init__(self, graph: Graph, arm: AnyArm, planning: PlanningContext, settings: Settings) -> None:
         moveit, goals, robot = settings.moveit, settings.goals, planning.robot
@@ -102,12 +96,7 @@ class Goals:
 
 @dataclass(frozen=True, eq=False)
 class ArmContext:
-    """Context of the features of one arm, or of all arms together.
-
-    Attributes:
-        graph: names of the arm.
-        node: publishes and subscribes for the arm's goals.
-    """
+    """Context of the features of one arm, or of all arms together."""
 
     served: ServedArm
     graph: LocalGraph
@@ -221,9 +210,6 @@ def context_of(
     settings: Settings, graph: Graph, arms: tuple[ServedArm, Sequence[ServedArm]], pool: Planners
 ) -> ServerContext:
     """Return the context of a server.
-
-    Args:
-        arms: the only arm or all arms together, and the arms one by one.
 
     Raises:
         ConfigurationError: the tokens cannot be used.

@@ -16,6 +16,9 @@ from server.execution.motions import Motion
 from server.execution.queue import Answer, Progress, QueuedGoal
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
+from server.moveit.actions.goal_calls import GoalCalls
+from server.moveit.actions.gripper import ACTIONS as GRIPPER_ACTIONS
+from server.moveit.actions.gripper import GripperActions
 from server.moveit.actions.joint_trajectory_controller import (
     ControllerStatePublisher,
     JointTrajectoryController,
@@ -30,11 +33,8 @@ from server.moveit.actions.move_group import (
 )
 from server.moveit.description import RobotDescription
 from server.moveit.display import TransformsTopics
-from server.moveit.goal_calls import GoalCalls
-from server.moveit.goal_history import GoalHistory
-from server.moveit.goal_topics import GoalChecks, GoalReports, GoalStatusTopics, GoalTopics, final_status
-from server.moveit.gripper import ACTIONS as GRIPPER_ACTIONS
-from server.moveit.gripper import GripperActions
+from server.moveit.goals.goal_history import GoalHistory
+from server.moveit.goals.goal_topics import GoalChecks, GoalReports, GoalStatusTopics, GoalTopics, final_status
 from server.moveit.named_states import NamedStatesServices, default_path
 from server.moveit.requests.context import planning_group
 from server.moveit.scene.interface import SceneInterface
@@ -54,11 +54,7 @@ QUEUE_CLOSE_TIMEOUT_S = 1.0
 
 
 class PlanningScene(Feature):
-    """The planning scene: its topics and services, named scenes, and the file from which the next start restores it.
-
-    Args:
-        context: the server's.
-    """
+    """The planning scene: its topics and services, named scenes, and the file from which the next start restores it."""
 
     name = "the planning scene"
     deadline_s = 0.4
@@ -87,11 +83,7 @@ class PlanningScene(Feature):
 
 
 class MoveGroup(Feature):
-    """Services and actions of move_group, with the description, the transforms and the named states.
-
-    Args:
-        context: the server's.
-    """
+    """Services and actions of move_group, with the description, the transforms and the named states."""
 
     name = "move_group"
 
@@ -122,11 +114,7 @@ class MoveGroup(Feature):
 
 
 class GoalRecords(Feature):
-    """Records of the last goals, and the contacts for which they failed.
-
-    Args:
-        context: the server's.
-    """
+    """Records of the last goals, and the contacts for which they failed."""
 
     name = "records of goals"
 
@@ -150,11 +138,7 @@ class GoalRecords(Feature):
 
 
 class ArmGoals(Feature):
-    """Goals of each arm by topics, services and actions; every group with a driven joint has a controller.
-
-    Args:
-        context: the server's.
-    """
+    """Goals of each arm by topics, services and actions; every group with a driven joint has a controller."""
 
     name = "goals of the arms"
 
@@ -226,11 +210,7 @@ class _GoalsOfArm:
 
 
 class GoalQueueing(Feature):
-    """The queue of goals.
-
-    Args:
-        context: the server's.
-    """
+    """The queue of goals."""
 
     name = "the goal queue"
 
@@ -250,11 +230,7 @@ class GoalQueueing(Feature):
 
 
 class Servo(Feature):
-    """MoveIt Servo for each arm.
-
-    Args:
-        context: the server's.
-    """
+    """MoveIt Servo for each arm."""
 
     name = "servo"
 

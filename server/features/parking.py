@@ -64,8 +64,6 @@ class RestPose:
     """Pose in which an arm is parked.
 
     Attributes:
-        state: its name in the SRDF.
-        group: planning group that moves there.
         positions_rad: position of each joint [rad].
     """
 
@@ -95,10 +93,6 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
 
 class Parking:
     """Parking of one arm, and the service for it.
-
-    Args:
-        arm: the arm's handle.
-        context: the arm's context.
 
     Raises:
         ConfigurationError: the settings name a state that does not exist.
@@ -272,7 +266,6 @@ class _Place:
 
     Attributes:
         held_rad: goal of every joint [rad].
-        version: of the scene.
         pid: process id of the arm process, which keeps the way.
         speed_limit: of the arm, which decides on the duration.
     """
@@ -294,14 +287,7 @@ class _Place:
 
 
 class LastClient:
-    """Parks or relaxes the arm some time after the last client that may drive has left.
-
-    Args:
-        arm: the arm's handle.
-        settings: the section ``arm``.
-        drivers: clients that are connected and may drive.
-        clock: monotonic time [s].
-    """
+    """Parks or relaxes the arm some time after the last client that may drive has left."""
 
     def __init__(
         self,
@@ -359,14 +345,7 @@ class LastClient:
 
 
 class Parkings(Feature):
-    """Parking of each arm. At the end of the server each arm that is to be parked gets its way to the rest pose.
-
-    Args:
-        context: the server's.
-
-    Attributes:
-        last_clients: a background task for each arm that is parked or relaxed after the last client.
-    """
+    """Parking of each arm. At the end of the server each arm that is to be parked gets its way to the rest pose."""
 
     name = "the way to the rest pose"
     deadline_s = PREPARING_S

@@ -31,11 +31,7 @@ FILE_SERVICE = "/file_server/get_file"
 
 
 class RobotDescription:
-    """Topics, parameters and file service of the description.
-
-    Args:
-        keep_parameter: keeps a parameter for rosapi, its value as JSON text.
-    """
+    """Topics, parameters and file service of the description."""
 
     def __init__(self, graph: Graph, robot: RobotModel, keep_parameter: Callable[[str, str], None]) -> None:
         self._graph = graph

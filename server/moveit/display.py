@@ -15,7 +15,7 @@ from server.execution.queue import Performed
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.poses import Message, pose_of
-from server.moveit.requests.trajectories import to_message
+from server.moveit.trajectories import to_message
 
 PATH_TOPIC = "/display_planned_path"
 CONTACTS_TOPIC = "/display_contacts"

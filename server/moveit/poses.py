@@ -20,14 +20,7 @@ MIN_NORM = 1e-6
 
 
 def read_pose(message: Message, where: str) -> Pose:
-    """Read a geometry_msgs/Pose; its quaternion is normalised, one of only zeros is no rotation.
-
-    Args:
-        where: path of the field, for the sentence.
-
-    Raises:
-        RefusedError: a number is not finite.
-    """
+    """Read a geometry_msgs/Pose; its quaternion is normalised, one of only zeros is no rotation."""
     point, quaternion = message["position"], message["orientation"]
     if not all(map(math.isfinite, (*point.values(), *quaternion.values()))):
         raise _not_finite(message, where)

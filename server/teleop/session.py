@@ -19,7 +19,7 @@ from server.errors import RefusedError
 from server.execution.monitors import check_ready
 from server.execution.motions import Motion, Positions
 from server.execution.queue import Answer, GoalQueue
-from server.moveit.gripper import Gripper, GripperClaim, GripperCommand
+from server.moveit.actions.gripper import Gripper, GripperClaim, GripperCommand
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import LATE, ServoSession, ServoSetup
 from server.teleop.following import STALE_S, Act, Following, Observed, Phase, TrackingLimits, tracking_velocities
@@ -97,7 +97,6 @@ class FollowingContext:
 
     Attributes:
         planning: scene, frames, planners and positions of all arms.
-        clock: monotonic time [s].
     """
 
     planning: PlanningContext

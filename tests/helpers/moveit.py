@@ -26,7 +26,7 @@ from server.graph.actions import Goal, Result
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.display import DisplayTopics
-from server.moveit.goal_messages import GoalTranslator
+from server.moveit.goals.goal_messages import GoalTranslator
 from server.moveit.named_states import Change, NamedStates, States
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.context import RequestContext

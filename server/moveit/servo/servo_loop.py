@@ -35,9 +35,9 @@ from server.arrival import arrival_epoch
 from server.errors import RefusedError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
+from server.moveit.error_codes import invalid
+from server.moveit.parameters import ServoParameters
 from server.moveit.poses import Message, composed, matrix_of, read_pose
-from server.moveit.requests.error_codes import invalid
-from server.moveit.servo.parameters import ServoParameters
 
 log = logging.getLogger("armbridge.servo")
 
@@ -105,11 +105,7 @@ class ServoSetup:
 
 
 def read_twist(message: Message, parameters: ServoParameters) -> TwistCommand:
-    """Read a geometry_msgs/TwistStamped.
-
-    Raises:
-        RefusedError: a number that cannot be used.
-    """
+    """Read a geometry_msgs/TwistStamped."""
     linear = _scaled_vector(message, "linear", parameters.linear_scale, parameters)
     angular = _scaled_vector(message, "angular", parameters.rotational_scale, parameters)
     return TwistCommand(linear, angular, message["header"]["frame_id"])
@@ -120,9 +116,6 @@ def read_joint_jog(message: Message, joints: Sequence[str], parameters: ServoPar
 
     Args:
         message: the message; its displacements are not followed.
-
-    Raises:
-        RefusedError: a joint or a number that cannot be used.
     """
     names, velocities = message["joint_names"], message["velocities"]
     if len(names) != len(velocities) or not names:
@@ -144,9 +137,6 @@ def read_pose_target(message: Message, resolve: Resolve, positions_rad: Position
 
     Args:
         positions_rad: commanded position of every movable joint [rad].
-
-    Raises:
-        RefusedError: a pose that is not finite, or an unknown frame.
     """
     pose = read_pose(message["pose"], "pose")
     return TipTarget(composed(resolve(message["header"]["frame_id"], positions_rad), pose))
@@ -157,9 +147,6 @@ def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Posi
 
     Args:
         positions_rad: commanded position of every movable joint [rad].
-
-    Raises:
-        RefusedError: an unknown frame.
     """
     if not isinstance(command, TwistCommand):
         return command
@@ -200,7 +187,6 @@ class ServoSession:
     Args:
         publish_status: called after every step.
         interrupted: called with the reason when the arm is stopped from elsewhere.
-        clock: monotonic time [s].
         current: positions of all joints, also of arms that are not steered; None for those of the arm.
     """
 

@@ -20,7 +20,7 @@ from server.execution.time_limits import TimeLimits
 from server.features.context import ServerContext, context_of
 from server.features.moveit import MoveGroup, PlanningScene, slow_to_brake
 from server.graph.topics import Graph
-from server.moveit.gripper import GripperLimits
+from server.moveit.actions.gripper import GripperLimits
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import robots
 from tests.helpers.clients import ArmClient, frame_client, values_of

@@ -11,14 +11,8 @@ from server.execution.motions import PlannedMotion
 from server.execution.queue import Answer, GoalPolicy, GoalState, Performed, Progress, RunningGoal
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
-from server.moveit.actions.joint_trajectory_controller import (
-    MoveGroupFeedback,
-    goal_status,
-    move_group_result,
-    reject_goal,
-    sequence_result,
-    submit_goal,
-)
+from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal
+from server.moveit.actions.move_group import MoveGroupFeedback, move_group_result, sequence_result
 from tests.helpers.fake_arm import settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import ActionDesk, message

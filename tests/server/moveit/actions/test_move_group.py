@@ -14,7 +14,7 @@ from server.actionlib import ActionlibBridge
 from server.execution.motions import ExternalTrajectory, PlannedMotion
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
-from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, move_group_result, sequence_result
+from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.actions.move_group import (
     DEFAULT_ATTEMPTS,
     EXECUTE_ACTION,
@@ -26,10 +26,12 @@ from server.moveit.actions.move_group import (
     PlanningActions,
     PlanningGoal,
     PlanningOptions,
+    move_group_result,
     plan_only,
     planned_motion,
     read_planning_goal,
     read_planning_options,
+    sequence_result,
 )
 from server.moveit.requests.planning_problems import PILZ
 from tests.helpers.fake_arm import HOME, settle

@@ -24,8 +24,8 @@ from planners.servo.question import (
 )
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from server.moveit.requests.error_codes import refused
-from server.moveit.servo.parameters import ServoParameters
+from server.moveit.error_codes import refused
+from server.moveit.parameters import ServoParameters
 from server.moveit.servo.servo_loop import (
     REST_S,
     ServoSession,

@@ -33,8 +33,8 @@ from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL
-from server.moveit.actions.joint_trajectory_controller import cancel_with_goal
-from server.moveit.requests.error_codes import invalid
+from server.moveit.actions.goal_bridge import cancel_with_goal
+from server.moveit.error_codes import invalid
 
 log = logging.getLogger("armbridge.gripper")
 
@@ -93,12 +93,7 @@ class GripperReading:
 
 @dataclass(frozen=True)
 class GripperClaim:
-    """Claim of the gripper for one command.
-
-    Attributes:
-        number: greater than that of every claim before.
-        epoch: stop epoch in which the command was requested.
-    """
+    """Claim of the gripper for one command."""
 
     number: int
     epoch: int
@@ -111,7 +106,6 @@ class GripperLimits:
     Attributes:
         velocity_scaling: share of the joints' velocity limits.
         torque: share of full motor duty.
-        time: limits of time.
     """
 
     velocity_scaling: float
@@ -126,7 +120,6 @@ class Gripper:
     Args:
         joints: the joints of its fingers, one or two, which all go to the same position; their limits are kept.
         in_progress: gets its motions; None for a gripper without an arm that moves beside it.
-        clock: monotonic time of this machine [s].
     """
 
     def __init__(
@@ -188,9 +181,6 @@ class Gripper:
 
         Args:
             report: called with readings on the way.
-
-        Raises:
-            RefusedError: the arm takes no motion.
         """
         async with self._turn:
             await self._arm.until_started(ARM_START_TIMEOUT_S)
@@ -295,11 +285,7 @@ class ActionMessages(Protocol):
     type_name: str
 
     def command(self, message: Message) -> GripperCommand:
-        """Read a goal's command.
-
-        Raises:
-            RefusedError: it is invalid.
-        """
+        """Read a goal's command."""
 
     def result(self, reading: GripperReading, *, stalled: bool, reached: bool) -> Message:
         """Return the result message."""
@@ -384,12 +370,7 @@ class ParallelGripperCommandMessages:
 def _checked_command(
     joints: Sequence[Joint], position: float, max_effort: float, max_velocity: float, fingers: int = 1
 ) -> GripperCommand:
-    """Return a command within the limits.
-
-    Args:
-        position: as the client has it [rad or m].
-        max_velocity: of each finger [rad/s or m/s].
-    """
+    """Return a command within the limits."""
     lower, upper = max(joint.lower for joint in joints), min(joint.upper for joint in joints)
     unit = joints[0].unit
     beyond = CLAMPED_WITHIN_M if unit == "m" else CLAMPED_WITHIN_RAD

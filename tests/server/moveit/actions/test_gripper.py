@@ -22,7 +22,7 @@ from server.graph.actions import Goal, Result
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.moveit.gripper import (
+from server.moveit.actions.gripper import (
     FETCH_ACTION,
     GRIPPER_ACTION,
     PARALLEL_ACTION,

@@ -15,7 +15,7 @@ from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from server.errors import RefusedError
 from server.execution.motions import PlannedMotion
-from server.moveit.goal_messages import GoalTranslator, suggestion
+from server.moveit.goals.goal_messages import GoalTranslator, suggestion
 from tests.helpers.fake_arm import HOME, FakeArm
 from tests.helpers.moveit import ROBOT, TRANSLATOR, rejection, translator
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF

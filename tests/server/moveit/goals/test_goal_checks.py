@@ -17,7 +17,7 @@ from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
 from server.moveit import goal_topics as goal_topics_module
-from server.moveit.goal_topics import (
+from server.moveit.goals.goal_topics import (
     GOAL_TIME_S,
     MAX_GOALS,
     NOT_CHECKED,
@@ -120,7 +120,7 @@ class Slow:
         return answer
 
     async def answers(self, monkeypatch: pytest.MonkeyPatch, count: int) -> list[IkAnswer | PlanningFailure]:
-        monkeypatch.setattr("server.moveit.goal_topics.time.monotonic", lambda: self.now_s)
+        monkeypatch.setattr("server.moveit.goals.goal_topics.time.monotonic", lambda: self.now_s)
         problems: list[PlanningProblem | PlanningFailure] = [
             PlanningProblem("arm", HOME, JointGoal({"elbow_flex": at / count})) for at in range(count)
         ]

@@ -15,7 +15,7 @@ from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Pro
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
-from server.moveit.goal_topics import (
+from server.moveit.goals.goal_topics import (
     CONFIRM_MODE_SERVICE,
     CONFIRM_TOPIC,
     RESULT_TOPIC,

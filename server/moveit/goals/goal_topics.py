@@ -35,7 +35,7 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import CANCELLING, CONFIGURING, GOAL, PLANNING, STOP_EVENT, STOPPING, SWITCHING, WORKING
 from server.graph.topics import Graph, Subscriber
-from server.moveit.goal_messages import (
+from server.moveit.goals.goal_messages import (
     GROUP_TOPIC,
     GROUP_TYPE,
     JOINTS_TOPIC,
@@ -96,9 +96,6 @@ class Confirmation:
     Args:
         enabled: true if goals on ``/moveit_goal_*`` wait at the gate.
         timeout_s: limit of their wait [s].
-
-    Attributes:
-        enabled: as given; the service changes it for goals to come.
     """
 
     def __init__(self, graph: Graph, *, enabled: bool, timeout_s: float) -> None:
@@ -235,7 +232,6 @@ class GoalTopics:
     """Topics by which goals are sent, their group is chosen, and they are cancelled and stopped.
 
     Args:
-        confirmation: decides if goals are to be confirmed.
         joints: those that the topics for stops are for; None for all.
     """
 
@@ -321,11 +317,7 @@ class GoalTopics:
 
 
 class GoalChecks:
-    """The service ``/check_goals``.
-
-    Args:
-        translator: reads goals as those of ``/moveit_goal_*``.
-    """
+    """The service ``/check_goals``."""
 
     def __init__(
         self,
@@ -402,11 +394,7 @@ def _problem(
 async def answers_in_time(
     problems: list[PlanningProblem | PlanningFailure], pool: Planners, scene: Scene
 ) -> list[IkAnswer | PlanningFailure]:
-    """Answer all goals: each gets a short check, then those without an answer share the rest of the time.
-
-    Args:
-        problems: of the goals, or the reasons why there is none.
-    """
+    """Answer all goals: each gets a short check, then those without an answer share the rest of the time."""
     until_s = time.monotonic() + max(GOAL_TIME_S * len(problems), MIN_CALL_S)
     answers = []
     for problem in problems:

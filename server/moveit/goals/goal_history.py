@@ -21,7 +21,7 @@ from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
 from server.moveit.poses import Message
-from server.moveit.requests.trajectories import to_message
+from server.moveit.trajectories import to_message
 
 HISTORY_SERVICE, HISTORY_TYPE = "/armbridge/goal_history", "armbridge_msgs/srv/GetGoalHistory"
 RECORD_SERVICE, RECORD_TYPE = "/armbridge/goal_record", "armbridge_msgs/srv/GetGoalRecord"
@@ -41,10 +41,8 @@ class GoalRecord:
 
     Attributes:
         stamp_s: time of the answer [s since 1970].
-        status: its last message of ``/moveit_goal_status``.
         summary: methods and times of the plan, a sentence; empty without a plan.
         planning_time_s: time spent on planning [s].
-        failure: code and sentence of the answer.
         problem: problem that failed, else the first one; None for a goal without one that a file can hold.
         scene: in which it was planned; None once it is forgotten.
     """
@@ -61,11 +59,7 @@ class GoalRecord:
 
 
 class GoalHistory:
-    """Records of the last goals, and the services that tell them.
-
-    Args:
-        wall_clock: seconds since 1970.
-    """
+    """Records of the last goals, and the services that tell them."""
 
     def __init__(
         self, graph: Graph, robot: RobotModel, scene: Callable[[], Scene], wall_clock: Callable[[], float]

@@ -14,8 +14,8 @@ from server.graph.actions import GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.services import Response
-from server.moveit.goal_calls import NAME, GoalCalls
-from server.moveit.goal_topics import Confirmation
+from server.moveit.actions.goal_calls import NAME, GoalCalls
+from server.moveit.goals.goal_topics import Confirmation
 from tests.helpers.fake_arm import HOME, settle
 from tests.helpers.goal_runner import THERE
 from tests.helpers.moveit import ActionDesk, translator

@@ -20,7 +20,7 @@ from server.execution.motions import PlannedMotion
 from server.execution.queue import Answer, GoalState, Performed, Progress, QueuedGoal
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.moveit.goal_history import GoalHistory
+from server.moveit.goals.goal_history import GoalHistory
 from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import REGISTRY, ROBOT

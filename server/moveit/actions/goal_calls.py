@@ -25,12 +25,12 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import CALLED_GOAL
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
-from server.moveit.actions.joint_trajectory_controller import cancel_with_goal, goal_status
+from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
 from server.moveit.actions.move_group import answer_of_task, plan_steps
-from server.moveit.goal_messages import GoalTranslator, suggestion
-from server.moveit.goal_topics import Confirmation, details_as_json
+from server.moveit.error_codes import invalid
+from server.moveit.goals.goal_messages import GoalTranslator, suggestion
+from server.moveit.goals.goal_topics import Confirmation, details_as_json
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import invalid
 from server.moveit.requests.planning_context import PlanningContext
 
 log = logging.getLogger("armbridge.goals")
@@ -57,11 +57,7 @@ class ReadGoal:
 
 
 class GoalCalls:
-    """The service and the action ``/moveit_goal``.
-
-    Args:
-        confirmation: decides if goals are to be confirmed.
-    """
+    """The service and the action ``/moveit_goal``."""
 
     def __init__(
         self,

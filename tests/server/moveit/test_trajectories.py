@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from planners.problem import MoveItErrorCode
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
-from server.moveit.requests.trajectories import (
+from server.moveit.trajectories import (
     external_motion,
     knot_accelerations,
     knot_velocities,

@@ -5,8 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from planners.motions.path import Query
-from planners.motions.via_point import MOST_CHECKS, via_point
+from planners.motions.path import MOST_CHECKS, Query, via_point
 from tests.planners.invariants import BLOCKED_LINES, never
 
 STEP_M = 0.1

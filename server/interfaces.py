@@ -38,6 +38,7 @@ OWN_PACKAGES = frozenset(
         "std_msgs",
         "std_srvs",
         "tf2_msgs",
+        "tf2_web_republisher",
         "trajectory_msgs",
         "unique_identifier_msgs",
         "visualization_msgs",

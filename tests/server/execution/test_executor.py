@@ -44,7 +44,7 @@ from server.execution.queue import GoalPolicy, GoalQueue, GoalState, Progress
 from server.execution.time_limits import TimeLimits
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.clock import FakeClock
-from tests.helpers.fake_arm import JOINTS, FakeArm, settle
+from tests.helpers.fake_arm import FakeArm, settle
 from tests.helpers.motions import LONG, smooth_move
 from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.waiting import until
@@ -302,14 +302,6 @@ async def test_a_given_trajectory_that_takes_too_long_is_refused(stage: Stage) -
     assert stage.arm.played == []
 
 
-async def test_the_time_left_of_a_sequence_is_that_of_all_its_motions(stage: Stage) -> None:
-    await stage.begin(PlannedMotion((*to(shoulder_pan=0.4).steps, *to(shoulder_pan=0.0).steps), frozenset(ARM)))
-    stage.arm.state = replace(stage.arm.state, fraction=0.75, remaining_s=0.25)
-    await until(lambda: (stage.news[-1].state, stage.news[-1].remaining_s) == (GoalState.EXECUTING, 1.25))
-    stage.executor.cancel("a test")
-    await stage.answer()
-
-
 async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(stage: Stage) -> None:
     stage.arm.started.clear()
     await stage.begin(to(shoulder_pan=0.4))
@@ -329,26 +321,6 @@ async def test_a_goal_that_is_stopped_while_the_arm_is_being_started_moves_nothi
         "stopped by a test before the motion began",
     )
     assert not stage.arm.played
-
-
-async def test_the_answer_contains_the_plan_and_its_start(stage: Stage) -> None:
-    stage.arm.put(elbow_flex=0.1)
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.arm.end()
-    performed = (await stage.answer()).performed
-    assert performed.start_rad["elbow_flex"] == 0.1
-    assert set(performed.start_rad) == set(JOINTS)
-    assert performed.planned == tuple(stage.arm.played)
-    assert performed.planning_time_s == 0.01
-
-
-async def test_several_steps_are_executed_in_order(stage: Stage) -> None:
-    first, second = to(shoulder_pan=0.4), to(shoulder_pan=0.8)
-    await stage.begin(PlannedMotion((*first.steps, *second.steps), frozenset(ARM)))
-    stage.arm.end()
-    await settle()
-    await stage.arrive()
-    assert [motion.positions_rad[-1, 0] for motion in stage.arm.played] == pytest.approx([0.4, 0.8])
 
 
 async def test_a_goal_out_of_reach_is_not_planned_again(stage: Stage) -> None:
@@ -380,15 +352,6 @@ async def test_a_motion_that_the_scene_stops_is_planned_again_from_the_present_p
     assert stage.scenes == [1, 2]
 
 
-async def test_a_goal_with_one_attempt_ends_with_the_contact(stage: Stage) -> None:
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.contact, stage.scene = WALL, Scene(2)
-    stage.changed()
-    answer = await stage.answer()
-    assert answer.code is WALL.code
-    assert answer.message.startswith("would touch the wall")
-
-
 async def test_a_scene_that_changes_during_planning_is_checked_before_the_motion(stage: Stage) -> None:
     def change(start_rad: Positions) -> PlanningProblem:
         stage.scene, stage.contact = Scene(2), WALL
@@ -397,13 +360,6 @@ async def test_a_scene_that_changes_during_planning_is_checked_before_the_motion
     await stage.begin(PlannedMotion((change,), frozenset(ARM)))
     assert (await stage.answer()).code is WALL.code
     assert stage.arm.played == []
-
-
-async def test_a_goal_may_be_planned_in_a_scene_of_its_own(stage: Stage) -> None:
-    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, frozenset(ARM), scene=lambda _positions_rad: Scene(77)))
-    stage.arm.end()
-    await stage.answer()
-    assert stage.scenes == [77]
 
 
 async def test_a_goal_is_planned_again_when_the_arm_was_moved_meanwhile(stage: Stage) -> None:
@@ -550,17 +506,6 @@ async def test_the_arm_brakes_before_a_motion_that_cannot_be_blended_in(
     assert stage.arm.continued == []
 
 
-async def test_an_external_trajectory_begins_at_rest(stage: Stage) -> None:
-    await under_way(stage)
-    held = stage.arm.state.goal_rad
-    assert held is not None
-    motion = smooth_move({name: (held_rad, 0.5) for name, held_rad in zip(ARM, held.tolist(), strict=False)}, 2.0)
-    await stage.begin(ExternalTrajectory(lambda _held_rad: motion, frozenset(ARM)))
-    assert len(stage.arm.stops) == 1
-    await stage.arrive()
-    assert stage.arm.continued == []
-
-
 async def test_a_goal_that_is_cancelled_before_the_replacement_leaves_the_arm_at_rest(stage: Stage) -> None:
     await under_way(stage)
     stage.planners_answer.clear()
@@ -643,12 +588,6 @@ async def test_a_motion_begins_beside_one_that_it_cannot_touch(stage: Stage) -> 
     await stage.begin(to(shoulder_pan=0.4))
     assert len(stage.arm.played) == 1
     assert [question.second for question in stage.meetings] == [FINGER]
-
-
-async def test_a_motion_is_planned_for_the_end_of_one_beside_it(stage: Stage) -> None:
-    beside(stage)
-    await stage.begin(to(shoulder_pan=0.4))
-    assert stage.problems[0].start_rad["gripper"] == 0.7
 
 
 async def test_a_motion_waits_for_one_that_it_may_touch_and_says_so(stage: Stage) -> None:
@@ -738,15 +677,6 @@ def fingers() -> PlannedMotion:
     return PlannedMotion((problem,), frozenset(("gripper",)))
 
 
-async def test_goals_of_the_same_joints_have_the_same_executor_and_all_share_the_motions(stage: Stage) -> None:
-    executors = GoalExecutors(stage.arm.as_arm, stage.context())
-    arm, gripper = executors.runner(frozenset(ARM)), executors.runner(frozenset(("gripper",)))
-    assert executors.runner(frozenset(ARM)) is arm is not gripper
-    assert arm._in_progress is gripper._in_progress is executors.in_progress
-    executors.stop("enough")
-    assert stage.arm.stops == [None]
-
-
 async def test_a_motion_that_begins_during_the_last_check_is_checked_as_well(stage: Stage) -> None:
     first = beside(stage)
     stage.meetings_answer.clear()
@@ -764,23 +694,6 @@ async def ahead(stage: Stage, following: PlannedMotion) -> None:
     await stage.begin(to(shoulder_pan=0.4))
     stage.problems.clear()
     await stage.plan_ahead(following)
-
-
-async def test_a_goal_that_was_planned_ahead_is_not_planned_again(stage: Stage) -> None:
-    following = to(shoulder_pan=0.8)
-    await ahead(stage, following)
-    assert stage.ahead[0].start_rad["shoulder_pan"] == stage.arm.played[0].positions_rad[-1, 0]
-    stage.arm.end()
-    await stage.answer()
-    stage.news.clear()
-    await stage.begin(following)
-    assert [news.state for news in stage.news] == [GoalState.PLANNING, GoalState.EXECUTING]
-    stage.arm.end()
-    answer = await stage.answer()
-    assert answer.code is MoveItErrorCode.SUCCESS
-    assert stage.problems == []
-    assert answer.performed.planned == (stage.arm.played[1],)
-    assert stage.news[-1].message == "a motion of 1.0 s (straight line, in advance; planned in 10 ms)"
 
 
 def end_by(outcome: Outcome) -> Callable[[Stage], None]:
@@ -825,43 +738,6 @@ async def test_a_goal_is_planned_in_its_turn_when_something_came_between(
     await stage.arrive()
 
 
-async def test_a_goal_that_failed_ahead_is_answered_as_any(stage: Stage) -> None:
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.failures = [NO_WAY, OUT_OF_REACH]
-    await stage.plan_ahead(to(shoulder_pan=0.8))
-    await stage.arrive()
-    await stage.begin(to(shoulder_pan=0.8))
-    assert (await stage.answer()).message == OUT_OF_REACH.message
-
-
-async def test_a_goal_that_left_the_queue_is_forgotten(stage: Stage) -> None:
-    following = to(shoulder_pan=0.8)
-    await ahead(stage, following)
-    stage.executor.forget(following)
-    stage.arm.end()
-    await stage.answer()
-    await stage.begin(following)
-    assert len(stage.problems) == 1
-
-
-async def test_nothing_is_planned_ahead_before_the_motion_is_known(stage: Stage) -> None:
-    await stage.plan_ahead(to(shoulder_pan=0.8))
-    stage.planners_answer.clear()
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
-    stage.planners_answer.set()
-    await settle()
-    assert stage.ahead == []
-
-
-async def test_nothing_is_planned_ahead_after_the_motion(stage: Stage) -> None:
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.arm.end()
-    await stage.answer()
-    await stage.plan_ahead(to(shoulder_pan=0.8))
-    assert stage.ahead == []
-
-
 async def test_nothing_is_planned_ahead_beside_the_motion_of_another_group(stage: Stage) -> None:
     ended = beside(stage)
     await ahead(stage, to(shoulder_pan=0.8))
@@ -893,19 +769,6 @@ async def test_planning_ahead_ends_when_the_goal_before_is_cancelled_though_the_
     assert stage.ahead == []
     stage.arm.end(Outcome.STOPPED)
     await stage.answer()
-
-
-async def test_a_goal_after_several_motions_is_planned_for_the_end_of_the_last(stage: Stage) -> None:
-    await stage.begin(PlannedMotion((*to(shoulder_pan=0.4).steps, *to(elbow_flex=0.3).steps), frozenset(ARM)))
-    await stage.plan_ahead(to(shoulder_pan=0.8))
-    start_rad = stage.ahead[0].start_rad
-    assert (start_rad["shoulder_pan"], start_rad["elbow_flex"]) == pytest.approx((0.4, 0.3))
-
-
-async def test_a_goal_after_a_given_trajectory_is_planned_for_its_end(stage: Stage) -> None:
-    await stage.begin(given(0.0, 0.5))
-    await stage.plan_ahead(to(shoulder_pan=0.8))
-    assert stage.ahead[0].start_rad["shoulder_pan"] == pytest.approx(0.5)
 
 
 async def test_a_goal_after_a_motion_that_replaced_another_is_planned_for_its_end(stage: Stage) -> None:

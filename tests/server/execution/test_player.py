@@ -90,11 +90,6 @@ async def test_every_outcome_has_its_code_and_message(stage: Stage, outcome: Out
     assert not stage.scene_monitor.monitoring
 
 
-async def test_the_answer_after_a_stop_names_its_reason(stage: Stage) -> None:
-    stage.player.stop("a test")
-    assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "a test; stopped half-way")
-
-
 async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
     stage = Stage()
 
@@ -118,14 +113,6 @@ async def test_a_contact_on_the_way_stops_the_motion_with_its_code_and_details(s
     answer = await stage.answer()
     assert (answer.code, answer.details) == (CONTACT.code, CONTACT.details)
     assert answer.message == "would touch the wall; stopped half-way"
-
-
-async def test_only_the_active_motion_is_stopped(stage: Stage) -> None:
-    stage.player.stop("a test")
-    await stage.answer()
-    assert stage.arm.stops != [None]
-    stage.player.stop("nothing moves any more")
-    assert len(stage.arm.stops) == 1
 
 
 async def test_the_scene_monitor_asks_about_the_rest_of_the_motion(stage: Stage) -> None:
@@ -174,41 +161,10 @@ async def test_a_starved_arm_has_all_its_time_by_its_own_clock(stubborn: Stage) 
     assert (await stubborn.answer()).code is MoveItErrorCode.SUCCESS
 
 
-async def test_a_motion_that_overruns_by_the_arms_clock_is_given_up(stubborn: Stage) -> None:
-    stubborn.pass_time(1.1 * ALLOWED_S)
-    await asyncio.sleep(LOOKS_S)
-    assert len(stubborn.arm.stops) == 1
-    stubborn.arm.end(Outcome.STOPPED, "stopped half-way")
-    assert (await stubborn.answer()).code is MoveItErrorCode.TIMED_OUT
-
-
-async def test_an_arm_that_brakes_within_the_time_of_its_own_clock_is_waited_for(stubborn: Stage) -> None:
-    stubborn.pass_time(1.1 * ALLOWED_S)
-    await asyncio.sleep(LOOKS_S)
-    stubborn.clock.advance(1000.0)
-    stubborn.arm.pass_time(0.9 * BRAKING_S)
-    await asyncio.sleep(LOOKS_S)
-    assert stubborn.running is not None
-    assert not stubborn.running.done()
-    stubborn.arm.pass_time(0.2 * BRAKING_S)
-    answer = await stubborn.answer()
-    assert (answer.code, "does not brake either" in answer.message) == (MoveItErrorCode.COMMUNICATION_FAILURE, True)
-
-
 async def test_a_server_that_stood_still_does_not_count_what_passed_before_the_motion(stubborn: Stage) -> None:
     stubborn.arm.pass_time(1.1 * ALLOWED_S)
     await asyncio.sleep(LOOKS_S)
     assert stubborn.arm.stops == []
-
-
-async def test_a_server_that_stood_still_gives_the_arm_its_time_to_brake(stubborn: Stage) -> None:
-    stubborn.pass_time(1.1 * ALLOWED_S)
-    await asyncio.sleep(0.2 * BRAKING_S)
-    stubborn.arm.pass_time(2.0 * BRAKING_S)
-    await asyncio.sleep(0.2 * BRAKING_S)
-    stubborn.arm.end(Outcome.STOPPED, "stopped half-way")
-    answer = await stubborn.answer()
-    assert (answer.code, "stopped half-way" in answer.message) == (MoveItErrorCode.TIMED_OUT, True)
 
 
 async def test_the_end_of_an_outgoing_motion_is_awaited_by_the_arms_clock(stubborn: Stage) -> None:
@@ -239,11 +195,6 @@ class Worn:
     """Deadline that is exceeded."""
 
     exceeded = "the arm did not end the motion"
-
-
-async def test_just_after_the_start_the_state_may_be_of_the_motion_before(stage: Stage) -> None:
-    stage.arm.state = replace(stage.arm.state, fraction=0.25)
-    assert stage.scene_monitor.questions()[0].from_s == 0.0
 
 
 @pytest.mark.parametrize(("machine_s", "arm_s"), [(1.0, 0.05), (0.05, 1.0)])

@@ -8,7 +8,7 @@ import pytest
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress, QueuedGoal, RunningGoal
 from tests.helpers.fake_arm import settle
-from tests.helpers.goal_runner import THERE, GoalRunner
+from tests.helpers.goal_runner import GoalRunner
 
 
 class ScriptedRunner(GoalRunner):
@@ -77,15 +77,6 @@ async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
         await desk.finish()
     assert desk.runner.asked == ["a", "b", "c"]
     assert desk.codes() == [(str(number), MoveItErrorCode.SUCCESS) for number in (1, 2, 3)]
-
-
-async def test_the_queue_is_busy_while_a_goal_is_active(desk: Desk) -> None:
-    assert desk.queue.busy == ""
-    desk.queue.submit("/goals", "first")
-    await settle()
-    assert desk.queue.busy == "goal 1 from /goals is worked on"
-    await desk.finish()
-    assert desk.queue.busy == ""
 
 
 async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_behind_it(desk: Desk) -> None:
@@ -205,16 +196,6 @@ async def test_a_goal_may_come_with_a_policy_of_its_own(desk: Desk) -> None:
     assert desk.runner.stopped == []
 
 
-async def test_a_goals_own_listeners_are_called_besides_the_queues(desk: Desk) -> None:
-    news: list[Progress] = []
-    answers: list[Answer] = []
-    desk.queue.submit("/action", "a", on_progress=news.append, on_answer=answers.append)
-    await settle()
-    await desk.finish()
-    assert [progress.state for progress in news] == [GoalState.QUEUED, GoalState.PLANNING]
-    assert answers == [THERE] == [answer for _, answer in desk.answers]
-
-
 @pytest.mark.parametrize("number", ["1", "2"], ids=["in hand", "waiting"])
 async def test_a_cancelled_goal_is_answered_and_the_other_is_not(desk: Desk, number: str) -> None:
     await desk.submit(*"ab")
@@ -273,18 +254,6 @@ class ArmsDesk(Desk):
         self.queue.start()
 
 
-async def test_goals_without_common_joints_run_at_the_same_time() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "right")
-    assert desk.arms.started == {"left", "right"}
-    assert desk.queue.active_count == 2
-    desk.arms.of("right").finish()
-    await settle()
-    assert desk.codes() == [("2", MoveItErrorCode.SUCCESS)]
-    assert desk.queue.busy_with(["left"])
-    assert not desk.queue.busy_with(["right"])
-
-
 async def test_a_goal_of_both_arms_waits_for_each() -> None:
     desk = ArmsDesk()
     await desk.submit("left", "right", "left right")
@@ -337,14 +306,6 @@ async def test_the_goals_of_some_joints_are_cancelled_alone() -> None:
     assert desk.queue.active_count == 1
 
 
-async def test_a_cancelled_goal_makes_way_for_those_behind_it() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "left right", "right")
-    desk.queue.cancel("2", "cancelled")
-    await settle()
-    assert desk.arms.started == {"left", "right"}
-
-
 async def test_the_goal_that_ends_last_is_told() -> None:
     desk = ArmsDesk()
     await desk.submit("left", "right")
@@ -367,24 +328,11 @@ def move(runner: ScriptedRunner, left_s: float = 3.0) -> None:
     runner.report(Progress(GoalState.EXECUTING, "moving", 0.5, left_s))
 
 
-async def test_the_next_goal_is_planned_ahead_while_a_motion_is_in_progress(desk: Desk) -> None:
-    await desk.submit(*"abc")
-    assert desk.runner.ahead == []
-    move(desk.runner)
-    assert desk.runner.ahead == [("b", 3.0)]
-
-
 async def test_a_goal_that_comes_during_a_motion_is_planned_ahead_at_once(desk: Desk) -> None:
     await desk.submit("a")
     move(desk.runner)
     desk.queue.submit("/goal", "b")
     assert desk.runner.ahead == [("b", 3.0)]
-
-
-async def test_a_goal_stays_queued_while_it_is_planned_ahead(desk: Desk) -> None:
-    await desk.submit(*"ab")
-    move(desk.runner)
-    assert [state for goal_id, state in desk.states if goal_id == "2"] == [GoalState.QUEUED]
 
 
 async def test_a_bug_of_planning_ahead_harms_no_goal(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -407,20 +355,7 @@ async def test_a_goal_that_waits_for_more_than_this_motion_is_not_planned_ahead(
     assert all(runner.ahead == [] for runner in desk.arms.runners.values())
 
 
-async def test_each_arm_plans_its_own_next_goal_ahead() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "right", "right", "left")
-    move(desk.arms.of("right"))
-    assert (desk.arms.of("left").ahead, desk.arms.of("right").ahead) == ([], [("right", 3.0)])
-
-
 async def test_a_goal_that_is_cancelled_before_its_turn_is_forgotten(desk: Desk) -> None:
     await desk.submit(*"abc")
     desk.queue.cancel("2", "enough")
     assert desk.runner.forgotten == ["b"]
-
-
-async def test_goals_that_are_cleared_are_forgotten(desk: Desk) -> None:
-    await desk.submit(*"abc")
-    desk.queue.stop("enough")
-    assert desk.runner.forgotten == ["b", "c"]

@@ -8,7 +8,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.execution.motions import PlannedMotion
-from server.execution.queue import Answer, GoalPolicy, GoalState, Performed, Progress, RunningGoal
+from server.execution.queue import Answer, GoalPolicy, GoalState, Performed, Progress
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal
@@ -62,14 +62,6 @@ async def test_a_goal_gets_each_state_once_and_then_its_result(desk: Desk) -> No
     assert [(result.status, result.values["error_code"]["val"]) for result in desk.results] == [(4, 1)]
 
 
-async def test_a_new_goal_preempts_the_current_one(desk: Desk) -> None:
-    await desk.send(ACTION)
-    await desk.send(ACTION)
-    assert [(result.status, result.values["error_code"]["val"]) for result in desk.results] == [(5, -7)]
-    assert "preempted by goal 2 from /move" in desk.results[0].values["error_code"]["message"]
-    assert len(desk.asked) == 2
-
-
 async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(desk: Desk) -> None:
     goal = await desk.send(ACTION)
     assert goal is not None
@@ -105,11 +97,6 @@ async def test_a_goal_that_ended_with_its_motion_leaves_the_next_alone(desk: Des
     await settle()
     assert [result.status for result in desk.results] == [GoalStatus.SUCCEEDED]
     assert desk.cancelled == []
-
-
-async def test_a_goal_names_its_client_to_those_who_wait_for_its_end(desk: Desk) -> None:
-    await desk.send(ACTION)
-    assert desk.queue.running == RunningGoal("goal 1 of client from /move", None)
 
 
 async def test_a_rejected_goal_is_answered_and_the_motion_continues(desk: Desk) -> None:

@@ -139,13 +139,6 @@ async def test_one_goal_is_cancelled_by_its_id(desk: Desk) -> None:
     assert desk.runner.cancelled == ["cancelled by /moveit_goal_cancel"]
 
 
-async def test_the_final_status_has_the_code(desk: Desk) -> None:
-    await desk.publish("/moveit_goal_named", {"data": "ready"})
-    assert values_of(desk.heard[STATUS_TOPIC][-1])["code"] == "1"
-    await desk.publish("/moveit_goal_named", {"data": "nowhere"})
-    assert values_of(desk.heard[STATUS_TOPIC][-1])["code"] == "-16"
-
-
 async def test_another_event_stops_nothing(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     await desk.publish("/trajectory_execution_event", {"data": "dance"})
     assert desk.runner.stopped == []
@@ -166,22 +159,6 @@ async def test_a_suggested_goal_is_in_the_final_status_and_named_in_the_result(d
     assert "'ready'" in desk.heard[RESULT_TOPIC][-1]["message"]
     await desk.publish(suggested["topic"], suggested["msg"])
     assert desk.heard[RESULT_TOPIC][-1]["val"] == 1
-
-
-async def test_details_of_a_failure_are_json(desk: Desk) -> None:
-    pairs = [{"first": "gripper_link", "second": "mug", "depth_m": 0.01}]
-    desk.runner.answer = Answer(MoveItErrorCode.GOAL_IN_COLLISION, "touches", {"pairs": pairs})
-    await desk.publish("/moveit_goal_named", {"data": "home"})
-    assert json.loads(values_of(desk.heard[STATUS_TOPIC][-1])["pairs"]) == pairs
-
-
-async def test_goals_of_actions_have_a_status_but_no_result_topic(desk: Desk) -> None:
-    desk.queue.submit("/move_action", PlannedMotion((), frozenset()))
-    for _ in range(10):
-        await asyncio.sleep(0)
-    assert desk.runner.asked
-    assert {status["name"] for status in desk.heard[STATUS_TOPIC]} == {"/move_action"}
-    assert desk.heard[RESULT_TOPIC] == []
 
 
 @pytest.mark.parametrize("wanted", [True, False])

@@ -37,10 +37,11 @@ from robot.messages import ArmConfig, ArmState, ChangePace, Mode, MotionEnded, O
 from robot.trajectory import Trajectory
 from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, GoalExecutors, MotionRecorder
 from server.execution.failures import FailedGoals
+from server.execution.goal import Goal, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.motions import STATE_AGE_S, ExternalTrajectory, Motion, PlannedMotion, Positions
+from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PlannedMotion, Positions
 from server.execution.motions_in_progress import MotionsInProgress
-from server.execution.queue import GoalPolicy, GoalQueue, GoalState, Progress
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.execution.time_limits import TimeLimits
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.clock import FakeClock
@@ -75,7 +76,8 @@ class Rig:
     news: list[Progress] = field(default_factory=list)
 
     async def run(self, **positions_rad: float) -> Any:
-        return await self.executor.run(to(**positions_rad), self.news.append, 0)
+        self.goal = Goal(0, "1", "/goal", to(**positions_rad), self.news.append)
+        return await self.executor.run(self.goal)
 
 
 def context_of(arm: Arm, robot: RobotModel, pool: Planners) -> ExecutionContext:
@@ -128,7 +130,7 @@ async def test_a_stop_ends_planning_that_hangs(rig: Rig) -> None:
     rig.news.clear()
     running = asyncio.create_task(rig.run(shoulder_pan=0.8))
     await until(lambda: rig.news)
-    rig.executor.cancel("stopped by a test")
+    rig.goal.cancel("stopped by a test")
     answer = await asyncio.wait_for(running, TIMEOUT_S)
     for pid in set(hanging) & set(rig.pool.pids):
         os.kill(pid, signal.SIGCONT)
@@ -143,7 +145,7 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
     rig.news.clear()
     running = asyncio.create_task(rig.run(shoulder_pan=1.5))
     await until(lambda: any(progress.state is state for progress in rig.news))
-    rig.executor.cancel("stopped by a test")
+    rig.goal.cancel("stopped by a test")
     answer = await asyncio.wait_for(running, TIMEOUT_S)
     assert answer.code is MoveItErrorCode.PREEMPTED
     await until(lambda: rig.arm.state.mode is Mode.HOLDING)
@@ -154,7 +156,7 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     executor = executor_of(arm, robot, PlannerPool(robot))
-    answer = await executor.run(to(shoulder_pan=0.5), lambda _progress: None, 0)
+    answer = await executor.run(Goal(0, "1", "/goal", to(shoulder_pan=0.5)))
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
     assert "starting" in answer.message
 
@@ -234,7 +236,8 @@ class Stage:
         return answer
 
     async def begin(self, motion: PlannedMotion | ExternalTrajectory) -> None:
-        self.running = asyncio.create_task(self.executor.run(motion, self.news.append, 0))
+        self.goal = Goal(0, "1", "/goal", motion, self.news.append)
+        self.running = asyncio.create_task(self.executor.run(self.goal))
         await settle()
 
     async def answer(self) -> Any:
@@ -247,7 +250,7 @@ class Stage:
         assert (await self.answer()).code is MoveItErrorCode.SUCCESS
 
     async def plan_ahead(self, motion: PlannedMotion) -> None:
-        self.executor.plan_ahead(motion, 60.0)
+        self.executor.plan_ahead(Goal(0, "2", "/goal", motion), 60.0)
         await settle()
 
 
@@ -314,7 +317,7 @@ async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(sta
 async def test_a_goal_that_is_stopped_while_the_arm_is_being_started_moves_nothing(stage: Stage) -> None:
     stage.arm.started.clear()
     await stage.begin(given(0.0, 0.4))
-    stage.executor.cancel("stopped by a test")
+    stage.goal.cancel("stopped by a test")
     answer = await stage.answer()
     assert (answer.code, answer.message) == (
         MoveItErrorCode.PREEMPTED,
@@ -392,7 +395,7 @@ async def test_an_external_trajectory_that_starts_elsewhere_or_collides_is_not_p
 
 async def test_cancelling_the_active_goal_leaves_other_motions_alone(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.cancel("preempted by a test")
+    stage.goal.cancel("preempted by a test")
     answer = await stage.answer()
     assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "preempted by a test; stopped half-way")
     assert None not in stage.arm.stops
@@ -416,15 +419,15 @@ async def test_a_goal_at_the_present_position_moves_nothing(stage: Stage) -> Non
 async def test_a_goal_is_cancelled_during_planning(stage: Stage) -> None:
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.cancel("ended by a test")
+    stage.goal.cancel("ended by a test")
     assert (await stage.answer()).message == "ended by a test while planning"
     assert stage.arm.played == []
 
 
 async def test_a_goal_cancelled_before_its_work_begins_moves_nothing_and_the_next_one_moves(stage: Stage) -> None:
-    stage.executor.cancel("ended by a test")
-    await stage.begin(to(shoulder_pan=0.4))
-    answer = await stage.answer()
+    goal = Goal(0, "1", "/goal", to(shoulder_pan=0.4))
+    goal.cancel("ended by a test")
+    answer = await stage.executor.run(goal)
     assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "ended by a test before the motion began")
     assert stage.arm.played == []
     await stage.begin(to(shoulder_pan=0.4))
@@ -450,7 +453,7 @@ async def under_way(stage: Stage) -> None:
     stage.clock.advance(2.0 * STATE_AGE_S)
     stage.arm.pass_time(2.0 * STATE_AGE_S)
     stage.arm.show(0.5)
-    stage.executor.preempt("preempted by a test")
+    stage.goal.cancel("preempted by a test", replaced=True)
     assert (await stage.answer()).message == "preempted by a test"
 
 
@@ -510,7 +513,7 @@ async def test_a_goal_that_is_cancelled_before_the_replacement_leaves_the_arm_at
     await under_way(stage)
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=-0.2))
-    stage.executor.cancel("cancelled by a test")
+    stage.goal.cancel("cancelled by a test")
     assert (await stage.answer()).code is MoveItErrorCode.PREEMPTED
     assert stage.arm.stops
 
@@ -521,9 +524,10 @@ async def test_a_goal_that_is_cancelled_as_its_replacement_is_to_be_planned_asks
 
     def report(progress: Progress) -> None:
         if progress.message == "planning in motion":
-            stage.executor.cancel("cancelled by a test")
+            goal.cancel("cancelled by a test")
 
-    answer = await asyncio.wait_for(stage.executor.run(to(shoulder_pan=-0.2), report, 0), TIMEOUT_S)
+    goal = Goal(0, "2", "/goal", to(shoulder_pan=-0.2), report)
+    answer = await asyncio.wait_for(stage.executor.run(goal), TIMEOUT_S)
     # A question that is never awaited is an error of the test run.
     gc.collect()
     assert answer.code is MoveItErrorCode.PREEMPTED
@@ -604,7 +608,7 @@ async def test_a_goal_that_waits_for_a_motion_can_be_cancelled(stage: Stage) -> 
     beside(stage)
     stage.meeting = MIGHT_TOUCH
     await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.cancel("enough")
+    stage.goal.cancel("enough")
     assert (await stage.answer()).code is MoveItErrorCode.PREEMPTED
     assert stage.arm.played == []
 
@@ -651,7 +655,7 @@ async def test_a_goal_is_planned_after_those_that_came_before_for_where_they_end
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=0.4))
     other = stage.executing()
-    second = asyncio.create_task(other.run(fingers(), stage.news.append, 0))
+    second = asyncio.create_task(other.run(Goal(0, "2", "/goal", fingers())))
     await settle()
     assert len(stage.problems) == 1
     stage.planners_answer.set()
@@ -662,7 +666,7 @@ async def test_a_goal_is_planned_after_those_that_came_before_for_where_they_end
 
 async def test_a_motion_that_was_announced_and_not_begun_is_forgotten(stage: Stage) -> None:
     await stage.begin(replace(to(shoulder_pan=0.4), confirm=True))
-    stage.executor.cancel("enough")
+    stage.goal.cancel("enough")
     await stage.answer()
     await stage.begin(fingers())
     assert stage.problems[-1].start_rad["shoulder_pan"] == 0.0
@@ -718,7 +722,7 @@ IN_BETWEEN: dict[str, Callable[[Stage], None]] = {
     "fault": end_by(Outcome.FAULT),
     "stop": end_by(Outcome.STOPPED),
     "not settled": end_by(Outcome.NOT_SETTLED),
-    "cancelled": lambda stage: (stage.arm.show(1.0), stage.executor.cancel("a test"))[1],
+    "cancelled": lambda stage: (stage.arm.show(1.0), stage.goal.cancel("a test"))[1],
     "scene": end_and(lambda stage: setattr(stage, "scene", Scene(2))),
     "moved a little": end_and(lambda stage: stage.arm.put(shoulder_pan=0.4 + 1e-9)),
     "another joint": end_and(lambda stage: stage.arm.put(shoulder_pan=0.4, gripper=0.1)),
@@ -749,7 +753,7 @@ async def test_nothing_is_planned_ahead_beside_the_motion_of_another_group(stage
 
 async def test_nothing_is_planned_ahead_for_a_goal_that_replaces_the_motion(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.preempt("preempted by a test")
+    stage.goal.cancel("preempted by a test", replaced=True)
     stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
     await stage.answer()
     await settle()
@@ -763,7 +767,7 @@ async def test_planning_ahead_ends_when_the_goal_before_is_cancelled_though_the_
     stage.planners_answer.clear()
     await stage.plan_ahead(to(shoulder_pan=0.8))
     monkeypatch.setattr(stage.arm, "stop", lambda _motion: None)
-    stage.executor.cancel("a test")
+    stage.goal.cancel("a test")
     stage.planners_answer.set()
     await settle()
     assert stage.ahead == []
@@ -835,8 +839,8 @@ class Burst:
         self.answers: list[Any] = []
         self.news: dict[str, list[str]] = defaultdict(list)
         executors = GoalExecutors(arm, context_of(arm, robot, pool))
-        self.executor = executors.runner(frozenset(ARM))
-        self.queue: GoalQueue[Motion] = GoalQueue(
+        self.executor = executors.executor(frozenset(ARM))
+        self.queue: GoalQueue = GoalQueue(
             executors,
             GoalPolicy.QUEUE,
             20,

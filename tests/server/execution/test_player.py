@@ -12,10 +12,10 @@ from planners.scene import EMPTY_SCENE
 from robot.messages import Outcome, Pace, PlaybackDirection
 from server.execution import player
 from server.execution import player as player_module
+from server.execution.goal import Answer, Goal, Progress
 from server.execution.monitors import Questions
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.player import CODE_OF_OUTCOME, CheckedMotion, Player
-from server.execution.queue import Answer, Progress
 from server.execution.time_limits import TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, FakeArm, StubbornArm, settle
@@ -59,6 +59,7 @@ class Stage:
         self.clock = FakeClock()
         self.player = Player(self.arm, so101(), self.scene_monitor, LIMITS, MotionsInProgress(), self.clock)  # type: ignore[arg-type]
         self.news: list[Progress] = []
+        self.goal = self.next_goal()
         self.running: asyncio.Task[Answer] | None = None
 
     def pass_time(self, seconds: float) -> None:
@@ -66,8 +67,11 @@ class Stage:
         self.clock.advance(seconds)
         self.arm.pass_time(seconds)
 
+    def next_goal(self) -> Goal:
+        return Goal(0, "1", "/goal", None, self.news.append)
+
     async def begin(self) -> None:
-        self.running = asyncio.create_task(self.player.play(MOTION, self.news.append, questions, 0))
+        self.running = asyncio.create_task(self.player.play(self.goal, MOTION, questions))
         await settle()
 
     async def answer(self) -> Answer:
@@ -96,7 +100,7 @@ async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
     def broken(_progress: Progress) -> None:
         raise ValueError("a bug")
 
-    stage.running = asyncio.create_task(stage.player.play(MOTION, broken, questions, 0))
+    stage.running = asyncio.create_task(stage.player.play(Goal(0, "1", "/goal", None, broken), MOTION, questions))
     await settle()
     motion = stage.arm.played[-1]
     assert motion is MOTION.trajectory
@@ -109,7 +113,7 @@ async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
 
 async def test_a_contact_on_the_way_stops_the_motion_with_its_code_and_details(stage: Stage) -> None:
     stage.scene_monitor.found(CONTACT)
-    stage.player.stop("too late")
+    stage.goal.cancel("too late")
     answer = await stage.answer()
     assert (answer.code, answer.details) == (CONTACT.code, CONTACT.details)
     assert answer.message == "would touch the wall; stopped half-way"
@@ -168,7 +172,7 @@ async def test_a_server_that_stood_still_does_not_count_what_passed_before_the_m
 
 
 async def test_the_end_of_an_outgoing_motion_is_awaited_by_the_arms_clock(stubborn: Stage) -> None:
-    stubborn.player.preempt("preempted by a test")
+    stubborn.goal.cancel("preempted by a test", replaced=True)
     await stubborn.answer()
     resting = asyncio.create_task(stubborn.player.stop_outgoing())
     await asyncio.sleep(LOOKS_S)
@@ -210,14 +214,14 @@ async def test_with_a_starved_arm_or_server_the_state_may_be_of_the_motion_befor
 async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.show(0.4)
-    stage.player.preempt("preempted by a test")
+    stage.goal.cancel("preempted by a test", replaced=True)
     assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "preempted by a test")
     outgoing = stage.player.outgoing
     assert outgoing is not None
     assert outgoing.splice_point is not None
     assert stage.arm.stops == []
     stage.running = asyncio.create_task(
-        stage.player.play(MOTION, stage.news.append, questions, 0, outgoing.splice_point.from_s)
+        stage.player.play(stage.next_goal(), MOTION, questions, from_s=outgoing.splice_point.from_s)
     )
     await settle()
     assert stage.arm.continued == [outgoing.splice_point.from_s]
@@ -225,13 +229,13 @@ async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage
 
 
 async def test_an_outgoing_motion_is_braked_when_none_replaces_it(stage: Stage) -> None:
-    stage.player.preempt("preempted by a test")
+    stage.goal.cancel("preempted by a test", replaced=True)
     await stage.answer()
     await until(lambda: stage.arm.stops)
 
 
 async def test_an_outgoing_motion_can_be_stopped(stage: Stage) -> None:
-    stage.player.preempt("preempted by a test")
+    stage.goal.cancel("preempted by a test", replaced=True)
     await stage.answer()
     await stage.player.stop_outgoing()
     assert len(stage.arm.stops) == 1
@@ -239,6 +243,6 @@ async def test_an_outgoing_motion_can_be_stopped(stage: Stage) -> None:
 
 
 async def test_a_braking_motion_is_not_replaced(stage: Stage) -> None:
-    stage.player.stop("a test")
-    stage.player.preempt("too late")
+    stage.goal.cancel("a test")
+    stage.goal.cancel("too late", replaced=True)
     assert (await stage.answer()).message == "a test; stopped half-way"

@@ -206,7 +206,7 @@ class Leaving:
         self.done: list[str] = []
         self.state = SimpleNamespace(mode=Mode.HOLDING)
         settings = ArmSettings.model_validate({"on_last_client": policy, "last_client_delay_s": delay_s})
-        arm, queue, parking = cast("Arm", self), cast("GoalQueue[Any]", self), cast("Parking", self)
+        arm, queue, parking = cast("Arm", self), cast("GoalQueue", self), cast("Parking", self)
         self.last = LastClient(arm, settings, self.drivers, queue, parking, lambda: self.now_s)
 
     def park(self, _source: str) -> asyncio.Future[CommandDone]:

@@ -10,7 +10,7 @@ from protocol.registry import Registry
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from robot.trajectory import Trajectory
-from server.execution.queue import Performed
+from server.execution.motions import Performed
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.display import (

@@ -10,8 +10,8 @@ import pytest
 
 from planners.goals import JointGoal
 from planners.problem import JointPathProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
+from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import PlannedMotion
-from server.execution.queue import Answer, GoalState, Progress
 from server.graph.actions import GoalStatus
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.planning_problems import ProblemBuilder

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningProblem
+from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import PlannedMotion
-from server.execution.queue import Answer, GoalState, Progress
 from server.graph.actions import GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node

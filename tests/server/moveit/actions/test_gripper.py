@@ -198,6 +198,7 @@ async def test_a_goal_that_is_over_takes_the_grippers_motion_along() -> None:
     goal = await grippers.send()
     assert len(grippers.arm.played) == 1
     goal.fail("took more than 3600 s")
+    await settle()
     assert len(grippers.arm.stops) == 1
 
 

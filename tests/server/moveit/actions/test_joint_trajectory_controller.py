@@ -14,8 +14,8 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.registry import Registry
 from robot.messages import ArmState, Outcome
 from server.errors import RefusedError
-from server.execution.motions import ExternalTrajectory
-from server.execution.queue import Answer, GoalState, Performed, Progress
+from server.execution.goal import Answer, GoalState, Progress
+from server.execution.motions import ExternalTrajectory, Performed
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus, Result
 from server.graph.local_graph import LocalGraph

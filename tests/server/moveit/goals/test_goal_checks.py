@@ -16,7 +16,7 @@ from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
-from server.moveit import goal_topics as goal_topics_module
+from server.moveit.goals import goal_topics as goal_topics_module
 from server.moveit.goals.goal_topics import (
     GOAL_TIME_S,
     MAX_GOALS,

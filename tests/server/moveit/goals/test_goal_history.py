@@ -16,8 +16,8 @@ from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
 from robot.trajectory import Trajectory
 from server import cli
-from server.execution.motions import PlannedMotion
-from server.execution.queue import Answer, GoalState, Performed, Progress, QueuedGoal
+from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.motions import Performed, PlannedMotion
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.goals.goal_history import GoalHistory
@@ -67,11 +67,11 @@ def status_of(goal_id: str) -> dict[str, Any]:
     return {"level": 0, "name": "/moveit_goal_named", "message": "done", "hardware_id": goal_id, "values": []}
 
 
-def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> QueuedGoal[Any]:
+def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> Goal:
     """A goal that moves the base joint to one position after the other [rad]."""
     made = [lambda start, to=to: PlanningProblem("arm", start, JointGoal({"shoulder_pan": to})) for to in steps]
     request = PlannedMotion(tuple(made), frozenset({"shoulder_pan"})) if steps else None
-    return QueuedGoal(goal_id, "/moveit_goal_named", request, message=NAMED, only_for=only_for)
+    return Goal(0, goal_id, "/moveit_goal_named", request, message=NAMED, only_for=only_for)
 
 
 def answer(

@@ -249,7 +249,6 @@ class App:
 
 
 def _what_arm_runs(served: ServedArm) -> str:
-    """Return what the log says at the start about an arm."""
     arm, serial, description = served.arm, served.settings.serial, served.description
     bus = f"on {serial}" if serial is not None else "simulated"
     if description.calibration is None:

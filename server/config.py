@@ -332,7 +332,6 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _arms_have_their_own(self) -> Settings:
-        """Refuse arms whose names, ports or sockets are not their own."""
         if self.arms and self.arm != ArmSettings():
             raise ValueError("arm: with several arms each has its settings in its own section, as [arms.left]")
         for name, other in itertools.permutations(self.arms, 2):

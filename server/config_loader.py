@@ -77,7 +77,6 @@ def known_keys() -> list[str]:
 
 
 def _keys_of_arm(name: str) -> list[str]:
-    """Every key of one of several arms."""
     return [f"arms.{name}.{key}" for key, _, _ in every_field(NamedArmSettings)]
 
 

@@ -94,7 +94,6 @@ def find_file(directory: Path | None, package: str, name: str) -> Path:
 
 
 def _checked(directory: Path, inner: str, name: str, url: str) -> Path:
-    """Return a file in a directory."""
     nowhere = f"name: {name!r} is no file below {url}"
     try:
         root = directory.resolve()
@@ -131,7 +130,6 @@ def _hidden(path: Path) -> bool:
 
 
 def _within(root: Path, package: str, name: str) -> str:
-    """Return the path below the directory that a name means."""
     if not name.startswith(_PACKAGE):
         return name
     inner = name.removeprefix(_PACKAGE)

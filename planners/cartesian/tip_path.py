@@ -26,7 +26,7 @@ SMOOTH_TURN_RAD = 1e-3
 # Points nearer to each other do not tell an arc's plane.
 SHORTEST_CHORD_M = 1e-5
 
-# Flatter arcs lose digits, and no arm tells them from lines.
+# Flatter arcs lose digits, and no arm can show that they are not lines.
 LARGEST_RADIUS_M = 100.0
 
 # Following takes some 0.3 ms a point, 3 s in all.
@@ -38,27 +38,16 @@ NORM_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class _Piece:
-    """A line, or an arc around ``center``; the tip turns evenly by ``turn`` about an axis of its own on the way.
+    """A line, or an arc around ``center``; the tip turns evenly by ``turn`` about an axis of its own on the way."""
 
-    Attributes:
-        start_m: length of the path before it [m].
-        length_m: its own length [m].
-        origin: its start, shape (3,) [m].
-        along: vector to the end of a line; the spoke a quarter ahead of ``spoke`` on an arc [m].
-        spoke: from the center to the start, on an arc [m].
-        angle: of the arc [rad], 0 for a line.
-        rotation: at its start, shape (3, 3).
-        turn: rotation vector in the tip's frame, shape (3,) [rad].
-    """
-
-    start_m: float
-    length_m: float
-    origin: Vector
-    along: Vector
-    spoke: Vector
-    angle: float
-    rotation: Vector
-    turn: Vector
+    start_m: float  # length of the path before it [m]
+    length_m: float  # its own length [m]
+    origin: Vector  # its start, shape (3,) [m]
+    along: Vector  # vector to the end of a line; the spoke a quarter ahead of ``spoke`` on an arc [m]
+    spoke: Vector  # from the center to the start, on an arc [m]
+    angle: float  # of the arc [rad], 0 for a line
+    rotation: Vector  # at its start, shape (3, 3)
+    turn: Vector  # rotation vector in the tip's frame, shape (3,) [rad]
 
     def position(self, share: float) -> Vector:
         """Return the tip's position after a share of the piece [m]."""
@@ -88,15 +77,10 @@ class _Piece:
 
 
 class TipPath:
-    """Lines and arcs one after the other; the path's parameter is its length, to which turns of the tip contribute.
+    """Lines and arcs one after the other from ``start``; the parameter is the length.
 
-    Args:
-        start: pose of the tip at the start.
-        segments: from there on; pieces without any length are left out.
-
-    Attributes:
-        length_m: the whole length, 0 when no segment has any [m].
-        corners_m: lengths at which the direction changes, strictly increasing, with the end as the last [m].
+    ``length_m`` is the whole length, to which turns of the tip contribute, and ``corners_m`` are the lengths at which
+    the direction changes, strictly increasing, with the end as the last [m]. Pieces without any length are left out.
     """
 
     def __init__(self, start: pin.SE3, segments: Sequence[Line | Arc]) -> None:

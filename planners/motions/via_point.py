@@ -11,13 +11,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.motions.path import Query
+from planners.motions.path import Query, line_free_sparsely
 from robot.trajectory import Vector
 
 # Points drawn at once, and compared in one numpy call.
 POINTS = 1024
 
-# Checks after which a tree finds a path sooner: none of the quick via points is free then as a rule.
+# Checks after which a tree finds a path sooner: no quick via point is free then as a rule.
 MOST_CHECKS = 100
 
 
@@ -34,7 +34,7 @@ def via_point(
             break
         goal, point = goals[index // POINTS], points[index % POINTS]
         lines = ((query.start, point), (point, goal))
-        if all(space.line_free_sparsely(first, last, query.step_m) for first, last in lines):
+        if all(line_free_sparsely(space, first, last, query.step_m) for first, last in lines):
             return np.array([query.start, point, goal])
     return None
 

@@ -196,7 +196,6 @@ def _anonymous(settings: AccessSettings, *, any_tokens: bool) -> Identity | None
 
 
 def _read(file: Path) -> AccessSettings:
-    """Read the tokens in a file; no error shows any of them."""
     try:
         if file.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH):
             log.warning("access.token_file: %s can be read by other users of this machine; chmod 600 it", file)

@@ -133,7 +133,6 @@ def reachable_name(host: str) -> str:
 
 
 def _free_ports(count: int, host: str) -> list[int]:
-    """Return ports that nobody listens on now."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     found = [socket.socket(family) for _ in range(count)]
     try:

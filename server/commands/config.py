@@ -45,7 +45,6 @@ def _config(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def _effective(settings: Settings, sources: dict[str, str]) -> Iterator[tuple[Setting, Any, str]]:
-    """Every setting with its value and its source."""
     dumped = settings.model_dump(mode="json")
     for setting in every_setting(Settings):
         value: Any = dumped

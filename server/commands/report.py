@@ -141,7 +141,6 @@ def _strongest(tokens: dict[str, Identity]) -> str | None:
 
 
 def _add_arm(report: Report, settings: Settings) -> None:
-    """Add the files that describe the arm."""
     folder = robot_folder.find(settings.arm.robot or DEFAULT_ROBOT)
     report.add_file("arm/robot.toml", folder / "robot.toml")
     file = Description.read(settings.arm).calibration_file

@@ -108,7 +108,6 @@ def _replay(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
-    """The settings that options override, by section and key."""
     place = {name: value for name in ("host", "port", "interfaces") if (value := getattr(options, name)) is not None}
     return {"server": place, "access": {"insecure": True} if options.insecure else {}}
 

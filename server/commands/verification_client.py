@@ -107,7 +107,6 @@ class VerificationClient:
         self._websocket.send(json.dumps(operation))
 
     def _call(self, service: str, request: Mapping[str, Any]) -> None:
-        """Call a service, and wait for its answer."""
         number = str(next(self._numbers))
         self._send({"op": "call_service", "service": service, "id": number, "args": request})
         while (reply := self._receive(ANSWER_TIMEOUT_S)) is not None:

@@ -78,8 +78,6 @@ class Exported:
 
 @dataclass
 class _Source:
-    """Recording with its episodes."""
-
     samples: Samples
     actions: str
     cameras: dict[str, str]
@@ -126,7 +124,6 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
 
 
 def _check(options: ExportOptions) -> None:
-    """Refuse what cannot succeed."""
     if options.output.exists():
         raise ExportError(f"{options.output} exists already: name another folder (--output)")
     if find_spec("pyarrow") is None:
@@ -213,7 +210,6 @@ def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
 
 
 def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> Frames:
-    """Return frames in the units of the dataset."""
     if options.units == "rad":
         return frames
     missing = [name for name in joints if is_gripper(name) and name not in samples.limits]
@@ -243,7 +239,6 @@ def camera_keys(topics: Iterable[str]) -> dict[str, str]:
 def _write_videos(
     root: Path, sources: Sequence[_Source], options: ExportOptions, registry: Registry, tell: Tell
 ) -> dict[str, lerobot.Camera]:
-    """Write the videos of all cameras."""
     cameras: dict[str, lerobot.Camera] = {}
     with ExitStack() as stack:
         writers = {

@@ -147,7 +147,6 @@ def info(dataset: Dataset) -> dict[str, Any]:
 
 
 def _columns(dataset: Dataset, index: int) -> dict[str, NDArray[Any]]:
-    """Return the columns of an episode's frames."""
     episode = dataset.episodes[index]
     first = sum(each.count for each in dataset.episodes[:index])
     number = np.arange(episode.count, dtype=np.int64)

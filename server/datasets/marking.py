@@ -59,7 +59,6 @@ class EpisodeServices:
         graph.services.offer(self._node, DISCARD_SERVICE, "std_srvs/Trigger", self._discard, rule=WORKING)
 
     def _take(self, published: PublishedMessage) -> None:
-        """Take a mark of anybody."""
         try:
             mark = parse_mark(published.msg["data"])
         except ValueError as error:

@@ -24,12 +24,14 @@ class ClientTransport(Reader, Protocol):
     by an error when that was broken off.
 
     Attributes:
+        framed: True where the client gets messages one by one; in a stream it may take two for one.
         identity: identity of the client; None until it has authenticated.
         received_bytes: bytes received.
         sent_messages: frames sent; a fragment is one.
         sent_bytes: bytes of these frames.
     """
 
+    framed: bool
     identity: Identity | None
     received_bytes: int
     sent_messages: int

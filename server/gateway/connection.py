@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple, Protocol
 
 from websockets.exceptions import ConnectionClosed
 
+from protocol.dialect import Dialect
 from protocol.limits import Limits
 from protocol.send_budget import SendBudget
 from protocol.session import Session
@@ -140,7 +141,8 @@ class Connection:
             identity=transport.identity,
             address=place,
         )
-        session = Session(limits, "ros1" if query.get("ros", [str(ros_version)]) == ["1"] else "ros2", budget)
+        dialect: Dialect = "ros1" if query.get("ros", [str(ros_version)]) == ["1"] else "ros2"
+        session = Session(limits, dialect, budget, newest_only=not transport.framed)
         self._client = Client(
             ClientContext(node, graph, session, time.monotonic, self._wake_up, transport.send_at_once),
             AuthContext(access, self.address, auth_throttle, self._disconnect, self._limit_messages),

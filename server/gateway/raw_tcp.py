@@ -13,6 +13,7 @@ import math
 import socket
 import ssl
 import time
+from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any, Self, cast
 
@@ -56,6 +57,8 @@ class TcpStream(asyncio.Protocol):
         sent_bytes: bytes of these frames.
     """
 
+    framed = False
+
     def __init__(
         self,
         limiter: ConnectionLimiter,
@@ -90,6 +93,11 @@ class TcpStream(asyncio.Protocol):
         self._broken_off = False
         self._end_timer: asyncio.TimerHandle | None = None
         self._lost = asyncio.Event()
+        # Frames that wait for their turn of the loop, and True while one of them has it.
+        self._unsent: deque[bytes] = deque()
+        self._unsent_bytes = 0
+        self._writing = False
+        self._paused = False
         self._writable = asyncio.Event()
         self._writable.set()
 
@@ -120,6 +128,7 @@ class TcpStream(asyncio.Protocol):
         if exc is not None and self._failure is None:
             self._failure, self._broken_off = str(exc), True
         self._ending = True
+        self._unsent.clear()
         self._splitter.clear()
         for event in (self._read_all, self._writable, self._lost):
             event.set()
@@ -263,14 +272,14 @@ class TcpStream(asyncio.Protocol):
         """True while the socket takes a message without waiting."""
         if self._transport is None or not self.is_open:
             return False
-        return self._transport.get_write_buffer_size() <= WRITE_LIMIT_BYTES
+        return self._unsent_bytes + self._transport.get_write_buffer_size() <= WRITE_LIMIT_BYTES
 
     @property
     def taken_bytes(self) -> int:
         """Bytes of frames that the socket has taken: they grow as long as the client reads."""
         if self._transport is None or not self.is_open:
             return self.sent_bytes
-        return self.sent_bytes - self._transport.get_write_buffer_size()
+        return self.sent_bytes - self._unsent_bytes - self._transport.get_write_buffer_size()
 
     def send_at_once(self, encoded: EncodedMessage) -> bool:
         """Send a message, in order of calling, if the socket takes it without waiting; return True when it is sent."""
@@ -280,25 +289,48 @@ class TcpStream(asyncio.Protocol):
         return True
 
     def send_all(self, messages: Sequence[EncodedMessage]) -> None:
-        """Send messages, after `takes_more` was true; the loop writes what comes in one of its turns together."""
+        """Send messages, after `takes_more` was true; each frame in a turn of the loop, which is a send of its own.
+
+        rosbridge2cpp takes what one `recv` returns for one message.
+        """
         frames = [frame.data for encoded in messages for frame in encoded.frames]
+        size_bytes = sum(map(len, frames))
         self.sent_messages += len(frames)
-        self.sent_bytes += sum(map(len, frames))
-        if self._transport is not None:
-            try:
-                self._transport.writelines(frames)
-            except MemoryError:
-                # Part of a frame may have been written, behind which the client can be told nothing.
-                self._failure = OUT_OF_MEMORY
-                self.abort()
+        self.sent_bytes += size_bytes
+        self._unsent += frames
+        self._unsent_bytes += size_bytes
+        if not self._writing:
+            self._write_next()
+
+    def _write_next(self) -> None:
+        self._writing = bool(self._unsent)
+        if self._writing:
+            self._writable.clear()
+            self._write(self._unsent.popleft())
+            asyncio.get_running_loop().call_soon(self._write_next)
+        elif not self._paused:
+            self._writable.set()
+
+    def _write(self, data: bytes) -> None:
+        self._unsent_bytes -= len(data)
+        try:
+            if self._transport is not None:
+                self._transport.write(data)
+        except MemoryError:
+            # Part of a frame may have been written, behind which the client can be told nothing.
+            self._failure = OUT_OF_MEMORY
+            self.abort()
 
     def pause_writing(self) -> None:
         """Note that the socket takes no more."""
+        self._paused = True
         self._writable.clear()
 
     def resume_writing(self) -> None:
         """Note that the socket takes more."""
-        self._writable.set()
+        self._paused = False
+        if not self._writing:
+            self._writable.set()
 
     async def drain(self) -> None:
         """Wait until the socket takes more."""
@@ -320,6 +352,7 @@ class TcpStream(asyncio.Protocol):
         self._failure = reason
         status: dict[str, Any] = {"op": "status", "level": "error", "msg": reason}
         if self._transport is not None and not self._transport.is_closing():
+            self._write_all()
             self._transport.write(bson.encode(status) if self._splitter.speaks_bson else json.encode(status))
         self._close_after_replies()
 
@@ -336,6 +369,7 @@ class TcpStream(asyncio.Protocol):
         self._read_all.set()
         if self._transport is None or self._transport.is_closing():
             return
+        self._write_all()
         self._end_timer = asyncio.get_running_loop().call_later(END_TIMEOUT_S, self.abort)
         if linger and self._transport.can_write_eof() and not self._at_eof:
             # The rest that the client sends is read and passed over until then.
@@ -343,6 +377,10 @@ class TcpStream(asyncio.Protocol):
             self._transport.resume_reading()
         else:
             self._transport.close()
+
+    def _write_all(self) -> None:
+        while self._unsent:
+            self._write(self._unsent.popleft())
 
     def abort(self) -> None:
         """End the connection now."""

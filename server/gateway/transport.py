@@ -111,6 +111,8 @@ class WebSocket(ServerConnection):
         "slot",
     )
 
+    framed = True
+
     def __init__(
         self,
         protocol: ServerProtocol,

@@ -10,12 +10,14 @@ import logging
 from base64 import b64encode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from server.errors import GraphError
 from server.graph.actions import Goal, GoalStatus
-from server.graph.message_types import MessageTypes
 from server.graph.node import Node
+
+if TYPE_CHECKING:
+    from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.graph")
 
@@ -30,30 +32,6 @@ ENDED_KEPT_S = 10.0
 
 # Far more than anybody waits for; of more goals the newest are told, so that a flood of goals costs little each.
 MAX_TOLD = 100
-
-
-class Topics(Protocol):
-    """Topics of the graph, as far as they are used here."""
-
-    message_types: MessageTypes
-
-    def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False) -> None:
-        """Register a publisher."""
-
-    def unadvertise(self, node: Node, name: str) -> None:
-        """Forget a publisher."""
-
-    def topic_type(self, name: str) -> str | None:
-        """Return the canonical type of a topic, None for no such topic."""
-
-    def publishers(self, name: str) -> list[Node]:
-        """Return the publishers of a topic."""
-
-    def subscribers(self, name: str) -> list[Node]:
-        """Return the subscribers of a topic."""
-
-    def publish(self, node: Node, name: str, message: object, *, as_it_is: bool = False) -> str | None:
-        """Publish a message."""
 
 
 @dataclass(slots=True)
@@ -72,7 +50,7 @@ class _Told:
 class ActionTopics:
     """Topics of all actions; followed by :class:`server.graph.actions.Actions`."""
 
-    def __init__(self, topics: Topics, clock: Callable[[], float]) -> None:
+    def __init__(self, topics: Graph, clock: Callable[[], float]) -> None:
         self._topics = topics
         self._clock = clock
         # By action, the oldest goal first.

@@ -11,7 +11,7 @@ import uuid
 from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from protocol.errors import InterfaceError, MessageError
 from protocol.operations import Mark
@@ -21,9 +21,12 @@ from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
-from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
+from server.graph.providers import PendingRequest, Provider, Providers
 from server.graph.services import Services
 from server.timers import CallLater
+
+if TYPE_CHECKING:
+    from server.graph.action_topics import ActionTopics
 
 
 class GoalStatus(enum.IntEnum):
@@ -157,20 +160,7 @@ class ActionProvider(Provider):
     goals: dict[str, Goal] = field(default_factory=dict)
 
 
-class ActionFollower(Protocol):
-    """Someone who tells others of all actions and goals."""
-
-    def open(self, node: Node, action: str, type_name: str) -> None:
-        """Take note of an action that is offered from now on."""
-
-    def close(self, node: Node, action: str) -> None:
-        """Take note of an action that is withdrawn, after its goals have ended."""
-
-    def follow(self, node: Node, goal: Goal) -> None:
-        """Take note of a goal that its provider is just getting."""
-
-
-class Actions(ProviderDirectory[ActionProvider]):
+class Actions(Providers[ActionProvider]):
     """All actions.
 
     Args:
@@ -178,18 +168,16 @@ class Actions(ProviderDirectory[ActionProvider]):
     """
 
     def __init__(self, message_types: MessageTypes, services: Services, call_later: CallLater) -> None:
-        super().__init__(Providers("action", MAX_ACTIONS, message_types, self._end_goals))
-        self._message_types = message_types
+        super().__init__("action", MAX_ACTIONS, message_types)
         self._services = services
         self._call_later = call_later
         # Those in flight, by their sender.
         self._sent: Index[Node, Goal] = Index()
-        self._follower: ActionFollower | None = None
-        self.rules: dict[str, Rule] = {}
+        self._topics: ActionTopics | None = None
 
-    def tell(self, follower: ActionFollower) -> None:
-        """Tell someone of all actions and goals from now on."""
-        self._follower = follower
+    def publish_on(self, topics: ActionTopics) -> None:
+        """Publish the statuses and the feedback of all goals from now on."""
+        self._topics = topics
 
     def offer(
         self,
@@ -211,7 +199,7 @@ class Actions(ProviderDirectory[ActionProvider]):
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
         """
-        canonical = self._offers.claim(node, name, type_name)
+        canonical = self._claim(node, name, type_name)
         check_lists = None
         if limits is not None:
             check_lists = limits.check(self._message_types.registry, f"{canonical}_Goal")
@@ -220,15 +208,9 @@ class Actions(ProviderDirectory[ActionProvider]):
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
-        self._offers.add(offer)
-        if rule is not None:
-            self.rules[name] = rule
-        if self._follower is not None:
-            self._follower.open(node, name, canonical)
-
-    def withdraw(self, node: Node, name: str) -> None:
-        """End an offer of this node; goals in flight end. Nothing happens when it offers no such action."""
-        self._offers.withdraw(node, name)
+        self._add(offer, rule)
+        if self._topics is not None:
+            self._topics.open(node, name, canonical)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its actions end; goals that it has sent are not told any more.
@@ -239,7 +221,7 @@ class Actions(ProviderDirectory[ActionProvider]):
             goal.forget_sender()
             if node.takes_goals_along:
                 goal.cancel()
-        self._offers.withdraw_all(node)
+        self._withdraw_all(node)
 
     def send_goal(
         self,
@@ -297,8 +279,8 @@ class Actions(ProviderDirectory[ActionProvider]):
             self._sent.discard(goal.sender, goal)
 
         goal.when_ended(forget)
-        if self._follower is not None:
-            self._follower.follow(offer.node, goal)
+        if self._topics is not None:
+            self._topics.follow(offer.node, goal)
         goal.when_ended(lambda result: None if goal.sender_left else on_result(result))
         try:
             offer.start(goal)
@@ -306,12 +288,12 @@ class Actions(ProviderDirectory[ActionProvider]):
             log.exception("action %s failed", goal.action)
             goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
 
-    def _end_goals(self, offer: ActionProvider) -> None:
+    def _end_requests(self, offer: ActionProvider) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
         for goal in list(offer.goals.values()):
             goal.fail(f"Action {offer.name} was withdrawn by its provider")
-        if self._follower is not None:
-            self._follower.close(offer.node, offer.name)
+        if self._topics is not None:
+            self._topics.close(offer.node, offer.name)
 
 
 def _cancel_service(action: str) -> str:

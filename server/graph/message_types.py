@@ -209,7 +209,6 @@ class MessageTypes:
             return value
 
     def _by_name(self, type_name: str, arguments: object) -> dict[str, Any]:
-        """Return arguments by name."""
         if isinstance(arguments, dict):
             return arguments
         if not isinstance(arguments, list):

@@ -21,7 +21,7 @@ from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
-from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
+from server.graph.providers import PendingRequest, Provider, Providers
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
@@ -165,14 +165,12 @@ class ServiceProvider(Provider):
     calls: dict[Call, None] = field(default_factory=dict)
 
 
-class Services(ProviderDirectory[ServiceProvider]):
+class Services(Providers[ServiceProvider]):
     """All services."""
 
     def __init__(self, message_types: MessageTypes, call_later: CallLater) -> None:
-        super().__init__(Providers("service", MAX_SERVICES, message_types, _fail_calls))
-        self._message_types = message_types
+        super().__init__("service", MAX_SERVICES, message_types)
         self._call_later = call_later
-        self.rules: dict[str, Rule] = {}
         # Those in flight, by their caller.
         self._calls: Index[Node, Call] = Index()
 
@@ -215,25 +213,19 @@ class Services(ProviderDirectory[ServiceProvider]):
         A client takes the place of a client that offered the service before. Its requests have no limits, None: what
         another client answers costs the server no more than to pass it on.
         """
-        canonical = self._offers.claim(node, name, type_name)
+        canonical = self._claim(node, name, type_name)
         check_lists = None
         if limits is not None:
             check_lists = limits.check(self._message_types.registry, f"{canonical}_Request")
             self._message_types.compile_later(f"{canonical}_Request", f"{canonical}_Response")
-        self._offers.add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists))
-        if rule is not None:
-            self.rules[name] = rule
-
-    def withdraw(self, node: Node, name: str) -> None:
-        """End an offer of this node; calls in flight fail. Nothing happens when it offers no such service."""
-        self._offers.withdraw(node, name)
+        self._add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists), rule)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its services, and what it has called."""
         for call in self._calls.of(node):
             call.caller_left = True
             call.fail("the caller has left")
-        self._offers.withdraw_all(node)
+        self._withdraw_all(node)
 
     def call(
         self,
@@ -280,7 +272,6 @@ class Services(ProviderDirectory[ServiceProvider]):
 
         call.when_ended(forget)
 
-
-def _fail_calls(offer: ServiceProvider) -> None:
-    for call in list(offer.calls):
-        call.fail(f"Service {offer.name} was withdrawn by its provider")
+    def _end_requests(self, offer: ServiceProvider) -> None:
+        for call in list(offer.calls):
+            call.fail(f"Service {offer.name} was withdrawn by its provider")

@@ -135,7 +135,7 @@ class Graph:
         self.message_types = MessageTypes(registry, wall_clock, relay_unknown_types=relay_unknown_types)
         self.services = Services(self.message_types, call_later)
         self.actions = Actions(self.message_types, self.services, call_later)
-        self.actions.tell(ActionTopics(self, clock))
+        self.actions.publish_on(ActionTopics(self, clock))
         self._clock = clock
         self._comparisons = LogLimiter(COMPARISONS_AT_ONCE, COMPARISONS_PER_S)
         self._unregister_timeout_s = unregister_timeout_s
@@ -455,7 +455,6 @@ class Graph:
             self._forget(next(iter(self._unused.values())))
 
     def _forget_old(self) -> None:
-        """Forget topics and messages whose time is over."""
         for _ in range(FORGOTTEN_AT_ONCE):
             if not self._unused or not self._outlived(topic := next(iter(self._unused.values()))):
                 break
@@ -463,7 +462,6 @@ class Graph:
         self._latched_messages.give_up_old(self._clock())
 
     def _forget(self, topic: Topic) -> None:
-        """Forget a topic that nobody uses, and what is kept of it."""
         del self._topics[topic.name], self._unused[topic.name]
         self._latched_messages.forget(topic.name)
 
@@ -477,7 +475,6 @@ class Graph:
             self.topic_names.add(topic.name, topic.type_name)
 
     def _left(self, topic: Topic) -> None:
-        """Note that someone has just left the topic."""
         self.revision += 1
         topic.last_used_s = self._clock()
         if not topic.used:

@@ -99,7 +99,6 @@ class RunningServer:
         )
 
     def _ask(self, client: ClientConnection, report: Report) -> dict[str, Any]:
-        """Ask for the log, and wait for the topics; return their messages by member."""
         for topic, (_, type_name) in _TOPICS.items():
             client.send(json.dumps({"op": "subscribe", "topic": topic, "type": type_name}))
         client.send(json.dumps({"op": "call_service", "service": LOG, "id": "log"}))
@@ -138,7 +137,6 @@ def _histories(client: ClientConnection, diagnostics: dict[str, Any]) -> dict[st
 
 
 def _operations(client: ClientConnection) -> Iterator[dict[str, Any]]:
-    """Yield what the server sends within :data:`DIAGNOSTICS_TIMEOUT_S`."""
     until_s = time.monotonic() + DIAGNOSTICS_TIMEOUT_S
     with contextlib.suppress(TimeoutError):
         while (left_s := until_s - time.monotonic()) > 0.0:

@@ -264,7 +264,6 @@ class CalledServices:
             self._network.warn(f"{endpoint.name} cannot be called: {error}")
 
     def _endpoints(self, entities: Iterable[Entity]) -> dict[str, Endpoint]:
-        """Return services that other machines offer and clients may call, by their names here."""
         network, found = self._network, dict[str, Endpoint]()
         for entity in entities:
             endpoint, name = entity.endpoint, network.namespace.to_local(entity.endpoint.name)

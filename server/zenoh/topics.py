@@ -273,7 +273,6 @@ class IncomingTopics:
         return found
 
     def _sources(self, entities: Iterable[Entity]) -> dict[str, Source]:
-        """Return topics that other machines publish and this server may subscribe to, by their names here."""
         found = dict[str, Source]()
         for entity in entities:
             endpoint, name = entity.endpoint, self._network.namespace.to_local(entity.endpoint.name)

@@ -58,7 +58,7 @@ def planner(robot):
 
 @pytest.fixture
 def joint_space(collision, arm):
-    return JointSpace(collision, arm, np.zeros(6))
+    return JointSpace(collision, arm.joints, np.zeros(6))
 
 
 @pytest.fixture(scope="session")

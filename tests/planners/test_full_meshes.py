@@ -109,10 +109,3 @@ def test_the_judge_finds_lines_that_are_not_free(name: str) -> None:
     for asked in blocked:
         faults = judge.faults(asked, straight(asked["start"], asked["goal"], 3.0))
         assert any(fault.startswith("touches") for fault in faults)
-
-
-def test_the_judge_sees_contact_between_two_samples() -> None:
-    fields, judge = judged("pillars")
-    asked = next(entry for entry in fields["joint_problems"] if not entry["direct_valid"])
-    motion = {key: values[::100] for key, values in straight(asked["start"], asked["goal"], 3.0).items()}
-    assert any(fault.startswith("touches") for fault in judge.faults(asked, motion))

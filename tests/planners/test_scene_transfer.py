@@ -51,7 +51,3 @@ async def test_parts_hold_all_objects_in_order_and_none_could_do_with_fewer(shap
             for shape, _ in each.shapes
         ]
         assert sum(sizes[:-1]) < PART_BYTES
-
-
-async def test_ten_thousand_objects_come_in_many_parts() -> None:
-    assert max(len(part) for part in parts(boxes(10_000))) <= 128

@@ -96,9 +96,10 @@ def test_topics_come_with_their_types(world: AskedWorld) -> None:
     }
 
 
-@pytest.mark.parametrize("type_name", ["std_msgs/String", "std_msgs/msg/String"])
-def test_topics_are_found_by_either_spelling_of_their_type(world: AskedWorld, type_name: str) -> None:
-    assert world.ask("topics_for_type", type=type_name)["topics"] == ["/chatter"]
+@pytest.mark.parametrize("type_name", ["std_msgs/String", "std_msgs/msg/String", "builtin_interfaces/Time", "time"])
+def test_topics_are_found_by_every_spelling_of_their_type(world: AskedWorld, type_name: str) -> None:
+    world.graph.advertise(CLIENT, "/now", "builtin_interfaces/Time")
+    assert world.ask("topics_for_type", type=type_name)["topics"] == ["/chatter" if "String" in type_name else "/now"]
 
 
 def test_a_type_that_nobody_knows_has_no_topics_and_no_services(world: AskedWorld) -> None:

@@ -173,7 +173,7 @@ class ProblemBuilder:
             planner_id=_planner_id(request["planner_id"], parameters, warnings) if pipeline == OMPL else "",
             optimization_time_s=parameters.optimization_time,
         )
-        planner = _pilz_planner(request["planner_id"], warnings) if pipeline == PILZ else POINT_TO_POINT
+        planner = _pilz_planner(request["planner_id"]) if pipeline == PILZ else POINT_TO_POINT
         warnings += _ignored_fields(request, planner)
         if planner == POINT_TO_POINT:
             return BuiltProblem(problem, tuple(warnings))
@@ -421,15 +421,13 @@ def _planner_id(requested: str, parameters: MoveItParameters, warnings: list[str
     return name
 
 
-def _pilz_planner(requested: str, warnings: list[str]) -> str:
-    name = requested.upper()
-    if name in PIPELINES[PILZ]:
-        return name
-    if requested:
-        warnings.append(
-            f"there is no planner {requested!r}: {POINT_TO_POINT} is used; there are: {', '.join(PIPELINES[PILZ])}"
-        )
-    return POINT_TO_POINT
+def _pilz_planner(requested: str) -> str:
+    """Return one of Pilz's planners; MoveIt fails likewise for another one (planning_pipeline.cpp)."""
+    name = requested.upper() or POINT_TO_POINT
+    if name not in PIPELINES[PILZ]:
+        problem = f"planner_id: {PILZ} has no planner {requested!r} here; there are: {', '.join(PIPELINES[PILZ])}"
+        raise refused(MoveItErrorCode.PLANNING_FAILED, problem, planner_id=requested)
+    return name
 
 
 def _ignored_fields(request: Message, planner: str) -> list[str]:

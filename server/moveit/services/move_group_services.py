@@ -67,7 +67,11 @@ async def compute_ik(context: PlanningContext, request: Message, caller: Node) -
     seed_rad = within_limits(context.robot, context.positions_rad(ik_request["robot_state"], caller))
     scene = context.scene_of(ik_request["robot_state"], seed_rad)
     built = context.problems.ik(ik_request, group, seed_rad)
-    answer = required(await context.pool.ask(built.problem, scene))
+    found = await context.pool.ask(built.problem, scene)
+    if isinstance(found, PlanningFailure) and found.code is MoveItErrorCode.GOAL_IN_COLLISION:
+        # As MoveIt answers: clients that try one pose after the other go on where there is no solution.
+        found = replace(found, code=MoveItErrorCode.NO_IK_SOLUTION)
+    answer = required(found)
     solution = state_message(dict(answer.positions_rad[0]), context.robot.root_link, 0.0)
     return {"solution": solution, "error_code": success(*built.warnings, deviation_note(answer.deviations[0]))}
 

@@ -15,7 +15,6 @@ from planners.scene import Box
 from tests.helpers.resources import examples
 from tests.planners.following import TIP, arc, as_pose, line, shares
 from tests.planners.invariants import (
-    assert_from_rest_to_rest,
     assert_keeps_positions,
     assert_keeps_rates,
     assert_touches_nothing,
@@ -94,21 +93,6 @@ def test_on_any_arc_the_tip_stays_on_the_circle(follower, rate_limits, share, ne
     assert np.abs(np.linalg.norm(places_m - center_m, axis=1) - radius_m).max() <= BOUND_M
 
 
-def test_a_motion_starts_and_ends_at_rest_and_in_its_points(follower):
-    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.05, 0.02)))
-    assert plan.fraction == 1.0
-    assert_from_rest_to_rest(plan.trajectory, START, plan.trajectory.positions_rad[-1])
-    end_m = follower.pose(plan.trajectory.positions_rad[-1]).translation
-    np.testing.assert_allclose(end_m, follower.pose(START).translation + np.array([0.0, 0.05, 0.02]), atol=3e-5)
-
-
-def test_the_same_problem_has_the_same_plan(follower):
-    problem = follower.problem(START, shifted(follower, 0.03, 0.05, 0.02))
-    first, second = follower.plan(problem), follower.plan(problem)
-    np.testing.assert_array_equal(first.trajectory.positions_rad, second.trajectory.positions_rad)
-    np.testing.assert_array_equal(first.trajectory.time_s, second.trajectory.time_s)
-
-
 def test_a_line_there_and_back_turns_at_its_end_and_comes_home(follower):
     plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.05, 0.0), shifted(follower, 0.0, 0.0, 0.0)))
     places_m = tips_m(follower, plan) - follower.pose(START).translation
@@ -126,13 +110,6 @@ def test_corners_of_waypoints_are_passed_without_a_stop(follower):
     for corner in corners:
         away_m = np.linalg.norm(tips_m(follower, plan) - follower.pose(START).translation - corner, axis=1)
         assert away_m.min() < 1e-3
-
-
-def test_repeated_and_near_waypoints_are_harmless(follower, rate_limits):
-    there, near = shifted(follower, 0.0, 0.03, 0.0), shifted(follower, 0.0, 0.030001, 0.0)
-    plan = follower.plan(follower.problem(START, there, there, near, near))
-    assert plan.fraction == 1.0
-    assert_keeps_rates(plan.trajectory, rate_limits)
 
 
 @pytest.mark.parametrize("distance_m", [0.0, 1e-6, 1e-4])

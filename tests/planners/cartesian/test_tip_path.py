@@ -32,14 +32,6 @@ def tame(arc):
 arcs = st.builds(lambda via, end: Arc(via, Pose(end)), points, points).filter(tame)
 
 
-@given(points)
-def test_a_line_is_straight_and_ends_in_its_end(end):
-    path = TipPath(START, [Line(Pose(end))])
-    expected = np.linspace(0.0, 1.0, 200)[:, np.newaxis] * (np.array(end) - START.translation) + START.translation
-    if path.length_m > 0.0:
-        np.testing.assert_allclose(places(path), expected, atol=1e-9)
-
-
 @given(arcs)
 @examples(30)
 def test_an_arc_goes_through_its_points(arc):
@@ -144,16 +136,6 @@ def test_a_bad_segment_is_told_by_its_number(robot, segment, said):
     assert refusal.code == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert "segment 1" in refusal.message
     assert said in refusal.message
-
-
-def test_a_good_problem_is_not_refused(robot):
-    assert check_path(robot, PROBLEM) is None
-    assert check_shape(np.array([0.1, 0.0, 0.1]), PROBLEM) is None
-
-
-def test_an_arc_without_a_circle_is_refused():
-    flat = replace(PROBLEM, segments=(Arc((0.15, 0.0, 0.1), Pose((0.2, 0.0, 0.1))),))
-    assert "segment 0" in check_shape(np.array([0.1, 0.0, 0.1]), flat).message
 
 
 def test_a_path_of_too_many_points_is_refused_with_the_limit():

@@ -76,13 +76,6 @@ def answers(path, more=(), **options):
     return run, json.loads(out.read_text())
 
 
-def test_the_feasible_problems_are_planned(path) -> None:
-    run, written = answers(path)
-    assert [answer["problem"] for answer in written] == ["near", "tip"]
-    assert run.code == EXIT_EXPECTED
-    assert not run.errors
-
-
 def test_the_allowed_time_is_processor_time(path, monkeypatch) -> None:
     seconds = itertools.count()
     monkeypatch.setattr(time, "process_time", lambda: 10.0 * next(seconds))
@@ -123,12 +116,6 @@ def test_the_table_has_a_line_for_each_problem(path) -> None:
     assert float(duration) > 0.5
     assert float(length) == pytest.approx(np.linalg.norm(NEAR), abs=0.001)
     assert run.lines[-1] == "3 of 3 answered as the file expects"
-
-
-def test_settings_hold_for_every_problem(path) -> None:
-    options = Options([path], settings={"seed": 9})
-    chosen = plan_command.chosen(problem_file.read(path, ROBOT), options)
-    assert [one.problem.seed for one in chosen] == [9, 9]
 
 
 def test_an_unexpected_answer_is_exit_1(path) -> None:

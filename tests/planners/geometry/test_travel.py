@@ -92,16 +92,6 @@ def test_no_pair_comes_nearer_than_the_bound(arm):
         assert np.all((distances_m[0] - distances_m[1] <= approach_m @ np.abs(dq) + 1e-6)[apart])
 
 
-def test_joints_that_carry_both_shapes_bring_them_no_nearer(arm):
-    movers = link_bodies(arm.model, arm.shapes, EMPTY_SCENE)
-    pairs = PairFilter(arm.robot, {}).pairs(movers, [])
-    reach_m = arm.reach.of_shapes(arm.shapes)
-    for (first, second), bound in zip(pairs, approach(reach_m, pairs), strict=True):
-        both = (reach_m[first] > 0.0) & (reach_m[second] > 0.0)
-        assert not bound[both].any()
-        assert bound[~both].any()
-
-
 def test_nothing_is_further_from_the_root_than_the_bound(arm):
     farthest_m = max(arm.reach.farthest_m(shape) for shape in arm.shapes)
     for q, _ in arm.moves(7, 100, 0.0):

@@ -8,7 +8,7 @@ import pytest
 from planners.budget import Budget
 from planners.geometry.certificate import certify
 from planners.motions.curve import TICK_S, least_time_s, polyline
-from planners.motions.motion import STRAIGHT_LINE, Motion, MotionTask, find_motion, smooth
+from planners.motions.motion import Motion, MotionTask, find_motion, smooth
 from planners.motions.path_timing import MAX_DURATION_S
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits
 from tests.planners.invariants import (
@@ -55,15 +55,6 @@ def test_in_free_space_shortening_nearly_reaches_the_least_time():
     assert TICK_S * shortened().duration_ticks < 1.03 * least_s
 
 
-def test_a_moving_start_keeps_its_velocity():
-    whole = polyline(DETOUR, LIMITS)
-    moving = whole.part(1500, whole.duration_ticks)
-    curve = smooth(moving, LIMITS, anywhere, np.random.default_rng(0), never)
-    np.testing.assert_array_equal(curve.velocities_rad_s[0], moving.velocities_rad_s[0])
-    assert moving.velocities_rad_s[0].any()
-    assert curve.duration_ticks < moving.duration_ticks
-
-
 @pytest.mark.parametrize(
     "without", [{"free": lambda piece: False}, {"should_stop": lambda: True}], ids=["space", "time"]
 )
@@ -86,15 +77,6 @@ def task_between(joint_space, arm, rate_limits):
         return MotionTask(joint_space, arm.joints, limits, np.array(start), np.array(velocity), goals, **options)
 
     return task
-
-
-def test_straight_motion_follows_the_line(task_between):
-    motion = find_motion(task_between(HOME, READY), unlimited())
-    assert motion.method == STRAIGHT_LINE
-    assert_from_rest_to_rest(motion.trajectory, HOME, READY)
-    np.testing.assert_allclose(
-        motion.trajectory.positions_rad[:, 1], -motion.trajectory.positions_rad[:, 2], atol=1e-12
-    )
 
 
 def test_the_first_goal_with_a_free_line_is_taken(task_between):

@@ -155,15 +155,6 @@ def test_a_start_that_cannot_be_is_told_in_a_sentence(capsys: pytest.CaptureFixt
     assert "armbridge: the start pose needs 6 positions, not 2" in capsys.readouterr().err
 
 
-def test_help_lists_options_and_live_commands(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        cli.main(["emulate", "--help"])
-    printed = capsys.readouterr().out
-    assert "--lose-instruction" in printed
-    assert '{"plugged": false}' in printed
-    assert ":mod:" not in printed
-
-
 def test_it_prints_the_port_of_six_servos_and_runs_until_told_to_end(tmp_path: Path) -> None:
     link = tmp_path / "arm"
     command = [sys.executable, "-m", "server.cli", "emulate", "--link", str(link)]

@@ -159,11 +159,9 @@ def test_path_constraints_hold_on_the_way() -> None:
     assert held.path_constraints.joints[0].joint == "wrist_roll"
 
 
-def test_an_unknown_planner_of_pilz_is_point_to_point_with_a_warning() -> None:
-    read = asked(pipeline_id=PILZ, planner_id="SPLINE")
-    assert isinstance(read, BuiltProblem)
-    assert isinstance(read.problem, PlanningProblem)
-    assert "'SPLINE'" in read.warnings[0]
+def test_an_unknown_planner_of_pilz_fails_and_its_smoothness_is_understood() -> None:
+    answer = asked(pipeline_id=PILZ, planner_id="POLYLINE", smoothness_level=0.5)
+    assert_refused(answer, MoveItErrorCode.PLANNING_FAILED, "'POLYLINE'", "PTP, LIN, CIRC")
 
 
 END = (0.3, 0.0, 0.2)

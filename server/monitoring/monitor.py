@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from http import HTTPStatus
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from prometheus_client import (
     CollectorRegistry,
@@ -198,7 +198,7 @@ def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
 # Goals, planners, the recording.
 
 
-def queue_metrics(queue: GoalQueue[Any]) -> Iterator[Metric]:
+def queue_metrics(queue: GoalQueue) -> Iterator[Metric]:
     """Yield the metrics of goals that are not answered yet."""
     yield GaugeMetricFamily("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
     yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on.", queue.active_count)

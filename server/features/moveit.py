@@ -40,9 +40,9 @@ from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
 from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.services.move_group_services import offer_services
+from server.moveit.services.transform_republisher import ACTION as REPUBLISHER_ACTION
+from server.moveit.services.transform_republisher import TransformRepublisher
 from server.moveit.servo.servo_node import ServoNode
-from server.moveit.transform_republisher import ACTION as REPUBLISHER_ACTION
-from server.moveit.transform_republisher import TransformRepublisher
 from server.timers import call_later
 
 log = logging.getLogger("armbridge.servo")

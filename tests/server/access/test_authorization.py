@@ -15,7 +15,7 @@ from server.graph import permissions
 from server.graph.node import Node
 from server.graph.permissions import ANYONE, WORKING, Identity, Role
 from server.graph.topics import Graph, Subscriber
-from server.moveit import transform_republisher
+from server.moveit.services import transform_republisher
 from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
 from tests.helpers.rules import server_rules, with_server_rules

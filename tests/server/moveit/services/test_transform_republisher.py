@@ -6,11 +6,11 @@ import pytest
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from server.actionlib import ActionlibBridge
-from server.moveit import transform_republisher
 from server.moveit.poses import pose_of
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import SceneState
-from server.moveit.transform_republisher import ACTION, SERVICE, TransformRepublisher
+from server.moveit.services import transform_republisher
+from server.moveit.services.transform_republisher import ACTION, SERVICE, TransformRepublisher
 from tests.helpers.gateway import InProcess
 from tests.helpers.moveit import ROBOT
 

@@ -14,20 +14,19 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from robot.commissioning.register_backup import SavedServo
-from robot.commissioning.scan import BAUDRATES, FACTORY_ID
-from robot.commissioning.servo_registers import ServoRegisters, read_registers
+from robot.commissioning.scan import BAUDRATES, FACTORY_ID, ServoRegisters, read_registers
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import NO_LIMITS, PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile
 from robot.hardware.feetech.registers import (
+    EPROM,
     MODELS,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
 )
-from robot.hardware.feetech.settings import EPROM
 from robot.hardware.interface import Result, Steps, run_to_end
 from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
 
@@ -200,7 +199,7 @@ def choose_profile(
     """
     if name is not None:
         return PROFILES[name]
-    return own or nearest_profile((servo.settings, gripper) for servo, gripper in servos)
+    return own or nearest_profile((servo.registers, gripper) for servo, gripper in servos)
 
 
 def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> tuple[Change, ...]:
@@ -220,7 +219,7 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
         Register.BAUD_RATE: BAUDRATE_CODE,
     }
     lowest, highest = FULL_RANGE_TICKS
-    if servo.servo_id != joint.servo_id or servo.settings.angle_limits_ticks == NO_LIMITS:
+    if servo.servo_id != joint.servo_id or servo.angle_limits_ticks == NO_LIMITS:
         wanted |= {Register.MIN_ANGLE_LIMIT: lowest, Register.MAX_ANGLE_LIMIT: highest}
     # After the limits: an interrupted write must not leave a new offset with old limits.
     if servo.servo_id != joint.servo_id:
@@ -349,7 +348,7 @@ def _candidates(
 
 def _is_calibrated(servo: FoundServo) -> bool:
     # Angle limits are of a calibration always; a new servo may have an offset.
-    return servo.settings.angle_limits_ticks not in (NO_LIMITS, FULL_RANGE_TICKS)
+    return servo.angle_limits_ticks not in (NO_LIMITS, FULL_RANGE_TICKS)
 
 
 def _answers(bus: Bus, servo_id: int) -> bool:

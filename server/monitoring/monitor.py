@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from http import HTTPStatus
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from prometheus_client import (
     CollectorRegistry,
@@ -45,7 +45,7 @@ from server.monitoring.systemd import SystemdNotifier
 
 if TYPE_CHECKING:
     from planners.interface import Planners
-    from robot.arm_interface import ArmInterface
+    from robot.arm_group import AnyArm
     from server.execution.queue import GoalQueue
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
@@ -134,7 +134,7 @@ class SourcesCollector(Collector):
         yield from _metrics_of(sources.queue, queue_metrics)
         yield from _metrics_of(sources.planners, planner_metrics)
         yield from _metrics_of(sources.recorder, recording_metrics)
-        yield from _metrics_of(sources.arm, arm_metrics)
+        yield from () if sources.arm is None else arm_metrics(sources.arm)
         yield from _metrics_of(_fresh(sources.arm_health), arm_health_metrics)
         yield from process_metrics({"server": os.getpid(), **sources.children()})
 
@@ -198,7 +198,7 @@ def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
 # Goals, planners, the recording.
 
 
-def queue_metrics(queue: GoalQueue[Any]) -> Iterator[Metric]:
+def queue_metrics(queue: GoalQueue) -> Iterator[Metric]:
     """Yield the metrics of goals that are not answered yet."""
     yield GaugeMetricFamily("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
     yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on.", queue.active_count)
@@ -225,7 +225,7 @@ def recording_metrics(recorder: Recorder) -> Iterator[Metric]:
 # The arm; metrics of devices that an ideal arm does not have are left out.
 
 
-def arm_metrics(arm: ArmInterface) -> Iterator[Metric]:
+def arm_metrics(arm: AnyArm) -> Iterator[Metric]:
     """Yield the metrics of the arm's state."""
     mode = GaugeMetricFamily("armbridge_arm_mode", "1 for what the arm is doing, 0 for all else.", labels=("mode",))
     for each in Mode:

@@ -3,8 +3,7 @@ from __future__ import annotations
 import pytest
 
 from robot.emulator.arm import weight_of
-from robot.emulator.feetech import FeetechServo
-from robot.emulator.feetech_arm import build_servos
+from robot.emulator.feetech import FeetechServo, build_servos
 from robot.emulator.populations import FACTORY, KIT, POPULATIONS, ROS2_DRIVER
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus

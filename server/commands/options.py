@@ -1,4 +1,4 @@
-"""Options that commands share: those of the arm's bus, and those that change settings."""
+"""Options that commands share: for the arm's bus, and for settings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ Run: TypeAlias = Callable[[argparse.Namespace, Terminal], ExitCode]
 def add_command(
     subparsers: Subparsers, name: str, run: Run, summary: str, description: str, **more: Any
 ) -> argparse.ArgumentParser:
-    """Add a command to those of a parser; its help ends with the meaning of exit codes."""
+    """Add a command to a parser; its help ends with the meaning of exit codes."""
     parser = subparsers.add_parser(name, help=summary, description=description, **{"epilog": EXIT_CODES, **more})
     parser.set_defaults(run=run)
     return parser

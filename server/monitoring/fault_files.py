@@ -34,12 +34,12 @@ PREFIX = "fault-"
 
 WINDOW_S = 60.0
 
-# The minute at this rate, and its last seconds at that of the states, of which there are 100 a second at most.
+# The minute at this rate, and its last seconds at the rate of the states, which come 100 times a second at most.
 SLOW_PERIOD_S = 0.1
 SLOW_SAMPLES = round(WINDOW_S / SLOW_PERIOD_S)
 FAST_SAMPLES = 500
 
-# A client that causes and resets faults without end must not wear out a memory card; the next file tells of this one.
+# A client that causes and resets faults without end must not wear out a memory card; the next file logs this fault.
 LEAST_INTERVAL_S = 10.0
 
 # A disk that takes longer keeps the file to itself.
@@ -119,7 +119,7 @@ class FaultFiles:
         self._health = health
 
     def take_state(self, state: ArmState) -> None:
-        """Keep a state; begin to write a file when it tells of a new fault."""
+        """Keep a state; begin to write a file when it has a new fault."""
         if self._files is None:
             return
         before, self._state = self._state, state

@@ -1,6 +1,6 @@
 """Monitor of the server: HTTP routes for health and metrics, and a watch on its event loop that systemd hears of.
 
-Metrics are those of Prometheus: counters, and values read from the server's parts and processes at a scrape.
+Metrics are Prometheus': counters, and values read from the server's parts and processes at a scrape.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ class ServoHistory:
     def _compare_errors(self, joint: JointHealth) -> None:
         before = self._errors.get(joint.joint, {})
         for kind, count in joint.errors.items():
-            # Opened anew, the hardware counts from zero.
+            # Opened again, the hardware counts from zero.
             if count > before.get(kind, 0):
                 self._add(joint.joint, f"error {kind}, {count} since the servo was connected")
         self._errors[joint.joint] = joint.errors
@@ -108,7 +108,7 @@ class ServoHistory:
         samples = [each for each in self._samples[joint] if each[0] >= now_s - WINDOW_S]
         at_s, *values = np.array(samples).reshape(len(samples), 1 + len(QUANTITIES)).T
         columns = {
-            # An ideal arm measures none of these.
+            # An ideal arm measures nothing of this kind.
             quantity: [] if np.isnan(column).all() else column.round(4).tolist()
             for quantity, column in zip(QUANTITIES, values, strict=True)
         }

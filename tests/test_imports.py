@@ -57,7 +57,6 @@ ASYNCIO_OUTSIDE_SERVER = {
     "robot/processes.py",
     "robot/arm.py",
     "robot/arm_group.py",
-    "robot/arm_interface.py",
     "planners/interface.py",
     "planners/pool.py",
     "planners/pool_host.py",

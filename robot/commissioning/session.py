@@ -12,9 +12,16 @@ from dataclasses import dataclass
 from enum import Enum
 
 from robot.calibration import Calibration
-from robot.commissioning.calibrate import Swept, calibrate, needs_middle
 from robot.commissioning.directions import AskedMotion, spoken, turned_the_other_way
-from robot.commissioning.sweep import MIDDLE_TICK, Sweep, expected_width, met_both_stops
+from robot.commissioning.sweep import (
+    MIDDLE_TICK,
+    Sweep,
+    Swept,
+    calibrate,
+    expected_width,
+    met_both_stops,
+    needs_middle,
+)
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError
 

@@ -1,4 +1,4 @@
-"""Sweep of the joints by hand from stop to stop, and the homing offset that follows from it. Pure.
+"""Sweep of the joints by hand from stop to stop, and the calibration that follows from it, in lerobot's terms. Pure.
 
 lerobot asks for the middle pose first and sets the homing offsets before the sweep, so that a wrong middle pose makes a
 joint cross the seam between ticks 4095 and 0. Here positions are tracked across the seam, nothing is written before the
@@ -7,10 +7,11 @@ sweep is complete, and the middle of what was swept becomes the middle of the tu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from robot.calibration import MAX_TICK, RAD_PER_TICK, TICKS_PER_TURN, WIDEST_RANGE_TICKS
+from robot.calibration import MAX_TICK, RAD_PER_TICK, TICKS_PER_TURN, WIDEST_RANGE_TICKS, Calibration, JointCalibration
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError
 
@@ -72,12 +73,33 @@ def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
 
 
 @dataclass(frozen=True)
-class Placed:
+class Swept:
+    """All that was measured by hand."""
+
+    sweep: Sweep
+    offsets: Mapping[int, int]  # register HOMING_OFFSET during the sweep, by servo id [ticks]
+    # Position in its middle of each joint without stops, by servo id [ticks], in the sweep's count.
+    middles: Mapping[int, int]
+    # 1 for servos that turn the other way than the format takes them to, by servo id; 0 for others.
+    drive_modes: Mapping[int, int]
+
+
+class Placed(NamedTuple):
     """Range of a servo under its homing offset."""
 
     homing_offset: int  # register HOMING_OFFSET [ticks]
     range_min: int  # lowest position [ticks]
     range_max: int  # highest position [ticks]
+
+
+def needs_middle(servo: ServoSpec, sweep: Sweep) -> bool:
+    """Return True for a joint whose middle does not follow from its sweep: it has no stops, or did not meet them."""
+    return servo.turns_freely and not met_both_stops(servo, sweep.width(servo.servo_id))
+
+
+def calibrate(servos: Sequence[ServoSpec], swept: Swept, *, recentre: bool) -> Calibration:
+    """Compute the calibration: with new homing offsets for the servos where ``recentre`` is True, else with theirs."""
+    return Calibration(tuple(_joint(servo, swept, recentre=recentre) for servo in servos))
 
 
 def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Placed:
@@ -141,3 +163,15 @@ def _centred(servo: ServoSpec, middle: int, offset: int) -> tuple[int, int]:
         centred -= TICKS_PER_TURN
     centred = min(centred, servo.max_homing_offset)
     return centred, (encoder - centred) % TICKS_PER_TURN - middle
+
+
+def _joint(servo: ServoSpec, swept: Swept, *, recentre: bool) -> JointCalibration:
+    servo_id = servo.servo_id
+    offset, drive_mode = swept.offsets[servo_id], swept.drive_modes.get(servo_id, 0)
+    if not needs_middle(servo, swept.sweep):
+        placed = place(servo, swept.sweep, offset, recentre=recentre)
+    elif servo_id in swept.middles:
+        placed = place_free(servo, swept.middles[servo_id], offset, recentre=recentre)
+    else:
+        raise CalibrationError("sweep", servo.joint, "did not meet two stops, and its middle was not shown")
+    return JointCalibration(servo, servo_id, drive_mode, *placed)

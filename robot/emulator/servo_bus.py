@@ -123,6 +123,7 @@ class Answer(NamedTuple):
     servo: EmulatedServo[Any]
     error: int = 0
     data: bytes = b""
+    servo_id: int | None = None  # id in the reply; None for the servo's own
 
 
 # First register -> servo id -> bytes written there.
@@ -236,9 +237,11 @@ class ServoBus(Generic[S]):
             if broadcast or instruction.servo_id == servo.servo_id:
                 # A broadcast is answered by nobody, except a ping. A reboot resets what a servo acknowledges.
                 replies = servo.acknowledges(code) and (not broadcast or code == INST_PING)
+                servo_id = servo.servo_id
                 answer = self._execute_on(servo, instruction, written)
                 if answer is not None and replies:
-                    yield answer
+                    # The write of a new id is acknowledged with the old one: lerobot's setup_motors waits for that.
+                    yield answer._replace(servo_id=servo_id)
 
     def _execute_on(self, servo: S, instruction: Instruction, written: Written) -> Answer | None:
         """Carry out an instruction on one of its receivers; return its reply."""
@@ -279,7 +282,8 @@ class ServoBus(Generic[S]):
         """Put the reply of a servo on the wire; replies of several servos with the same id collide."""
         servo, byte_s = answers[0].servo, self._byte_s(baudrate)
         start_s = self._wire_free_s + (TURNAROUND_S + servo.return_delay_s if self._wire_time else 0.0)
-        servo_id = self.faults.id_of_reply(servo.servo_id)
+        sent_id = answers[0].servo_id
+        servo_id = self.faults.id_of_reply(servo.servo_id if sent_id is None else sent_id)
         packets = [
             _status_packet(self._codec, servo_id, answer.servo.error | answer.error, answer.data) for answer in answers
         ]

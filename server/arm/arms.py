@@ -9,8 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from robot.arm import Arm
-from robot.arm_group import ArmGroup, joined_health, joined_state
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm, ArmGroup, joined_health, joined_state
 from robot.calibration import Calibration
 from robot.description.joined import PlacedArm, joined, prefixed
 from robot.description.model import RobotModel
@@ -269,7 +268,7 @@ class Arms:
             self._feed.take_health("", joined_health(self._health))
 
 
-def read_now(arm: ArmInterface, state: ArmState) -> ArmState:
+def read_now(arm: AnyArm, state: ArmState) -> ArmState:
     """Return a state with the joints alone that are read at present: some of several arms may not be."""
     if not isinstance(arm, ArmGroup):
         return state

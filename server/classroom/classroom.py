@@ -22,7 +22,7 @@ import uvloop
 
 # The last two are loaded ahead for the arms' processes, which would each load their hardware's modules.
 import robot.control.loop
-import robot.emulator.feetech_arm
+import robot.emulator.feetech
 import robot.hardware.ideal
 from planners.pool_host import PlannerHost
 from robot.processes import OF_SERVICE_MANAGER, StartedChild

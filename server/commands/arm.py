@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from robot.calibration import Calibration
 from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
 from robot.commissioning.experiments import EXPERIMENTS, Experiment, ServoRig, run_experiment
-from robot.commissioning.scan import BAUDRATES, ScanResult, explain_missing, scan
-from robot.commissioning.servo_registers import ServoRegisters
+from robot.commissioning.scan import BAUDRATES, ScanResult, ServoRegisters, explain_missing, scan
 from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
@@ -83,7 +82,7 @@ def _complaints(result: ScanResult, servos: Sequence[ServoSpec], baudrate: int) 
 
 
 def _row(servo: ServoRegisters, names: Mapping[int, str]) -> list[object]:
-    lowest, highest = servo.settings.angle_limits_ticks
+    lowest, highest = servo.angle_limits_ticks
     return [
         servo.servo_id,
         names.get(servo.servo_id, "?"),

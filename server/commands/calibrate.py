@@ -6,20 +6,18 @@ import argparse
 import contextlib
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from robot.calibration import Calibration, find_calibration, new_calibration_path, reserved, save
-from robot.commissioning.calibrate import differences
 from robot.commissioning.directions import asked_motions
 from robot.commissioning.scan import explain_missing, read_telemetry, scan
-from robot.commissioning.servo_registers import ServoRegisters
 from robot.commissioning.session import HOLD, WRITE, Act, CalibrationSession, Step
 from robot.description import robot_folder
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError, StartupError
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.calibration import write_to_servos
+from robot.hardware.feetech.calibration import differences, write_to_servos
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, parse_telemetry
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Difference
@@ -90,19 +88,19 @@ def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     hardware = read_hardware(options)
     path = new_calibration_path(options.file, hardware.calibrations, os.environ)
     with reserved(path, overwrite=options.overwrite), contextlib.closing(open_bus(options)) as bus:
-        reports = _all_there(bus, hardware.servos, terminal)
-        offsets = {servo.servo_id: servo[Register.HOMING_OFFSET] for servo in reports}
+        registers = _all_there(bus, hardware.servos, terminal)
+        offsets = {servo_id: held[Register.HOMING_OFFSET] for servo_id, held in registers.items()}
         motions = {} if options.no_directions else asked_motions(robot_folder.resolve(options.robot).model)
         session = CalibrationSession(hardware.servos, motions, recentre=options.write_servos)
         return _Conversation(session, bus, hardware.servos, offsets, path, terminal, yes=options.yes).run()
 
 
-def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> tuple[ServoRegisters, ...]:
+def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> dict[int, Mapping[Register, int]]:
     terminal.say("looking at the servos ...")
     result = scan(bus, tuple(servo.servo_id for servo in servos))
     if missing := explain_missing(result, servos):
         raise StartupError("; ".join(missing))
-    return result.servos
+    return result.registers
 
 
 class _Conversation:
@@ -178,7 +176,7 @@ class _Conversation:
         calibration = session.calibration
         if calibration is None:
             raise CalibrationError(str(self._path), "", "there is no result")
-        changes = differences(calibration, scan(self._bus, self._ids).servos)
+        changes = differences(calibration, scan(self._bus, self._ids).registers)
         if session.recentre:
             _write_changes(self._bus, changes, terminal)
         elif changes:

@@ -202,7 +202,8 @@ class _Visit:
             try:
                 if servo is None:
                     self._terminal.await_enter(f"Plug in the servo of {joint.joint}")
-                    servo = search(self._line, joint, self._arm, self._terminal.say)
+                    only_joint = len(self._options.joint or ()) == 1
+                    servo = search(self._line, joint, self._arm, self._terminal.say, only_joint=only_joint)
                 self._carry_out([self._work(joint, servo, self._profile([(joint, servo)]))])
             except (StartupError, NoReply, PortError) as error:
                 self._line.close()

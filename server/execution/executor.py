@@ -19,7 +19,7 @@ import numpy as np
 from planners.interface import Planners
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, Outcome
 from robot.trajectory import Trajectory
@@ -135,7 +135,7 @@ class ExecutionContext:
 class GoalExecutor:
     """Executor of one goal at a time, from its motion to its answer."""
 
-    def __init__(self, arm: ArmInterface, context: ExecutionContext, in_progress: MotionsInProgress) -> None:
+    def __init__(self, arm: AnyArm, context: ExecutionContext, in_progress: MotionsInProgress) -> None:
         self._arm = arm
         self._robot = context.robot
         self._clock = context.clock
@@ -506,7 +506,7 @@ def _group_of(robot: RobotModel, motion: Trajectory) -> str:
 class GoalExecutors:
     """Executors of goals: one for each set of joints, so that a goal can replace the motion of the one before."""
 
-    def __init__(self, arm: ArmInterface, context: ExecutionContext, kind: type[GoalExecutor] = GoalExecutor) -> None:
+    def __init__(self, arm: AnyArm, context: ExecutionContext, kind: type[GoalExecutor] = GoalExecutor) -> None:
         self._arm = arm
         self._context = context
         self._kind = kind

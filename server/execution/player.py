@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckQuestion
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
 from robot.trajectory import Trajectory
@@ -87,7 +87,7 @@ class Player:
 
     def __init__(
         self,
-        arm: ArmInterface,
+        arm: AnyArm,
         robot: RobotModel,
         scene_monitor: SceneMonitor,
         time_limits: TimeLimits,

@@ -12,8 +12,7 @@ from typing import Protocol
 
 from planners.interface import Planners
 from robot.arm import Arm
-from robot.arm_group import ArmGroup
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm, ArmGroup
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.access.authorization import Access
@@ -55,7 +54,7 @@ class GoalListener(Protocol):
 class Goals:
     """Way of goals to the arms."""
 
-    def __init__(self, graph: Graph, arm: ArmInterface, planning: PlanningContext, settings: Settings) -> None:
+    def __init__(self, graph: Graph, arm: AnyArm, planning: PlanningContext, settings: Settings) -> None:
         moveit, goals, robot = settings.moveit, settings.goals, planning.robot
         self.time_limits = TimeLimits(
             moveit.allowed_execution_duration_scaling,

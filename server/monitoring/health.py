@@ -16,7 +16,7 @@ from server.monitoring.goal_counters import GoalCounters
 
 if TYPE_CHECKING:
     from planners.interface import Planners
-    from robot.arm_interface import ArmInterface
+    from robot.arm_group import AnyArm
     from server.execution.queue import GoalQueue
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
@@ -40,7 +40,7 @@ class Sources:
     refused_connections: Callable[[], Mapping[str, int]] | None = None
     goal_counters: GoalCounters | None = None
     queue: GoalQueue[Any] | None = None
-    arm: ArmInterface | None = None
+    arm: AnyArm | None = None
     arm_health: ArmHealth | None = None
     planners: Planners | None = None
     recorder: Recorder | None = None
@@ -85,7 +85,7 @@ def check_health(sources: Sources) -> Health:
     return Health(not dead, not reasons, reasons, tuple(_warnings(sources)))
 
 
-def _reasons_not_live(arm: ArmInterface | None) -> Iterator[str]:
+def _reasons_not_live(arm: AnyArm | None) -> Iterator[str]:
     if arm is not None and arm.state_age_s > ARM_SILENT_S:
         yield f"the arm process has been silent for more than {ARM_SILENT_S:g} s"
 
@@ -102,7 +102,7 @@ def _reasons_not_ready(sources: Sources) -> Iterator[str]:
         yield from _reasons_planners_are_not_ready(sources.planners)
 
 
-def _reasons_arm_is_not_ready(arm: ArmInterface) -> Iterator[str]:
+def _reasons_arm_is_not_ready(arm: AnyArm) -> Iterator[str]:
     state = arm.state
     if state.fault is not None:
         yield f"the arm has a fault: {state.fault.code.value}"

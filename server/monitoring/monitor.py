@@ -34,7 +34,7 @@ from server.monitoring.systemd import SystemdNotifier
 
 if TYPE_CHECKING:
     from planners.interface import Planners
-    from robot.arm_interface import ArmInterface
+    from robot.arm_group import AnyArm
     from server.execution.queue import GoalQueue
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
@@ -211,7 +211,7 @@ def recording_metrics(recorder: Recorder) -> Iterator[Metric]:
 # The arm; metrics of devices that an ideal arm does not have are left out.
 
 
-def arm_metrics(arm: ArmInterface) -> Iterator[Metric]:
+def arm_metrics(arm: AnyArm) -> Iterator[Metric]:
     """Yield the metrics of the arm's state."""
     state, present = arm.state, arm.state.fault and arm.state.fault.code
     modes = ((each.value, int(state.mode is each)) for each in Mode)

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoQuestion, ServoStatus
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
@@ -56,7 +56,7 @@ class Follower:
     name: str
     prefix: str
     robot: RobotModel
-    arm: ArmInterface
+    arm: AnyArm
     setup: ServoSetup
     gripper: Gripper | None
 

@@ -19,8 +19,7 @@ from robot.calibration import Calibration, JointCalibration
 from robot.errors import OrderRefused
 from robot.hardware.interface import CALIBRATION_NOT_KEPT, Actuation, StatusFlag, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame
-from robot.hardware.servos.registers import Block, RegisterTable
-from robot.hardware.servos.telemetry import Telemetry
+from robot.hardware.servos.registers import Block, RegisterTable, Telemetry
 
 Values: TypeAlias = Mapping[Any, int]
 """Values of registers."""

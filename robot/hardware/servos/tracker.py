@@ -15,8 +15,8 @@ from robot.calibration import RAD_PER_TICK
 from robot.hardware.interface import Measured
 from robot.hardware.servos.bus import StatusFrame
 from robot.hardware.servos.family import ServoFamily
+from robot.hardware.servos.registers import Telemetry
 from robot.hardware.servos.servo_map import ServoMap
-from robot.hardware.servos.telemetry import Telemetry
 
 # Misses in a row after which a servo is asked behind the others.
 MISSES_UNTIL_LAST = 2

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from planners.problem import MoveItErrorCode
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
@@ -124,7 +124,7 @@ class Gripper:
 
     def __init__(
         self,
-        arm: ArmInterface,
+        arm: AnyArm,
         joints: Sequence[Joint],
         limits: GripperLimits,
         in_progress: MotionsInProgress | None = None,

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Vector
@@ -117,7 +117,7 @@ class JointTrajectoryController:
         self,
         graph: LocalGraph,
         group: Group,
-        arm: ArmInterface,
+        arm: AnyArm,
         context: TrajectoryContext,
         name: str | None = None,
         *,

@@ -28,7 +28,8 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from robot.arm_interface import ArmInterface, StreamInterface
+from robot.arm import ArmStream
+from robot.arm_group import AnyArm
 from robot.trajectory import Vector
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
@@ -191,7 +192,7 @@ class ServoSession:
 
     def __init__(
         self,
-        arm: ArmInterface,
+        arm: AnyArm,
         setup: ServoSetup,
         ask: Ask,
         resolve: Resolve,
@@ -209,7 +210,7 @@ class ServoSession:
         self._input: ServoInput = JointVelocities({})
         self._expires_at_s = -math.inf
         self._task: asyncio.Task[None] | None = None
-        self._stream: StreamInterface | None = None
+        self._stream: ArmStream | None = None
         self._released = False
         self._latencies_s: deque[float] = deque(maxlen=LATENCY_ANSWERS)
         # Set by what the next step does not wait for: the end of the stream, and a command that is followed at once.
@@ -282,7 +283,7 @@ class ServoSession:
         self._publish_status(ServoStatus.INVALID, f"steering was ended: {ended.message}")
         self._interrupted(f"steering was ended: {ended.message}")
 
-    async def _follow_commands(self, stream: StreamInterface) -> None:
+    async def _follow_commands(self, stream: ArmStream) -> None:
         velocity: Mapping[str, float] = {}
         anchor: Anchor | None = None
         kind: type[ServoCommand] | None = None

@@ -14,7 +14,7 @@ from typing import Any
 from planners.servo.question import ServoStatus
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from server.arrival import arrival_epoch
 from server.errors import RefusedError, UnsuccessfulError
@@ -175,7 +175,7 @@ class CommandGate:
     """
 
     def __init__(
-        self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str], arm: ArmInterface
+        self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str], arm: AnyArm
     ) -> None:
         self._ownership = Ownership(present)
         self._timeout_s = timeout_s
@@ -293,7 +293,7 @@ class ServoNode:
         self,
         graph: LocalGraph,
         parameters: MoveItParameters,
-        arm: ArmInterface,
+        arm: AnyArm,
         planning: PlanningContext,
         busy: Callable[[], str],
     ) -> None:

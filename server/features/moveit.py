@@ -12,8 +12,7 @@ from planners.servo.question import ACCELERATION_SHARE, APPROACH_PER_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
-from server.execution.motions import Motion
-from server.execution.queue import Answer, Progress, QueuedGoal
+from server.execution.goal import Answer, Goal, Progress
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
 from server.moveit.actions.goal_calls import GoalCalls
@@ -127,11 +126,11 @@ class GoalRecords(Feature):
     async def start(self) -> None:
         self._history.open()
 
-    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
         """Note in which scene the goal is planned."""
         self._history.take_progress(goal, progress)
 
-    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         """Keep the record, and show the contacts."""
         self._display.contacts_of(answer.details)
         self._history.take_answer(goal, answer, final_status(goal, answer, self._robot))
@@ -194,16 +193,16 @@ class _GoalsOfArm:
         for publisher in self._controller_states:
             publisher.take_state(state)
 
-    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
         if self._is_here(goal):
             self._status.publish_progress(goal, progress)
 
-    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         if self._is_here(goal):
             # All goals are logged once, as goals of the whole.
             self._status.publish_answer(goal, answer, logged=bool(self._arm.name))
 
-    def _is_here(self, goal: QueuedGoal[Motion]) -> bool:
+    def _is_here(self, goal: Goal) -> bool:
         """Return True for a goal that moves the arm, or was sent to it and refused."""
         arm = self._arm
         return not arm.name or bool(goal.joints & arm.joints) or goal.source.startswith(arm.graph.resolve("/"))

@@ -184,7 +184,7 @@ def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
 # Goals, planners, the recording.
 
 
-def queue_metrics(queue: GoalQueue[Any]) -> Iterator[Metric]:
+def queue_metrics(queue: GoalQueue) -> Iterator[Metric]:
     """Yield the metrics of goals that are not answered yet."""
     yield GaugeMetricFamily("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
     yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on.", queue.active_count)

@@ -11,7 +11,7 @@ from robot.description.model import RobotModel
 from robot.messages import ArmState
 from robot.trajectory import Trajectory, Vector
 from server.execution.monitors import state_message
-from server.execution.queue import Performed
+from server.execution.motions import Performed
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.poses import Message, pose_of

@@ -38,6 +38,7 @@ OWN_PACKAGES = frozenset(
         "std_msgs",
         "std_srvs",
         "tf2_msgs",
+        "tf2_web_republisher",
         "trajectory_msgs",
         "unique_identifier_msgs",
         "visualization_msgs",
@@ -66,6 +67,9 @@ def load_registry(folders: Sequence[Path]) -> Registry:
     packages, count = interfaces.packages, len(interfaces.ros1) + len(interfaces.ros2)
     added = count - len(interfaces.replaced)
     log.info("interfaces of %d packages read: %s; %d types added", len(packages), _told(packages), added)
+    if interfaces.unread:
+        unread = _told([str(path) for path in interfaces.unread])
+        log.warning("interface files in folders that are not read: %s", unread)
     if interfaces.replaced:
         log.info("%d types replace armbridge's: %s", len(interfaces.replaced), _told(interfaces.replaced))
     if interfaces.kept:

@@ -78,8 +78,9 @@ def rule_of_topic(name: str, graph: Graph) -> Rule:
         return GOAL
     if name.endswith(ACTIONLIB_GOAL):
         return rule_of_action(name.removesuffix(ACTIONLIB_GOAL), graph)
-    if name.endswith(ACTIONLIB_CANCEL) and rule_of_action(name.removesuffix(ACTIONLIB_CANCEL), graph).drives:
-        return CANCELLING
+    if name.endswith(ACTIONLIB_CANCEL):
+        rule = rule_of_action(name.removesuffix(ACTIONLIB_CANCEL), graph)
+        return CANCELLING if rule.drives else rule
     return WORKING
 
 

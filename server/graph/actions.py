@@ -157,6 +157,7 @@ class ActionProvider(Provider):
 
     start: Callable[[Goal], None]
     check_lists: CheckLists | None = None
+    max_goal_s: float = MAX_GOAL_S
     goals: dict[str, Goal] = field(default_factory=dict)
 
 
@@ -188,6 +189,7 @@ class Actions(Providers[ActionProvider]):
         limits: ListLimits | None = None,
         *,
         rule: Rule | None = None,
+        max_goal_s: float = MAX_GOAL_S,
     ) -> None:
         """Offer an action; a client takes the place of a client that offered it before.
 
@@ -195,6 +197,7 @@ class Actions(Providers[ActionProvider]):
             start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
                 `Goal.when_canceled` calls back when somebody wants it ended, `Goal.when_ended` when it has ended.
             rule: requirements of the senders of goals; None for the rule of a client's action.
+            max_goal_s: time after which a goal fails [s].
 
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
@@ -204,7 +207,7 @@ class Actions(Providers[ActionProvider]):
         if limits is not None:
             check_lists = limits.check(self._message_types.registry, f"{canonical}_Goal")
             self._message_types.compile_later(*(f"{canonical}_{part}" for part in ("Goal", "Feedback", "Result")))
-        offer = ActionProvider(node, name, canonical, start, check_lists)
+        offer = ActionProvider(node, name, canonical, start, check_lists, max_goal_s)
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
@@ -271,7 +274,8 @@ class Actions(Providers[ActionProvider]):
         goal_id = b64encode(goal.goal_id).decode()
         offer.goals[goal_id] = goal
         self._sent.add(goal.sender, goal)
-        timer = self._call_later(MAX_GOAL_S, lambda: goal.fail(f"Action {goal.action} took more than {MAX_GOAL_S:g} s"))
+        limit_s = offer.max_goal_s
+        timer = self._call_later(limit_s, lambda: goal.fail(f"Action {goal.action} took more than {limit_s:g} s"))
 
         def forget(_result: Result) -> None:
             timer.cancel()

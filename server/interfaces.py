@@ -1,4 +1,4 @@
-"""Message types of the server: those that it ships with and those of the user's packages."""
+"""Message types of the server: packaged ones and types of the user's packages."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ OWN_PACKAGES = frozenset(
     )
 )
 
-# Names that a line of the log tells; the rest are counted.
+# Names in a line of the log; the rest are counted.
 MAX_NAMES_TOLD = 10
 
 
 def load_registry(folders: Sequence[Path]) -> Registry:
-    """Return the packaged types and those of the user's packages.
+    """Return the packaged types and the types of the user's packages.
 
     Raises:
         ConfigurationError: something in them cannot be used, with everything that cannot.

@@ -101,7 +101,7 @@ class Goal(PendingRequest[Result]):
         """End the goal with a result message; what it leaves out gets its default.
 
         Raises:
-            MessageError: the values do not fit the action's type; the sender has been told that the goal failed.
+            MessageError: the values do not fit the action's type; the goal has failed, and its sender knows.
         """
         try:
             completed = self._message_types.complete(f"{self.type_name}_Result", values)
@@ -195,8 +195,8 @@ class Actions(Providers[ActionProvider]):
 
         Args:
             start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
-                `Goal.when_canceled` tells when somebody wants it ended, `Goal.when_ended` when it has ended.
-            rule: requirements of the senders of goals; None for those of a client's action.
+                `Goal.when_canceled` calls back when somebody wants it ended, `Goal.when_ended` when it has ended.
+            rule: requirements of the senders of goals; None for the rule of a client's action.
             max_goal_s: time after which a goal fails [s].
 
         Raises:
@@ -216,7 +216,7 @@ class Actions(Providers[ActionProvider]):
             self._topics.open(node, name, canonical)
 
     def remove(self, node: Node) -> None:
-        """Forget a node that has left: its actions end; goals that it has sent are not told any more.
+        """Forget a node that has left: its actions end; it hears no more of goals that it has sent.
 
         They go on, as in ROS, unless the node takes them along.
         """

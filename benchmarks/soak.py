@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 from websockets.asyncio.client import connect
 
-from server.moveit.gripper import GRIPPER_ACTION
+from server.moveit.actions.gripper import GRIPPER_ACTION
 from tests.helpers.clients import FrameClient, frame_client
 from tests.helpers.figures import print_table
 from tests.helpers.server import RunningServer

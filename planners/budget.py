@@ -16,13 +16,11 @@ MAX_STARVED_S = 60.0
 
 
 def read_run_delay_s(pid: int) -> float | None:
-    """Read for how long a process has waited on run queues since its start.
+    """Read how long a process has waited on run queues since its start [s]; None if that is unknown.
 
-    That is the second field of /proc/PID/schedstat [ns] (the kernel's Documentation/scheduler/sched-stats.rst). It is
-    of the main thread, and leaves out a wait that has not ended: at most 50 ms were measured among 12 other programs.
-
-    Returns:
-        The time [s]; None of a process that is gone, and where the kernel does not count it.
+    That is the second field of /proc/PID/schedstat [ns] (the kernel's Documentation/scheduler/sched-stats.rst). It
+    counts the main thread, and leaves out a wait that has not ended: at most 50 ms were measured among 12 other
+    programs. It is unknown of a process that is gone, and where the kernel does not count it.
     """
     try:
         on_core_ns, run_delay_ns, _ = map(int, Path(f"/proc/{pid}/schedstat").read_text().split())
@@ -35,11 +33,8 @@ def read_run_delay_s(pid: int) -> float | None:
 class Deadline:
     """Deadline of a process, extended by its waits for a core, up to :data:`MAX_STARVED_S`.
 
-    Args:
-        allowed_s: time from now to the deadline if the process never waits [s].
-        run_delay_s: reads the time that the process has waited for a core so far [s]; None where it is unknown, which
-            leaves the deadline where it is.
-        clock: monotonic time [s].
+    ``run_delay_s`` reads the time that the process has waited for a core so far [s]; None, where it is unknown, leaves
+    the deadline as given.
     """
 
     def __init__(
@@ -55,7 +50,7 @@ class Deadline:
         self._waited_before_s = run_delay_s()
 
     def left_s(self) -> float:
-        """Return the time to the deadline as it is now known [s]; zero or less once it has passed."""
+        """Return the time to the deadline by the waits so far [s]; zero or less once it has passed."""
         return self._allowed_s + self._starved_s() - (self._clock() - self._began_s)
 
     def _starved_s(self) -> float:
@@ -66,16 +61,7 @@ class Deadline:
 
 
 class Budget:
-    """Time left for one problem.
-
-    Args:
-        clock: monotonic time [s]; read on construction and at each check.
-        allowed_time_s: how long the problem may take [s].
-        should_stop: returns true once the request is cancelled.
-
-    Attributes:
-        should_stop: as given.
-    """
+    """Time left for one problem, from its construction on; ``should_stop`` is true once the request is cancelled."""
 
     def __init__(self, clock: Callable[[], float], allowed_time_s: float, should_stop: Callable[[], bool]) -> None:
         self._clock = clock
@@ -97,18 +83,13 @@ class Budget:
         """Return the budget of a part of the work, which has a share of the time that is left."""
         return Budget(self._clock, share * self.left_s, self.should_stop)
 
-    @property
-    def stopped(self) -> bool:
-        """True once the request is cancelled."""
-        return self.should_stop()
-
     def used_up(self) -> bool:
         """Tell whether to stop now."""
-        return self.stopped or self.spent_s >= self._allowed_time_s
+        return self.should_stop() or self.spent_s >= self._allowed_time_s
 
     def failure(self) -> PlanningFailure:
         """Return the reason for which planning stopped; to be called once the budget is used up."""
-        if self.stopped:
+        if self.should_stop():
             return preempted(self.spent_s)
         return PlanningFailure(
             MoveItErrorCode.TIMED_OUT,

@@ -1,6 +1,6 @@
 """Goals of a motion and constraints on its path: plain data in the robot's root link, SI units.
 
-Orientations are unit quaternions x, y, z, w. This module imports none of the planning libraries.
+Orientations are unit quaternions x, y, z, w. This module imports no planning library.
 """
 
 from __future__ import annotations
@@ -18,69 +18,44 @@ ZERO: Point = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class JointGoal:
-    """Bring joints to positions [rad]; joints of the group that are not named keep their start position.
+    """Bring joints to positions [rad]; joints of the group that are not named keep their start position."""
 
-    Attributes:
-        positions_rad: joint name -> position, met exactly where the limits allow it.
-        tolerance_rad: greatest distance of a position beyond its limit; the joint then goes to the limit.
-    """
-
-    positions_rad: Mapping[str, float]
-    tolerance_rad: float = 1e-4
+    positions_rad: Mapping[str, float]  # joint name -> position, met exactly where the limits allow it
+    tolerance_rad: float = 1e-4  # greatest distance of a position beyond its limit; the joint then goes to the limit
 
 
 @dataclass(frozen=True)
 class PositionGoal:
-    """Bring a point of ``link`` to a point of the planning frame, whatever the orientation.
-
-    Attributes:
-        position_m: x, y, z in the robot's root link [m].
-        tolerance_m: radius of the sphere around the point that counts as there [m].
-        offset_m: the point of the link, in the link's frame [m].
-    """
+    """Bring a point of ``link`` to a point of the planning frame, whatever the orientation."""
 
     link: str
-    position_m: Point
-    tolerance_m: float
-    offset_m: Point = ZERO
+    position_m: Point  # x, y, z in the robot's root link [m]
+    tolerance_m: float  # radius of the sphere around the point that counts as there [m]
+    offset_m: Point = ZERO  # the point of the link, in the link's frame [m]
 
 
 @dataclass(frozen=True)
 class AxisGoal:
-    """Bring the origin of ``link`` to a point with one axis of the link in a direction, as five joints can.
-
-    Attributes:
-        position_m: x, y, z in the robot's root link [m].
-        tolerance_m: radius of the sphere around the point that counts as there [m].
-        axis: unit vector in the link's frame.
-        direction: unit vector in the robot's root link that the axis shall have.
-        axis_tolerance_rad: greatest angle between them [rad].
-    """
+    """Bring the origin of ``link`` to a point with one axis of the link in a direction, as five joints can."""
 
     link: str
-    position_m: Point
-    tolerance_m: float
-    axis: Point
-    direction: Point
-    axis_tolerance_rad: float
+    position_m: Point  # x, y, z in the robot's root link [m]
+    tolerance_m: float  # radius of the sphere around the point that counts as there [m]
+    axis: Point  # unit vector in the link's frame
+    direction: Point  # unit vector in the robot's root link that the axis shall have
+    axis_tolerance_rad: float  # greatest angle between them [rad]
 
 
 @dataclass(frozen=True)
 class PoseGoal:
-    """Bring ``link`` to a pose.
-
-    Attributes:
-        pose: in the robot's root link.
-        position_tolerance_m: radius of the sphere around the position that counts as there [m].
-        orientation_tolerance_rad: greatest rotation about the link's x, y, z from the desired orientation [rad].
-        strict: True where an orientation outside its tolerance is a failure; else the position is met with the nearest
-            orientation, whose deviation is reported.
-    """
+    """Bring ``link`` to a pose."""
 
     link: str
-    pose: Pose
-    position_tolerance_m: float
-    orientation_tolerance_rad: Point
+    pose: Pose  # in the robot's root link
+    position_tolerance_m: float  # radius of the sphere around the position that counts as there [m]
+    orientation_tolerance_rad: Point  # greatest rotation about the link's x, y, z from the desired orientation [rad]
+    # True where an orientation outside its tolerance is a failure; else the position is met with the nearest
+    # orientation, whose deviation is reported.
     strict: bool = False
 
     @property
@@ -107,40 +82,24 @@ class JointConstraint:
 
 @dataclass(frozen=True)
 class PositionConstraint:
-    """A point of a link stays inside a box or sphere, as moveit_msgs/PositionConstraint with one region.
+    """A point of a link stays inside a box or sphere, as moveit_msgs/PositionConstraint with one region."""
 
-    Attributes:
-        link: the link.
-        region: where the region is, in the robot's root link.
-        half_size_m: half the box's edges [m], or None for a sphere.
-        radius_m: radius of the sphere [m], or None for a box.
-        offset_m: the point of the link, in the link's frame [m].
-        weight: its share where not all constraints can hold.
-    """
-
-    link: str
-    region: Pose
-    half_size_m: Point | None = None
-    radius_m: float | None = None
-    offset_m: Point = ZERO
-    weight: float = 1.0
+    link: str  # the link
+    region: Pose  # where the region is, in the robot's root link
+    half_size_m: Point | None = None  # half the box's edges [m], or None for a sphere
+    radius_m: float | None = None  # radius of the sphere [m], or None for a box
+    offset_m: Point = ZERO  # the point of the link, in the link's frame [m]
+    weight: float = 1.0  # its share where not all constraints can hold
 
 
 @dataclass(frozen=True)
 class OrientationConstraint:
-    """A link keeps an orientation, as moveit_msgs/OrientationConstraint with ROTATION_VECTOR tolerances.
+    """A link keeps an orientation, as moveit_msgs/OrientationConstraint with ROTATION_VECTOR tolerances."""
 
-    Attributes:
-        link: the link.
-        orientation: in the robot's root link.
-        tolerance_rad: greatest rotation about the link's x, y, z from it [rad]; pi or more leaves an axis free.
-        weight: its share where not all constraints can hold.
-    """
-
-    link: str
-    orientation: Quaternion
-    tolerance_rad: Point
-    weight: float = 1.0
+    link: str  # the link
+    orientation: Quaternion  # in the robot's root link
+    tolerance_rad: Point  # greatest rotation about the link's x, y, z from it [rad]; pi or more leaves an axis free
+    weight: float = 1.0  # its share where not all constraints can hold
 
 
 @dataclass(frozen=True)

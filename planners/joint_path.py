@@ -1,4 +1,4 @@
-"""Timing of a given path of the joints, such as one that was taught by hand, and its check as it will be executed.
+"""Timing of a given path of the joints, such as a path taught by hand, and its check as it will be executed.
 
 The path's parameter is time: the path is followed no faster than a share of that time says, and slower wherever the
 limits of the joints demand it.
@@ -15,10 +15,10 @@ from planners.budget import Budget
 from planners.geometry.certificate import Contact, certify
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
-from planners.motions.path_timing import MAX_DURATION_S, SplinePath, time_along
+from planners.motions.path_timing import MAX_DURATION_S, time_along
+from planners.motions.spline import NaturalSpline
 from planners.problem import JointPathProblem, MoveItErrorCode, Plan, PlanningFailure, RateLimits
 from robot.description.model import RobotModel
-from robot.description.srdf import Group
 from robot.trajectory import Trajectory
 
 METHOD = "given path"
@@ -38,16 +38,15 @@ def plan_joint_path(
     if refusal is not None:
         return refusal
     joints = [robot.joints[name] for name in problem.joint_names]
-    limits = RateLimits(
-        np.array([joint.max_velocity for joint in joints]), np.array([joint.max_acceleration for joint in joints])
-    )
-    path = SplinePath(problem.time_s, problem.positions_rad)
+    limits = RateLimits.of(joints)
+    path = NaturalSpline(problem.time_s, problem.positions_rad)
     motion = time_along(path, problem.joint_names, limits, np.full(len(path.grid), problem.speed))
     if budget.used_up():
         return budget.failure()
     if motion is None:
-        text = f"the path stands still, bends too sharply to be timed, or takes more than {MAX_DURATION_S:g} s"
-        return _invalid(text)
+        return _invalid(
+            f"the path stands still, bends too sharply to be timed, or takes more than {MAX_DURATION_S:g} s"
+        )
     refusal = _beyond_limits(motion, robot) or _contact(problem, motion, collision, budget.should_stop)
     if budget.used_up():
         return budget.failure()
@@ -86,16 +85,12 @@ def _beyond_limits(motion: Trajectory, robot: RobotModel) -> PlanningFailure | N
 def _contact(
     problem: JointPathProblem, motion: Trajectory, collision: CollisionModel, should_stop: Callable[[], bool]
 ) -> PlanningFailure | None:
-    start_rad = {
-        **problem.start_rad,
-        **dict(zip(motion.joint_names, motion.positions_rad[0].tolist(), strict=True)),
-    }
-    start_q = np.clip([start_rad[name] for name in collision.joint_names], collision.lower_rad, collision.upper_rad)
+    start_rad = {**problem.start_rad, **dict(zip(motion.joint_names, motion.positions_rad[0].tolist(), strict=True))}
+    start_q = collision.clipped(start_rad)
     contacts = collision.colliding_pairs(start_q)
     if checks.check_start_contact(contacts) is not None:
         return touching(Contact(0.0, tuple(contacts)))
-    group = Group("", motion.joint_names, "", "")
-    space = JointSpace(collision, group, start_q, collision.overlaps_m(start_q), should_stop=should_stop)
+    space = JointSpace(collision, motion.joint_names, start_q, collision.overlaps_m(start_q), should_stop=should_stop)
     found = certify(space, motion)
     return None if found is None else touching(found)
 

@@ -1,4 +1,4 @@
-"""Goal that works, nearest to one that does not: found among free configurations, and verified by a plan.
+"""Goal that works, near a goal that does not: found among free configurations, and verified by a plan.
 
 A joint goal in collision is moved out of the contact in many directions, and the shortest way out is taken. Otherwise a
 tree of free motions is grown from the start, and the goal is moved to the nearest of its configurations.
@@ -19,7 +19,7 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
 from planners.ik.goal_states import GoalQuery, GoalStates
-from planners.motions.path import CountedSpace, Project, Query, reachable
+from planners.motions.path import Project, Query, reachable
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
@@ -27,10 +27,10 @@ from robot.trajectory import Vector
 # Distances of the ways out of a contact that are tried, in travel of the fastest point [m].
 DISTANCES_M = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 
-# Bisections of the way between what is free and what is not.
+# Bisections of the way between a free point and a point that is not.
 HALVINGS = 5
 
-# Ways out of a contact, beside those of single joints and the way back to the start.
+# Ways out of a contact, beside the ways of single joints and the way back to the start.
 DIRECTIONS = 32
 DIRECTIONS_SEED = 3
 
@@ -74,11 +74,12 @@ def nearest_goal(
     beyond_limits = flaw is not None and "upper_rad" in flaw.details
     if (flaw is not None and not beyond_limits) or checks.check_start(robot, problem.start_rad) is not None:
         return None
-    start_q = np.array([problem.start_rad[name] for name in collision.joint_names])
-    start_q = np.clip(start_q, collision.lower_rad, collision.upper_rad)
+    start_q = collision.clipped(problem.start_rad)
     group, constraints = robot.groups[problem.group], problem.path_constraints
     holds = None if constraints is None or constraints.empty else states.condition_set(constraints).holds
-    space = JointSpace(collision, group, start_q, collision.overlaps_m(start_q), holds, should_stop=budget.should_stop)
+    space = JointSpace(
+        collision, group.joints, start_q, collision.overlaps_m(start_q), holds, should_stop=budget.should_stop
+    )
     search = _Search(problem, states, group, space, start_q, budget)
     for candidates, part in search.phases(problem.goal, around=code not in UNREACHED):
         for candidate in islice(candidates, TRIES):
@@ -100,14 +101,10 @@ def _are_numbers(goal: JointGoal) -> bool:
 def ways_out(
     space: JointSpace, point: Vector, start: Vector, moving: Vector, should_stop: Callable[[], bool]
 ) -> list[tuple[float, Vector]]:
-    """Return free points around one that is not, nearest first, with the greatest travel to there [m].
+    """Return free points around a point in contact, nearest first, with the greatest travel to there [m].
 
-    Args:
-        space: free points.
-        point: point in contact, shape (n,) [rad].
-        start: a free point, shape (n,) [rad].
-        moving: 1 for joints that may differ from the point, else 0, shape (n,).
-        should_stop: ends the search.
+    Points have the shape (n,) [rad]; ``start`` is free, and ``moving`` is 1 for joints that may differ from the point,
+    else 0.
     """
     found: list[tuple[float, Vector]] = []
     least_m = np.inf
@@ -229,21 +226,18 @@ class _Search:
         return point, np.array([float(name in goal.positions_rad) for name in self._group.joints])
 
     def _joint_goal(self, goal: JointGoal, point: Vector) -> JointGoal:
-        """Return a joint goal at another point, of the same joints."""
         rounded = np.clip(np.round(point, DIGITS), self._space.lower_rad, self._space.upper_rad)
         values = dict(zip(self._group.joints, rounded.tolist(), strict=True))
         return replace(goal, positions_rad={name: values[name] for name in goal.positions_rad})
 
     def _reachable(self, goals: Sequence[Vector]) -> Vector:
-        """Return points to which free motions lead, shape (m, n)."""
         constraints = self._problem.path_constraints
         project: Project = self._within_limits
         if constraints is not None and not constraints.empty:
             project = self._states.projection(self._group, constraints, self._start_q)
         budget = self._budget.share(TREE_SHARE)
-        space = CountedSpace(self._space, budget.used_up)
-        query = Query(space, self._start, goals, TREE_STEP_M)
-        return reachable(query, project, self._problem.seed, lambda: space.checks >= TREE_CHECKS or budget.used_up())
+        query, most = Query(self._space, self._start, goals, TREE_STEP_M), self._space.checks + TREE_CHECKS
+        return reachable(query, project, self._problem.seed, lambda: self._space.checks >= most or budget.used_up())
 
     def _within_limits(self, point: Vector) -> Vector:
         return np.clip(point, self._space.lower_rad, self._space.upper_rad)
@@ -258,12 +252,8 @@ class _Search:
 def spread(away_m: Vector, most: int) -> list[int]:
     """Choose points that are nearer to a goal than the first is, nearest first, each a step further off than the last.
 
-    Args:
-        away_m: distances of points from the goal, shape (m,) [m].
-        most: number of points that are enough.
-
-    Returns:
-        Their indices.
+    ``away_m`` are the distances of the points from the goal, shape (m,) [m]; the indices of ``most`` points at most are
+    returned.
     """
     chosen: list[int] = []
     limit_m = (1.0 - LEAST_GAIN) * float(away_m[0])

@@ -50,7 +50,6 @@ from planners.scene import Point, Scene
 from planners.servo.question import ServoQuestion
 from planners.servo.steering import answer_servo
 from robot.description.model import RobotModel
-from robot.description.srdf import Group
 from robot.trajectory import Trajectory, Vector
 
 NOTHING_TO_DO = "nothing to do"
@@ -66,14 +65,9 @@ SPARSE_STEP_M = 0.03
 
 
 class Planner:
-    """Plans for one robot.
+    """Plans for one robot; ``clock`` is the clock of allowed times, monotonic [s].
 
-    Args:
-        robot: the arm.
-        clock: of allowed times: monotonic [s].
-
-    Raises:
-        ShapeError: the robot's collision shapes cannot be used.
+    ShapeError: the collision shapes cannot be used.
     """
 
     def __init__(self, robot: RobotModel, clock: Callable[[], float] = time.monotonic) -> None:
@@ -101,34 +95,34 @@ class Planner:
             return preempted(self._clock() - began_s)
 
     def _answer(self, request: Request, should_stop: Callable[[], bool]) -> Answer:
-        robot, collision = self._robot, self._collision
+        robot, collision, states = self._robot, self._collision, self._states
+        plan = functools.partial(self.plan, should_stop=should_stop)
+
+        def budget(allowed_time_s: float) -> Budget:
+            return Budget(self._clock, allowed_time_s, should_stop)
+
         match request:
             case PlanningProblem():
-                return self.plan(request, should_stop)
+                return plan(request)
             case CartesianProblem():
-                budget = Budget(self._clock, request.allowed_time_s, should_stop)
-                return plan_cartesian(request, robot, collision, self._states.forward, budget)
+                return plan_cartesian(request, robot, collision, states.forward, budget(request.allowed_time_s))
             case JointPathProblem():
-                budget = Budget(self._clock, request.allowed_time_s, should_stop)
-                return plan_joint_path(request, robot, collision, budget)
+                return plan_joint_path(request, robot, collision, budget(request.allowed_time_s))
             case IkQuestion():
-                budget = Budget(self._clock, request.allowed_time_s, should_stop)
-                return answer_ik(request, robot, self._states, collision, budget)
+                return answer_ik(request, robot, states, collision, budget(request.allowed_time_s))
             case NearestGoalQuestion(problem):
-                budget = Budget(self._clock, request.allowed_time_s, should_stop)
-                plan = functools.partial(self.plan, should_stop=should_stop)
+                time = budget(request.allowed_time_s)
                 if isinstance(problem, CartesianProblem):
-                    return NearestGoalAnswer(nearest_end(problem, robot, collision, self._states.forward, plan, budget))
-                found = nearest_goal(problem, request.code, robot, self._states, collision, plan, budget)
-                return NearestGoalAnswer(found)
+                    return NearestGoalAnswer(nearest_end(problem, robot, collision, states.forward, plan, time))
+                return NearestGoalAnswer(nearest_goal(problem, request.code, robot, states, collision, plan, time))
             case StateQuestion():
-                return answer_state(request, robot, self._states, collision)
+                return answer_state(request, robot, states, collision)
             case RecheckQuestion():
                 return recheck(request, robot, collision, should_stop)
             case ConcurrencyQuestion():
                 return check_concurrency(request, robot, collision)
             case ServoQuestion():
-                return answer_servo(request, robot, collision, self._states.forward)
+                return answer_servo(request, robot, collision, states.forward)
 
     def plan(self, problem: PlanningProblem, should_stop: Callable[[], bool] = never) -> Plan | PlanningFailure:
         """Plan a motion that starts at the start, reaches the goal, keeps the limits and touches nothing."""
@@ -142,8 +136,7 @@ class Planner:
         refusal = checks.check_request(self._robot, problem) or checks.check_start(self._robot, problem.start_rad)
         if refusal is not None:
             return refusal
-        start_q = np.array([problem.start_rad[name] for name in self._collision.joint_names])
-        start_q = np.clip(start_q, self._collision.lower_rad, self._collision.upper_rad)
+        start_q = self._collision.clipped(problem.start_rad)
         contacts = self._collision.colliding_pairs(start_q)
         violations = self._states.condition_set(problem.path_constraints).violations(start_q)
         refusal = checks.check_start_contact(contacts) or (start_violates(violations) if violations else None)
@@ -153,61 +146,38 @@ class Planner:
         goals = self._states.find(problem.goal, GoalQuery(group, start_q, problem.path_constraints, budget))
         if isinstance(goals, PlanningFailure):
             return goals
-        return self._move(problem, start_q, goals, self._collision.overlaps_m(start_q), budget)
-
-    def _move(
-        self,
-        problem: PlanningProblem,
-        start_q: Vector,
-        goals: Sequence[GoalState],
-        allowed: Mapping[frozenset[str], float],
-        budget: Budget,
-    ) -> Plan | PlanningFailure:
-        task = self._task(problem, start_q, goals, allowed, budget.should_stop)
-        motion = find_motion(task, budget)
-        if isinstance(motion, PlanningFailure) or budget.stopped:
-            return motion if isinstance(motion, PlanningFailure) else budget.failure()
+        motion = find_motion(self._task(problem, start_q, goals, budget.should_stop), budget)
+        if isinstance(motion, PlanningFailure):
+            return motion
+        if budget.should_stop():
+            return budget.failure()
         method = motion.method if motion.trajectory.duration_s > 0.0 else NOTHING_TO_DO
         reached = goals[motion.goal]
         return Plan(motion.trajectory, method, budget.spent_s, reached.alternative, reached.deviation)
 
     def _task(
-        self,
-        problem: PlanningProblem,
-        start_q: Vector,
-        goals: Sequence[GoalState],
-        allowed: Mapping[frozenset[str], float],
-        should_stop: Callable[[], bool],
+        self, problem: PlanningProblem, start_q: Vector, goals: Sequence[GoalState], should_stop: Callable[[], bool]
     ) -> MotionTask:
-        group = self._robot.groups[problem.group]
-        constraints = problem.path_constraints
+        group, constraints = self._robot.groups[problem.group], problem.path_constraints
         holds = project = None
         if constraints is not None and not constraints.empty:
             holds = self._states.condition_set(constraints).holds
             project = self._states.projection(group, constraints, start_q)
-        configurations = [goal.q for goal in goals]
-        space = JointSpace(self._collision, group, start_q, allowed, holds, configurations, should_stop)
+        goals_q, allowed = [goal.q for goal in goals], self._collision.overlaps_m(start_q)
+        space = JointSpace(self._collision, group.joints, start_q, allowed, holds, goals_q, should_stop)
+        joints = [self._robot.joints[name] for name in group.joints]
         return MotionTask(
             space,
             group.joints,
-            self._rate_limits(problem),
+            RateLimits.of(joints, problem.velocity_scaling, problem.acceleration_scaling),
             space.point(start_q),
             np.array([problem.start_velocity_rad_s.get(name, 0.0) for name in group.joints]),
-            [space.point(q) for q in configurations],
+            [space.point(q) for q in goals_q],
             problem.seed,
             problem.attempts,
             problem.planner_id,
             problem.optimization_time_s,
             project,
-        )
-
-    def _rate_limits(self, problem: PlanningProblem) -> RateLimits:
-        joints = [self._robot.joints[name] for name in self._robot.groups[problem.group].joints]
-        jerks = np.array([np.inf if joint.max_jerk is None else joint.max_jerk for joint in joints])
-        return RateLimits(
-            problem.velocity_scaling * np.array([joint.max_velocity for joint in joints]),
-            problem.acceleration_scaling * np.array([joint.max_acceleration for joint in joints]),
-            jerks if np.any(np.isfinite(jerks)) else None,
         )
 
 
@@ -218,11 +188,9 @@ def answer_ik(
     refusal = checks.check_ik_question(robot, question) or checks.check_start(robot, question.start_rad)
     if refusal is not None:
         return refusal
-    start_q = np.array([question.start_rad[name] for name in collision.joint_names])
-    start_q = np.clip(start_q, collision.lower_rad, collision.upper_rad)
     query = GoalQuery(
         robot.groups[question.group],
-        start_q,
+        collision.clipped(question.start_rad),
         question.constraints,
         budget,
         wanted=SOLUTIONS,
@@ -278,8 +246,7 @@ def recheck(
     contacts = collision.colliding_pairs(now_q)
     if checks.check_start_contact(contacts) is not None:
         return RecheckAnswer(_contact(contacts, question.from_s), question.from_s)
-    group = robot.groups.get(question.group) or Group("", rest.joint_names, "", "")
-    space = JointSpace(collision, group, now_q, collision.overlaps_m(now_q), should_stop=should_stop)
+    space = JointSpace(collision, rest.joint_names, now_q, collision.overlaps_m(now_q), should_stop=should_stop)
     found = _sparse_contact(space, rest) or certify(space, rest)
     if found is None:
         return RecheckAnswer(None)
@@ -321,17 +288,12 @@ def _sparse_contact(space: JointSpace, motion: Trajectory) -> Contact | None:
     checked = np.flatnonzero(np.diff(np.floor(travel_m / SPARSE_STEP_M), prepend=0.0)) + 1
     before = 0
     for index in checked:
-        if not _free(space, motion.positions_rad[index]):
-            touching = (i for i in range(before + 1, index + 1) if not _free(space, motion.positions_rad[i]))
+        if not space.free_by_parts(motion.positions_rad[index]):
+            touching = (i for i in range(before + 1, index + 1) if not space.free_by_parts(motion.positions_rad[i]))
             first = next(touching)
             return Contact(float(motion.time_s[first]), space.contacts(motion.positions_rad[first]))
         before = int(index)
     return None
-
-
-def _free(space: JointSpace, point: Vector) -> bool:
-    """Return true if nothing touches at a point, by the parts where only hulls do."""
-    return space.free(point) or (space.refine_at(point) and space.free(point))
 
 
 def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFailure | None:
@@ -339,12 +301,11 @@ def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFai
     if refusal is not None:
         return refusal
     motion = question.trajectory
-    known = (
-        robot.groups[question.group].joints if question.group else tuple(joint.name for joint in robot.movable_joints)
-    )
-    named = motion.joint_names == known if question.group else set(motion.joint_names) <= set(known)
-    if not named:
-        return _invalid(f"a motion of {', '.join(motion.joint_names)} is none of the joints {', '.join(known)}")
+    known = tuple(joint.name for joint in robot.movable_joints)
+    if question.group:
+        known = robot.groups[question.group].joints
+    if not (motion.joint_names == known if question.group else set(motion.joint_names) <= set(known)):
+        return _invalid(f"a motion of {', '.join(motion.joint_names)} is no motion of the joints {', '.join(known)}")
     if not all(np.all(np.isfinite(part)) for part in (motion.time_s, motion.positions_rad, motion.velocities_rad_s)):
         return _invalid("the motion has numbers that are not finite")
     if not 0.0 <= question.from_s <= motion.duration_s:

@@ -44,15 +44,9 @@ READ_BYTES = 64 << 10
 
 
 class PlannerHost:
-    """Host of one pool of planners.
+    """Host of one pool of planners that a number of ``servers`` share.
 
-    Args:
-        robot: the arm to plan for.
-        address: path of the Unix socket; every user who can open it is trusted, so its folder is the user's alone.
-        servers: number of servers that share the planners.
-        active: number of motions that may be planned at the same time.
-        questions: number of questions that may be answered at the same time.
-        memory_limit_bytes: limit of each process's data [bytes].
+    Every user who can open the Unix socket at ``address`` is trusted, so its folder is the user's alone.
     """
 
     def __init__(
@@ -119,7 +113,6 @@ class _Connection:
         self._tasks: dict[int, asyncio.Task[None]] = {}
 
     def take(self, message: Any) -> None:
-        """Take a message of the server."""
         match message:
             case NewScene(scene):
                 self._scene.take(NewScene(dataclasses.replace(scene, version=next(self._versions))))
@@ -133,7 +126,6 @@ class _Connection:
                 self._tasks[number].cancel()
 
     def close(self) -> None:
-        """Cancel open requests."""
         for task in self._tasks.values():
             task.cancel()
 

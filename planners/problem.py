@@ -1,19 +1,22 @@
 """Requests to a planner and its answers: plain data that crosses process boundaries.
 
-Goals are defined in :mod:`planners.goals`, scenes in :mod:`planners.scene`. This module imports none of the planning
-libraries, so the server can describe problems without loading them.
+Goals are defined in :mod:`planners.goals`, scenes in :mod:`planners.scene`. This module imports no planning
+library, so the server can describe problems without loading them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
+import numpy as np
+
 from planners.goals import Constraints, Goal, JointGoal, PoseGoal, PositionGoal
 from planners.scene import Pose
 from planners.servo.question import ServoAnswer, ServoQuestion
+from robot.description.model import Joint
 from robot.trajectory import Trajectory, Vector
 
 # Searches that can be chosen by name: OMPL's, the default first. Those not here crash (AORRTC), start threads, which
@@ -88,6 +91,18 @@ class RateLimits:
     acceleration_rad_s2: Vector  # above 0 [rad/s^2]
     # Above 0, infinite for joints without such a limit; None when no joint has one [rad/s^3].
     jerk_rad_s3: Vector | None = None
+
+    @classmethod
+    def of(
+        cls, joints: Sequence[Joint], velocity_scaling: float = 1.0, acceleration_scaling: float = 1.0
+    ) -> RateLimits:
+        """Return the limits of joints, scaled by shares in (0, 1]."""
+        jerks = np.array([np.inf if joint.max_jerk is None else joint.max_jerk for joint in joints])
+        return cls(
+            velocity_scaling * np.array([joint.max_velocity for joint in joints]),
+            acceleration_scaling * np.array([joint.max_acceleration for joint in joints]),
+            jerks if np.isfinite(jerks).any() else None,
+        )
 
 
 @dataclass(frozen=True)

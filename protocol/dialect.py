@@ -65,7 +65,7 @@ def spell_type(type_name: str, dialect: Dialect) -> str:
     return f"{package}/{_MEMBER.sub('', others[-1])}" if others else package
 
 
-def to_ros1(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> dict[str, Any]:
+def to_ros1(registry: Registry, type_name: str, msg: Mapping[str, Any], sequence_number: int = 0) -> dict[str, Any]:
     """Spell a complete message as ROS 1 does.
 
     Values inside arrays and single primitives are passed on as they are, whatever an encoding made of them.
@@ -75,9 +75,15 @@ def to_ros1(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> dict[
         type_name: name of the message's type.
         msg: a message as `protocol.messages.complete` returns it; it is left as it was and may share parts
             with what is returned.
+        sequence_number: ``seq`` of the message's own header, which publishers of ROS 1 count from 1 (rospy/topics.py).
     """
     translate = _to_ros1(registry, registry.message(type_name).name)
-    return dict(msg) if translate is None else translate(msg)
+    spelled = dict(msg) if translate is None else translate(msg)
+    header = spelled.get("header")
+    if type(header) is dict and "seq" in header:
+        # uint32.
+        spelled["header"] = {**header, "seq": sequence_number % 2**32}
+    return spelled
 
 
 def from_ros1(registry: Registry, type_name: str, msg: object) -> Any:
@@ -158,13 +164,23 @@ def _from_ros1(registry: Registry, type_name: str) -> Translation:
     pairs = _pair(ours, declared_in_ros1(registry, ours.name))
     names = {theirs.name: field.name if field else None for theirs, field in pairs}
     steps = {field.name: _over(field, _from_ros1(registry, field.base)) for field in ours.fields if not field.primitive}
-    if not any(steps.values()) and all(name == our_name for name, our_name in names.items()):
+    # Defaults exist in ROS 2 alone: the w of a quaternion is 0 in ROS 1 (geometry_msgs/Quaternion.msg).
+    missing: dict[str, Any] = {
+        field.name: zero
+        for theirs, field in pairs
+        if field is not None and theirs.primitive and (zero := values.default(theirs)) != values.default(field)
+    }
+    for field in ours.fields:
+        step = steps.get(field.name) if field.array is None else None
+        if step is not None and (filled := step({})):
+            missing[field.name] = filled
+    if not any(steps.values()) and not missing and all(name == our_name for name, our_name in names.items()):
         return None
 
     def translate(msg: Any) -> Any:
         if type(msg) is not dict:
             return msg
-        spelled = {}
+        spelled = dict(missing)
         for name, value in msg.items():
             our_name = names.get(name, name)
             if our_name is None:

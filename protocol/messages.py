@@ -83,13 +83,19 @@ HEADER = "std_msgs/msg/Header"
 TIME = "builtin_interfaces/msg/Time"
 DURATION = "builtin_interfaces/msg/Duration"
 
-# Names of older types that clients send with ROS 2 types: type -> name sent -> name meant (None: nothing any more).
-_OLDER_NAMES: Mapping[str, Mapping[str, str | None]] = {
+# Names of other releases that clients send with ROS 2 types: type -> name sent -> name meant (None: nothing any more).
+_OTHER_NAMES: Mapping[str, Mapping[str, str | None]] = {
     TIME: {"secs": "sec", "nsecs": "nanosec"},
     DURATION: {"secs": "sec", "nsecs": "nanosec"},
     HEADER: {"seq": None},
-    # ROS 1 and Humble.
-    "moveit_msgs/msg/MotionPlanRequest": {"cartesian_speed_end_effector_link": "cartesian_speed_limited_link"},
+    "moveit_msgs/msg/MotionPlanRequest": {
+        # ROS 1 and Humble.
+        "cartesian_speed_end_effector_link": "cartesian_speed_limited_link",
+        # moveit_msgs 2.7.2, after Jazzy: only Pilz's POLYLINE reads it.
+        "smoothness_level": None,
+    },
+    # ROS 1, and the types of roslib 2.
+    "rosapi_msgs/srv/GetParam_Request": {"default": "default_value"},
     # ROS 1 before Noetic.
     "moveit_msgs/msg/PositionIKRequest": {"attempts": None},
 }
@@ -282,7 +288,7 @@ class _MessageShape:
 
     def __init__(self, name: str, shapes: Mapping[str, _Shape]) -> None:
         self._name = name
-        self._older_names = _OLDER_NAMES.get(name)
+        self._other_names = _OTHER_NAMES.get(name)
         # Bound methods, looked up once: this list is walked for every message of the type.
         self._fields = [(field, shape.complete, shape.default) for field, shape in shapes.items()]
 
@@ -290,8 +296,8 @@ class _MessageShape:
         """Complete the fields in order of declaration."""
         if type(value) is not dict:
             raise MessageError(self._name, describe(value))
-        if self._older_names:
-            value = self._translate(value, self._older_names)
+        if self._other_names:
+            value = self._translate(value, self._other_names)
         completed = {}
         # Counting the fields found tells whether there are unknown ones without looking for them in every message.
         found = 0
@@ -312,13 +318,13 @@ class _MessageShape:
         """Return a message of defaults."""
         return {name: default(received) for name, _, default in self._fields}
 
-    def _translate(self, value: dict[str, Any], older_names: Mapping[str, str | None]) -> dict[str, Any]:
+    def _translate(self, value: dict[str, Any], other_names: Mapping[str, str | None]) -> dict[str, Any]:
         # Nearly every message is in ROS 2 spelling already and needs no copy.
-        if older_names.keys().isdisjoint(value):
+        if other_names.keys().isdisjoint(value):
             return value
         translated = {}
         for name, content in value.items():
-            meant = older_names.get(name, name)
+            meant = other_names.get(name, name)
             if meant is None:
                 continue
             # A stamp with both spellings is one of ROS 2 that serves clients of ROS 1 too.

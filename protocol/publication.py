@@ -203,6 +203,9 @@ class PublishedMessage:
         publisher: who published it, for those whom it concerns.
         cost_bytes: what to encode it costs, as an amount of JSON [bytes]; None to find out.
         light: True for a message that is encoded as JSON quickly, however large it is.
+
+    Attributes:
+        sequence_number: number of the topic's messages up to this one, for ROS 1's ``header.seq``.
     """
 
     __slots__ = (
@@ -214,6 +217,7 @@ class PublishedMessage:
         "_received",
         "_registry",
         "publisher",
+        "sequence_number",
         "topic",
         "type_name",
     )
@@ -233,6 +237,7 @@ class PublishedMessage:
         self.topic = topic
         self.type_name = type_name
         self.publisher = publisher
+        self.sequence_number = 0
         self._registry = registry
         self._cost_bytes = cost_bytes
         self._light = light
@@ -351,12 +356,14 @@ class PublishedMessage:
             return self._encode_json(self.msg)
         known = self._registry.knows(self.type_name)
         if encoding == "cbor-raw" and known:
-            serialize = ros1_serialization.serialize if dialect == "ros1" else cdr.serialize
-            octets = serialize(self._registry, self.type_name, self.msg)
+            if dialect == "ros1":
+                octets = ros1_serialization.serialize(self._registry, self.type_name, self.msg, self.sequence_number)
+            else:
+                octets = cdr.serialize(self._registry, self.type_name, self.msg)
             return cbor.encode({"secs": self.received.sec, "nsecs": self.received.nanosec, "bytes": octets})
         msg = self._packed(encoding) if known else self.msg
         if known and dialect == "ros1":
-            msg = to_ros1(self._registry, self.type_name, msg)
+            msg = to_ros1(self._registry, self.type_name, msg, self.sequence_number)
         return {"none": self._encode_json, "bson": bson.encode}.get(encoding, cbor.encode)(msg)
 
     def _encode_json(self, msg: Mapping[str, Any]) -> bytes:

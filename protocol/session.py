@@ -106,10 +106,16 @@ class Session:
         subscriptions: the topics the client has subscribed to.
         status_level: which status messages the client gets, one of `LEVELS`.
         dialect: the spelling of messages that go to the client.
+        newest_only: True where a subscription begins with the newest of the messages before it, at most.
     """
 
     def __init__(
-        self, limits: Limits | None = None, dialect: Dialect = "ros2", budget: SendBudget | None = None
+        self,
+        limits: Limits | None = None,
+        dialect: Dialect = "ros2",
+        budget: SendBudget | None = None,
+        *,
+        newest_only: bool = False,
     ) -> None:
         self.limits = limits or Limits()
         self.publications = Publications(self.limits.max_publications)
@@ -117,6 +123,7 @@ class Session:
         # None asked for: some clients log a traceback for every status message.
         self.status_level = "none"
         self.dialect = dialect
+        self.newest_only = newest_only
         self._send_queue = SendQueue(self.limits, budget)
         self._reader = FrameReader(self.limits)
         self._reassembly = framing.Reassembly(self.limits)

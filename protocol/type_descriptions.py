@@ -128,12 +128,19 @@ def _literal(value: Scalar | tuple[Scalar, ...]) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
+# Names of primitive types in rosapi's TypeDefs for ROS 2, which come from rosidl_parser.
+_IDL_NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
+
+
 def _typedef(message_type: MessageType, dialect: Dialect) -> dict[str, Any]:
     fields, constants = message_type.fields, message_type.constants
     return {
         "type": _spell(message_type.name, dialect),
         "fieldnames": [field.name for field in fields],
-        "fieldtypes": [_spell(field.base, dialect) for field in fields],
+        "fieldtypes": [
+            _spell(field.base if dialect == "ros1" else _IDL_NAMES.get(field.base, field.base), dialect)
+            for field in fields
+        ],
         "fieldarraylen": [_array_length(field.array) for field in fields],
         "examples": [_example(field) for field in fields],
         "constnames": [constant.name for constant in constants],

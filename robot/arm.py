@@ -14,11 +14,11 @@ import contextlib
 import itertools
 import logging
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from robot.arm_interface import ArmInterface
 from robot.calibration import Calibration
 from robot.logs import LogLimiter
 from robot.messages import (
@@ -97,19 +97,35 @@ def start_arm_process(name: str = "") -> StartedChild:
     return StartedChild("robot.control.loop", name)
 
 
-async def wait_on_clock(arm: ArmInterface, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
-    """Wait until all of some futures are done, for a time on an arm's clock; see :meth:`Arm.wait`."""
-    until_s = arm.clock_s + timeout_s
-    while (pending := [end for end in ends if not end.done()]) and arm.clock_s < until_s:
-        if arm.state_age_s > SILENT_S:
-            break
-        # The arm's clock is never faster than the machine's. The first wait lasts all of the time, so that states that
-        # come late to a server that stood still cut nothing short.
-        await asyncio.wait(pending, timeout=max(until_s - arm.clock_s, HEARTBEAT_S))
-    return all(end.done() for end in ends)
+class ArmClock(ABC):
+    """Clock of an arm, on which waits for it count."""
+
+    @property
+    @abstractmethod
+    def state_age_s(self) -> float:
+        """Age of the latest state [s]."""
+
+    @property
+    @abstractmethod
+    def clock_s(self) -> float:
+        """Clock of the arm's control loop, from the latest state [s]."""
+
+    async def wait(self, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
+        """Wait until all of some futures are done; return True when they are.
+
+        The time counts on the arm's clock; a silent arm is waited for :data:`SILENT_S` at most.
+        """
+        until_s = self.clock_s + timeout_s
+        while (pending := [end for end in ends if not end.done()]) and self.clock_s < until_s:
+            if self.state_age_s > SILENT_S:
+                break
+            # The arm's clock is never faster than the machine's. The first wait lasts all of the time, so that states
+            # that come late to a server that stood still cut nothing short.
+            await asyncio.wait(pending, timeout=max(until_s - self.clock_s, HEARTBEAT_S))
+        return all(end.done() for end in ends)
 
 
-class Arm:
+class Arm(ArmClock):
     """Arm driven by the arm process, which is restarted when it dies; motions and orders in progress then end.
 
     Args:
@@ -211,13 +227,6 @@ class Arm:
     def clock_s(self) -> float:
         """Clock of the arm's control loop, from the latest state [s]."""
         return self.state.clock_s
-
-    async def wait(self, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
-        """Wait until all of some futures are done; return True when they are.
-
-        The time counts on the arm's clock; a silent arm is waited for :data:`SILENT_S` at most.
-        """
-        return await wait_on_clock(self, ends, timeout_s)
 
     def execute(
         self,

@@ -11,12 +11,11 @@ import functools
 import itertools
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from robot.arm import Arm, wait_on_clock
-from robot.arm_interface import ArmInterface, StreamInterface
+from robot.arm import Arm, ArmClock, ArmStream
 from robot.calibration import Calibration
 from robot.errors import OrderRefused
 from robot.faults import Fault
@@ -54,7 +53,7 @@ _OUTCOMES_BY_WEIGHT = (
 )
 
 
-class ArmGroup:
+class ArmGroup(ArmClock):
     """Several arms by their names and joints, moved as one; leaders are moved by hand, and enabled by name alone."""
 
     def __init__(self, arms: Mapping[str, tuple[Arm, tuple[str, ...]]], leaders: Collection[str] = ()) -> None:
@@ -109,7 +108,7 @@ class ArmGroup:
         """Process ids of all."""
         return tuple(pid for arm in self._arms.values() for pid in arm.pids)
 
-    def part(self, joint_names: Collection[str]) -> ArmInterface:
+    def part(self, joint_names: Collection[str]) -> AnyArm:
         """Return the arm, or the arms together, that have some joints."""
         names = frozenset(self._arm_of[joint] for joint in joint_names if joint in self._arm_of)
         if len(names) == 1:
@@ -139,10 +138,6 @@ class ArmGroup:
     async def close(self) -> None:
         """Bring each arm to its end state and end the processes, as :meth:`robot.arm.Arm.close`."""
         await self._each(lambda arm: arm.close())
-
-    async def wait(self, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
-        """Wait until all of some futures are done, on the clock of the slowest arm."""
-        return await wait_on_clock(self, ends, timeout_s)
 
     # Motions.
 
@@ -211,7 +206,7 @@ class ArmGroup:
         begun = [one for one in moving if one is not None]
         return min(begun, key=lambda one: one.fraction) if begun and len(begun) == len(moving) else None
 
-    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> StreamInterface:
+    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> ArmStream:
         """Begin a stream of velocity setpoints; raise OrderRefused for joints of several arms."""
         part = self.part(joint_names)
         if isinstance(part, ArmGroup):
@@ -262,6 +257,10 @@ class ArmGroup:
 
     async def _each(self, act: Callable[[Arm], Coroutine[Any, Any, Any]]) -> Sequence[Any]:
         return await asyncio.gather(*(act(arm) for arm in self._arms.values()))
+
+
+# Arm that is moved.
+AnyArm: TypeAlias = Arm | ArmGroup
 
 
 def _joined_end(ends: Mapping[str, MotionEnded]) -> MotionEnded:

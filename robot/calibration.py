@@ -28,11 +28,6 @@ TICKS_PER_TURN = 4096
 MAX_TICK = TICKS_PER_TURN - 1
 RAD_PER_TICK = 2.0 * math.pi / TICKS_PER_TURN
 
-# Register HOMING_OFFSET of an STS3215 has 11 bits and a sign; a Dynamixel's counts up to 255 turns (e-manual, Homing
-# Offset (20)), and lerobot writes whole turns into it where the servo had counted some.
-MAX_HOMING_OFFSET = 2047
-MAX_HOMING_OFFSET_OF_TURNS = 1_044_479
-
 # Distance of an ideal arm's end stops beyond the URDF's limits, which it can thus reach. The gripper's range is the
 # URDF's by definition.
 NOMINAL_OVERTRAVEL_RAD = 0.05
@@ -294,7 +289,7 @@ def _joint(file: str, servo: ServoSpec, entry: object) -> JointCalibration:
             )
         return value
 
-    most = MAX_HOMING_OFFSET if servo.model == "sts3215" else MAX_HOMING_OFFSET_OF_TURNS
+    most = servo.max_homing_offset
     range_min, range_max = number("range_min", 0, MAX_TICK), number("range_max", 0, MAX_TICK)
     if range_min >= range_max:
         raise CalibrationError(

@@ -223,8 +223,11 @@ def _with_channel(start: Callable[[socket.socket, socket.socket], Process]) -> t
             raise
 
 
-class Child:
-    """Running child process, and the server's end of its channel; both callbacks run in the event loop."""
+class Child(asyncio.Protocol):
+    """Running child process, and the server's end of its channel; both callbacks run in the event loop.
+
+    Messages are delivered as they are read: a task would first wait for its turn in the event loop.
+    """
 
     def __init__(
         self,
@@ -235,12 +238,15 @@ class Child:
         niceness: int = 0,
     ) -> None:
         self._on_message = on_message
+        self._on_exit = on_exit
         started.adopted = True
         self._process, self._socket = started.process, started.socket
+        self._decoder = Decoder()
+        self._transport: asyncio.Transport | None = None
+        self._ended = asyncio.Event()
         if niceness:
             with contextlib.suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, self._process.pid, niceness)
-        self._link = _Link(self._deliver, self._process, on_exit)
 
     @property
     def pid(self) -> int:
@@ -263,7 +269,7 @@ class Child:
     async def connect(self) -> None:
         """Begin to read the child's messages; a child that cannot be read is killed."""
         try:
-            await asyncio.get_running_loop().create_unix_connection(lambda: self._link, sock=self._socket)
+            await asyncio.get_running_loop().create_unix_connection(lambda: self, sock=self._socket)
         except BaseException:
             self._process.kill()
             self._socket.close()
@@ -273,10 +279,14 @@ class Child:
 
     def send(self, message: object) -> None:
         """Queue a message for the child; dropped before :meth:`connect` and after the child's end."""
-        self._link.write(encode(message))
+        if self._transport is not None and not self._transport.is_closing():
+            self._transport.write(encode(message))
 
     async def wait(self, timeout_s: float) -> None:
-        """Wait for the child's end; kill it after ``timeout_s``, or when the wait is cancelled."""
+        """Wait for the child's end; kill it after ``timeout_s``, or when the wait is cancelled.
+
+        On return its last messages have been delivered, and ``on_exit`` was called.
+        """
         try:
             if not await has_ended(self._process, timeout_s):
                 log.warning("process %d has not ended within %g s and is killed", self.pid, timeout_s)
@@ -285,34 +295,20 @@ class Child:
         except asyncio.CancelledError:
             self._process.kill()
             raise
-        await self._link.close()
+        if self._transport is None:
+            return
+        # The child's end ends the socket too, behind its last message.
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._ended.wait(), LAST_MESSAGES_S)
+        self._transport.close()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._ended.wait(), CLOSE_TIMEOUT_S)
 
     async def kill(self) -> None:
         """Kill the child."""
         if self.running:
             self._process.kill()
         await self.wait(KILL_TIMEOUT_S)
-
-    def _deliver(self, message: Any) -> None:
-        try:
-            self._on_message(message)
-        except Exception:  # a bug in handling one message must not close the channel
-            log.exception("serving a message of process %d failed", self.pid)
-
-
-class _Link(asyncio.Protocol):
-    """Protocol of one child's socket.
-
-    Messages are delivered as they are read: a task would first wait for its turn in the event loop.
-    """
-
-    def __init__(self, on_message: Callable[[Any], None], process: Process, on_end: Callable[[], None]) -> None:
-        self._on_message = on_message
-        self._process = process
-        self._on_end = on_end
-        self._decoder = Decoder()
-        self._transport: asyncio.Transport | None = None
-        self._ended = asyncio.Event()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Keep the transport."""
@@ -323,42 +319,27 @@ class _Link(asyncio.Protocol):
         try:
             messages = self._decoder.feed(data)
         except Exception:  # unpickling may raise anything; the end must be reported all the same
-            log.exception("process %d sent what is no message, and is ended", self._process.pid)
+            log.exception("process %d sent what is no message, and is ended", self.pid)
             self._process.kill()
-            self._unlink()
+            if self._transport is not None:
+                self._transport.close()
             return
         for message in messages:
             if isinstance(message, LogLine):
                 logs.pass_on(message)
             else:
-                self._on_message(message)
+                self._deliver(message)
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - the base class's signature
         """Report the end of the channel."""
         self._ended.set()
-        self._on_end()
+        self._on_exit()
 
-    def write(self, data: bytes) -> None:
-        """Send, unless the socket is closed or not yet connected."""
-        if self._transport is not None and not self._transport.is_closing():
-            self._transport.write(data)
-
-    async def close(self) -> None:
-        """Close the socket of a child that has ended, and wait until ``on_end`` was called.
-
-        What the child has sent before its end is delivered first: its end ends the socket too, behind the last message.
-        """
-        if self._transport is None:
-            return
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._ended.wait(), LAST_MESSAGES_S)
-        self._unlink()
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._ended.wait(), CLOSE_TIMEOUT_S)
-
-    def _unlink(self) -> None:
-        if self._transport is not None:
-            self._transport.close()
+    def _deliver(self, message: Any) -> None:
+        try:
+            self._on_message(message)
+        except Exception:  # a bug in handling one message must not close the channel
+            log.exception("serving a message of process %d failed", self.pid)
 
 
 async def has_ended(process: Process, timeout_s: float) -> bool:

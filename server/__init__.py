@@ -1,4 +1,8 @@
-"""The server: rosbridge clients on one side, planners and the arm on the other."""
+"""The server: rosbridge clients on one side, planners and the arm on the other.
+
+An argument ``clock`` or ``now_s`` is monotonic time [s], ``wall_clock`` seconds since the epoch; ``call_later`` calls a
+function after a delay, as :mod:`server.timers` does.
+"""
 
 import os
 

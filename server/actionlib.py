@@ -23,7 +23,7 @@ from server.timers import CallLater
 
 GoalId: TypeAlias = Mapping[str, Any]
 
-# actionlib's status_list_timeout: for so long the status of a goal that has ended is still told.
+# actionlib's status_list_timeout: time for which the status of an ended goal is still published [s].
 ENDED_KEPT_S = 5.0
 
 # Far more than anybody waits for; further goals are rejected.
@@ -33,7 +33,7 @@ ZERO = Stamp(0, 0)
 
 
 class Status(IntEnum):
-    """Values of actionlib_msgs/GoalStatus that are told here."""
+    """Values of actionlib_msgs/GoalStatus that are published here."""
 
     PENDING = 0
     ACTIVE = 1
@@ -49,13 +49,7 @@ STATUS_OF_END = {GoalStatus.SUCCEEDED: Status.SUCCEEDED, GoalStatus.CANCELED: St
 
 @dataclass(frozen=True)
 class Tracked:
-    """A goal.
-
-    Attributes:
-        goal_id: its actionlib_msgs/GoalID, complete.
-        text: a sentence about that.
-        ended_s: when it ended [s], None while it has not.
-    """
+    """A goal."""
 
     goal_id: GoalId
     status: Status = Status.PENDING
@@ -73,11 +67,7 @@ class Tracked:
 
 
 class TrackedGoals:
-    """All goals of one action that have not been forgotten.
-
-    Args:
-        action: name of the action, for the ids of goals that have none.
-    """
+    """All goals of one action that have not been forgotten."""
 
     def __init__(self, action: str) -> None:
         self._action = action
@@ -93,8 +83,7 @@ class TrackedGoals:
         """Take a goal on.
 
         Args:
-            goal_id: as its client gave it; without an id it gets one, without a stamp that of now.
-            now: wall-clock time.
+            goal_id: as its client gave it; without an id it gets one, without a stamp the present time.
 
         Returns:
             The goal; None when its id is known already.
@@ -130,7 +119,7 @@ class TrackedGoals:
     def to_cancel(self, goal_id: GoalId) -> list[str]:
         """Return the goals that a message on the topic ``cancel`` selects.
 
-        All of them when it says nothing; else that of its id, and all that are no younger than its stamp.
+        All of them when it has neither id nor stamp; else the goal of its id, and all goals no younger than its stamp.
         """
         stamp, name = _stamp(goal_id), goal_id["id"]
         everything = not name and stamp == ZERO
@@ -175,12 +164,7 @@ def has_actionlib_types(registry: Registry, type_name: str) -> bool:
 
 
 class ActionlibBridge:
-    """Keeps the topics of several actions.
-
-    Args:
-        clock: monotonic time [s].
-        call_later: does something after a delay.
-    """
+    """Keeps the topics of several actions."""
 
     def __init__(self, graph: Graph, clock: Callable[[], float], call_later: CallLater) -> None:
         self._graph = graph
@@ -203,12 +187,7 @@ class ActionlibBridge:
 
 
 class BridgedAction:
-    """The topics of one action.
-
-    Args:
-        type_name: canonical name of its type.
-        clock: monotonic time [s].
-    """
+    """The topics of one action."""
 
     def __init__(self, graph: Graph, name: str, type_name: str, clock: Callable[[], float]) -> None:
         self._graph = graph

@@ -54,7 +54,7 @@ from server.zenoh.bridge import bridge_of
 
 log = logging.getLogger("armbridge")
 
-# Longest stop of all parts together, but for the arm's end [s].
+# Longest stop of all parts together, without the arm's end [s].
 STOP_TOTAL_S = 2.6
 
 # More than the arm's handle gives its process [s].
@@ -63,11 +63,7 @@ ARM_STOP_S = CLOSE_LIMIT_S + 10.0
 
 @dataclass(frozen=True)
 class Inherited:
-    """Parts of a server that the process which has forked it made for several.
-
-    Attributes:
-        planners: path of the socket of the planners' host.
-    """
+    """Parts of a server that the process which has forked it made for several."""
 
     description: Description
     planners: Path
@@ -75,11 +71,6 @@ class Inherited:
 
 def serve(settings: Settings, arm_process: StartedChild | None = None, inherited: Inherited | None = None) -> None:
     """Run the server until SIGINT or SIGTERM.
-
-    Args:
-        settings: everything that can be chosen.
-        arm_process: the arm's process, if it was started ahead.
-        inherited: parts that are made already; None for a server on its own.
 
     Raises:
         ConfigurationError: settings that contradict each other or the robot.
@@ -102,26 +93,14 @@ def serve(settings: Settings, arm_process: StartedChild | None = None, inherited
 
 @dataclass(frozen=True)
 class NewStart:
-    """Start of the server in place of one that has ended: the arm was calibrated.
-
-    Attributes:
-        settings: everything that can be chosen.
-    """
+    """Start of the server after its predecessor has ended: the arm was calibrated."""
 
     settings: Settings
     recalibrated: Recalibrated
 
 
 class App:
-    """The server: its context, and the list of its features; made in the event loop in which it runs.
-
-    Args:
-        settings: everything that can be chosen.
-        arm_process: the arm's process, if it was started ahead.
-        inherited: parts that are made already; None for a server on its own.
-        recalibrated: calibration that the server before this one has written; None for the first.
-        notifier: notifier of systemd; None for a server that is not its service.
-    """
+    """The server: its context, and the list of its features; made in the event loop in which it runs."""
 
     def __init__(
         self,
@@ -184,7 +163,7 @@ class App:
             # Restored before anybody can see it, and written when nobody can change it any more.
             PlanningScene(context),
             ArmControl(context),
-            # The port before the processes: none of them, and no arm, is needed when it is taken.
+            # The port before the processes: when the port is taken, no process and no arm is needed.
             self._clients,
             Part("planners", self._pool.start, self._pool.close, 0.4),
             # It has its own limits, by its own clock: a simulated arm is slow where the machine is busy.
@@ -197,7 +176,7 @@ class App:
             # Clients are answered from here on; goals that they send wait for the arm.
             Part("connections", self._clients.listener.open),
             Part("the arm's first state", self._wait_for_arm),
-            # Loaded meanwhile; whoever is told that the server is ready need not wait for them.
+            # Loaded meanwhile: a client of a ready server need not wait for them.
             Part("the planners' first plans", self._wait_for_planners),
             *parkings.last_clients,
             BackgroundTask("memory", self._memory.run),
@@ -270,7 +249,6 @@ class App:
 
 
 def _what_arm_runs(served: ServedArm) -> str:
-    """Return what the log says at the start about an arm."""
     arm, serial, description = served.arm, served.settings.serial, served.description
     bus = f"on {serial}" if serial is not None else "simulated"
     if description.calibration is None:

@@ -20,6 +20,7 @@ from server.commands.classroom import add_classroom_parser
 from server.commands.config import add_config_parser, add_systemd_unit_parser
 from server.commands.export import add_export_parser
 from server.commands.leader import add_leader_parser
+from server.commands.options import guarded
 from server.commands.plan import add_plan_parser
 from server.commands.report import add_report_parser
 from server.commands.robot import add_robot_parser
@@ -63,8 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # What stands behind an option that does not exist is not known either.
         wrong = [each.partition("=")[0] for each in others if each.startswith("-")] or others
         parser.error("; ".join(unknown(each, known) for each in wrong))
-    code: int = options.run(options)
-    return code
+    return guarded(lambda terminal: options.run(options, terminal))
 
 
 def run_process() -> NoReturn:

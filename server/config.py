@@ -244,7 +244,7 @@ class GoalSettings(SettingsSection):
     # The goals behind it wait as long.
     confirm_timeout_s: float = Field(default=120.0, ge=1.0, le=3600.0)
     """a goal that is not confirmed within this time is answered TIMED_OUT [s]."""
-    # Whoever pauses a motion to look at something is back by then.
+    # A person who pauses a motion to look at something is back by then.
     max_paused_s: float = Field(default=600.0, ge=1.0, le=86_400.0)
     """a goal that was paused or going back for longer, all times together, is given up [s]."""
     # The arm process plays half an hour of points at 100 Hz; an action's goal is over after an hour.
@@ -290,11 +290,7 @@ class DiagnosticsSettings(SettingsSection):
     """where they are kept; None for a folder in the user's data directory."""
 
     def directory(self, data: Path) -> Path:
-        """Return the directory of the files about faults.
-
-        Args:
-            data: directory of the server's files.
-        """
+        """Return the directory of the files about faults."""
         return self.fault_directory or data / "faults"
 
 
@@ -336,7 +332,6 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _arms_have_their_own(self) -> Settings:
-        """Refuse arms whose names, ports or sockets are not their own."""
         if self.arms and self.arm != ArmSettings():
             raise ValueError("arm: with several arms each has its settings in its own section, as [arms.left]")
         for name, other in itertools.permutations(self.arms, 2):

@@ -41,12 +41,7 @@ class Setting:
     """One setting.
 
     Attributes:
-        key: its name with those of its sections, as in ``server.port``.
-        meaning: what it does, a sentence.
-        unit: of its value; empty without one.
         range: which values it takes; empty where the meaning alone says so.
-        default: its value when nobody sets it, as it stands in a message.
-        is_number: True if its value is a number.
     """
 
     key: str
@@ -68,11 +63,7 @@ class Setting:
 
 
 def every_field(model: type[BaseModel], above: str = "") -> Iterator[tuple[str, type[BaseModel], FieldInfo]]:
-    """Yield the key of each setting of a model and of the sections in it, with the section's class and the field.
-
-    Args:
-        above: the sections that it stands in, each with a dot behind it.
-    """
+    """Yield the key of each setting of a model and of the sections in it, with the section's class and the field."""
     sections = []
     for name, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
@@ -108,7 +99,7 @@ def every_setting(model: type[BaseModel]) -> Iterator[Setting]:
 def nearest(key: str, known: Sequence[str]) -> str:
     """The known key that was probably meant; empty when none is like it."""
     name = _name(key)
-    # The right name in the wrong section, or in none, tells more than the section does.
+    # The right name in a wrong section, or without one, is a better hint than the section.
     same_name = [each for each in known if _name(each) == name]
     found = difflib.get_close_matches(key, same_name or known, n=1, cutoff=0.0 if same_name else LIKENESS)
     if found:
@@ -132,12 +123,7 @@ def unknown(key: str, known: Sequence[str], spelling: Callable[[str], str] = str
 
 
 def flattened(values: Mapping[str, Any], tables: frozenset[str], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Nested values as keys with dots.
-
-    Args:
-        tables: keys whose values are mappings themselves.
-        above: the sections that they stand in, each with a dot behind it.
-    """
+    """Nested values as keys with dots."""
     for name, value in values.items():
         key = f"{above}{name}"
         if isinstance(value, Mapping) and key not in tables:
@@ -188,11 +174,7 @@ _HEAD = "# Every setting of armbridge at its default. Keep the lines that you ch
 
 
 def template(settings: Iterable[Setting]) -> str:
-    """The text of the file, in TOML.
-
-    Args:
-        settings: those that it shows, each section's in one piece.
-    """
+    """The text of the file, in TOML."""
     lines = [_HEAD]
     for section, inside in groupby(settings, key=lambda setting: setting.section):
         lines += ["", f"[{section}]"] if section else [""]
@@ -202,11 +184,7 @@ def template(settings: Iterable[Setting]) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """A value as TOML writes it.
-
-    Args:
-        value: a text, number or boolean, or a mapping or list of such.
-    """
+    """A value as TOML writes it."""
     if isinstance(value, Mapping):
         inner = ", ".join(f"{json.dumps(str(key))} = {toml_value(each)}" for key, each in value.items())
         return f"{{ {inner} }}" if inner else "{}"

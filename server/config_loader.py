@@ -1,4 +1,4 @@
-"""Reads the settings from a TOML file, the environment and the command line, and tells who has set which."""
+"""Reads the settings from a TOML file, the environment and the command line, and notes the source of each."""
 
 from __future__ import annotations
 
@@ -27,10 +27,6 @@ def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
 
 def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Settings, dict[str, str]]:
     """Read the settings, and tell who has set which.
-
-    Args:
-        file: a TOML file, or None.
-        overrides: section -> key -> value from the command line.
 
     Returns:
         The settings, and by key, as in ``server.port``: ``file``, ``environment`` or ``command line``, for those that
@@ -81,7 +77,6 @@ def known_keys() -> list[str]:
 
 
 def _keys_of_arm(name: str) -> list[str]:
-    """Every key of one of several arms."""
     return [f"arms.{name}.{key}" for key, _, _ in every_field(NamedArmSettings)]
 
 

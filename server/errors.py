@@ -25,11 +25,7 @@ class ServerError(Exception):
 
 
 class GraphError(ServerError):
-    """An operation that the graph refuses.
-
-    Attributes:
-        name: the topic, service or action.
-    """
+    """An operation that the graph refuses."""
 
     def __init__(self, kind: Literal["topic", "service", "action"], name: str, message: str) -> None:
         super().__init__(f"{kind} {name}: {message}")

@@ -35,7 +35,7 @@ async def nothing() -> None:
 
 @dataclass(frozen=True)
 class Part:
-    """A step of the start, with its counterpart of the stop; the attributes are those of :class:`Feature`."""
+    """A step of the start, with its counterpart of the stop; its attributes are explained in :class:`Feature`."""
 
     name: str
     start: Callable[[], Awaitable[None]] = nothing
@@ -47,11 +47,10 @@ class Part:
 class Feature:
     """One capability of the server: complete when constructed, started once and stopped once.
 
-    A method that a feature does not have does nothing. Features with the states of arms get those of each by its name;
+    A method that a feature does not have does nothing. Features with the states of arms get each arm's by its name;
     the empty name stands for the only arm, or for all arms together.
 
     Attributes:
-        name: its name in the log.
         deadline_s: longest time for the stop [s].
         beyond_total: True where the time of its stop does not count towards the total of all.
     """
@@ -79,12 +78,7 @@ class Feature:
 
 
 class Together(Feature):
-    """Features that are started in order, and stopped in reverse within one deadline.
-
-    Args:
-        name: their name in the log.
-        deadline_s: longest time for the stop of all [s].
-    """
+    """Features that are started in order, and stopped in reverse within one deadline."""
 
     def __init__(self, name: str, features: Sequence[Feature], deadline_s: float) -> None:
         self.name = name
@@ -101,13 +95,7 @@ class Together(Feature):
 
 
 class BackgroundTask(Feature):
-    """A coroutine that runs beside the others from its start to its stop; the log says at once if it fails.
-
-    Args:
-        name: its name in the log.
-        run: returns the coroutine, which runs until it is cancelled.
-        deadline_s: longest time for the stop [s].
-    """
+    """A coroutine that runs beside the others from its start to its stop; the log says at once if it fails."""
 
     def __init__(self, name: str, run: Callable[[], Coroutine[Any, Any, None]], deadline_s: float = 0.1) -> None:
         self.name = name
@@ -161,7 +149,6 @@ def on_hangup(
 
     Args:
         stop: begins the stop; called if the terminal has hung up, where nobody could stop the server any more.
-        is_terminal: returns True for a descriptor of a terminal that has not hung up.
     """
     began_in_terminal = is_terminal(STDIN)
 
@@ -177,7 +164,7 @@ def on_debug_signal() -> None:
 
 
 def toggle_debug() -> None:
-    """Set the log's level to debug, or back to that of the settings."""
+    """Set the log's level to debug, or back to the settings' level."""
     debug = logging.getLogger(OUR_LOGGER).level != logging.DEBUG
     logs.change(LoggerLevel(OUR_LOGGER, logging.DEBUG if debug else logging.NOTSET))
     log.warning("SIGUSR1: the log's level is %s", "debug now" if debug else "again what the settings say")
@@ -213,9 +200,8 @@ async def stop_in_reverse(
     """Stop each part, the last one first, whatever becomes of those before it.
 
     Args:
-        total_s: longest time of all stops together, but for those beyond the total [s].
-        hurry: set by whoever will not wait; each part then has HURRIED_S.
-        clock: monotonic time [s].
+        total_s: longest time of all stops together, without the stops beyond the total [s].
+        hurry: set when the user will not wait; each part then has HURRIED_S.
     """
     hurry = hurry or asyncio.Event()
     until_s = clock() + total_s
@@ -230,13 +216,7 @@ async def stop_in_reverse(
 
 
 def allowance_s(deadline_s: float, left_s: float, parts_left: int) -> float:
-    """Return the time for a stop [s]: its deadline, or the rest of the total less the shares of the parts left.
-
-    Args:
-        deadline_s: of this part [s].
-        left_s: of the total [s].
-        parts_left: number of parts that are stopped after it.
-    """
+    """Return the time for a stop [s]: its deadline, or the rest of the total less the shares of the parts left."""
     return min(deadline_s, max(RESERVED_S, left_s - RESERVED_S * parts_left))
 
 

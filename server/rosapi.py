@@ -33,7 +33,13 @@ ROS_VERSIONS: Mapping[Dialect, dict[str, Any]] = {
     "ros1": {"version": 1, "distro": "noetic"},
 }
 
-# Of all texts in one response: those of 4000 types of average length, or of 380 of the longest. Without a limit, a
+# Word in the names of services, kind of the type, and its members.
+MEMBERS: tuple[tuple[str, Kind, tuple[str, ...]], ...] = (
+    ("service", "srv", ("Request", "Response")),
+    ("action", "action", ("Goal", "Result", "Feedback")),
+)
+
+# Of all texts in one response: 4000 types of average length, or 380 of the longest. Without a limit, a
 # client that advertises thousands of topics would make every response expensive for everybody.
 MAX_TEXTS_CHARACTERS = 4 << 20
 
@@ -46,9 +52,8 @@ MAX_NODE_NAMES = 8192
 # As many as any robot's parameter server has.
 MAX_PARAMETERS = 10_000
 
-# Value of a parameter that there is not, of a request without a default: rosapi's JSON of what each generation has for
-# nothing. Clients read every value as JSON.
-NO_PARAMETER: Mapping[Dialect, str] = {"ros2": '""', "ros1": "null"}
+# Value of a missing parameter, of a request without a default. Clients read every value as JSON.
+NO_PARAMETER = "null"
 
 # What rosapi's answers about parameters tell since 2025.
 DONE = {"successful": True, "reason": ""}
@@ -58,11 +63,7 @@ MAX_PARAMETER_BYTES = 16 << 20
 
 
 class Request(NamedTuple):
-    """Request of a rosapi service.
-
-    Attributes:
-        dialect: the caller's; type names in the response are spelled in it.
-    """
+    """Request of a rosapi service."""
 
     values: Mapping[str, Any]
     dialect: Dialect
@@ -83,16 +84,7 @@ Handlers: TypeAlias = Mapping[str, tuple[str, Handler]]
 
 
 class RosApi:
-    """Offers the services of rosapi on a graph.
-
-    Args:
-        graph: topics, services and actions to describe; the services are offered here as well.
-        wall_clock: seconds since the epoch.
-        params: parameters that clients may use; None for all.
-
-    Attributes:
-        parameters: parameters that clients and the server keep.
-    """
+    """Offers the services of rosapi on a graph."""
 
     def __init__(
         self, graph: Graph, wall_clock: Callable[[], float] = time.time, params: NameFilter | None = None
@@ -100,27 +92,41 @@ class RosApi:
         self.parameters = Parameters(params)
         self._graph = graph
         self._services = graph.services
-        self._actions = graph.actions
         self._registry = graph.message_types.registry
-        self._wall_clock = wall_clock
         # Foxglove asks for the texts of all topics every three seconds; there are no more types than the registry has.
         self._texts: dict[tuple[str, Dialect], str] = {}
         self._details = functools.lru_cache(MAX_DETAILS)(self._make_details)
-        topics, services, actions = graph.topic_names, self._services.names, self._actions.names
+        topics, services, actions = graph.topic_names, graph.services.names, graph.actions.names
         handlers: Handlers = {
             "topics": ("rosapi_msgs/srv/Topics", Latest(topics, self._topics)),
-            "topics_for_type": ("rosapi_msgs/srv/TopicsForType", self._topics_for_type),
+            "topics_for_type": (
+                "rosapi_msgs/srv/TopicsForType",
+                lambda request: {"topics": _shown(topics.of_type(request.values["type"]))},
+            ),
             "topics_and_raw_types": ("rosapi_msgs/srv/TopicsAndRawTypes", Latest(topics, self._topics_and_raw_types)),
-            "topic_type": ("rosapi_msgs/srv/TopicType", self._topic_type),
-            "publishers": ("rosapi_msgs/srv/Publishers", self._publishers),
-            "subscribers": ("rosapi_msgs/srv/Subscribers", self._subscribers),
+            "topic_type": ("rosapi_msgs/srv/TopicType", _type_answer(topics, "topic")),
+            "publishers": (
+                "rosapi_msgs/srv/Publishers",
+                lambda request: {"publishers": _node_names(graph.publishers(request.name("topic")))},
+            ),
+            "subscribers": (
+                "rosapi_msgs/srv/Subscribers",
+                lambda request: {"subscribers": _node_names(graph.subscribers(request.name("topic")))},
+            ),
             "services": (
                 "rosapi_msgs/srv/Services",
                 Latest(services, lambda _: {"services": _shown(services.types())}),
             ),
-            "services_for_type": ("rosapi_msgs/srv/ServicesForType", self._services_for_type),
-            "service_type": ("rosapi_msgs/srv/ServiceType", self._service_type),
-            "service_providers": ("rosapi_msgs/srv/ServiceProviders", self._service_providers),
+            "services_for_type": (
+                "rosapi_msgs/srv/ServicesForType",
+                lambda request: {"services": _shown(services.of_type(request.values["type"]))},
+            ),
+            "service_type": ("rosapi_msgs/srv/ServiceType", _type_answer(services, "service")),
+            # The field ``service`` has a type, as in rosapi.
+            "service_providers": (
+                "rosapi_msgs/srv/ServiceProviders",
+                lambda request: {"providers": _node_names(graph.services.providers_of_type(request.values["service"]))},
+            ),
             "service_node": ("rosapi_msgs/srv/ServiceNode", self._service_node),
             # In ROS 1 only.
             "service_host": ("rosapi/srv/ServiceHost", self._service_host),
@@ -128,18 +134,23 @@ class RosApi:
                 "rosapi_msgs/srv/GetActionServers",
                 Latest(actions, lambda _: {"action_servers": sorted(actions.types())}),
             ),
-            "action_type": ("rosapi_msgs/srv/ActionType", self._action_type),
-            "nodes": ("rosapi_msgs/srv/Nodes", self._nodes),
+            "action_type": ("rosapi_msgs/srv/ActionType", _type_answer(actions, "action")),
+            "nodes": ("rosapi_msgs/srv/Nodes", lambda _: {"nodes": _node_names(graph.nodes())}),
             "node_details": ("rosapi_msgs/srv/NodeDetails", self._node_details),
-            "message_details": ("rosapi_msgs/srv/MessageDetails", self._message_details),
-            "service_request_details": ("rosapi_msgs/srv/ServiceRequestDetails", self._service_request_details),
-            "service_response_details": ("rosapi_msgs/srv/ServiceResponseDetails", self._service_response_details),
+            "message_details": ("rosapi_msgs/srv/MessageDetails", self._details_answer("msg", "")),
             **{
-                f"action_{part}_details": (f"rosapi_msgs/srv/Action{part.title()}Details", self._action_details(part))
-                for part in ("goal", "result", "feedback")
+                f"{kind}_{part.lower()}_details": (
+                    f"rosapi_msgs/srv/{kind.title()}{part}Details",
+                    self._details_answer(type_kind, f"_{part}"),
+                )
+                for kind, type_kind, parts in MEMBERS
+                for part in parts
             },
             "interfaces": ("rosapi_msgs/srv/Interfaces", self._interfaces),
-            "get_time": ("rosapi_msgs/srv/GetTime", self._get_time),
+            "get_time": (
+                "rosapi_msgs/srv/GetTime",
+                lambda _: {"time": Stamp.from_seconds(wall_clock()).as_message()},
+            ),
             "get_ros_version": ("rosapi_msgs/srv/GetROSVersion", lambda request: ROS_VERSIONS[request.dialect]),
             **self.parameters.handlers,
         }
@@ -147,15 +158,10 @@ class RosApi:
             rule = CONFIGURING if name in CHANGING else LOOKING
             self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler), rule=rule)
 
-    # Topics.
-
     def _topics(self, dialect: Dialect) -> dict[str, Any]:
         types = self._graph.topic_names.types(dialect)
         shown = [name for name in types if not _is_hidden(name)]
         return {"topics": shown, "types": [types[name] for name in shown]}
-
-    def _topics_for_type(self, request: Request) -> dict[str, Any]:
-        return {"topics": _shown(self._graph.topic_names.of_type(request.values["type"]))}
 
     def _topics_and_raw_types(self, dialect: Dialect) -> dict[str, Any]:
         types = [type_name for name, type_name in self._graph.topic_types().items() if not _is_hidden(name)]
@@ -171,27 +177,6 @@ class RosApi:
             text = self._texts[type_name, dialect] = full_text(self._registry, type_name, dialect)
         return text
 
-    def _topic_type(self, request: Request) -> dict[str, Any]:
-        return {"type": self._graph.topic_names.type_of(request.name("topic"), request.dialect) or ""}
-
-    def _publishers(self, request: Request) -> dict[str, Any]:
-        return {"publishers": _node_names(self._graph.publishers(request.name("topic")))}
-
-    def _subscribers(self, request: Request) -> dict[str, Any]:
-        return {"subscribers": _node_names(self._graph.subscribers(request.name("topic")))}
-
-    # Services.
-
-    def _services_for_type(self, request: Request) -> dict[str, Any]:
-        return {"services": _shown(self._services.names.of_type(request.values["type"]))}
-
-    def _service_type(self, request: Request) -> dict[str, Any]:
-        return {"type": self._services.names.type_of(request.name("service"), request.dialect) or ""}
-
-    def _service_providers(self, request: Request) -> dict[str, Any]:
-        """Return the providers of a type, which is in the field ``service`` (as in rosapi)."""
-        return {"providers": _node_names(self._services.providers_of_type(request.values["service"]))}
-
     def _service_node(self, request: Request) -> dict[str, Any]:
         provider = self._services.provider(request.name("service"))
         return {"node": "" if provider is None else node_name(provider)}
@@ -200,16 +185,6 @@ class RosApi:
         """Return this host: every service is reached through this server."""
         provider = self._services.provider(request.name("service"))
         return {"host": "" if provider is None else socket.gethostname()}
-
-    # Actions.
-
-    def _action_type(self, request: Request) -> dict[str, Any]:
-        return {"type": self._actions.names.type_of(request.name("action"), request.dialect) or ""}
-
-    # Nodes.
-
-    def _nodes(self, _request: Request) -> dict[str, Any]:
-        return {"nodes": _node_names(self._graph.nodes())}
 
     def _node_details(self, request: Request) -> dict[str, Any]:
         name, graph = request.values["node"], self._graph
@@ -221,22 +196,10 @@ class RosApi:
             "services": _joined(map(self._services.provided_by, nodes)),
         }
 
-    # Types, as the caller's dialect declares them.
-
-    def _message_details(self, request: Request) -> dict[str, Any]:
-        return self._details(request.values["type"], "msg", "", request.dialect)
-
-    def _service_request_details(self, request: Request) -> dict[str, Any]:
-        return self._details(request.values["type"], "srv", "_Request", request.dialect)
-
-    def _service_response_details(self, request: Request) -> dict[str, Any]:
-        return self._details(request.values["type"], "srv", "_Response", request.dialect)
-
-    def _action_details(self, part: str) -> Handler:
-        return lambda request: self._details(request.values["type"], "action", f"_{part.title()}", request.dialect)
+    def _details_answer(self, kind: Kind, member: str) -> Handler:
+        return lambda request: self._details(request.values["type"], kind, member, request.dialect)
 
     def _make_details(self, name: str, kind: Kind, member: str, dialect: Dialect) -> dict[str, Any]:
-        """Return the fields of a message type, or of a member of a service or action, as a response."""
         try:
             message = f"{self._registry.canonical(name, kind)}{member}"
             return {"typedefs": typedefs(self._registry, message, dialect)}
@@ -248,18 +211,9 @@ class RosApi:
         registry = self._registry.ros1 if request.dialect == "ros1" else self._registry
         return {"interfaces": sorted(spell_type(name, request.dialect) for name in registry.type_names())}
 
-    # The server.
-
-    def _get_time(self, _request: Request) -> dict[str, Any]:
-        return {"time": Stamp.from_seconds(self._wall_clock()).as_message()}
-
 
 class Latest:
-    """Response that is the same for all until the names in use change: made once for each change and dialect.
-
-    Args:
-        names: the names that it is made of.
-    """
+    """Response that is the same for all until the names in use change: made once for each change and dialect."""
 
     def __init__(self, names: TypedNames, make: Callable[[Dialect], dict[str, Any]]) -> None:
         self._names = names
@@ -276,14 +230,7 @@ class Latest:
 
 
 class Parameters:
-    """Parameters: JSON texts by name, kept for the life of the server.
-
-    Args:
-        names: parameters that clients may use; None for all.
-
-    Attributes:
-        handlers: the services that read and change parameters.
-    """
+    """Parameters: JSON texts by name, kept for the life of the server."""
 
     def __init__(self, names: NameFilter | None = None) -> None:
         self._names = names or NameFilter("access.params_glob")
@@ -332,7 +279,7 @@ class Parameters:
             return {"value": value, **DONE}
         if default:
             return {"value": _as_json(default), **DONE}
-        return {"value": NO_PARAMETER[request.dialect], "successful": False, "reason": f"there is no parameter {name}"}
+        return {"value": NO_PARAMETER, "successful": False, "reason": f"there is no parameter {name}"}
 
     def _has_param(self, request: Request) -> dict[str, Any]:
         return {"exists": self._allowed_name(request) in self._values}
@@ -353,8 +300,10 @@ class Parameters:
         return {"names": sorted(self._open)}
 
     def _allowed_name(self, request: Request) -> str:
-        """Return the name of the requested parameter."""
         name: str = request.values["name"]
+        # ROS 2 has parameters of nodes, `<node>:<name>`; a node's slash may be left out (rosapi/params.py).
+        if ":" in name and not name.startswith("/"):
+            name = f"/{name}"
         refusal = self._names.refusal("parameter", name)
         if refusal is not None:
             raise ServiceError(refusal)
@@ -362,6 +311,11 @@ class Parameters:
 
     def _stored_bytes(self, name: str) -> int:
         return _size_bytes(name, self._values[name]) if name in self._values else 0
+
+
+def _type_answer(names: TypedNames, field: str) -> Handler:
+    """Return the handler that answers the type of the name in a field; empty for a name that is not in use."""
+    return lambda request: {"type": names.type_of(request.name(field), request.dialect) or ""}
 
 
 def node_name(node: Node) -> str:
@@ -384,12 +338,10 @@ def _is_hidden(name: str) -> bool:
 
 
 def _shown(names: Iterable[str]) -> list[str]:
-    """Return the names that are listed, in order."""
     return sorted(name for name in names if not _is_hidden(name))
 
 
 def _joined(lists: Iterable[list[str]]) -> list[str]:
-    """Join lists of names, each name once."""
     return list(dict.fromkeys(itertools.chain.from_iterable(lists)))
 
 
@@ -408,7 +360,6 @@ def _limited(texts: list[str]) -> list[str]:
 
 
 def _as_json(text: str) -> str:
-    """Return a JSON text as it is, and any other as the JSON of a text."""
     try:
         json.loads(text)
     # Text that nests too deep exceeds the parser's recursion limit.

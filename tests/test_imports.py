@@ -8,6 +8,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable
 from graphlib import TopologicalSorter
 
+import pytest
+
 from tests.helpers.server import ROOT
 from tests.helpers.source import ROOMS, imports, name_of, paths
 
@@ -55,7 +57,6 @@ ASYNCIO_OUTSIDE_SERVER = {
     "robot/processes.py",
     "robot/arm.py",
     "robot/arm_group.py",
-    "robot/arm_interface.py",
     "planners/interface.py",
     "planners/pool.py",
     "planners/pool_host.py",
@@ -142,20 +143,31 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     order.prepare()
 
 
-def test_no_folders_of_the_server_import_each_other_in_a_circle() -> None:
-    """A module beside the folders counts as a folder of its own; imports for type checking alone count as well."""
+@pytest.mark.parametrize(
+    ("package", "folders"), [("server", {"gateway", "graph", "moveit"}), ("server.moveit", {"scene"})]
+)
+def test_no_folders_of_a_package_import_each_other_in_a_circle(package: str, folders: set[str]) -> None:
+    """A module of server/ beside the folders counts as a folder of its own, modules of server/moveit/ as one together.
+
+    Imports for type checking alone count as well.
+    """
     found: dict[str, set[str]] = defaultdict(set)
-    for path in paths("server"):
+    for path in paths(package.replace(".", "/")):
         names = imports(path).names | imports(path).sources
-        found[folder_of(name_of(path))] |= {folder_of(name) for name in names if name.startswith("server.")}
-    assert {"server.gateway", "server.graph", "server.moveit"} <= found.keys()
-    order = TopologicalSorter({folder: others - {folder, "server"} for folder, others in found.items()})
+        found[folder_of(name_of(path), package)] |= {
+            folder_of(name, package) for name in names if name.startswith(package + ".")
+        }
+    assert {f"{package}.{folder}" for folder in folders} <= found.keys()
+    order = TopologicalSorter({folder: others - {folder, package} for folder, others in found.items()})
     order.prepare()
 
 
-def folder_of(name: str) -> str:
-    """Return the folder of server/ that a module is in, or the module itself beside them."""
-    return ".".join(name.split(".")[:2])
+def folder_of(name: str, package: str) -> str:
+    """Return the folder of a package that a module is in; beside them the module itself, or "modules"."""
+    inner = name.removeprefix(f"{package}.").split(".")
+    if package != "server" and not (ROOT / package.replace(".", "/") / inner[0]).is_dir():
+        return f"{package}.modules"
+    return f"{package}.{inner[0]}"
 
 
 def test_the_gateway_knows_nothing_of_moveit() -> None:

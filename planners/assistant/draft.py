@@ -69,14 +69,7 @@ def _state(name: str, group: str, positions: Mapping[str, float]) -> list[str]:
 
 
 def robot_toml(draft: Draft, urdf: str, srdf_name: str, shapes: Mapping[str, str]) -> str:
-    """Return the text of robot.toml.
-
-    Args:
-        draft: the arm.
-        urdf: name of the URDF's file.
-        srdf_name: name of the SRDF's file.
-        shapes: keys and file names of hulls and parts; empty without them.
-    """
+    """Return the text of robot.toml; ``shapes`` has keys and file names of hulls and parts, and may be empty."""
     robot, structure = draft.robot, draft.structure
     lines = [
         "# Draft by armbridge robot import. Go through the lines with CHECK, then: armbridge robot check FOLDER",
@@ -164,5 +157,5 @@ def _text(value: str) -> str:
 
 
 def _number(value: float) -> float:
-    """Return a number as it is written: six digits, no negative zero."""
+    """Round a number as it is written: six digits, no negative zero."""
     return round(float(value), 6) + 0.0

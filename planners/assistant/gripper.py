@@ -31,7 +31,7 @@ class GripperDraft:
 
     @property
     def as_one(self) -> bool:
-        """True where one number opens and one closes every joint, of which there are one or two."""
+        """True where one number opens and one closes every joint; there are one or two joints."""
         return len(self.joints) <= 2 and len(set(self.opened)) == len(set(self.closed)) == 1
 
 
@@ -40,13 +40,8 @@ def draft_gripper(
 ) -> GripperDraft:
     """Find the open and the closed end of each finger's range.
 
-    Args:
-        joints: the gripper's joints with a position of their own.
-        hand: link that carries them.
-        tree: links and joints.
-        points_m: points on the surface of each link, shape (n, 3) in its frame [m].
-        contacts: forward kinematics.
-        home: position of the joints, shape (n,) [rad or m].
+    ``joints`` are the gripper's joints with a position of their own, ``points_m`` points on the surface of each link,
+    shape (n, 3) in its frame [m], and ``home`` has the position of every joint, shape (n,) [rad or m].
     """
     opened, closed, certain = [], [], True
     for joint in joints:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -49,12 +49,7 @@ class LinkParts:
 
 
 def link_shapes(robot: RobotModel) -> dict[str, list[LinkShape]]:
-    """Return the shapes of each link that has some, root first.
-
-    Raises:
-        ShapeError: a shape cannot be loaded.
-        AssistantError: no link has a shape.
-    """
+    """Return the shapes of each link that has some, root first; AssistantError where no link has a shape."""
     model = pin.buildModelFromXML(kinematic_urdf(robot))
     found: dict[str, list[LinkShape]] = {link: [] for link in robot.links}
     for shape in urdf_shapes(robot, model):
@@ -66,16 +61,9 @@ def link_shapes(robot: RobotModel) -> dict[str, list[LinkShape]]:
     return shaped
 
 
-def convex_links(
-    shapes: Mapping[str, list[LinkShape]], limits: Limits, progress: Callable[[str, LinkParts], None]
-) -> dict[str, LinkParts]:
-    """Return the convex parts of each link; ``progress`` is called with each link that is done.
-
-    Raises:
-        AssistantError: a mesh has no triangles, or too many.
-    """
+def convex_links(shapes: Mapping[str, list[LinkShape]], limits: Limits) -> Iterator[tuple[str, LinkParts]]:
+    """Yield the convex parts of each link, as soon as they are found."""
     known: dict[bytes, tuple[list[Vector], Deviation]] = {}
-    links = {}
     for link, of_link in shapes.items():
         parts: list[ConvexPart] = []
         deviation = Deviation()
@@ -93,17 +81,11 @@ def convex_links(
             else:
                 local = [primitive_points(shape.geometry)]
             parts += [ConvexPart(points @ shape.placement.rotation.T + shape.placement.translation) for points in local]
-        links[link] = LinkParts(tuple(parts), deviation, sum(shape.mesh is not None for shape in of_link))
-        progress(link, links[link])
-    return links
+        yield link, LinkParts(tuple(parts), deviation, sum(shape.mesh is not None for shape in of_link))
 
 
 def surface_of(link: str, mesh: coal.BVHModelBase) -> Surface:
-    """Return the triangles of a link's mesh.
-
-    Raises:
-        AssistantError: it has none, or too many.
-    """
+    """Return the triangles of a link's mesh; AssistantError where it has none, or too many."""
     if not 0 < mesh.num_tris <= MAX_TRIANGLES:
         raise AssistantError(
             f"a mesh of the link {link!r} has {mesh.num_tris} triangles, from 1 to {MAX_TRIANGLES} are allowed:"

@@ -10,14 +10,17 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from planners.geometry.contacts import CONTACT_M, GJK_TOLERANCE, Parts, nearer_than
+from planners.geometry.contacts import CONTACT_M, GJK_TOLERANCE, PartPair, Parts
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.shapes import enclosing
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# States between two reports of progress.
+# States between two looks at the pairs that are decided.
 BATCH = 500
+
+# Reports of progress, at most.
+REPORTS = 5
 
 ADJACENT, NEVER, ALWAYS = "Adjacent", "Never", "Always"
 
@@ -34,18 +37,11 @@ class UncheckedPair:
 
 
 class SelfContacts:
-    """Contacts of a robot's links with each other.
+    """Contacts of a robot's links with each other, whose shapes are ``parts`` in the links' frames.
 
-    Args:
-        robot: its joints.
-        parts: shapes of each link that has some, in the link's frame.
-
-    Attributes:
-        joint_names: joints of a state.
-        lower: their lower limits, shape (n,) [rad or m].
-        upper: their upper limits, shape (n,) [rad or m].
-        adjacent: pairs that a joint connects, links without shape between them left out.
-        pairs: every other pair of links with shapes.
+    A state has the positions of ``joint_names``, shape (n,), within ``lower`` and ``upper`` [rad or m]. ``adjacent``
+    are the pairs that a joint connects, links without shape between them left out, and ``pairs`` all other pairs of
+    links with shapes.
     """
 
     def __init__(self, robot: RobotModel, parts: Mapping[str, Parts]) -> None:
@@ -92,7 +88,7 @@ class SelfContacts:
         at_first, at_second = (coal.Transform3s(at[link].rotation, at[link].translation) for link in pair)
         if not coal.collide(self._hulls[first], at_first, self._hulls[second], at_second, request, result):
             return False
-        return nearer_than(self._parts[first], at[first], self._parts[second], at[second], 0.0)
+        return PartPair(self._parts[first], at[first], self._parts[second], at[second]).nearer_than(0.0)
 
 
 def unchecked_pairs(
@@ -100,7 +96,7 @@ def unchecked_pairs(
 ) -> list[UncheckedPair]:
     """Return the pairs that are adjacent, that touch in every drawn state and that touch in none.
 
-    Same seed, same pairs; ``progress`` is called with the number of states that are done.
+    Same seed, same pairs; ``progress`` is called with the number of states that are done, at each fifth of them.
     """
     random = np.random.default_rng(seed)
     seen: dict[Pair, set[bool]] = {pair: set() for pair in contacts.pairs}
@@ -112,8 +108,9 @@ def unchecked_pairs(
             touching = set(contacts.touching(contacts.draw(random), undecided))
             for pair in undecided:
                 seen[pair].add(pair in touching)
-        done = min(done + BATCH, samples)
-        progress(done)
+        before, done = done, min(done + BATCH, samples)
+        if REPORTS * before // samples < REPORTS * done // samples:
+            progress(done)
     adjacent = [UncheckedPair(min(pair), max(pair), ADJACENT) for pair in contacts.adjacent]
     decided = [
         UncheckedPair(*pair, ALWAYS if True in found else NEVER) for pair, found in seen.items() if len(found) == 1
@@ -124,7 +121,7 @@ def unchecked_pairs(
 def free_state(
     contacts: SelfContacts, unchecked: Sequence[UncheckedPair], states: Sequence[Vector], tries: int, seed: int
 ) -> tuple[Vector, bool]:
-    """Return the first of some states in which nothing touches, else the drawn one that is nearest to the first.
+    """Return the first of some states in which nothing touches, else the free state nearest to the first of some draws.
 
     Without states the first free one of ``tries`` drawn states is returned. Where no state is free, the first of all is
     returned with false.

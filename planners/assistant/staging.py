@@ -17,11 +17,7 @@ MAX_MESH_BYTES = 500 << 20
 
 
 def parse_urdf(urdf_path: Path) -> ET.Element:
-    """Read a URDF.
-
-    Raises:
-        AssistantError: it cannot be read, or is no URDF.
-    """
+    """Read a URDF; AssistantError for a file that cannot be read or is no URDF."""
     try:
         root = ET.fromstring(urdf_path.read_text(encoding="utf-8"))  # noqa: S314 - the user's own file
     except (OSError, UnicodeDecodeError) as error:
@@ -77,7 +73,7 @@ def _source(mesh: ET.Element, shape: ET.Element, urdf_path: Path, packages: Sequ
 
 
 def _free_name(source: Path, taken: set[str]) -> str:
-    """Return a name in the folder of meshes: that of the file, with its folder's in front where that is taken."""
+    """Return a name in the folder of meshes: the file's, with its folder's in front where that is taken."""
     name, number = source.name, 1
     if name in taken:
         name = f"{source.parent.name}_{source.name}"

@@ -49,11 +49,7 @@ class Tree:
             self._below[joint.parent].append(joint)
 
     def chain(self, base: str, tip: str) -> list[Joint]:
-        """Return the joints from one link to another, base first.
-
-        Raises:
-            AssistantError: no chain leads there.
-        """
+        """Return the joints from one link to another, base first; AssistantError where no chain leads there."""
         found: list[Joint] = []
         link = tip
         while link != base:
@@ -94,16 +90,9 @@ class Tree:
 
 
 def find_structure(tree: Tree, shaped: frozenset[str], base: str | None, tip: str | None) -> Structure:
-    """Find arm and gripper.
+    """Find arm and gripper, from ``base`` or else the root to ``tip`` or else the frame of goals that is found.
 
-    Args:
-        tree: links and joints.
-        shaped: links with a collision shape.
-        base: first link of the arm; None for the root.
-        tip: last link of the arm; None to find it.
-
-    Raises:
-        AssistantError: a link is unknown, or there is no arm.
+    Links in ``shaped`` have a collision shape. AssistantError: a link is unknown, or there is no arm.
     """
     known = list(tree.links_below(tree.root))
     for option, link in (("--base", base), ("--tip", tip)):

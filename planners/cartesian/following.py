@@ -11,7 +11,7 @@ is measured.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +19,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.cartesian.tip_path import TipPath, apart_m, apart_rad
+from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import norm
 from planners.ik.differential import Task, free_directions, solve
-from planners.motions.path_timing import SplinePath
+from planners.motions.spline import NaturalSpline
 from planners.problem import CartesianProblem, Deviation
 from robot.trajectory import Vector
 
@@ -81,27 +82,23 @@ TURN_RAD_PER_M = 10.0
 class TipTracker:
     """Follows a pose with some of the joints: points have their positions, shape (n,) [rad].
 
-    Args:
-        kinematics: of the robot.
-        limits: lower and upper positions of all joints, shape (joints,) each [rad].
-        columns: places of the joints that may move among all.
-        start_q: positions of all joints, of which the others stay there, shape (joints,) [rad].
-        link: the tip.
+    ``kinematics`` has the joints in the order of ``collision``; other joints stay at ``start_q``.
     """
 
     def __init__(
         self,
         kinematics: ForwardKinematics,
-        limits: tuple[Vector, Vector],
-        columns: Sequence[int],
+        collision: CollisionModel,
+        joint_names: tuple[str, ...],
         start_q: Vector,
         link: str,
     ) -> None:
+        self.joint_names = joint_names
         self._kinematics = kinematics
-        self._columns = np.array(columns)
+        self._columns = np.array([collision.joint_names.index(name) for name in joint_names])
         self._link = link
         self._q = start_q.copy()
-        self._limits = limits[0][self._columns], limits[1][self._columns]
+        self._limits = collision.lower_rad[self._columns], collision.upper_rad[self._columns]
         self._lower_rad = self._limits[0] + LIMIT_MARGIN_RAD
         self._upper_rad = self._limits[1] - LIMIT_MARGIN_RAD
 
@@ -172,53 +169,31 @@ class TipTracker:
 
 @dataclass(frozen=True)
 class PathEnd:
-    """Reason for which a path cannot be followed further.
+    """Reason for which a path cannot be followed further."""
 
-    Attributes:
-        reason: "reach", "orientation", "jump", "limit", or a reason of ``PathFollower.check_point``.
-        sentence: the reason with its figures.
-        details: the figures as plain values.
-    """
-
-    reason: str
-    sentence: str
-    details: dict[str, object]
+    reason: str  # "reach", "orientation", "jump", "limit", or a reason of ``PathFollower.check_point``
+    sentence: str  # the reason with its figures
+    details: dict[str, object]  # the figures as plain values
 
 
 @dataclass(frozen=True)
 class FollowedPath:
-    """The part of a path that could be followed.
+    """The part of a path that could be followed."""
 
-    Attributes:
-        along_m: shape (m,), lengths of the path from 0 [m].
-        points: shape (m, n), the joints there [rad].
-        ended: reason for which it is not the whole; None for all of it.
-    """
-
-    along_m: Vector
-    points: Vector
-    ended: PathEnd | None
+    along_m: Vector  # shape (m,), lengths of the path from 0 [m]
+    points: Vector  # shape (m, n), the joints there [rad]
+    ended: PathEnd | None  # reason for which it is not the whole; None for all of it
 
 
 @dataclass(frozen=True)
 class PathFollower:
-    """Conditions under which a path is followed.
+    """Conditions under which a path is followed."""
 
-    Attributes:
-        problem: bounds of the steps and of the orientation.
-        tracker: the tip and its joints.
-        joint_names: the joints.
-        path: path of the tip.
-        check_point: returns the reason to end at a point, None to go on.
-        should_stop: returns true to end it early.
-    """
-
-    problem: CartesianProblem
-    tracker: TipTracker
-    joint_names: tuple[str, ...]
-    path: TipPath
-    check_point: Callable[[Vector], PathEnd | None]
-    should_stop: Callable[[], bool]
+    problem: CartesianProblem  # bounds of the steps and of the orientation
+    tracker: TipTracker  # the tip and its joints
+    path: TipPath  # path of the tip
+    check_point: Callable[[Vector], PathEnd | None]  # returns the reason to end at a point, None to go on
+    should_stop: Callable[[], bool]  # returns true to end it early
 
     def from_point(self, start: Vector) -> FollowedPath:
         """Follow the path from its start as far as it goes, or until it is to stop."""
@@ -226,7 +201,8 @@ class PathFollower:
         step_m, ended = CORNER_STEP_M, None
         while along_m[-1] < self.path.length_m and not self.should_stop():
             reach_m = self._reach_m(along_m[-1], step_m)
-            point = self._solved(points[-1], along_m[-1], reach_m)
+            most_turn_rad = TURN_RAD_PER_M * (reach_m - along_m[-1])
+            point = self.tracker.follow(points[-1], self.path.at(reach_m), most_turn_rad)
             ended = self._ended(points[-1], along_m[-1], point, reach_m)
             if ended is None:
                 step_m = 2.0 * (reach_m - along_m[-1])
@@ -249,11 +225,7 @@ class PathFollower:
         step_m = max(min(step_m, self.problem.max_step_m, room_m), min(SHORTEST_STEP_M, self.problem.max_step_m))
         return next_m if left_m < LAST_STEP * step_m and left_m <= self.problem.max_step_m else from_m + step_m
 
-    def _solved(self, point: Vector, from_m: float, reach_m: float) -> Vector:
-        return self.tracker.follow(point, self.path.at(reach_m), TURN_RAD_PER_M * (reach_m - from_m))
-
     def _ended(self, before: Vector, from_m: float, point: Vector, reach_m: float) -> PathEnd | None:
-        """Return the reason against a step from one point to the next, None if there is none."""
         desired, pose = self.path.at(reach_m), self.tracker.pose(point)
         turned_rad = apart_rad(desired, pose)
         if apart_m(desired, pose) > ON_PATH_M:
@@ -266,7 +238,7 @@ class PathFollower:
         most = int(np.argmax(step))
         halfway = self.tracker.pose(0.5 * (before + point)), self.path.at(0.5 * (from_m + reach_m))
         if 0.0 < self.problem.max_joint_step_rad < step[most] or apart_m(*halfway) > CHORD_M:
-            return _jump(self.joint_names[most], float(step[most]), reach_m - from_m)
+            return _jump(self.tracker.joint_names[most], float(step[most]), reach_m - from_m)
         return self.check_point(point)
 
 
@@ -279,18 +251,14 @@ def _out_of_reach(desired: pin.SE3, end_m: float) -> PathEnd:
     place = ", ".join(f"{value:.4g}" for value in desired.translation)
     whole = f"the tip comes no nearer to the end of the path than {100.0 * end_m:.1f} cm"
     sentence = whole if end_m > ON_PATH_M else f"the path leaves the arm's reach at ({place}) m, but not its end"
-    return PathEnd(
-        "reach",
-        sentence,
-        {"position_m": [float(value) for value in desired.translation], "distance_m": end_m},
-    )
+    return PathEnd("reach", sentence, {"position_m": desired.translation.tolist(), "distance_m": end_m})
 
 
 def _turned_away(turned_rad: float, tolerance_rad: float) -> PathEnd:
     return PathEnd(
         "orientation",
         f"the tip would have to turn by {np.degrees(turned_rad):.1f} degrees from the orientation asked for,"
-        f" of which {np.degrees(tolerance_rad):.1f} are tolerated",
+        f" where {np.degrees(tolerance_rad):.1f} are tolerated",
         {"deviation_rad": turned_rad, "tolerance_rad": tolerance_rad},
     )
 
@@ -318,52 +286,38 @@ REFINEMENTS = 5
 
 @dataclass(frozen=True)
 class TipCurve:
-    """A curve of the joints for a path of the tip.
+    """A curve of the joints for a path of the tip."""
 
-    Attributes:
-        followed: the points it goes through, more where they are needed.
-        curve: the spline through them, by the length of the path.
-        deviation: greatest deviation of the tip from the path on it.
-    """
-
-    followed: FollowedPath
-    curve: SplinePath
-    deviation: Deviation
+    followed: FollowedPath  # the points it goes through, more where they are needed
+    curve: NaturalSpline  # the spline through them, by the length of the path
+    deviation: Deviation  # greatest deviation of the tip from the path on it
 
 
 def tip_curve(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> TipCurve:
     """Return the curve through two or more followed points, with further ones where it would leave path or limits."""
     for _ in range(REFINEMENTS):
-        measured = _measured(followed, path, tracker)
-        off = np.flatnonzero(measured.off_m.reshape(-1, MEASURED_PER_SPAN).max(axis=1) > CHORD_M)
-        places = measured.curve(_along_m(followed, LIMIT_CHECKS_PER_SPAN))
+        curve, off_m, turned_rad = _measured(followed, path, tracker)
+        off = np.flatnonzero(off_m.reshape(-1, MEASURED_PER_SPAN).max(axis=1) > CHORD_M)
+        places = curve(_along_m(followed, LIMIT_CHECKS_PER_SPAN))
         outside = np.flatnonzero(tracker.outside(places).any(axis=1).reshape(-1, LIMIT_CHECKS_PER_SPAN).any(axis=1))
         spans = np.union1d(off, outside)
         if not len(spans):
             break
         followed = _halved(followed, spans, path, tracker)
     else:
-        measured = _measured(followed, path, tracker)
-    return TipCurve(followed, measured.curve, Deviation(float(measured.off_m.max()), measured.turned_rad))
+        curve, off_m, turned_rad = _measured(followed, path, tracker)
+    return TipCurve(followed, curve, Deviation(float(off_m.max()), turned_rad))
 
 
-@dataclass(frozen=True)
-class _Measured:
-    """A curve, the tip's distances from the path on it, shape (m,), and its greatest angle from the path's."""
-
-    curve: SplinePath
-    off_m: Vector
-    turned_rad: float
-
-
-def _measured(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> _Measured:
-    curve = SplinePath(followed.along_m, followed.points)
+def _measured(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> tuple[NaturalSpline, Vector, float]:
+    """Return the curve, the tip's distances from the path on it, shape (m,) [m], and its greatest angle [rad]."""
+    curve = NaturalSpline(followed.along_m, followed.points)
     along_m = _along_m(followed, MEASURED_PER_SPAN)
     desired = [path.at(length_m) for length_m in along_m]
     poses = [tracker.pose(point) for point in curve(along_m)]
     turned_rad = max(apart_rad(*pair) for pair in zip(desired, poses, strict=True))
     places_m, line_m = (np.array([pose.translation for pose in part]) for part in (poses, desired))
-    return _Measured(curve, _distances_m(places_m, line_m), turned_rad)
+    return curve, _distances_m(places_m, line_m), turned_rad
 
 
 def _along_m(followed: FollowedPath, per_span: int) -> Vector:

@@ -1,11 +1,9 @@
-"""Ends of paths of the tip that work, nearest along the path to one that does not, verified by a plan."""
+"""Part of a tip path that works in place of a whole path that does not, verified by a plan."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-
-import numpy as np
 
 from planners.budget import Budget
 from planners.cartesian.planning import DIGITS, plan_cartesian
@@ -51,12 +49,9 @@ def nearest_end(
     plan: Callable[[PlanningProblem], Plan | PlanningFailure],
     budget: Budget,
 ) -> PathGoal | None:
-    """Find how far a path that fails can be followed, and whether there is another way to its end.
+    """Find how far a path that fails can be followed, and whether there is another way to its end; None if neither.
 
     ``plan`` plans a motion that need not follow the path.
-
-    Returns:
-        None when neither is found, or the problem is refused.
     """
 
     def follow(path: CartesianProblem) -> CartesianPlan | PlanningFailure:
@@ -65,8 +60,7 @@ def nearest_end(
     followed = follow(problem)
     if isinstance(followed, PlanningFailure) and followed.code not in UNFOLLOWED:
         return None
-    start_q = np.array([problem.start_rad[name] for name in collision.joint_names])
-    forward.place(np.clip(start_q, collision.lower_rad, collision.upper_rad))
+    forward.place(collision.clipped(problem.start_rad))
     start = forward.placement(problem.link).copy()
     length_m = TipPath(start, problem.segments).length_m
     most_m = followed.fraction * length_m if isinstance(followed, CartesianPlan) else length_m

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from planners import checks
 from planners.budget import Budget
-from planners.cartesian.following import (
-    FollowedPath,
-    PathEnd,
-    PathFollower,
-    TipTracker,
-    leaves_limits,
-    tip_curve,
-)
+from planners.cartesian.following import FollowedPath, PathEnd, PathFollower, TipTracker, leaves_limits, tip_curve
 from planners.cartesian.tip_path import TipPath, as_pose, check_path, check_shape
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollidingPair, CollisionModel
@@ -25,7 +18,8 @@ from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import ConditionSet, Joints, conditions
 from planners.ik.goal_checks import in_words
 from planners.ik.goal_refusals import start_violates
-from planners.motions.path_timing import MAX_DURATION_S, SplinePath, standing, time_along
+from planners.motions.path_timing import MAX_DURATION_S, standing, time_along
+from planners.motions.spline import NaturalSpline
 from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure, RateLimits
 from planners.scene import Pose
 from robot.description.model import RobotModel
@@ -59,8 +53,7 @@ def plan_cartesian(
     refusal = check_path(robot, problem) or checks.check_start(robot, problem.start_rad)
     if refusal is not None:
         return refusal
-    start_q = np.array([problem.start_rad[name] for name in collision.joint_names])
-    start_q = np.clip(start_q, collision.lower_rad, collision.upper_rad)
+    start_q = collision.clipped(problem.start_rad)
     joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
     constraints = ConditionSet(forward, conditions(problem.path_constraints, joints))
     contacts = collision.colliding_pairs(start_q) if problem.avoid_collisions else []
@@ -70,53 +63,18 @@ def plan_cartesian(
     if not constraints.holds(start_q):
         return start_violates(constraints.violations(start_q))
     allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
-    group = robot.groups[problem.group]
-    space = JointSpace(collision, group, start_q, allowed, constraints.holds, should_stop=budget.should_stop)
-    columns = [collision.joint_names.index(name) for name in group.joints]
-    limits = collision.lower_rad, collision.upper_rad
-    tracker = TipTracker(forward, limits, columns, start_q, problem.link)
-    start = tracker.pose(start_q[columns])
+    names = robot.groups[problem.group].joints
+    space = JointSpace(collision, names, start_q, allowed, constraints.holds, should_stop=budget.should_stop)
+    tracker = TipTracker(forward, collision, names, start_q, problem.link)
+    start = tracker.pose(space.point(start_q))
     refusal = check_shape(start.translation, problem)
     if refusal is not None:
         return refusal
-    path = TipPath(start, problem.segments)
-    rates = _rate_limits(robot, problem)
-
-    check_point = _PointCheck(space, constraints, problem.avoid_collisions)
-    task = _Task(problem, robot.groups[problem.group].joints, rates, tracker, path, space, check_point)
-    return task.plan(start_q[columns], budget)
-
-
-def _rate_limits(robot: RobotModel, problem: CartesianProblem) -> RateLimits:
-    joints = [robot.joints[name] for name in robot.groups[problem.group].joints]
-    return RateLimits(
-        problem.velocity_scaling * np.array([joint.max_velocity for joint in joints]),
-        problem.acceleration_scaling * np.array([joint.max_acceleration for joint in joints]),
+    limits = RateLimits.of(
+        [robot.joints[name] for name in names], problem.velocity_scaling, problem.acceleration_scaling
     )
-
-
-@dataclass(frozen=True)
-class _PointCheck:
-    """Flaws of single points of the path."""
-
-    space: JointSpace
-    constraints: ConditionSet
-    avoid_collisions: bool
-
-    def __call__(self, point: Vector) -> PathEnd | None:
-        if self.avoid_collisions:
-            free = self.space.free(point) or (self.space.refine_at(point) and self.space.free(point))
-            return None if free else self.ended(self.space.contacts(point), point)
-        return None if self.constraints.holds(self.space.configuration(point)) else self.ended((), point)
-
-    def ended(self, pairs: Sequence[CollidingPair], point: Vector) -> PathEnd:
-        """Return the flaw of a point that is not free: contacts, or else the constraints that do not hold there."""
-        if pairs:
-            sentence = f"there would touch: {checks.describe_pairs(pairs)}"
-            return PathEnd("collision", sentence, {"pairs": checks.pairs_as_data(pairs)})
-        violations = self.constraints.violations(self.space.configuration(point))
-        sentences = [violation.sentence for violation in violations]
-        return PathEnd("constraint", "; ".join(sentences), {"violations": [dict(v.details) for v in violations]})
+    task = _Task(problem, limits, tracker, TipPath(start, problem.segments), space, constraints)
+    return task.plan(space.point(start_q), budget)
 
 
 @dataclass(frozen=True)
@@ -124,21 +82,19 @@ class _Task:
     """One checked problem."""
 
     problem: CartesianProblem
-    joint_names: tuple[str, ...]
     limits: RateLimits
     tracker: TipTracker
     path: TipPath
     space: JointSpace
-    check_point: _PointCheck
+    constraints: ConditionSet
 
     def plan(self, start: Vector, budget: Budget) -> CartesianPlan | PlanningFailure:
-        """Follow the path, and shorten it until what is left is certified."""
-        return self._certified(self._followed(start, budget.used_up), start, budget)
-
-    def _certified(self, followed: FollowedPath, start: Vector, budget: Budget) -> CartesianPlan | PlanningFailure:
+        """Follow the path, and shorten it until it is certified."""
+        followed = PathFollower(self.problem, self.tracker, self.path, self._flaw, budget.used_up).from_point(start)
+        names = self.tracker.joint_names
         while not budget.used_up() and len(followed.points) > 1:
             drawn = tip_curve(followed, self.path, self.tracker)
-            motion = time_along(drawn.curve, self.joint_names, self.limits, self._top_rate(drawn.curve))
+            motion = time_along(drawn.curve, names, self.limits, self._top_rate(drawn.curve))
             if motion is None:
                 text = f"the path bends too sharply to be timed, or takes more than {MAX_DURATION_S:g} s"
                 return PlanningFailure(MoveItErrorCode.PLANNING_FAILED, text)
@@ -146,30 +102,37 @@ class _Task:
             if end is None:
                 return self._answer(drawn.followed, motion, drawn.deviation, budget)
             followed = _shortened(drawn.followed, *end)
-        return (
-            budget.failure()
-            if budget.used_up()
-            else self._answer(followed, standing(self.joint_names, start), Deviation(), budget)
-        )
+        if budget.used_up():
+            return budget.failure()
+        return self._answer(followed, standing(names, start), Deviation(), budget)
+
+    def _flaw(self, point: Vector) -> PathEnd | None:
+        """Return the reason for which the path ends at a point, None to go on."""
+        if self.problem.avoid_collisions:
+            return None if self.space.free_by_parts(point) else self._ended(self.space.contacts(point), point)
+        return None if self.constraints.holds(self.space.configuration(point)) else self._ended((), point)
+
+    def _ended(self, pairs: Sequence[CollidingPair], point: Vector) -> PathEnd:
+        if pairs:
+            sentence = f"there would touch: {checks.describe_pairs(pairs)}"
+            return PathEnd("collision", sentence, {"pairs": checks.pairs_as_data(pairs)})
+        violations = self.constraints.violations(self.space.configuration(point))
+        sentences = [violation.sentence for violation in violations]
+        return PathEnd("constraint", "; ".join(sentences), {"violations": [dict(v.details) for v in violations]})
 
     def _end(self, motion: Trajectory) -> tuple[Vector, PathEnd] | None:
         """Return the point beyond which a motion may not go, and the reason."""
         beyond = np.argwhere(self.tracker.outside(motion.positions_rad))
         if len(beyond):
             sample, joint = beyond[0]
-            return motion.positions_rad[sample], leaves_limits(self.joint_names[joint])
+            return motion.positions_rad[sample], leaves_limits(self.tracker.joint_names[joint])
         contact = certify(self.space, motion) if self.problem.avoid_collisions else None
         if contact is None:
             return None
         point = motion.sample(contact.time_s)[0]
-        return point, self.check_point.ended(contact.pairs, point)
+        return point, self._ended(contact.pairs, point)
 
-    def _followed(self, start: Vector, should_stop: Callable[[], bool]) -> FollowedPath:
-        return PathFollower(
-            self.problem, self.tracker, self.joint_names, self.path, self.check_point, should_stop
-        ).from_point(start)
-
-    def _top_rate(self, curve: SplinePath) -> Vector | None:
+    def _top_rate(self, curve: NaturalSpline) -> Vector | None:
         """Return the greatest speed along the path at each grid point for the tip to keep its limit [m/s]."""
         if self.problem.tip_speed_m_s is None:
             return None

@@ -26,7 +26,7 @@ SMOOTH_TURN_RAD = 1e-3
 # Points nearer to each other do not tell an arc's plane.
 SHORTEST_CHORD_M = 1e-5
 
-# Flatter arcs lose digits, and no arm tells them from lines.
+# Flatter arcs lose digits, and no arm can show that they are not lines.
 LARGEST_RADIUS_M = 100.0
 
 # Following takes some 0.3 ms a point, 3 s in all.
@@ -38,30 +38,18 @@ NORM_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class _Piece:
-    """A line, or an arc around ``center``; the tip turns evenly by ``turn`` about an axis of its own on the way.
+    """A line, or an arc around ``center``; the tip turns evenly by ``turn`` about an axis of its own on the way."""
 
-    Attributes:
-        start_m: length of the path before it [m].
-        length_m: its own length [m].
-        origin: its start, shape (3,) [m].
-        along: vector to the end of a line; the spoke a quarter ahead of ``spoke`` on an arc [m].
-        spoke: from the center to the start, on an arc [m].
-        angle: of the arc [rad], 0 for a line.
-        rotation: at its start, shape (3, 3).
-        turn: rotation vector in the tip's frame, shape (3,) [rad].
-    """
-
-    start_m: float
-    length_m: float
-    origin: Vector
-    along: Vector
-    spoke: Vector
-    angle: float
-    rotation: Vector
-    turn: Vector
+    start_m: float  # length of the path before it [m]
+    length_m: float  # its own length [m]
+    origin: Vector  # its start, shape (3,) [m]
+    along: Vector  # vector to the end of a line; the spoke a quarter ahead of ``spoke`` on an arc [m]
+    spoke: Vector  # from the center to the start, on an arc [m]
+    angle: float  # of the arc [rad], 0 for a line
+    rotation: Vector  # at its start, shape (3, 3)
+    turn: Vector  # rotation vector in the tip's frame, shape (3,) [rad]
 
     def position(self, share: float) -> Vector:
-        """Return the tip's position after a share of the piece [m]."""
         if self.angle == 0.0:
             return np.asarray(self.origin + share * self.along)
         angle = share * self.angle
@@ -75,7 +63,6 @@ class _Piece:
         return np.asarray(self.angle * (np.cos(angle) * self.along - np.sin(angle) * self.spoke))
 
     def pose(self, share: float) -> pin.SE3:
-        """Return the tip's pose after a share of the piece."""
         return pin.SE3(self.rotation @ pin.exp3(share * self.turn), self.position(share))
 
     def part(self, share: float, digits: int) -> Line | Arc:
@@ -88,15 +75,10 @@ class _Piece:
 
 
 class TipPath:
-    """Lines and arcs one after the other; the path's parameter is its length, to which turns of the tip contribute.
+    """Lines and arcs one after the other from ``start``; the parameter is the length.
 
-    Args:
-        start: pose of the tip at the start.
-        segments: from there on; pieces without any length are left out.
-
-    Attributes:
-        length_m: the whole length, 0 when no segment has any [m].
-        corners_m: lengths at which the direction changes, strictly increasing, with the end as the last [m].
+    ``length_m`` is the whole length, to which turns of the tip contribute, and ``corners_m`` are the lengths at which
+    the direction changes, strictly increasing, with the end as the last [m]. Pieces without any length are left out.
     """
 
     def __init__(self, start: pin.SE3, segments: Sequence[Line | Arc]) -> None:
@@ -161,7 +143,6 @@ def arc_flaw(start_m: Vector, arc: Arc) -> str | None:
 
 
 def _radius_m(a: Vector, b: Vector, c: Vector) -> float:
-    """Return the radius of the circle through three points; infinite for a line."""
     double_area = float(np.linalg.norm(np.cross(b - a, c - a)))
     sides = float(np.linalg.norm(b - a) * np.linalg.norm(c - b) * np.linalg.norm(c - a))
     return sides / (2.0 * double_area) if double_area > 0.0 else np.inf
@@ -209,7 +190,6 @@ def _circle(start: Vector, via: Vector, end: Vector) -> tuple[Vector, Vector, fl
 
 
 def _angle(vector: Vector, spoke: Vector, ahead: Vector) -> float:
-    """Return the angle from one spoke to a vector, 0 to a whole turn [rad]."""
     return float(np.arctan2(vector @ ahead, vector @ spoke)) % (2.0 * np.pi)
 
 

@@ -24,8 +24,8 @@ class Contact:
 def certify(space: JointSpace, trajectory: Trajectory) -> Contact | None:
     """Return the first contact on a motion, also between its samples, as :meth:`Trajectory.sample` joins them.
 
-    None certifies the motion: no point of it is in contact, or by at most half of :data:`FINEST_STEP_M`. The joints of
-    the motion are those of the space, in the same order.
+    None certifies the motion: no point of it is in contact, or by at most half of :data:`FINEST_STEP_M`. The motion has
+    the joints of the space, in the same order.
     """
     time_s = _first_contact_s(space, trajectory)
     # Hulls are wider than links: overlaps of hulls only are checked again by parts. Each turn adds a pair.
@@ -43,7 +43,7 @@ def _first_contact_s(space: JointSpace, trajectory: Trajectory) -> float | None:
     curve = cubics(trajectory)
     if curve.straight() and space.line_free(positions[0], positions[-1], FINEST_STEP_M):
         return None
-    at = first_contact(space, curve, FINEST_STEP_M, earliest=True)
+    at = first_contact(space, curve, FINEST_STEP_M)
     if at is not None:
         return float(np.interp(at, np.arange(len(positions)), trajectory.time_s))
     return None if space.free(positions[-1]) else trajectory.duration_s

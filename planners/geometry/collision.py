@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -12,13 +12,9 @@ from numpy.typing import NDArray
 
 from planners.geometry.contacts import (
     Broadphase,
+    PartPair,
     Parts,
     RobotParts,
-    deeper_than,
-    encloses,
-    nearer_than,
-    nearest,
-    overlap_m,
     parts_of,
 )
 from planners.geometry.kinematics import JointMap, Reach, approach
@@ -162,22 +158,13 @@ class CollidingPair:
 class CollisionModel:
     """Collisions, link positions and travel of one robot in one scene.
 
-    A configuration ``q`` is the position of every movable joint in the order of ``joint_names``, shape (n,) [rad].
-    Checks use the robot's hulls, which are larger than its links. Two kinds of pairs of names are excepted: ``allowed``
-    ones may overlap by a depth, as :meth:`overlaps_m` measures it [m]; ``refined`` ones are checked by their parts.
+    A configuration ``q`` is the position of every movable joint in the order of ``joint_names``, shape (n,) [rad];
+    ``lower_rad`` and ``upper_rad`` are the limits. ``travel_m_per_rad`` is the most that any point of the robot or of
+    what it holds moves per motion of each joint, shape (n,).
 
-    Args:
-        robot: its hulls are used, or else the collision shapes of its URDF.
-
-    Raises:
-        ShapeError: the shapes cannot be used.
-
-    Attributes:
-        joint_names: joints of a configuration.
-        lower_rad: shape (n,), lower position limits.
-        upper_rad: shape (n,), upper position limits.
-        travel_m_per_rad: shape (n,), the most that any point of the robot or of what it holds moves per motion of
-            each joint.
+    Checks use the robot's hulls, which are larger than its links, or else the collision shapes of its URDF. Two kinds
+    of pairs of names are excepted: ``allowed`` ones may overlap by a depth, as :meth:`overlaps_m` measures it [m];
+    ``refined`` ones are checked by their parts. ShapeError: the shapes cannot be used.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -200,7 +187,7 @@ class CollisionModel:
         self._build(EMPTY_SCENE)
 
     def set_scene(self, scene: Scene) -> PlanningFailure | None:
-        """Take over a scene unless it is there; return the flaw of one that cannot be used, which changes nothing."""
+        """Take over a scene unless it is there; return the flaw of an unfit scene, which changes nothing."""
         if scene.version == self._version:
             return None
         refusal = check_scene(scene, self._robot.links)
@@ -208,19 +195,18 @@ class CollisionModel:
             self._build(scene)
         return refusal
 
+    def clipped(self, positions_rad: Mapping[str, float]) -> Vector:
+        """Return the configuration of positions by name, which may lie a little beyond the limits, within them."""
+        q = np.array([positions_rad[name] for name in self.joint_names])
+        return np.clip(q, self.lower_rad, self.upper_rad)
+
     def in_collision(
         self,
         q: Vector,
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         refined: RefinedPairs = NONE_REFINED,
     ) -> bool:
-        """Return true if a checked pair touches.
-
-        Args:
-            q: configuration.
-            allowed: pairs of names that may overlap, and how deep [m].
-            refined: pairs of names that are checked by their parts.
-        """
+        """Return true if a checked pair touches."""
         if not self._broadphase.touches(q):
             return False
         if not allowed and not refined:
@@ -240,14 +226,9 @@ class CollisionModel:
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         refined: RefinedPairs = NONE_REFINED,
     ) -> tuple[int, ...]:
-        """Return the pairs of shapes that are nearer than their clearance and a margin.
+        """Return the pairs of shapes that are nearer than their clearance and a margin of each, shape (pairs,) [m].
 
-        Args:
-            q: configuration.
-            margin_m: of each pair, shape (pairs,) [m].
-            among: indices of the pairs to check; None for all.
-            allowed: as for :meth:`in_collision`.
-            refined: as for :meth:`in_collision`.
+        ``among`` are indices of the pairs to check; None for all.
         """
         broadphase = self._broadphase
         near = broadphase.near(q, margin_m) if among is None else broadphase.near_among(q, among, margin_m)
@@ -270,21 +251,20 @@ class CollisionModel:
     def colliding_pairs(self, q: Vector, refined: RefinedPairs | None = None) -> list[CollidingPair]:
         """Return every pair of links or objects that overlaps, deepest first.
 
-        Args:
-            q: configuration.
-            refined: as for :meth:`in_collision`; None for all pairs.
+        Parts decide for the pairs of names ``refined``; for all pairs where it is None.
         """
         deepest: dict[frozenset[str], CollidingPair] = {}
         for index in self._broadphase.touching(q):
             first, second = (self._bodies[i].name for i in self._pairs[index])
-            pair = CollidingPair(first, second, max(0.0, -self._broadphase.distance_m(index)))
+            nearest = self._broadphase.nearest(index)
+            depth_m = max(0.0, float(self._apart_m[index]) - nearest.distance_m)
+            pair = CollidingPair(first, second, depth_m, _point(nearest.middle_m), _point(nearest.normal))
             known = deepest.get(pair.links)
             if known is not None and known.depth_m >= pair.depth_m:
                 continue
             if (refined is None or pair.links in refined) and self._apart(index, 0.0):
                 continue
-            point_m, normal = map(_point, self._broadphase.contact(index))
-            deepest[pair.links] = replace(pair, point_m=point_m, normal=normal)
+            deepest[pair.links] = pair
         return sorted(deepest.values(), key=lambda pair: -pair.depth_m)
 
     def overlaps_m(self, q: Vector) -> dict[frozenset[str], float]:
@@ -363,7 +343,7 @@ class CollisionModel:
             if -self._broadphase.distance_m(pair) <= depth_m:
                 return True
             by_parts = self._has_convex_parts(pair)
-            if by_parts and not deeper_than(*self._parts_of_pair(pair), depth_m - float(self._apart_m[pair])):
+            if by_parts and not self._parts_of_pair(pair).deeper_than(depth_m - float(self._apart_m[pair])):
                 return True
         return names in refined and self._apart(pair, margin_m)
 
@@ -372,15 +352,15 @@ class CollisionModel:
         by_hulls_m = -self._broadphase.distance_m(pair)
         if by_hulls_m <= 0.0 or not self._has_convex_parts(pair):
             return by_hulls_m
-        # What overlaps is within both.
-        return min(by_hulls_m, overlap_m(*self._parts_of_pair(pair)) + float(self._apart_m[pair]))
+        # The overlap is within both.
+        return min(by_hulls_m, float(self._apart_m[pair]) - self._parts_of_pair(pair).nearest().distance_m)
 
     def _nearest(self, pair: int) -> Nearest:
         """Return the nearest points of a pair's shapes; by their parts where only their hulls may be in the way."""
         by_hulls = self._broadphase.nearest(pair)
         if by_hulls.distance_m > HULL_EXCESS_M or not self._has_convex_parts(pair):
             return by_hulls
-        return nearest(*self._parts_of_pair(pair))
+        return self._parts_of_pair(pair).nearest()
 
     def _near_pair(self, pair: int, nearest: Nearest) -> NearPair:
         first, second = (self._bodies[i] for i in self._pairs[pair])
@@ -396,12 +376,14 @@ class CollisionModel:
         """Return true if parts of a pair are known and further apart than a margin [m], none inside the other body."""
         if not self._has_parts(pair):
             return False
-        first, second = self._parts_of_pair(pair)[:2], self._parts_of_pair(pair)[2:]
-        if nearer_than(*first, *second, margin_m + float(self._apart_m[pair])):
+        parts = self._parts_of_pair(pair)
+        if parts.nearer_than(margin_m + float(self._apart_m[pair])):
             return False
         # Parts are not everywhere inside a link, and triangles nowhere. An object of triangles is a shell like a room.
         first_is_link, second_is_link = (self._bodies[index].is_link for index in self._pairs[pair])
-        return not (first_is_link and encloses(*first, *second)) and not (second_is_link and encloses(*second, *first))
+        return not (
+            (first_is_link and parts.first_encloses_second()) or (second_is_link and parts.second_encloses_first())
+        )
 
     def _has_parts(self, pair: int) -> bool:
         return self._parts.available and not self._names[pair] & self._scaled
@@ -409,9 +391,9 @@ class CollisionModel:
     def _has_convex_parts(self, pair: int) -> bool:
         return self._parts.convex and not self._names[pair] & self._scaled
 
-    def _parts_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
+    def _parts_of_pair(self, pair: int) -> PartPair:
         first, second = self._pairs[pair].tolist()
-        return *self._parts_of_body(first), *self._parts_of_body(second)
+        return PartPair(*self._parts_of_body(first), *self._parts_of_body(second))
 
     def _parts_of_body(self, index: int) -> tuple[Parts, pin.SE3]:
         body = self._bodies[index]

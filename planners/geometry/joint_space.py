@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from planners.budget import never
 from planners.errors import StoppedError
 from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingPair, CollisionModel
-from planners.geometry.sweep import ALL_PAIRS, CandidatePairs, line_is_free, polyline_is_free
-from robot.description.model import Group
+from planners.geometry.sweep import ALL_PAIRS, CandidatePairs, line_is_free
 from robot.trajectory import Vector
 
 # A search need not check more finely: its motions are certified afterwards.
@@ -29,28 +28,21 @@ CONDITION = -1
 
 
 class JointSpace:
-    """The joints of a group, and which of their configurations and lines are free.
+    """Some joints, and which of their configurations and lines are free; ``checks`` counts the checks so far.
 
-    Args:
-        collision: the robot's collisions.
-        group: the joints that move; points of this space have them in this order, shape (n,) [rad].
-        start_q: configuration of all joints; those outside the group stay there.
-        allowed: pairs of names that may overlap near the start, less and less, with their depth there [m].
-        holds: a condition on configurations that free ones meet as well.
-        also_free: configurations beside the start, such as goals, that are known to touch nothing although hulls may
-            overlap there; with the start they determine the pairs that are checked by their parts.
-        should_stop: ends long checks with :exc:`StoppedError`: certifying a motion close to a contact can take seconds.
+    Points of this space have the positions of ``joint_names``, shape (n,) [rad]; other joints stay at ``start_q``.
+    Pairs of names in ``allowed`` may overlap near the start, less and less, with their depth there [m]. Free points
+    also meet the condition ``holds``. ``also_free`` are configurations beside the start, such as goals, that touch
+    nothing although hulls may overlap there; with the start they determine the pairs that are checked by their parts.
+    ``should_stop`` ends long checks with :exc:`StoppedError`: certifying a motion close to a contact can take seconds.
 
-    Attributes:
-        lower_rad: shape (n,), lower position limits.
-        upper_rad: shape (n,), upper position limits.
-        travel_m_per_rad: shape (n,), the most that any robot point moves per motion of each joint.
+    ``travel_m_per_rad`` is the most that any robot point moves per motion of each joint, shape (n,).
     """
 
     def __init__(
         self,
         collision: CollisionModel,
-        group: Group,
+        joint_names: Sequence[str],
         start_q: Vector,
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         holds: Callable[[Vector], bool] | None = None,
@@ -58,7 +50,7 @@ class JointSpace:
         should_stop: Callable[[], bool] = never,
     ) -> None:
         self._collision = collision
-        self._columns = _columns(collision, group)
+        self._columns = _columns(collision, joint_names)
         self._q = start_q.copy()
         self._allowed = allowed
         # What overlaps at the start is left in the parts long before it is in the hulls.
@@ -67,13 +59,14 @@ class JointSpace:
             self._refined |= collision.hull_only_pairs(q)
         self._holds = holds
         self._should_stop = should_stop
+        self.checks = 0
         self._start = self.point(start_q).copy()
         self.lower_rad = collision.lower_rad[self._columns]
         self.upper_rad = collision.upper_rad[self._columns]
         self.travel_m_per_rad = collision.travel_m_per_rad[self._columns]
 
     def point(self, q: Vector) -> Vector:
-        """The group's part of a configuration."""
+        """The joints' part of a configuration."""
         part: Vector = q[self._columns]
         return part
 
@@ -85,6 +78,7 @@ class JointSpace:
 
     def free(self, point: Vector | Sequence[float]) -> bool:
         """Tell whether the robot touches nothing there, and the condition holds."""
+        self.checks += 1
         self._q[self._columns] = point
         allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
         if self._collision.in_collision(self._q, allowed, self._refined):
@@ -94,7 +88,13 @@ class JointSpace:
     def candidate_pairs(
         self, points: Vector, joint_travel: Vector, among: Sequence[CandidatePairs]
     ) -> list[CandidatePairs]:
-        """Return pairs that may touch, and the condition; see :class:`planners.geometry.sweep.CollisionChecker`."""
+        """Return the pairs that can touch, and the condition, over a range of the joints around each point.
+
+        Points and the greatest ``joint_travel`` from each have the shape (m, n) [rad]. For each point ``among`` has the
+        candidate pairs of a range that contains this one; no others are checked. A range without candidate pairs is
+        free.
+        """
+        self.checks += len(points)
         configurations, travel = np.tile(self._q, (len(points), 1)), np.zeros((len(points), len(self._q)))
         configurations[:, self._columns] = points
         travel[:, self._columns] = joint_travel
@@ -112,9 +112,10 @@ class JointSpace:
         return found
 
     def touches_any(self, point: Vector, among: CandidatePairs) -> bool:
-        """Tell whether any candidate touches at a point; see :class:`planners.geometry.sweep.CollisionChecker`."""
+        """Tell whether any candidate pair of a range touches at a point of the range."""
         if among is ALL_PAIRS:
             return not self.free(point)
+        self.checks += 1
         self._q[self._columns] = point
         allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
         if self._collision.touch_among(self._q, _pairs(among), allowed, self._refined):
@@ -122,12 +123,8 @@ class JointSpace:
         return self._holds is not None and CONDITION in among and not self._holds(self._q)
 
     def line_free(self, start: Vector, end: Vector, step_m: float = CHECK_STEP_M) -> bool:
-        """Return true if the robot touches nothing on a straight line; see :func:`line_is_free`."""
+        """Apply :func:`line_is_free`."""
         return line_is_free(self, start, end, step_m)
-
-    def curve_free(self, points: Vector, step_m: float = CHECK_STEP_M) -> bool:
-        """Return true if the robot touches nothing on a polyline, shape (m, n); its first point is taken to be free."""
-        return polyline_is_free(self, points, step_m)
 
     def refine_at(self, point: Vector) -> bool:
         """Let parts decide from now on where only hulls touch at a point; return true if any pair is new."""
@@ -135,6 +132,10 @@ class JointSpace:
         new = self._collision.hull_only_pairs(self._q) - self._refined
         self._refined |= new
         return bool(new)
+
+    def free_by_parts(self, point: Vector) -> bool:
+        """Return true if the robot touches nothing there, by the parts where only hulls touch."""
+        return self.free(point) or (self.refine_at(point) and self.free(point))
 
     def contacts(self, point: Vector) -> tuple[CollidingPair, ...]:
         """Return the forbidden contacts at a point, deepest first."""
@@ -168,9 +169,9 @@ def _pairs(candidate_pairs: tuple[int, ...]) -> tuple[int, ...]:
     return candidate_pairs[:-1] if candidate_pairs[-1:] == (CONDITION,) else candidate_pairs
 
 
-def _columns(collision: CollisionModel, group: Group) -> slice | NDArray[np.int64]:
-    """Return the group's columns in a configuration; a slice, which is quicker, where they are adjacent."""
-    columns = np.array([collision.joint_names.index(name) for name in group.joints])
+def _columns(collision: CollisionModel, joint_names: Sequence[str]) -> slice | NDArray[np.int64]:
+    """Return the joints' columns in a configuration; a slice, which is quicker, where they are adjacent."""
+    columns = np.array([collision.joint_names.index(name) for name in joint_names])
     if np.all(np.diff(columns) == 1):
         return slice(int(columns[0]), int(columns[-1]) + 1)
     return columns

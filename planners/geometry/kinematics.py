@@ -23,13 +23,8 @@ from robot.trajectory import Vector
 class JointMap:
     """Map from positions of independent joints to positions of pinocchio's joints, which are all joints that move.
 
-    Args:
-        robot: the arm.
-        model: its joints in pinocchio, made from :func:`planners.geometry.plain_urdf.plain_urdf`.
-        joint_names: joints of a configuration ``q``, shape (n,) [rad]; None for pinocchio's order of them.
-
-    Attributes:
-        joint_names: joints of a configuration.
+    The model is made from :func:`planners.geometry.plain_urdf.plain_urdf`. Joints of a configuration ``q``, shape (n,)
+    [rad], are ``joint_names``, or else in pinocchio's order.
     """
 
     def __init__(self, robot: RobotModel, model: pin.Model, joint_names: Sequence[str] | None = None) -> None:
@@ -75,12 +70,7 @@ class Placements:
 
 
 class ForwardKinematics:
-    """Places the links of one robot.
-
-    Args:
-        robot: the arm.
-        joint_names: joints of a configuration ``q``, shape (n,) [rad].
-    """
+    """Places the links of one robot; ``joint_names`` are the joints of a configuration ``q``, shape (n,) [rad]."""
 
     def __init__(self, robot: RobotModel, joint_names: Sequence[str]) -> None:
         self._model = pin.buildModelFromXML(kinematic_urdf(robot))
@@ -89,7 +79,7 @@ class ForwardKinematics:
         self._frames = {link: frame_of_link(self._model, link) for link in robot.links}
 
     def place(self, q: Vector) -> None:
-        """Move the joints; :meth:`placement` then tells where links are."""
+        """Move the joints, before :meth:`placement`."""
         pin.forwardKinematics(self._model, self._data, self._joints.positions(q))
 
     def placement(self, link: str) -> pin.SE3:
@@ -118,11 +108,8 @@ class ForwardKinematics:
 class Reach:
     """Greatest distance of the robot's points from each joint's axis, over all configurations.
 
-    A point is at most as far from the axis of the joint that carries it as it lies there, and from the axis of a
-    joint further up as the origins between them are apart, plus all that can swing around the last of them.
-
-    Args:
-        model: the robot's joints.
+    A point is at most as far from the axis of the joint that carries it as it lies there, and from the axis of a joint
+    further up as the origins between them are apart, plus all that can swing around the last of them.
     """
 
     def __init__(self, model: pin.Model) -> None:

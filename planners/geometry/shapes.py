@@ -38,11 +38,7 @@ SAME_CORNER = 1e-7
 
 
 def convex(points: Vector) -> coal.Convex:
-    """The hull of points; of flat ones, a plate that encloses them.
-
-    Args:
-        points: shape (n, 3), n >= 1, finite [m].
-    """
+    """Return the hull of finite points, shape (n, 3), n >= 1 [m]; for flat points, a plate that encloses them."""
     # For the hull of flat points coal ends the process.
     if _thickness(points) < FLAT:
         points = (points[:, np.newaxis] + PLATE_M * np.vstack((np.eye(3), -np.eye(3)))).reshape(-1, 3)
@@ -52,11 +48,7 @@ def convex(points: Vector) -> coal.Convex:
 
 
 def enclosing(points: Vector) -> coal.Convex:
-    """A hull that encloses points and has few corners: their own where those are few.
-
-    Args:
-        points: shape (n, 3), n >= 1, finite [m].
-    """
+    """Return a hull that encloses points, as for :func:`convex`, and has few corners: their own where those are few."""
     try:
         hull = convex(points)
     except RuntimeError:
@@ -66,7 +58,7 @@ def enclosing(points: Vector) -> coal.Convex:
         corners = np.asarray(hull.points())
         if len(corners) <= MAX_CORNERS:
             return hull
-    # Evenly spread directions suit a body as long as it is wide, so it is seen in its own proportions. Corners of the
+    # Evenly spread directions suit a body as wide as long, so the body is seen in its own proportions. Corners of the
     # solid {x : d . x <= h} are, from a point in it, the faces of the hull of d / h.
     middle, size = corners.mean(axis=0), np.ptp(corners, axis=0)
     directions = evenly_spread(DIRECTIONS)
@@ -92,7 +84,7 @@ def _triangles(hull: coal.Convex) -> NDArray[np.int64]:
 
 
 def evenly_spread(count: int) -> Vector:
-    """Return unit vectors, shape (count, 3): the six along the axes, then those of a Fibonacci lattice."""
+    """Return unit vectors, shape (count, 3): the six along the axes, then a Fibonacci lattice."""
     i = np.arange(count - 6) + 0.5
     z = 1.0 - 2.0 * i / (count - 6)
     angle = np.pi * (1.0 + np.sqrt(5.0)) * i
@@ -106,13 +98,8 @@ def robot_shapes(
 ) -> list[pin.GeometryObject]:
     """Return the solid shapes that are checked: the robot's hulls, or else its URDF's shapes, with hulls for meshes.
 
-    Args:
-        robot: the arm.
-        model: its joints.
-        urdf: shapes of the URDF where these are loaded already.
-
-    Raises:
-        ShapeError: a shape of the URDF cannot be loaded, or there is none.
+    ``urdf`` are the shapes of the URDF where these are loaded already. ShapeError: a shape cannot be loaded, or there
+    is none.
     """
     shapes = [on_link(model, link, convex(hull.vertices)) for link, hull in robot.hulls.items()]
     shapes = shapes or [_solid(shape) for shape in (urdf_shapes(robot, model) if urdf is None else urdf)]
@@ -122,11 +109,7 @@ def robot_shapes(
 
 
 def urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
-    """The shapes of the URDF as they are, meshes with all their triangles.
-
-    Raises:
-        ShapeError: a shape cannot be loaded.
-    """
+    """Return the shapes of the URDF, meshes with all their triangles; ShapeError: a shape cannot be loaded."""
     try:
         urdf = with_mesh_paths(plain_urdf(robot), robot.mesh_directory, robot.package_directories)
         geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
@@ -146,11 +129,7 @@ def link_name(model: pin.Model, shape: pin.GeometryObject) -> str:
 
 
 def outline(shape: pin.GeometryObject) -> Vector:
-    """Points whose hull encloses a shape.
-
-    Returns:
-        Shape (n, 3) [m], in the frame of the joint that carries the shape.
-    """
+    """Points whose hull encloses a shape, shape (n, 3) [m], in the frame of the joint that carries the shape."""
     return corners(shape.geometry) @ shape.placement.rotation.T + shape.placement.translation
 
 
@@ -194,11 +173,9 @@ def placement(pose: Pose) -> pin.SE3:
 
 
 def solid(shape: Shape, reach_m: float) -> tuple[coal.CollisionGeometry, pin.SE3]:
-    """A shape as coal has it, and its place in the frame of the scene's shape.
+    """Return a sound shape as coal has it, and its place in the frame of the scene's shape.
 
-    Args:
-        shape: a shape that :func:`check_scene` accepts.
-        reach_m: points further than this from the frame's origin can be left out of a plane [m].
+    Points further than ``reach_m`` from the frame's origin can be left out of a plane [m].
     """
     match shape:
         case Box():

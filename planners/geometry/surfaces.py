@@ -1,4 +1,4 @@
-"""Triangle surfaces of links, which decide what is inside: a body in a link's material may touch none of its parts.
+"""Triangle surfaces of links, which decide if a body is inside a link: in its material it may touch no part.
 
 The measure is the winding number: Jacobson, Kavan and Sorkine-Hornung, "Robust inside-outside segmentation using
 generalized winding numbers", 2013. Neighbouring triangles lie in pieces, so that far ones count together.
@@ -46,9 +46,7 @@ PlacedMesh = tuple[coal.BVHModelBase, pin.SE3]
 class TriangleSurface:
     """Surface of one or several bodies, in the frame of a joint.
 
-    Args:
-        vertices_m: shape (n, 3) [m].
-        triangles: shape (m, 3), indices into ``vertices_m``, neighbours mostly next to each other.
+    Vertices have the shape (n, 3) [m], triangles (m, 3), indices of vertices, neighbours mostly next to each other.
     """
 
     def __init__(self, vertices_m: Vector, triangles: Triangles) -> None:
@@ -105,11 +103,7 @@ class TriangleSurface:
 
 
 def load(surfaces: Mapping[str, LinkSurface], model: pin.Model) -> Iterator[tuple[str, TriangleSurface]]:
-    """Yield each link with its surface, in the frame of the joint that carries the link.
-
-    Raises:
-        ShapeError: a file cannot be read, or has no surfaces.
-    """
+    """Yield each link with its surface, in the frame of the joint that carries it; ShapeError: the file is unfit."""
     for link, surface in surfaces.items():
         try:
             with np.load(surface.path, allow_pickle=False) as file:

@@ -73,18 +73,12 @@ class _LinkCondition(ABC):
 
 @dataclass(frozen=True, eq=False)
 class PointCondition(_LinkCondition):
-    """A point of a link is in a region.
-
-    Attributes:
-        offset_m: the point in the link's frame, shape (3,) [m].
-        center_m: middle of the region, shape (3,) [m].
-        axes: axes of the region in its columns, shape (3, 3).
-    """
+    """A point of a link is in a region."""
 
     link: str
-    offset_m: Vector
-    center_m: Vector
-    axes: Vector
+    offset_m: Vector  # the point in the link's frame, shape (3,) [m]
+    center_m: Vector  # middle of the region, shape (3,) [m]
+    axes: Vector  # axes of the region in its columns, shape (3, 3)
     tolerance: float | Vector
     weight: float = 1.0
 
@@ -107,14 +101,10 @@ class PointCondition(_LinkCondition):
 
 @dataclass(frozen=True, eq=False)
 class TurnCondition(_LinkCondition):
-    """A link has an orientation.
-
-    Attributes:
-        rotation: the orientation, shape (3, 3).
-    """
+    """A link has an orientation."""
 
     link: str
-    rotation: Vector
+    rotation: Vector  # the orientation, shape (3, 3)
     tolerance: Vector
     weight: float = 1.0
 
@@ -132,16 +122,11 @@ class TurnCondition(_LinkCondition):
 
 @dataclass(frozen=True, eq=False)
 class AxisCondition(_LinkCondition):
-    """An axis of a link has a direction, however the link turns about it.
-
-    Attributes:
-        axis: unit vector in the link's frame, shape (3,).
-        direction: unit vector, shape (3,).
-    """
+    """An axis of a link has a direction, however the link turns about it."""
 
     link: str
-    axis: Vector
-    direction: Vector
+    axis: Vector  # unit vector in the link's frame, shape (3,)
+    direction: Vector  # unit vector, shape (3,)
     tolerance: float | Vector
     weight: float = 1.0
 
@@ -168,23 +153,14 @@ class AxisCondition(_LinkCondition):
 
 @dataclass(frozen=True)
 class JointCondition:
-    """A joint is in a range.
+    """A joint is in a range."""
 
-    Attributes:
-        joint: its name.
-        column: its place in a configuration.
-        position_rad: desired position within its limits [rad].
-        lower_rad: lower end of the range [rad].
-        upper_rad: upper end [rad].
-        weight: its share where not all can hold.
-    """
-
-    joint: str
-    column: int
-    position_rad: float
-    lower_rad: float
-    upper_rad: float
-    weight: float = 1.0
+    joint: str  # its name
+    column: int  # its place in a configuration
+    position_rad: float  # desired position within its limits [rad]
+    lower_rad: float  # lower end of the range [rad]
+    upper_rad: float  # upper end [rad]
+    weight: float = 1.0  # its share where not all can hold
 
     arm_m = ROTATION_ARM_M
 

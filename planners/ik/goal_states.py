@@ -27,7 +27,7 @@ from planners.ik.constraints import (
     goal_conditions,
 )
 from planners.ik.goal_refusals import TaskGoal, goal_in_collision, goal_violates, none_of, out_of_reach, out_of_time
-from planners.ik.kinematics import Kinematics
+from planners.ik.kinematics import Descent, Kinematics
 from planners.problem import Deviation, PlanningFailure
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
@@ -65,20 +65,15 @@ ALREADY_THERE_RAD = 1e-6
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Configurations that the descents of one search found.
+    """Configurations that the descents of one search found."""
 
-    Attributes:
-        solutions: free configurations in which the required conditions hold and the preferred ones hold best, least
-            time from the seed first.
-        colliding: contacts in the first configuration in which the required conditions hold, if all of them have some.
-        nearest_q: the configuration that comes nearest, free of contacts if any is.
-        nearest: its deviation from the conditions.
-    """
-
+    # Free configurations in which the required conditions hold and the preferred ones hold best, least time from the
+    # seed first.
     solutions: tuple[Vector, ...]
+    # Contacts in the first configuration in which the required conditions hold, if all of them have some.
     colliding: tuple[CollidingPair, ...]
-    nearest_q: Vector
-    nearest: Deviation
+    nearest_q: Vector  # the configuration that comes nearest, free of contacts if any is
+    nearest: Deviation  # its deviation from the conditions
 
 
 @dataclass(frozen=True)
@@ -93,7 +88,6 @@ class _End:
 
     @property
     def solves(self) -> bool:
-        """True when the required conditions hold and nothing touches."""
         return self.violation_m == 0.0 and not self.collides
 
 
@@ -112,7 +106,7 @@ class DescentResults:
         self.begin()
 
     def begin(self, patience: int = HOPELESS_RESTARTS) -> None:
-        """Begin a series of descents, of which ``patience`` may be fruitless as long as there is no solution."""
+        """Begin a series of descents; ``patience`` of them may be fruitless as long as there is no solution."""
         self._fruitless, self._patience = 0, patience
 
     def enough(self, wanted: int) -> bool:
@@ -175,60 +169,146 @@ class DescentResults:
 
 @dataclass(frozen=True)
 class GoalState:
-    """A configuration in which a goal holds.
+    """A configuration in which a goal holds."""
 
-    Attributes:
-        q: the configuration, shape (n,) [rad].
-        deviation: from the goal.
-        alternative: index of the goal among several.
-    """
-
-    q: Vector
-    deviation: Deviation
-    alternative: int
+    q: Vector  # the configuration, shape (n,) [rad]
+    deviation: Deviation  # from the goal
+    alternative: int  # index of the goal among several
 
 
 @dataclass(frozen=True)
 class GoalQuery:
-    """Query for configurations in which a goal holds.
+    """Query for configurations in which a goal holds."""
 
-    Attributes:
-        group: the joints that may move.
-        start_q: present configuration, shape (n,) [rad].
-        constraints: constraints that must hold beside the goal.
-        budget: ends the search.
-        wanted: number of configurations that are enough.
-        avoid_collisions: False to accept configurations in contact.
-        accept_start: True to accept the start even in contact, as a motion may begin there.
-    """
-
-    group: Group
-    start_q: Vector
-    constraints: Constraints | None
-    budget: Budget
-    wanted: int = MAX_SOLUTIONS
-    avoid_collisions: bool = True
-    accept_start: bool = True
+    group: Group  # the joints that may move
+    start_q: Vector  # present configuration, shape (n,) [rad]
+    constraints: Constraints | None  # constraints that must hold beside the goal
+    budget: Budget  # ends the search
+    wanted: int = MAX_SOLUTIONS  # number of configurations that are enough
+    avoid_collisions: bool = True  # False to accept configurations in contact
+    accept_start: bool = True  # True to accept the start even in contact, as a motion may begin there
 
 
-class GoalSearch:
-    """Finds configurations of one robot.
-
-    Args:
-        robot: the arm.
-        collision: its collisions; configurations ``q`` are in the order of its joints.
-    """
+class GoalStates:
+    """Goal configurations ``q`` of one robot, in the order of its collision model's joints."""
 
     def __init__(self, robot: RobotModel, collision: CollisionModel) -> None:
         self.forward = ForwardKinematics(robot, collision.joint_names)
         self._collision = collision
+        self._joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
         self._kinematics = Kinematics(robot, self.forward, collision.joint_names)
         self._max_velocity = np.array([robot.joints[name].max_velocity for name in collision.joint_names])
         limits = collision.lower_rad, collision.upper_rad
         self._samples = np.random.default_rng(SAMPLE_SEED).uniform(*limits, (SAMPLES, len(collision.joint_names)))
         self._placements: dict[str, Placements] = {}
 
-    def find(self, goal_conditions: GoalConditions, query: GoalQuery) -> SearchResult:
+    def condition_set(self, constraints: Constraints | None) -> ConditionSet:
+        """Return the conditions of constraints."""
+        return ConditionSet(self.forward, conditions(constraints, self._joints))
+
+    def projection(self, group: Group, constraints: Constraints, start_q: Vector) -> Callable[[Vector], Vector | None]:
+        """Return a projection of a group's joint positions onto nearby ones where constraints hold, None on failure.
+
+        Points have the group's joints in their order, shape (n,) [rad]; other joints stay at ``start_q``.
+        """
+        descent = Descent(self._kinematics, group, GoalConditions(conditions(constraints, self._joints)))
+        columns = [self._joints.names.index(name) for name in group.joints]
+
+        def project(point: Vector) -> Vector | None:
+            q = start_q.copy()
+            q[columns] = point
+            inside = descent.inside(q)
+            return None if inside is None else inside[columns]
+
+        return project
+
+    def find(self, goal: Goal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
+        """Find configurations in which a checked goal holds, the soonest reached first; or why there is none."""
+        if not isinstance(goal, AnyOf):
+            return self._single(goal, query, 0)
+        answers = [self._single(single, query, index) for index, single in enumerate(goal.goals)]
+        failures = [answer for answer in answers if isinstance(answer, PlanningFailure)]
+        states = [state for answer in answers if not isinstance(answer, PlanningFailure) for state in answer]
+        if not states:
+            return failures[0] if len(failures) == 1 else none_of(failures)
+        return sorted(states, key=lambda state: self._move_time_s(query.start_q, state.q))
+
+    def point_m(self, goal: TaskGoal, q: Vector) -> list[float]:
+        """Return the point of a goal's link [m]; the root link's origin for a goal of constraints."""
+        self.forward.place(q)
+        point_m = np.zeros(3)
+        if isinstance(goal, PositionGoal):
+            placement = self.forward.placement(goal.link)
+            point_m = placement.translation + placement.rotation @ np.array(goal.offset_m)
+        elif isinstance(goal, AxisGoal | PoseGoal):
+            point_m = self.forward.placement(goal.link).translation
+        return [float(value) for value in point_m]
+
+    def _single(self, goal: SingleGoal, query: GoalQuery, index: int) -> Sequence[GoalState] | PlanningFailure:
+        if isinstance(goal, JointGoal):
+            return self._joint_goal(goal, query, index)
+        also = conditions(query.constraints, self._joints)
+        wanted = goal_conditions(goal, self._joints)
+        whole = ConditionSet(self.forward, (*wanted.required, *wanted.preferred, *also))
+        if query.accept_start and whole.holds(query.start_q):
+            return [GoalState(query.start_q, whole.deviation(query.start_q), index)]
+        found = self.search(wanted.also(also), query)
+        if found.solutions:
+            goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
+            return [GoalState(q, goal_set.deviation(q), index) for q in found.solutions]
+        return self._refusal(goal, wanted, also, found, query)
+
+    def _joint_goal(self, goal: JointGoal, query: GoalQuery, index: int) -> Sequence[GoalState] | PlanningFailure:
+        goal_q = query.start_q.copy()
+        for name, value in goal.positions_rad.items():
+            goal_q[self._joints.names.index(name)] = value
+        goal_q = np.clip(goal_q, self._joints.lower_rad, self._joints.upper_rad)
+        violations = self.condition_set(query.constraints).violations(goal_q)
+        if violations:
+            return goal_violates(violations)
+        if query.accept_start and np.max(np.abs(goal_q - query.start_q)) <= ALREADY_THERE_RAD:
+            return [GoalState(query.start_q, Deviation(), index)]
+        pairs = self._collision.colliding_pairs(goal_q) if query.avoid_collisions else []
+        return goal_in_collision(pairs) if pairs else [GoalState(goal_q, Deviation(), index)]
+
+    def _refusal(
+        self, goal: TaskGoal, wanted: GoalConditions, also: Sequence[Condition], found: SearchResult, query: GoalQuery
+    ) -> PlanningFailure:
+        if query.budget.used_up():
+            nearest_m = self.point_m(goal, found.nearest_q)
+            failure = out_of_time(goal, query.budget.failure(), nearest_m, found.nearest)
+            return self._with_configuration(failure, found.nearest_q, query.group)
+        if found.colliding:
+            return goal_in_collision(found.colliding)
+        if also:
+            alone = self.search(wanted, query)
+            if alone.solutions:
+                return goal_violates(ConditionSet(self.forward, also).violations(alone.solutions[0]))
+            found = alone
+        return self._out_of_reach(goal, wanted, found, query)
+
+    def _out_of_reach(
+        self, goal: TaskGoal, wanted: GoalConditions, found: SearchResult, query: GoalQuery
+    ) -> PlanningFailure:
+        q = found.nearest_q
+        if isinstance(goal, PoseGoal | AxisGoal):
+            # The point with the nearest orientation there is more useful than a compromise between both.
+            point, *turns = wanted.required
+            if turns:
+                found = self.search(GoalConditions((point,), (*turns, *wanted.preferred)), query)
+            q = found.solutions[0] if found.solutions else found.nearest_q
+        goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
+        nearest = goal_set.deviation(q)
+        failure = out_of_reach(goal, self.point_m(goal, q), nearest, goal_set.violations(q))
+        return self._with_configuration(failure, q, query.group)
+
+    def _with_configuration(self, failure: PlanningFailure, q: Vector, group: Group) -> PlanningFailure:
+        if "nearest_m" not in failure.details:
+            return failure
+        nearest_rad = {name: float(q[self._joints.names.index(name)]) for name in group.joints}
+        return replace(failure, details={**failure.details, "nearest_rad": nearest_rad})
+
+    def search(self, goal_conditions: GoalConditions, query: GoalQuery) -> SearchResult:
         """Find configurations in which conditions hold, or as nearly as possible; descents begin at the start."""
         collision = self._collision if query.avoid_collisions else None
         results = DescentResults(self.forward, collision, goal_conditions)
@@ -243,30 +323,9 @@ class GoalSearch:
         if results.only_colliding:
             # Every descent ended in a contact: the nearest free point is then known to a few centimetres only.
             results.add(next(self._free_samples_near(goal_conditions, query), query.start_q))
-        return results.result(lambda q: self.move_time_s(query.start_q, q))
+        return results.result(lambda q: self._move_time_s(query.start_q, q))
 
-    def projection(
-        self, group: Group, conditions: Sequence[Condition], start_q: Vector
-    ) -> Callable[[Vector], Vector | None]:
-        """Return a projection of a group's joint positions onto nearby ones where conditions hold, None on failure.
-
-        Args:
-            group: the joints that may move; points have them in this order, shape (n,) [rad].
-            conditions: the conditions.
-            start_q: configuration of all joints; those outside the group stay there.
-        """
-        descent = self._kinematics.descent(group, GoalConditions(tuple(conditions)))
-        columns = [self._collision.joint_names.index(name) for name in group.joints]
-
-        def project(point: Vector) -> Vector | None:
-            q = start_q.copy()
-            q[columns] = point
-            inside = descent.inside(q)
-            return None if inside is None else inside[columns]
-
-        return project
-
-    def move_time_s(self, start_q: Vector, goal_q: Vector) -> float:
+    def _move_time_s(self, start_q: Vector, goal_q: Vector) -> float:
         """Least time between configurations at the joints' velocity limits [s]."""
         return float(np.max(np.abs(goal_q - start_q) / self._max_velocity))
 
@@ -279,7 +338,7 @@ class GoalSearch:
         patience: int = HOPELESS_RESTARTS,
     ) -> None:
         results.begin(patience)
-        descent = self._kinematics.descent(query.group, goal_conditions)
+        descent = Descent(self._kinematics, query.group, goal_conditions)
         for q in starts:
             results.add(descent(q))
             if results.enough(query.wanted) or query.budget.used_up():
@@ -316,109 +375,3 @@ class GoalSearch:
                 self._placements[condition.link] = self.forward.placements(self._samples, condition.link)
             distances_m += condition.arm_m * condition.distances(self._placements[condition.link])
         return distances_m
-
-
-class GoalStates:
-    """Goal configurations of one robot."""
-
-    def __init__(self, robot: RobotModel, collision: CollisionModel) -> None:
-        self._collision = collision
-        self._search = GoalSearch(robot, collision)
-        self._joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
-        self.forward = self._search.forward
-
-    def condition_set(self, constraints: Constraints | None) -> ConditionSet:
-        """Return the conditions of constraints."""
-        return ConditionSet(self.forward, conditions(constraints, self._joints))
-
-    def projection(self, group: Group, constraints: Constraints, start_q: Vector) -> Callable[[Vector], Vector | None]:
-        """Return :meth:`GoalSearch.projection` for constraints."""
-        return self._search.projection(group, conditions(constraints, self._joints), start_q)
-
-    def find(self, goal: Goal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
-        """Find configurations in which a checked goal holds, the soonest reached first; or why there is none."""
-        if not isinstance(goal, AnyOf):
-            return self._single(goal, query, 0)
-        answers = [self._single(single, query, index) for index, single in enumerate(goal.goals)]
-        failures = [answer for answer in answers if isinstance(answer, PlanningFailure)]
-        states = [state for answer in answers if not isinstance(answer, PlanningFailure) for state in answer]
-        if not states:
-            return failures[0] if len(failures) == 1 else none_of(failures)
-        return sorted(states, key=lambda state: self._search.move_time_s(query.start_q, state.q))
-
-    def point_m(self, goal: TaskGoal, q: Vector) -> list[float]:
-        """Return the point of a goal's link [m]; the root link's origin for a goal of constraints."""
-        self.forward.place(q)
-        point_m = np.zeros(3)
-        if isinstance(goal, PositionGoal):
-            placement = self.forward.placement(goal.link)
-            point_m = placement.translation + placement.rotation @ np.array(goal.offset_m)
-        elif isinstance(goal, AxisGoal | PoseGoal):
-            point_m = self.forward.placement(goal.link).translation
-        return [float(value) for value in point_m]
-
-    def _single(self, goal: SingleGoal, query: GoalQuery, index: int) -> Sequence[GoalState] | PlanningFailure:
-        if isinstance(goal, JointGoal):
-            return self._joint_goal(goal, query, index)
-        also = conditions(query.constraints, self._joints)
-        wanted = goal_conditions(goal, self._joints)
-        whole = ConditionSet(self.forward, (*wanted.required, *wanted.preferred, *also))
-        if query.accept_start and whole.holds(query.start_q):
-            return [GoalState(query.start_q, whole.deviation(query.start_q), index)]
-        found = self._search.find(wanted.also(also), query)
-        if found.solutions:
-            goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
-            return [GoalState(q, goal_set.deviation(q), index) for q in found.solutions]
-        return self._refusal(goal, wanted, also, found, query)
-
-    def _joint_goal(self, goal: JointGoal, query: GoalQuery, index: int) -> Sequence[GoalState] | PlanningFailure:
-        goal_q = query.start_q.copy()
-        for name, value in goal.positions_rad.items():
-            goal_q[self._joints.names.index(name)] = value
-        goal_q = np.clip(goal_q, self._joints.lower_rad, self._joints.upper_rad)
-        violations = self.condition_set(query.constraints).violations(goal_q)
-        if violations:
-            return goal_violates(violations)
-        if query.accept_start and np.max(np.abs(goal_q - query.start_q)) <= ALREADY_THERE_RAD:
-            return [GoalState(query.start_q, Deviation(), index)]
-        pairs = self._collision.colliding_pairs(goal_q) if query.avoid_collisions else []
-        return goal_in_collision(pairs) if pairs else [GoalState(goal_q, Deviation(), index)]
-
-    def _refusal(
-        self, goal: TaskGoal, wanted: GoalConditions, also: Sequence[Condition], found: SearchResult, query: GoalQuery
-    ) -> PlanningFailure:
-        """Return the failure of a search without solutions."""
-        if query.budget.used_up():
-            nearest_m = self.point_m(goal, found.nearest_q)
-            failure = out_of_time(goal, query.budget.failure(), nearest_m, found.nearest)
-            return self._with_configuration(failure, found.nearest_q, query.group)
-        if found.colliding:
-            return goal_in_collision(found.colliding)
-        if also:
-            alone = self._search.find(wanted, query)
-            if alone.solutions:
-                return goal_violates(ConditionSet(self.forward, also).violations(alone.solutions[0]))
-            found = alone
-        return self._out_of_reach(goal, wanted, found, query)
-
-    def _out_of_reach(
-        self, goal: TaskGoal, wanted: GoalConditions, found: SearchResult, query: GoalQuery
-    ) -> PlanningFailure:
-        q = found.nearest_q
-        if isinstance(goal, PoseGoal | AxisGoal):
-            # The point with the nearest orientation there is more useful than a compromise between both.
-            point, *turns = wanted.required
-            if turns:
-                found = self._search.find(GoalConditions((point,), (*turns, *wanted.preferred)), query)
-            q = found.solutions[0] if found.solutions else found.nearest_q
-        goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
-        nearest = goal_set.deviation(q)
-        failure = out_of_reach(goal, self.point_m(goal, q), nearest, goal_set.violations(q))
-        return self._with_configuration(failure, q, query.group)
-
-    def _with_configuration(self, failure: PlanningFailure, q: Vector, group: Group) -> PlanningFailure:
-        """Add the configuration of the nearest point to a failure that has one."""
-        if "nearest_m" not in failure.details:
-            return failure
-        nearest_rad = {name: float(q[self._joints.names.index(name)]) for name in group.joints}
-        return replace(failure, details={**failure.details, "nearest_rad": nearest_rad})

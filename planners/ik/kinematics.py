@@ -41,7 +41,7 @@ MAX_STEP_RAD = 0.7
 # is broken.
 RELAXED = 1e-3
 
-# Conditions on points that one goal can have.
+# Conditions on points that one descent can have.
 MAX_POINTS = 4
 
 # Weight of the present configuration against 1 for the conditions. Far from the target it must be felt: joints that
@@ -54,7 +54,7 @@ MOST_REGULARIZATION = 1e-3
 # Convergence takes 5-10 steps within reach and up to 40 at its edge.
 MAX_STEPS = 60
 
-# A descent that has not come nearer by this share in so many steps has arrived at its nearest point.
+# A descent that has not come nearer by this share within a number of steps has arrived at its nearest point.
 LEAST_GAIN = 0.005
 PATIENCE = 5
 
@@ -81,13 +81,7 @@ class _MimicJoint:
 
 
 class Kinematics:
-    """placo's model of one robot, and inverse kinematics by it.
-
-    Args:
-        robot: the arm.
-        forward: places its links.
-        joint_names: joints of a configuration ``q``, shape (n,) [rad].
-    """
+    """placo's model of one robot; ``joint_names`` are the joints of a configuration ``q``, shape (n,) [rad]."""
 
     def __init__(self, robot: RobotModel, forward: ForwardKinematics, joint_names: Sequence[str]) -> None:
         # placo leaks some 0.16 MB per wrapper, so there is one for life.
@@ -108,15 +102,6 @@ class Kinematics:
         self._columns = np.array([self.wrapper.get_joint_offset(joint_in_placo(name)) for name in joint_names])
         self._lower_rad = np.array([robot.joints[name].lower for name in joint_names])
         self._upper_rad = np.array([robot.joints[name].upper for name in joint_names])
-
-    def descent(self, group: Group, goal_conditions: GoalConditions) -> Descent:
-        """Return a descent that brings configurations to where conditions hold, or as near as possible.
-
-        Args:
-            group: the joints that may move; the others stay.
-            goal_conditions: conditions, at most :data:`planners.ik.kinematics.MAX_POINTS` conditions on points.
-        """
-        return Descent(self, group, goal_conditions)
 
     def place(self, q: Vector) -> None:
         """Move the joints, and those that mimic them."""
@@ -166,7 +151,6 @@ class _LinkTask(_Task):
         self._forward = solver.kinematics.forward
 
     def aim(self, q: Vector, share: float) -> float:  # noqa: ARG002 - the links have been placed there
-        """Aim a step ahead at most."""
         placement = self._forward.placement(self.condition.link)
         violation = self.condition.violation(self.condition.error(placement), share)
         length = norm(violation)
@@ -228,7 +212,6 @@ class _JointTask(_Task):
         super().__init__(condition, weight, self._joints_task, f"joint {index}")
 
     def aim(self, q: Vector, share: float) -> float:
-        """Aim into the range."""
         position_rad = float(q[self.condition.column])
         violation_rad = self.condition.violation_rad(position_rad, share)
         self._joints_task.set_joint(joint_in_placo(self.condition.joint), position_rad + violation_rad)
@@ -268,7 +251,10 @@ def _point_frame(index: int) -> str:
 
 
 class Descent:
-    """Descent from configurations to ones nearby in which conditions hold, or as nearly as possible; within limits."""
+    """Descent from configurations to ones nearby in which conditions hold, or as nearly as possible; within limits.
+
+    Joints outside the group stay. There may be :data:`MAX_POINTS` conditions on points.
+    """
 
     def __init__(self, kinematics: Kinematics, group: Group, goal_conditions: GoalConditions) -> None:
         required = [(condition, condition.weight) for condition in goal_conditions.required]
@@ -321,7 +307,6 @@ class _Solver:
                 gears.set_gear(joint.name, joint.leader, joint.multiplier)
 
     def descend(self, q: Vector, share: float) -> Vector:
-        """Descend from a configuration towards a share of every tolerance."""
         for task in self._tasks:
             if isinstance(task, _PointTask):
                 task.attach()

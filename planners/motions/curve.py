@@ -61,17 +61,11 @@ def seconds(ticks: Ticks) -> Vector:
 
 @dataclass(frozen=True)
 class Curve:
-    """Joint positions over time.
+    """Joint positions over time."""
 
-    Attributes:
-        ticks: shape (k,), k >= 2, increasing from 0 [:data:`TICK_S`].
-        positions_rad: shape (k, n), at the knots [rad].
-        velocities_rad_s: shape (k, n), there [rad/s].
-    """
-
-    ticks: Ticks
-    positions_rad: Vector
-    velocities_rad_s: Vector
+    ticks: Ticks  # shape (k,), k >= 2, increasing from 0 [:data:`TICK_S`]
+    positions_rad: Vector  # shape (k, n), at the knots [rad]
+    velocities_rad_s: Vector  # shape (k, n), there [rad/s]
 
     @property
     def duration_ticks(self) -> int:
@@ -189,7 +183,6 @@ def _integrals(curve: Curve, ticks: Ticks) -> tuple[Vector, Vector, Vector]:
 
 
 def _area(curve: Curve, ticks: Ticks) -> Vector:
-    """Integral of the position from the start of the curve [rad s]."""
     span_s = (TICK_S * np.diff(curve.ticks))[:, np.newaxis]
     v0, v1 = curve.velocities_rad_s[:-1], curve.velocities_rad_s[1:]
     pieces = span_s * (curve.positions_rad[:-1] + span_s * (2.0 * v0 + v1) / 6.0)
@@ -228,12 +221,9 @@ def line(start: Vector, goal: Vector, limits: RateLimits) -> Curve:
 
 
 def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
-    """Stop in each point of a polyline.
+    """Stop in each point of a polyline, shape (m, n), m >= 1 [rad]; points that repeat their predecessor count once.
 
-    Args:
-        points: shape (m, n), m >= 1 [rad]; points that repeat their predecessor count once.
-        limits: limits to keep.
-        wait_ticks: time to wait in each point between the first and the last.
+    The joints wait for ``wait_ticks`` in each point between the first and the last.
     """
     points = _distinct(points)
     curves = [line(start, goal, limits) for start, goal in pairwise(points)]

@@ -34,20 +34,20 @@ from planners.motions.curve import (
 from planners.motions.path import (
     PROJECTED_SEARCH,
     RRT_CONNECT,
-    CountedSpace,
     Project,
     Query,
     checks_in,
+    curve_free,
     projected_search,
     search,
+    via_point,
     without_detours,
 )
 from planners.motions.path_timing import MAX_DURATION_S, standing
-from planners.motions.via_point import via_point
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
 
-# Parts drawn at once: one numpy call tells the time that each would save, and the best is tried first.
+# Parts drawn at once: one numpy call gives the time that each would save, and the best is tried first.
 PARTS_A_ROUND = 32
 
 # Parts of these that are tried before others are drawn: the rest saves too little to be worth a check.
@@ -82,33 +82,21 @@ CHECKS_A_SEARCH = 3000
 
 @dataclass(frozen=True)
 class MotionTask:
-    """Move from a point of the joint space to any one of the goals.
+    """Move from a point of the joint space to any one of the goals."""
 
-    Attributes:
-        space: the joints that move.
-        joint_names: their names.
-        limits: limits of the motion.
-        start: shape (n,) [rad].
-        start_velocity: shape (n,), within the limits [rad/s].
-        goals: free points, the soonest first.
-        seed: same task and seed, same motion.
-        attempts: number of searched motions, at most, of which the shortest is taken.
-        planner_id: the search, as planners.problem.planner_name knows it.
-        optimization_time_s: time to search for shorter motions, as the amount of work that nominally takes it [s].
-        project: brings points to ones nearby where the space's condition holds, or returns None; with it there is a
-            search of its own, since others hardly ever draw a point that meets a condition.
-    """
-
-    space: JointSpace
-    joint_names: tuple[str, ...]
-    limits: RateLimits
-    start: Vector
-    start_velocity: Vector
-    goals: Sequence[Vector]
-    seed: int = 0
-    attempts: int = 5
-    planner_id: str = ""
+    space: JointSpace  # the joints that move
+    joint_names: tuple[str, ...]  # their names
+    limits: RateLimits  # limits of the motion
+    start: Vector  # shape (n,) [rad]
+    start_velocity: Vector  # shape (n,), within the limits [rad/s]
+    goals: Sequence[Vector]  # free points, the soonest first
+    seed: int = 0  # same task and seed, same motion
+    attempts: int = 5  # number of searched motions, at most; the shortest is taken
+    planner_id: str = ""  # the search, as planners.problem.planner_name knows it
+    # Time to search for shorter motions, as the amount of work that nominally takes it [s].
     optimization_time_s: float = 0.0
+    # Brings points to ones nearby where the space's condition holds, or returns None; with it there is a search of its
+    # own, since others hardly ever draw a point that meets a condition.
     project: Project | None = None
 
     @cached_property
@@ -124,17 +112,11 @@ class MotionTask:
 
 @dataclass(frozen=True)
 class Motion:
-    """A certified motion.
+    """A certified motion."""
 
-    Attributes:
-        trajectory: from the start to a goal.
-        method: "straight line", "via point", or the search that found its path.
-        goal: index of the goal that it reaches.
-    """
-
-    trajectory: Trajectory
-    method: str
-    goal: int
+    trajectory: Trajectory  # from the start to a goal
+    method: str  # "straight line", "via point", or the search that found its path
+    goal: int  # index of the goal that it reaches
 
 
 def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
@@ -225,12 +207,12 @@ class _Searching:
         self._task = task
         self._budget = budget
         self._name = _search_of(task) if task.project is None else PROJECTED_SEARCH
-        self._space = CountedSpace(task.space, budget.used_up)
+        self._space = task.space
         self._rng = np.random.default_rng(task.seed)
         self._searches = count()
         self._finer = self._blocked_paths = 0
         self._lead = lead
-        # Where none of the quickest via points is free, others hardly ever are.
+        # Where no via point of the quickest is free, others hardly ever are.
         self._try_via_points = self._name == RRT_CONNECT
         self._enough_checks: int | None = None
 
@@ -240,7 +222,7 @@ class _Searching:
             found = sorted(self._found(), key=lambda each: each[1].duration_ticks)
             for method, curve in found:
                 # The best motion is still of use after the deadline, but not once the request is cancelled.
-                trajectory = None if self._budget.stopped else _certified(self._task, curve)
+                trajectory = None if self._budget.should_stop() else _certified(self._task, curve)
                 if trajectory is not None:
                     return Motion(trajectory, method, self._goal_at_end_of(curve))
             if found:
@@ -276,7 +258,6 @@ class _Searching:
         return self._name, self._without_detours(self._searched(query, number))
 
     def _searched(self, query: Query, number: int) -> Vector | None:
-        """Return the path that one search finds."""
         most = self._space.checks + CHECKS_A_SEARCH * (1 + number)
         seed, project = self._task.seed + number, self._task.project
 
@@ -290,7 +271,7 @@ class _Searching:
     def _without_detours(self, path: Vector | None) -> Vector | None:
         if path is None:
             return None
-        shorter = without_detours(self._space, path, CURVE_STEPS_M[self._finer])
+        shorter = without_detours(self._space, path, CURVE_STEPS_M[self._finer], self._budget.used_up)
         self._blocked_paths += shorter is None
         return shorter
 
@@ -299,7 +280,7 @@ class _Searching:
         return SEARCH_STEPS_M[min(finer, len(SEARCH_STEPS_M) - 1)]
 
     def _free(self, curve: Curve) -> bool:
-        return self._space.curve_free(curve, CURVE_STEPS_M[self._finer])
+        return curve_free(self._space, curve, CURVE_STEPS_M[self._finer], self._budget.used_up)
 
     def _enough(self) -> bool:
         """Tell whether as much was done as the optimisation time is worth, or the budget is used up."""

@@ -1,6 +1,6 @@
 """Collision-free polylines: OMPL's searches with shortcuts from vertex to vertex, and their effort.
 
-Where so few configurations meet a condition that a search would draw none of them, two trees grow towards each other in
+Where a search would hardly ever draw a configuration that meets a condition, two trees grow towards each other in
 short steps, each projected onto the condition, after Berenson et al., "Manipulation planning on constraint manifolds",
 2009. The effort of a search is counted in checks, which is the same on every machine.
 """
@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
 from planners.budget import never
 from planners.geometry.joint_space import JointSpace
-from planners.geometry.sweep import ALL_PAIRS, NO_CANDIDATES, CandidatePairs, line_is_free
+from planners.geometry.sweep import ALL_PAIRS, NO_CANDIDATES, CandidatePairs
 from planners.motions.curve import Curve
 from robot.trajectory import Vector
 
@@ -59,6 +60,12 @@ LEAST_PROGRESS = 0.2
 # Trees that reach out further at once are caught in corners.
 STEPS_AT_ONCE = 20
 
+# Via points drawn at once, and compared in one numpy call.
+VIA_POINTS = 1024
+
+# Checks after which a tree finds a path sooner: no quick via point is free then as a rule.
+MOST_CHECKS = 100
+
 
 def checks_in(time_s: float) -> int:
     """Return the number of checks that a time is worth."""
@@ -78,91 +85,49 @@ def coarse_first(pieces: int) -> Vector:
     return shares
 
 
-class CountedSpace:
-    """Joint space that counts its collision checks; once it is to stop, no line or curve is called free any more.
+def line_free_sparsely(space: JointSpace, start: Vector, end: Vector, step_m: float) -> bool:
+    """Return true if nothing touches in points of a straight line, its start taken to be free.
 
-    Attributes:
-        checks: number of checks so far.
-        travel_m_per_rad: the most that anything moves per motion of each joint, shape (n,).
-        lower_rad: shape (n,), lower position limits.
-        upper_rad: shape (n,), upper position limits.
+    Nothing moves further than a step from one point to the next; contacts between them may be missed.
     """
+    travel_m = float(np.abs(end - start) @ space.travel_m_per_rad)
+    points = start + coarse_first(max(1, int(np.ceil(travel_m / step_m)))) * (end - start)
+    return all(space.free(point) for point in points)
 
-    def __init__(self, space: JointSpace, should_stop: Callable[[], bool] = never) -> None:
-        self._space = space
-        self._should_stop = should_stop
-        self.checks = 0
-        self.travel_m_per_rad = space.travel_m_per_rad
-        self.lower_rad = space.lower_rad
-        self.upper_rad = space.upper_rad
 
-    def free(self, point: Vector | Sequence[float]) -> bool:
-        """Tell whether nothing touches at a point."""
-        self.checks += 1
-        return self._space.free(point)
+def curve_free(space: JointSpace, curve: Curve, step_m: float, should_stop: Callable[[], bool] = never) -> bool:
+    """Return true if joints stay in range and nothing touches along a curve; its ends are taken to be free.
 
-    def candidate_pairs(
-        self, points: Vector, joint_travel: Vector, among: Sequence[CandidatePairs]
-    ) -> list[CandidatePairs]:
-        """As :meth:`JointSpace.candidate_pairs`."""
-        self.checks += len(points)
-        return self._space.candidate_pairs(points, joint_travel, among)
-
-    def touches_any(self, point: Vector, among: CandidatePairs) -> bool:
-        """As :meth:`JointSpace.touches_any`."""
-        self.checks += 1
-        return self._space.touches_any(point, among)
-
-    def line_free(self, start: Vector, end: Vector, step_m: float) -> bool:
-        """As :meth:`JointSpace.line_free`."""
-        return not self._should_stop() and line_is_free(self, start, end, step_m)
-
-    def line_free_sparsely(self, start: Vector, end: Vector, step_m: float) -> bool:
-        """Tell whether nothing touches in points of a straight line, its start taken to be free.
-
-        Nothing moves further than a step from one point to the next; contacts between them may be missed.
-        """
-        travel_m = float(np.abs(end - start) @ self.travel_m_per_rad)
-        points = start + coarse_first(max(1, int(np.ceil(travel_m / step_m)))) * (end - start)
-        return all(self.free(point) for point in points)
-
-    def curve_free(self, curve: Curve, step_m: float) -> bool:
-        """Tell whether joints stay in range and nothing touches along a curve; its ends are taken to be free.
-
-        The fastest point travels about a step between two checked points.
-        """
-        if not curve.stays_within(self.lower_rad, self.upper_rad):
+    The fastest point travels about a step between two checked points. A check that is stopped finds no curve free.
+    """
+    if not curve.stays_within(space.lower_rad, space.upper_rad):
+        return False
+    points = _evenly(space, curve, step_m)
+    half = len(points) // 2
+    middles = np.array([half])
+    candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
+    while half and len(middles):
+        here = points[middles]
+        joint_travel = np.maximum(np.abs(points[middles - half] - here), np.abs(points[middles + half] - here))
+        if np.max(joint_travel @ space.travel_m_per_rad) <= WIDEST_MARGIN_M:
+            candidate_pairs = space.candidate_pairs(here, joint_travel, candidate_pairs)
+            unsure = [i for i, candidates in enumerate(candidate_pairs) if candidates != NO_CANDIDATES]
+            middles, candidate_pairs = middles[unsure], [candidate_pairs[i] for i in unsure]
+        touching = (space.touches_any(points[i], near) for i, near in zip(middles, candidate_pairs, strict=True))
+        if should_stop() or any(touching):
             return False
-        points = self._evenly(curve, step_m)
-        half = len(points) // 2
-        middles = np.array([half])
-        candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
-        while half and len(middles):
-            here = points[middles]
-            joint_travel = np.maximum(np.abs(points[middles - half] - here), np.abs(points[middles + half] - here))
-            if np.max(joint_travel @ self.travel_m_per_rad) <= WIDEST_MARGIN_M:
-                candidate_pairs = self.candidate_pairs(here, joint_travel, candidate_pairs)
-                unsure = [i for i, candidates in enumerate(candidate_pairs) if candidates != NO_CANDIDATES]
-                middles, candidate_pairs = middles[unsure], [candidate_pairs[i] for i in unsure]
-            touching = (
-                self.touches_any(points[i], candidates) for i, candidates in zip(middles, candidate_pairs, strict=True)
-            )
-            if self._should_stop() or any(touching):
-                return False
-            half //= 2
-            middles, candidate_pairs = (
-                np.concatenate((middles - half, middles + half)),
-                candidate_pairs + candidate_pairs,
-            )
-        return True
+        half //= 2
+        middles, candidate_pairs = np.concatenate((middles - half, middles + half)), candidate_pairs + candidate_pairs
+    return True
 
-    def _evenly(self, curve: Curve, step_m: float) -> Vector:
-        """Return 2^k + 1 points on the curve, apart by the same travel of at most a step."""
-        ticks = curve.sample_ticks()
-        moved_m = np.abs(np.diff(curve.at(ticks)[0], axis=0)) @ self.travel_m_per_rad
-        travel_m = np.concatenate(([0.0], np.cumsum(moved_m)))
-        pieces = 1 << max(0, int(np.ceil(np.log2(max(travel_m[-1], step_m) / step_m))))
-        return curve.at(np.interp(np.linspace(0.0, travel_m[-1], pieces + 1), travel_m, ticks))[0]
+
+def _evenly(space: JointSpace, curve: Curve, step_m: float) -> Vector:
+    """Return 2^k + 1 points on the curve, apart by the same travel of at most a step."""
+    ticks = curve.sample_ticks()
+    moved_m = np.abs(np.diff(curve.at(ticks)[0], axis=0)) @ space.travel_m_per_rad
+    travel_m = np.concatenate(([0.0], np.cumsum(moved_m)))
+    pieces = 1 << max(0, int(np.ceil(np.log2(max(travel_m[-1], step_m) / step_m))))
+    return curve.at(np.interp(np.linspace(0.0, travel_m[-1], pieces + 1), travel_m, ticks))[0]
 
 
 # The libraries' log would go to the worker's stderr; what matters is in the answer.
@@ -171,19 +136,12 @@ ou.setLogLevel(ou.LOG_NONE)
 
 @dataclass(frozen=True)
 class Query:
-    """Query of a path search.
+    """Query of a path search."""
 
-    Attributes:
-        space: where to search.
-        start: free point, shape (n,).
-        goals: free points, any one of which will do.
-        step_m: greatest travel of a point of the robot from one check to the next [m].
-    """
-
-    space: CountedSpace
-    start: Vector
-    goals: Sequence[Vector]
-    step_m: float
+    space: JointSpace  # where to search
+    start: Vector  # free point, shape (n,)
+    goals: Sequence[Vector]  # free points to choose from
+    step_m: float  # greatest travel of a point of the robot from one check to the next [m]
 
 
 def search(query: Query, name: str, seed: int, should_stop: Callable[[], bool]) -> Vector | None:
@@ -207,17 +165,19 @@ def search(query: Query, name: str, seed: int, should_stop: Callable[[], bool]) 
     return np.array([path.getState(i)[0:size] for i in range(path.getStateCount())])
 
 
-def without_detours(space: CountedSpace, path: Vector, step_m: float) -> Vector | None:
+def without_detours(
+    space: JointSpace, path: Vector, step_m: float, should_stop: Callable[[], bool] = never
+) -> Vector | None:
     """Leave out the vertices that a free straight line can pass by, from each vertex to the furthest it can reach.
 
-    Returns:
-        Shape (k, n) with the same ends, or None: checked in steps of ``step_m``, the path itself is not free.
+    None if the path itself, checked in steps of ``step_m``, is not free, or once the search is to stop.
     """
     kept = [0]
     while kept[-1] < len(path) - 1:
         here = kept[-1]
         further = range(len(path) - 1, here, -1)
-        reached = next((i for i in further if space.line_free(path[here], path[i], step_m)), None)
+        free = (i for i in further if not should_stop() and space.line_free(path[here], path[i], step_m))
+        reached = next(free, None)
         if reached is None:
             return None
         kept.append(reached)
@@ -234,7 +194,7 @@ class _Edges(ob.MotionValidator):
 
     def checkMotion(self, first: ob.RealVectorStateType, second: ob.RealVectorStateType) -> bool:  # noqa: N802
         start, end = np.array(first[0 : self._size]), np.array(second[0 : self._size])
-        return self._query.space.line_free_sparsely(start, end, self._query.step_m)
+        return line_free_sparsely(self._query.space, start, end, self._query.step_m)
 
 
 def _planner(name: str, information: ob.SpaceInformation) -> ob.Planner:
@@ -301,12 +261,10 @@ def projected_search(query: Query, project: Project, seed: int, should_stop: Cal
 
 
 def reachable(query: Query, project: Project, seed: int, should_stop: Callable[[], bool]) -> Vector:
-    """Grow a tree from the start, some of its branches towards the goals, until it is to stop.
+    """Grow a tree from the start, some branches towards the goals, until it is to stop; return its points, (m, n).
 
-    The goals need not be free, and there may be none. The same query and seed give the same tree.
-
-    Returns:
-        Points to which free polylines lead from the start, which is the first, shape (m, n).
+    Free polylines lead to the points from the start, which is the first. The goals need not be free, and there may be
+    none. The same query and seed give the same tree.
     """
     rng = np.random.default_rng(seed)
     grower, tree = _Grower(query, project, should_stop), _Tree([query.start])
@@ -371,3 +329,41 @@ class _Grower:
         if reached is None or np.linalg.norm(reached - point) < LEAST_PROGRESS * step:
             return None
         return reached if space.line_free(point, reached, self._query.step_m) else None
+
+
+def via_point(
+    query: Query, velocity_rad_s: Vector, rng: np.random.Generator, should_stop: Callable[[], bool]
+) -> Vector | None:
+    """Find a path of shape (3, n) to one of the goals by way of a point, among the quickest of the points drawn.
+
+    One via point is enough to pass most obstacles. A tree finds some path, on either side of an obstacle, and
+    shortening keeps it on that side; of via points drawn at random, those come first that hardly take longer than no
+    obstacle would.
+    """
+    space, goals = query.space, np.array(query.goals)
+    points = rng.uniform(space.lower_rad, space.upper_rad, (VIA_POINTS, len(query.start)))
+    times_s = _times_s(points, query.start[np.newaxis], velocity_rad_s) + _times_s(points, goals, velocity_rad_s)
+    most = space.checks + MOST_CHECKS
+    for index in _least(times_s.ravel(), MOST_CHECKS).tolist():
+        if space.checks >= most or should_stop():
+            break
+        goal, point = goals[index // VIA_POINTS], points[index % VIA_POINTS]
+        lines = ((query.start, point), (point, goal))
+        if all(line_free_sparsely(space, first, last, query.step_m) for first, last in lines):
+            return np.array([query.start, point, goal])
+    return None
+
+
+def _times_s(points: Vector, others: Vector, velocity_rad_s: Vector) -> Vector:
+    """Return how long the slowest joint takes between each two of some points, shape (others, points) [s]."""
+    # numpy is slow with a last axis of five.
+    moved_rad = np.abs(points.T[:, np.newaxis] - others.T[:, :, np.newaxis])
+    times_s: Vector = np.max(moved_rad / velocity_rad_s[:, np.newaxis, np.newaxis], axis=0)
+    return times_s
+
+
+def _least(values: Vector, count: int) -> NDArray[np.intp]:
+    """Return the indices of the least values, shape (count,) or more where some are equal, in their order."""
+    # Each try is a check at least, so hardly any is needed; sorting all of them took longer than the checks.
+    few = np.flatnonzero(values <= np.partition(values, count - 1)[count - 1])
+    return few[np.argsort(values[few], kind="stable")]

@@ -36,38 +36,6 @@ FASTEST_RATE = 30.0
 # Where the arm can only stand, toppra's tolerance of 1e-8 in squared rates makes it crawl at up to 7e-4 of these units.
 STANDING_RATE = 1e-3
 
-# On a curve of few points the progress still has to rise and fall within this many steps.
-LEAST_GRID_STEPS = 20
-
-# The limits between grid points are kept to a few per mille with this many between two points of the curve.
-GRID_STEPS_PER_SPAN = 2
-
-
-class SplinePath:
-    """The natural cubic spline through points.
-
-    Args:
-        knots: shape (m,), m >= 2, strictly increasing parameters.
-        points: shape (m, n), finite, where the curve is there [rad].
-    """
-
-    def __init__(self, knots: Vector, points: Vector) -> None:
-        self.knots = knots
-        self.points = points
-        self._curve = NaturalSpline(knots, points)
-
-    @property
-    def grid(self) -> Vector:
-        """Parameters for timing: the second derivative is linear between them."""
-        spans = len(self.knots) - 1
-        steps = max(GRID_STEPS_PER_SPAN, -(-LEAST_GRID_STEPS // spans))
-        at = np.arange(spans * steps + 1) / steps
-        return np.interp(at, np.arange(spans + 1), self.knots)
-
-    def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
-        """Position, first or second derivative at parameters, shape (k, n)."""
-        return self._curve(path_positions, order)
-
 
 def standing(joint_names: tuple[str, ...], point: Vector) -> Trajectory:
     """Return the motion of no duration that stays in a point, shape (n,) [rad]."""
@@ -77,15 +45,10 @@ def standing(joint_names: tuple[str, ...], point: Vector) -> Trajectory:
 
 @dataclass(frozen=True)
 class Profile:
-    """Progress along a path: between knots the progress accelerates uniformly.
+    """Progress along a path: between knots the progress accelerates uniformly."""
 
-    Attributes:
-        s: shape (k,), lengths [rad].
-        rate: shape (k,), progress there [rad/s]; 0 at both ends.
-    """
-
-    s: Vector
-    rate: Vector
+    s: Vector  # shape (k,), lengths [rad]
+    rate: Vector  # shape (k,), progress there [rad/s]; 0 at both ends
 
     @property
     def times_s(self) -> Vector:
@@ -93,7 +56,7 @@ class Profile:
         return np.concatenate(([0.0], np.cumsum(2.0 * np.diff(self.s) / (self.rate[:-1] + self.rate[1:]))))
 
 
-def sampled(path: SplinePath, profile: Profile, joint_names: tuple[str, ...]) -> Trajectory:
+def sampled(path: NaturalSpline, profile: Profile, joint_names: tuple[str, ...]) -> Trajectory:
     """Return the motion along a path, sampled at the profile's knots and at 100 Hz; its ends are exact."""
     knots_s = profile.times_s
     times_s = _sample_times(knots_s)
@@ -149,16 +112,12 @@ def within_limits(trajectory: Trajectory, limits: RateLimits) -> Trajectory:
     )
 
 
-def toppra_profile(path: SplinePath, limits: RateLimits, top_rate: Vector | None = None) -> Profile | None:
+def toppra_profile(path: NaturalSpline, limits: RateLimits, top_rate: Vector | None = None) -> Profile | None:
     """Return the fastest progress along a path from rest to rest.
 
-    Args:
-        path: its acceleration limits are kept at the points of its ``grid`` and nearly so between them.
-        limits: of the joints.
-        top_rate: further limits of the progress rate, each above 0, shape (len(path.grid),).
-
-    Returns:
-        None when the path demands an infinite acceleration, stands still, or has numbers that are not finite.
+    Acceleration limits are kept at the points of the path's ``grid`` and nearly so between them. ``top_rate`` are
+    further limits of the progress rate, each above 0, shape (len(path.grid),). None when the path demands an infinite
+    acceleration, stands still, or has numbers that are not finite.
     """
     length = float(path.knots[-1] - path.knots[0])
     reach_s2 = np.abs(path(path.grid, 1)) * length / limits.acceleration_rad_s2
@@ -182,30 +141,26 @@ class _ScaledPath:
     """A path for toppra, with numbers of about 1, which its tolerances are made for.
 
     Its parameter goes from 0 to 1, and its acceleration limits are 1 in units of ``joint_units_rad``. Its last column
-    is progress itself, so that limits of the progress rate are those of a joint.
+    is progress itself, so that its rate is limited as a joint is.
     """
 
-    path: SplinePath
+    path: NaturalSpline
     length: float
     joint_units_rad: Vector
 
     @property
     def grid(self) -> Vector:
-        """Parameters for timing."""
         return np.asarray((self.path.grid - self.path.knots[0]) / self.length)
 
     @property
     def dof(self) -> int:
-        """Number of columns."""
         return len(self.joint_units_rad) + 1
 
     @property
     def path_interval(self) -> Vector:
-        """First and last parameter."""
         return np.array([0.0, 1.0])
 
     def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
-        """As :class:`SplinePath`."""
         joints = self.path(self.path.knots[0] + self.length * path_positions, order)
         progress = (path_positions, np.ones_like(path_positions), np.zeros_like(path_positions))[order]
         return np.column_stack((joints * (self.length**order / self.joint_units_rad), progress / FASTEST_RATE**2))
@@ -227,11 +182,12 @@ def _fastest(path: _ScaledPath, velocity: Vector, top_rate: Vector) -> Vector:
 
 
 def time_along(
-    path: SplinePath, joint_names: tuple[str, ...], limits: RateLimits, top_rate: Vector | None = None
+    path: NaturalSpline, joint_names: tuple[str, ...], limits: RateLimits, top_rate: Vector | None = None
 ) -> Trajectory | None:
     """Return the fastest motion along a path from rest to rest, whose interpolation keeps the limits as well.
 
-    Its samples are at most 10 ms apart. None where :func:`toppra_profile` has none, or one that takes too long.
+    Its samples are at most about 10 ms apart. None where
+    :func:`toppra_profile` has none, or a profile that takes too long.
     """
     profile = toppra_profile(path, limits, top_rate)
     if profile is None or profile.times_s[-1] > MAX_DURATION_S:

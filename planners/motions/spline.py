@@ -12,22 +12,23 @@ from robot.trajectory import Vector
 # They leave 6e-14 of the first error: about rounding.
 HALVINGS = 44
 
+# On a curve of few points the progress along it still has to rise and fall within this many steps.
+LEAST_GRID_STEPS = 20
+
+# Limits are kept to a few per mille between the points of a grid with this many between two points of the curve.
+GRID_STEPS_PER_SPAN = 2
+
 
 class NaturalSpline:
-    """Natural cubic spline through points.
+    """Natural cubic spline through ``points``, shape (m, n), m >= 2, at strictly increasing ``knots``, shape (m,).
 
-    Args:
-        knots: shape (m,), m >= 2, strictly increasing parameters.
-        points: shape (m, n), places of the curve there.
-
-    Raises:
-        ValueError: numbers that are not finite.
+    ValueError: numbers that are not finite.
     """
 
     def __init__(self, knots: Vector, points: Vector) -> None:
         if not (np.all(np.isfinite(knots)) and np.all(np.isfinite(points))):
             raise ValueError("a spline needs finite numbers")
-        self._knots, spans = knots, np.diff(knots)[:, np.newaxis]
+        self.knots, self.points, spans = knots, points, np.diff(knots)[:, np.newaxis]
         slopes = np.diff(points, axis=0) / spans
         bends = np.zeros_like(points, dtype=np.float64)
         # De Boor, A Practical Guide to Splines, chapter IV: second derivatives from the continuity of the first, by
@@ -41,11 +42,18 @@ class NaturalSpline:
         self._slope = slopes - spans * (2.0 * bends[:-1] + bends[1:]) / 6.0
         self._twist = np.diff(bends, axis=0) / (6.0 * spans)
 
+    @property
+    def grid(self) -> Vector:
+        """Parameters for timing: the second derivative is linear between them."""
+        spans = len(self.knots) - 1
+        steps = max(GRID_STEPS_PER_SPAN, -(-LEAST_GRID_STEPS // spans))
+        return np.interp(np.arange(spans * steps + 1) / steps, np.arange(spans + 1), self.knots)
+
     def __call__(self, parameters: Vector, order: int = 0) -> Vector:
         """Return position, first or second derivative at parameters, shape (k, n); beyond the ends, of the end span."""
         parameters = np.asarray(parameters, dtype=np.float64)
-        span = np.clip(np.searchsorted(self._knots, parameters, side="right") - 1, 0, len(self._knots) - 2)
-        along = (parameters - self._knots[span])[..., np.newaxis]
+        span = np.clip(np.searchsorted(self.knots, parameters, side="right") - 1, 0, len(self.knots) - 2)
+        along = (parameters - self.knots[span])[..., np.newaxis]
         bend, twist = self._bend[span], self._twist[span]
         result: Vector
         if order == 2:

@@ -1,6 +1,6 @@
 """Requests of MoveIt Servo for joint velocities, many times a second, and their answers: plain data.
 
-All of it is in the robot's root link and in SI units. This module imports none of the planning libraries.
+All of it is in the robot's root link and in SI units. This module imports no planning library.
 """
 
 from __future__ import annotations
@@ -74,81 +74,47 @@ ServoCommand = TipTwist | JointVelocities | TipTarget
 
 @dataclass(frozen=True)
 class Anchor:
-    """Pose that the tip keeps in the directions that are not commanded, so that it does not drift.
+    """Pose that the tip keeps in the directions that are not commanded, so that it does not drift."""
 
-    Attributes:
-        pose: pose of the tip to keep.
-        along: unit vector along which it is moved, and so may be anywhere; zero to hold the position.
-        about: unit vector about which it is turned, and so may have any angle; zero to hold the orientation.
-    """
-
-    pose: Pose
-    along: Point = ZERO
-    about: Point = ZERO
+    pose: Pose  # pose of the tip to keep
+    along: Point = ZERO  # unit vector along which it is moved, and so may be anywhere; zero to hold the position
+    about: Point = ZERO  # unit vector about which it is turned, and so may have any angle; zero to hold the orientation
 
 
 @dataclass(frozen=True)
 class ServoLimits:
-    """Limits of servoing.
+    """Limits of servoing."""
 
-    Attributes:
-        linear_m_s: greatest speed of the tip on its way to a target [m/s].
-        angular_rad_s: greatest speed of its turn there [rad/s].
-        velocity_scaling: share of the joints' velocity limits that may be used, in (0, 1].
-        singularity_slow: condition number of the tip's position from which motion towards a singularity is slowed.
-        singularity_stop: condition number at which such motion ends.
-        self_distance_m: nearest that links come to each other; None to keep no distance [m].
-        scene_distance_m: nearest that links come to objects; None likewise [m].
-    """
-
-    linear_m_s: float = 0.4
-    angular_rad_s: float = 0.8
-    velocity_scaling: float = 1.0
+    linear_m_s: float = 0.4  # greatest speed of the tip on its way to a target [m/s]
+    angular_rad_s: float = 0.8  # greatest speed of its turn there [rad/s]
+    velocity_scaling: float = 1.0  # share of the joints' velocity limits that may be used, in (0, 1]
+    # Condition number of the tip's position from which motion towards a singularity is slowed.
     singularity_slow: float = 17.0
-    singularity_stop: float = 30.0
-    self_distance_m: float | None = 0.003
-    scene_distance_m: float | None = 0.005
+    singularity_stop: float = 30.0  # condition number at which such motion ends
+    self_distance_m: float | None = 0.003  # nearest that links come to each other; None to keep no distance [m]
+    scene_distance_m: float | None = 0.005  # nearest that links come to objects; None likewise [m]
 
 
 @dataclass(frozen=True)
 class ServoQuestion:
-    """Question for the joint velocities of this moment; answered by :class:`ServoAnswer`.
+    """Question for the joint velocities of this moment; answered by :class:`ServoAnswer`."""
 
-    Attributes:
-        group: the joints that may move.
-        link: the tip.
-        positions_rad: commanded position of every movable joint [rad].
-        velocity_rad_s: the last answer's; joints not named rest [rad/s].
-        period_s: time between two answers, above 0 to ``MAX_PERIOD_S`` [s].
-        command: the command.
-        anchor: of the last answer to the same steering; None at its beginning.
-        limits: limits of the motion.
-    """
-
-    group: str
-    link: str
-    positions_rad: Mapping[str, float]
-    velocity_rad_s: Mapping[str, float]
-    period_s: float
-    command: ServoCommand
-    anchor: Anchor | None = None
-    limits: ServoLimits = ServoLimits()
+    group: str  # the joints that may move
+    link: str  # the tip
+    positions_rad: Mapping[str, float]  # commanded position of every movable joint [rad]
+    velocity_rad_s: Mapping[str, float]  # the last answer's; joints not named rest [rad/s]
+    period_s: float  # time between two answers, above 0 to ``MAX_PERIOD_S`` [s]
+    command: ServoCommand  # the command
+    anchor: Anchor | None = None  # of the last answer to the same steering; None at its beginning
+    limits: ServoLimits = ServoLimits()  # limits of the motion
 
 
 @dataclass(frozen=True)
 class ServoAnswer:
-    """Joint velocities of this moment, and the status that goes with them.
+    """Joint velocities of this moment, and the status that goes with them."""
 
-    Attributes:
-        velocity_rad_s: of every joint of the group [rad/s].
-        status: the gravest reason for a reduced speed.
-        message: the status in words, with the parts of the command that are given up; may be empty.
-        share: achieved share of the commanded speed, 0 to 1.
-        anchor: for the next question.
-    """
-
-    velocity_rad_s: Mapping[str, float]
-    status: ServoStatus = ServoStatus.NO_WARNING
-    message: str = ""
-    share: float = 1.0
-    anchor: Anchor | None = None
+    velocity_rad_s: Mapping[str, float]  # of every joint of the group [rad/s]
+    status: ServoStatus = ServoStatus.NO_WARNING  # the gravest reason for a reduced speed
+    message: str = ""  # the status in words, with the parts of the command that are given up; may be empty
+    share: float = 1.0  # achieved share of the commanded speed, 0 to 1
+    anchor: Anchor | None = None  # for the next question

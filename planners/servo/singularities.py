@@ -37,19 +37,12 @@ class PredictedTip:
 
 @dataclass(frozen=True)
 class RegularizedMotion:
-    """Desired velocity without its part into a singularity, and the regular Jacobian to achieve it.
+    """Desired velocity without its part into a singularity, and the regular Jacobian to achieve it."""
 
-    Attributes:
-        linear_m_s: the desired velocity that remains, shape (3,) [m/s].
-        jacobian: the position's, made regular, shape (3, n) [m/rad].
-        free: directions of the joints that do not move the tip, shape (n, n - 3).
-        status: status that the singularity causes.
-    """
-
-    linear_m_s: Vector
-    jacobian: Vector
-    free: Vector
-    status: ServoStatus = ServoStatus.NO_WARNING
+    linear_m_s: Vector  # the desired velocity that remains, shape (3,) [m/s]
+    jacobian: Vector  # the position's, made regular, shape (3, n) [m/rad]
+    free: Vector  # directions of the joints that do not move the tip, shape (n, n - 3)
+    status: ServoStatus = ServoStatus.NO_WARNING  # status that the singularity causes
 
 
 def regularized(
@@ -59,14 +52,10 @@ def regularized(
     max_velocity: Vector,
     predict: Callable[[Vector], PredictedTip],
 ) -> RegularizedMotion:
-    """Remove the part of a desired velocity that leads into a singularity.
+    """Remove the part of a desired velocity of the tip, shape (3,) [m/s], that leads into a singularity.
 
-    Args:
-        jacobian: of the tip's position, shape (3, n), n at least 3 [m/rad].
-        linear_m_s: the desired velocity, shape (3,) [m/s].
-        limits: condition numbers from which motion is slowed.
-        max_velocity: of the joints, shape (n,) [rad/s].
-        predict: returns the tip after a motion of the joints, shape (n,) [rad].
+    The Jacobian of the tip's position has the shape (3, n), n at least 3 [m/rad]; ``predict`` returns the tip after a
+    motion of the joints, shape (n,) [rad].
     """
     left, values, right = np.linalg.svd(jacobian)
     free = np.ascontiguousarray(right[3:].T)
@@ -98,7 +87,6 @@ def _least_value(there: PredictedTip) -> float:
 
 
 def _share(condition: float, change: float, limits: ServoLimits) -> tuple[float, ServoStatus]:
-    """Return the allowed share of a motion in the weak direction."""
     if change > NOTICED_M_PER_RAD:
         return 1.0, ServoStatus.DECELERATE_FOR_LEAVING_SINGULARITY
     if condition >= limits.singularity_stop:

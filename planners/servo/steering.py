@@ -1,7 +1,7 @@
 """Servoing: from a commanded twist or joint velocity to joint velocities, many times a second.
 
 First the joint velocities are found that give the tip its linear velocity within all limits; then, among those that
-leave it as it is, the ones that turn the tip best. The outcome is reported as moveit_msgs/ServoStatus, and in words.
+keep it, the ones that turn the tip best. The outcome is reported as moveit_msgs/ServoStatus, and in words.
 """
 
 from __future__ import annotations
@@ -87,27 +87,16 @@ PUSHED_TURN_M = 0.15
 
 @dataclass(frozen=True)
 class ServoState:
-    """State of the arm for which velocities are computed: of all joints ``q``, and of those that may move the rest.
+    """State of the arm for which velocities are computed: of all joints ``q``, and of those that may move the rest."""
 
-    Attributes:
-        q: shape (n,) [rad].
-        columns: places of the joints that may move, shape (m,).
-        jacobian: of the tip, shape (6, m).
-        max_velocity: shape (m,) [rad/s].
-        max_change: of velocities until the next request, shape (m,) [rad/s].
-        velocity_rad_s: last commanded velocities, shape (m,) [rad/s].
-        tip: its pose in the root link.
-        velocity_bounds: barriers.
-    """
-
-    q: Vector
-    columns: NDArray[np.intp]
-    jacobian: Vector
-    max_velocity: Vector
-    max_change: Vector
-    velocity_rad_s: Vector
-    tip: pin.SE3
-    velocity_bounds: VelocityBounds
+    q: Vector  # shape (n,) [rad]
+    columns: NDArray[np.intp]  # places of the joints that may move, shape (m,)
+    jacobian: Vector  # of the tip, shape (6, m)
+    max_velocity: Vector  # shape (m,) [rad/s]
+    max_change: Vector  # of velocities until the next request, shape (m,) [rad/s]
+    velocity_rad_s: Vector  # last commanded velocities, shape (m,) [rad/s]
+    tip: pin.SE3  # its pose in the root link
+    velocity_bounds: VelocityBounds  # barriers
 
 
 def answer_servo(
@@ -263,7 +252,7 @@ def _command_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[Plann
             known = robot.groups[question.group].joints
             for name in command.velocity_rad_s:
                 if name not in known:
-                    yield invalid_goal(f"joint {name!r} is none of group {question.group!r}: {', '.join(known)}")
+                    yield invalid_goal(f"joint {name!r} is not of group {question.group!r}: {', '.join(known)}")
             values = list(command.velocity_rad_s.values())
         case TipTwist():
             values = [*command.linear_m_s, *command.angular_rad_s]
@@ -280,19 +269,12 @@ def _command_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[Plann
 
 @dataclass(frozen=True)
 class DesiredMotion:
-    """Commanded motion of the tip, along the root link's axes.
+    """Commanded motion of the tip, along the root link's axes."""
 
-    Attributes:
-        linear_m_s: its velocity, shape (3,) [m/s].
-        angular_rad_s: its angular velocity, shape (3,) [rad/s].
-        drift_rad: angle to its anchor or target [rad].
-        anchor: the next anchor; None where there is nothing to keep.
-    """
-
-    linear_m_s: Vector
-    angular_rad_s: Vector
-    drift_rad: float
-    anchor: Anchor | None
+    linear_m_s: Vector  # its velocity, shape (3,) [m/s]
+    angular_rad_s: Vector  # its angular velocity, shape (3,) [rad/s]
+    drift_rad: float  # angle to its anchor or target [rad]
+    anchor: Anchor | None  # the next anchor; None where there is nothing to keep
 
 
 def twist_motion(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> DesiredMotion:
@@ -365,29 +347,18 @@ def _nothing() -> Vector:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The commanded velocity and the achieved one.
+    """The commanded velocity and the achieved one."""
 
-    Attributes:
-        velocity_rad_s: of the joints that may move, shape (n,) [rad/s].
-        active: indices of the active velocity bounds.
-        desired: velocity of the tip [m/s], or of the joints [rad/s].
-        achieved: the achieved velocity of the same.
-        desired_turn_rad_s: desired angular velocity of the tip, shape (3,) [rad/s].
-        turn_rad_s: the achieved angular velocity, shape (3,) [rad/s].
-        singularity: status that a singularity causes.
-        drift_rad: angle between the tip and the desired orientation [rad].
-        anchor: for the next request; None where there is nothing to keep.
-    """
-
-    velocity_rad_s: Vector
-    active: NDArray[np.intp]
-    desired: Vector
-    achieved: Vector
+    velocity_rad_s: Vector  # of the joints that may move, shape (n,) [rad/s]
+    active: NDArray[np.intp]  # indices of the active velocity bounds
+    desired: Vector  # velocity of the tip [m/s], or of the joints [rad/s]
+    achieved: Vector  # the achieved velocity of the same
+    # Desired angular velocity of the tip, shape (3,) [rad/s].
     desired_turn_rad_s: Vector = field(default_factory=_nothing)
-    turn_rad_s: Vector = field(default_factory=_nothing)
-    singularity: ServoStatus = ServoStatus.NO_WARNING
-    drift_rad: float = 0.0
-    anchor: Anchor | None = None
+    turn_rad_s: Vector = field(default_factory=_nothing)  # the achieved angular velocity, shape (3,) [rad/s]
+    singularity: ServoStatus = ServoStatus.NO_WARNING  # status that a singularity causes
+    drift_rad: float = 0.0  # angle between the tip and the desired orientation [rad]
+    anchor: Anchor | None = None  # for the next request; None where there is nothing to keep
 
     @property
     def share(self) -> float:

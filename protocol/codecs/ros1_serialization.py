@@ -35,16 +35,17 @@ _TIMES = (*ROS1_TIMES, "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Du
 _Write: TypeAlias = Callable[[bytearray, Any], None]
 
 
-def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> bytes:
+def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any], sequence_number: int = 0) -> bytes:
     """Return a complete message in ROS 1's serialization.
 
     Args:
         registry: the ROS 2 registry.
         type_name: name of the message's type; one that exists only in ROS 2 is written as if ROS 1 had it.
         msg: a message as `protocol.messages.complete` returns it, in ROS 2 spelling.
+        sequence_number: as of :func:`protocol.dialect.to_ros1`.
     """
     octets = bytearray()
-    _message_writer(registry, type_name)(octets, to_ros1(registry, type_name, msg))
+    _message_writer(registry, type_name)(octets, to_ros1(registry, type_name, msg, sequence_number))
     return bytes(octets)
 
 

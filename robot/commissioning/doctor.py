@@ -8,11 +8,10 @@ from enum import Enum
 
 from robot.advice import ADVICE, ServoAlert, advise
 from robot.calibration import Calibration
-from robot.commissioning.calibrate import differences
-from robot.commissioning.scan import ScanResult, explain_missing
-from robot.commissioning.servo_registers import ServoRegisters
+from robot.commissioning.scan import ScanResult, ServoRegisters, explain_missing
 from robot.commissioning.timing import CycleTimes
 from robot.description.servo_table import ServoSpec
+from robot.hardware.feetech.calibration import differences
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.registers import MODELS, Register
 from robot.hardware.interface import status_names
@@ -172,7 +171,7 @@ def _return_delay(servos: Sequence[ServoRegisters]) -> Finding:
 def _calibration(servos: Sequence[ServoRegisters], calibration: Calibration | None) -> Finding:
     if calibration is None:
         return Finding("calibration", Verdict.OPEN, "not compared", "Name it: --calibration NAME_OR_PATH.")
-    if found := differences(calibration, servos):
+    if found := differences(calibration, {servo.servo_id: servo.registers for servo in servos}):
         listed = ", ".join(
             f"{each.joint} {each.register.name} {each.in_servo} instead of {each.calibrated}" for each in found
         )

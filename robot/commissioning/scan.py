@@ -3,21 +3,74 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from robot.commissioning.servo_registers import ServoRegisters, read_registers
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Telemetry, parse_telemetry
-from robot.hardware.interface import run_to_end
+from robot.hardware.feetech.registers import (
+    CONTROL,
+    SETTINGS_BLOCK,
+    TABLE,
+    TELEMETRY_ADDRESS,
+    TELEMETRY_BYTES,
+    VOLT_PER_UNIT,
+    Register,
+    Telemetry,
+    parse_telemetry,
+)
+from robot.hardware.interface import Steps, run_to_end
+from robot.hardware.servos import bus as servo_bus
 
 # Register BAUD_RATE 0 to 7 (Feetech's memory table); the SDK has no name for 76800.
 BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400)
 
 # Id of a new servo.
 FACTORY_ID = 1
+
+
+# All documented registers, in blocks that the bus reads elsewhere too: a servo need not answer any longer read.
+BLOCKS = (SETTINGS_BLOCK, CONTROL, TABLE.block(Register.PRESENT_POSITION, Register.PRESENT_CURRENT))
+
+
+@dataclass(frozen=True)
+class ServoRegisters:
+    """Value of every register of one servo."""
+
+    servo_id: int
+    registers: Mapping[Register, int]
+
+    def __getitem__(self, register: Register) -> int:
+        return self.registers[register]
+
+    @property
+    def angle_limits_ticks(self) -> tuple[int, int]:
+        """Lowest and highest goal [ticks]; (0, 0) means none."""
+        return self[Register.MIN_ANGLE_LIMIT], self[Register.MAX_ANGLE_LIMIT]
+
+    @property
+    def firmware(self) -> str:
+        """Version, as ``3.10``."""
+        return f"{self[Register.FIRMWARE_MAJOR]}.{self[Register.FIRMWARE_MINOR]}"
+
+    @property
+    def voltage_v(self) -> float:
+        """Supply [V]."""
+        return self[Register.PRESENT_VOLTAGE] * VOLT_PER_UNIT
+
+    @property
+    def voltage_limits_v(self) -> tuple[float, float]:
+        """Registers MIN_VOLTAGE and MAX_VOLTAGE, which differ between the 7.4 V and the 12 V variant [V]."""
+        return self[Register.MIN_VOLTAGE] * VOLT_PER_UNIT, self[Register.MAX_VOLTAGE] * VOLT_PER_UNIT
+
+
+def read_registers(bus: Bus, servo_id: int) -> Steps[dict[Register, int]]:
+    """Read every register of a servo, as a sequence."""
+    values: dict[Register, int] = {}
+    for block in BLOCKS:
+        values |= yield from servo_bus.read_registers(bus, servo_id, block)
+    return values
 
 
 @dataclass(frozen=True)
@@ -27,6 +80,11 @@ class ScanResult:
     servos: tuple[ServoRegisters, ...]  # servos that answered every read, ordered by id
     unsteady_ids: tuple[int, ...] = ()  # servos that answered some reads only
     garbled_bytes: int = 0  # bytes of invalid replies to the broadcast ping
+
+    @property
+    def registers(self) -> dict[int, Mapping[Register, int]]:
+        """Registers of the servos by id."""
+        return {servo.servo_id: servo.registers for servo in self.servos}
 
     @property
     def ids(self) -> frozenset[int]:

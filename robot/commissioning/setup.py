@@ -14,20 +14,19 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from robot.commissioning.register_backup import SavedServo
-from robot.commissioning.scan import BAUDRATES, FACTORY_ID
-from robot.commissioning.servo_registers import ServoRegisters, read_registers
+from robot.commissioning.scan import BAUDRATES, FACTORY_ID, ServoRegisters, read_registers
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import NO_LIMITS, PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile
 from robot.hardware.feetech.registers import (
+    EPROM,
     MODELS,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
 )
-from robot.hardware.feetech.settings import EPROM
 from robot.hardware.interface import Result, Steps, run_to_end
 from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
 
@@ -107,18 +106,24 @@ def search(
     joint: ServoSpec,
     arm: Sequence[ServoSpec],
     say: Callable[[str], None],
+    *,
+    only_joint: bool = False,
 ) -> FoundServo:
     """Find the servo that is to turn a joint, at any baud rate and with any id.
 
     Servos that have their ids already may be connected as well. Raises StartupError where no servo may be meant, or
     more than one; the text says how to part them.
+
+    Args:
+        only_joint: True when the user names this joint alone. A servo that is alone on the bus then counts as new
+            although it has another joint's id: this parts two servos of one id.
     """
     found: list[FoundServo] = []
     for baudrate in BAUDRATES:
         if baudrate != BAUDRATE:
             say(f"looking at {baudrate} baud ...")
         found += look(line, baudrate, {joint.servo_id, FACTORY_ID})
-        if candidates := _candidates(found, joint, arm):
+        if candidates := _candidates(found, joint, arm, only_joint=only_joint):
             if len(candidates) > 1:
                 ids = ", ".join(str(servo.servo_id) for servo in candidates)
                 raise StartupError(
@@ -131,7 +136,9 @@ def search(
     present = ", ".join(f"{servo.servo_id} ({names.get(servo.servo_id, 'of another arm')})" for servo in found)
     raise StartupError(
         f"only servo {present} answers, which has its id or a calibration already: plug in the servo of {joint.joint}, "
-        "or push its plug home. To use a servo that was calibrated elsewhere, reset it with Feetech's FD program first"
+        f"or push its plug home. If it is the servo of {joint.joint} with another joint's id, connect it alone and "
+        f"call armbridge setup --joint {joint.joint}. To use a servo that was calibrated elsewhere, reset it with "
+        "Feetech's FD program first"
     )
 
 
@@ -192,7 +199,7 @@ def choose_profile(
     """
     if name is not None:
         return PROFILES[name]
-    return own or nearest_profile((servo.settings, gripper) for servo, gripper in servos)
+    return own or nearest_profile((servo.registers, gripper) for servo, gripper in servos)
 
 
 def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> tuple[Change, ...]:
@@ -212,7 +219,7 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
         Register.BAUD_RATE: BAUDRATE_CODE,
     }
     lowest, highest = FULL_RANGE_TICKS
-    if servo.servo_id != joint.servo_id or servo.settings.angle_limits_ticks == NO_LIMITS:
+    if servo.servo_id != joint.servo_id or servo.angle_limits_ticks == NO_LIMITS:
         wanted |= {Register.MIN_ANGLE_LIMIT: lowest, Register.MAX_ANGLE_LIMIT: highest}
     # After the limits: an interrupted write must not leave a new offset with old limits.
     if servo.servo_id != joint.servo_id:
@@ -325,19 +332,23 @@ class _Writer:
         raise StartupError(f"servo {self.servo_id} does not answer at {after} baud after it was set to it")
 
 
-def _candidates(found: Sequence[FoundServo], joint: ServoSpec, arm: Sequence[ServoSpec]) -> list[FoundServo]:
+def _candidates(
+    found: Sequence[FoundServo], joint: ServoSpec, arm: Sequence[ServoSpec], *, only_joint: bool
+) -> list[FoundServo]:
     """Return the candidates for a joint: the servo with its id, else the servos without a calibration or another's id.
 
     The first joint has the id of new servos; its calibration tells it from one of these.
     """
     own = [servo for servo in found if servo.servo_id == joint.servo_id]
     others = {servo.servo_id for servo in arm} - {FACTORY_ID}
+    if only_joint and len(found) == 1:
+        others = set()
     return own or [servo for servo in found if servo.servo_id not in others and not _is_calibrated(servo)]
 
 
 def _is_calibrated(servo: FoundServo) -> bool:
     # Angle limits are of a calibration always; a new servo may have an offset.
-    return servo.settings.angle_limits_ticks not in (NO_LIMITS, FULL_RANGE_TICKS)
+    return servo.angle_limits_ticks not in (NO_LIMITS, FULL_RANGE_TICKS)
 
 
 def _answers(bus: Bus, servo_id: int) -> bool:

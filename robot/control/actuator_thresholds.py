@@ -43,6 +43,7 @@ class ActuatorThresholds:
     stall_current_a: Vector  # current above which a joint that all but stands still is stalled [A]
     stall_time_s: Vector  # time for which that must last [s]
     free_speed_rad_s: Vector  # greatest speed of the joint [rad/s]
+    jump_rad: Vector  # way beyond which two readings in a row are no motion [rad]
 
     @classmethod
     def of(cls, limits: GuardLimits, actuation: Actuation, full_torque: Vector) -> Self:
@@ -59,4 +60,5 @@ class ActuatorThresholds:
             stall_current_a=np.minimum(limits.stall_current_a, MARGIN * actuation.overload_current_a),
             stall_time_s=np.minimum(limits.stall_time_s, STALL_SHARE * actuation.overload_time_s),
             free_speed_rad_s=actuation.free_speed_rad_s,
+            jump_rad=actuation.jump_rad,
         )

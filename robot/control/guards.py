@@ -9,7 +9,7 @@ import numpy as np
 from robot.advice import ServoAlert, ServoWarning
 from robot.control.actuator_thresholds import ActuatorThresholds
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import JUMP_RAD, Actuation, Flags, Measured, StatusFlag, status_names
+from robot.hardware.interface import Flags, Measured, StatusFlag, status_names
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
@@ -77,8 +77,7 @@ class Guards:
     """Guards of one arm.
 
     Args:
-        max_voltage_v: highest supply of each servo, shape (joints,) [V]; None for servos without such a limit.
-        thresholds: what follows from the servos' settings; None for servos without any.
+        max_voltage_v: highest supply of each servo, infinite without such a limit, shape (joints,) [V].
 
     Attributes:
         stalled: joints that push without moving, shape (joints,).
@@ -88,22 +87,20 @@ class Guards:
     def __init__(
         self,
         joint_names: tuple[str, ...],
-        temperatures: Temperatures | None = None,
-        max_voltage_v: Vector | None = None,
-        limits: GuardLimits | None = None,
-        thresholds: ActuatorThresholds | None = None,
+        temperatures: Temperatures,
+        max_voltage_v: Vector,
+        limits: GuardLimits,
+        thresholds: ActuatorThresholds,
     ) -> None:
         self._names = joint_names
-        self._temperatures = temperatures or Temperatures()
-        self.limits = limits or GuardLimits()
+        self._temperatures = temperatures
+        self.limits = limits
         # No joint nearer to its goal can be stalled or lost.
         self._near_goal_rad = min(STALL_ERROR_RAD, self.limits.tracking_error_rad)
-        joints = len(joint_names)
-        self.thresholds = thresholds or ActuatorThresholds.of(
-            self.limits, Actuation.unprotected(joints), np.ones(joints)
-        )
-        self._max_voltage_v = np.full(joints, np.inf) if max_voltage_v is None else max_voltage_v
-        self._none: Flags = np.zeros(joints, dtype=bool)
+        self.thresholds = thresholds
+        self._least_jump_rad = float(thresholds.jump_rad.min())
+        self._max_voltage_v = max_voltage_v
+        self._none: Flags = np.zeros(len(joint_names), dtype=bool)
         self._last: tuple[Measured, float] | None = None
         self.restart()
 
@@ -174,7 +171,8 @@ class Guards:
         The fast path of nearly every tick, in plain numbers: operations on arrays would cost more for six joints.
         """
         positions = zip(measured.position_rad.tolist(), goal_rad.tolist(), before.position_rad.tolist(), strict=True)
-        if not all(abs(at - goal) <= self._near_goal_rad and abs(at - was) <= JUMP_RAD for at, goal, was in positions):
+        near_rad, jump_rad = self._near_goal_rad, self._least_jump_rad
+        if not all(abs(at - goal) <= near_rad and abs(at - was) <= jump_rad for at, goal, was in positions):
             return False
         return (
             not any(measured.status.tolist())
@@ -186,7 +184,7 @@ class Guards:
         """Find the joints that cannot have turned from their last reading to this one in the time between."""
         gap_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
         way_rad = np.abs(measured.position_rad - before.position_rad)
-        return np.asarray(way_rad > JUMP_RAD + self.thresholds.free_speed_rad_s * gap_s)
+        return np.asarray(way_rad > self.thresholds.jump_rad + self.thresholds.free_speed_rad_s * gap_s)
 
     def _silence_fault(self, goal_rad: Vector, measured: Measured) -> Fault | None:
         """Return the fault of silent servos, the same object while the same servos are silent."""

@@ -44,7 +44,7 @@ def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
 
             return SerialServos(Feetech(config.hardware.profile), config.hardware, bounds, config.guard_limits, clock)
         case EmulatedConfig():
-            from robot.emulator.feetech_arm import emulated_feetech_arm
+            from robot.emulator.feetech import emulated_feetech_arm
 
             return emulated_feetech_arm(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case DynamixelConfig():
@@ -53,7 +53,7 @@ def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
 
             return SerialServos(Dynamixel(), config.hardware, bounds, config.guard_limits, clock)
         case EmulatedDynamixelConfig():
-            from robot.emulator.dynamixel_arm import emulated_dynamixel_arm
+            from robot.emulator.dynamixel import emulated_dynamixel_arm
 
             return emulated_dynamixel_arm(config.robot, config.hardware, bounds, config.guard_limits, clock)
         case IdealConfig():

@@ -120,8 +120,9 @@ class Supervisor:
         self._scheduling = scheduling
         self._joint_names = config.hardware.joint_names(config.robot)
         self._ticks_per_state = max(1, round(1.0 / (PERIOD_S * config.state_rate_hz)))
-        timeout_s = max(config.watchdog_s, SIMULATED_WATCHDOG_S) if config.hardware.simulated else config.watchdog_s
-        self._watchdog = Watchdog(timeout_s, clock())
+        least_s = SIMULATED_WATCHDOG_S if config.hardware.simulated else 0.0
+        self._watchdog_s = max(config.watchdog_s, least_s)
+        self._heard_s = clock()
         self._log_limiter = LogLimiter(SILENCE_BURST, SILENCE_LINES_PER_S)
         self.arm: ControlCycle | None = None
         self._orders: Orders | None = None
@@ -184,7 +185,7 @@ class Supervisor:
 
     def handle(self, message: object) -> None:
         """Handle one message of the server."""
-        self._watchdog.feed(self._clock())
+        self._heard_s = self._clock()
         if isinstance(message, Stop):
             self._last_stop = max(self._last_stop, message.epoch)
         controller = self._controller
@@ -432,7 +433,7 @@ class Supervisor:
         """Stop the arm, and bring it to its end state, when the server is lost or ending."""
         if server_gone:
             self.lose_server()
-        lost = self._watchdog.expired(now_s)
+        lost = now_s - self._heard_s > self._watchdog_s
         if lost and not self._server_lost and self._end is None:
             self._log_silence(now_s)
         self._server_lost = lost
@@ -445,7 +446,7 @@ class Supervisor:
         if end is None:
             return
         if end is EndState.PARK:
-            gone = self._end is not None or self._watchdog.silence_s(now_s) > SILENCE_BEFORE_PARKING_S
+            gone = self._end is not None or now_s - self._heard_s > SILENCE_BEFORE_PARKING_S
             self._parking.advance(controller, now_s, may_move=gone)
         else:
             controller.stop()
@@ -454,7 +455,7 @@ class Supervisor:
 
     def _log_silence(self, now_s: float) -> None:
         if self._log_limiter.due("silence", now_s):
-            silence_s, consequence = self._watchdog.silence_s(now_s), self._consequence(self._config.on_server_lost)
+            silence_s, consequence = now_s - self._heard_s, self._consequence(self._config.on_server_lost)
             note = suppressed_note(self._log_limiter.suppressed("silence"))
             log.warning("nothing heard of the server for %.1f s: %s%s", silence_s, consequence, note)
 
@@ -476,26 +477,6 @@ class Supervisor:
     def _state(self, arm: ControlCycle, pacer: Pacer) -> ArmState:
         lateness_s = pacer.latest(self._ticks_per_state)
         return arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock())
-
-
-class Watchdog:
-    """Watchdog on the server's messages. Pure: time is passed in."""
-
-    def __init__(self, timeout_s: float, now_s: float) -> None:
-        self._timeout_s = timeout_s
-        self._heard_s = now_s
-
-    def feed(self, now_s: float) -> None:
-        """Note a message of any kind."""
-        self._heard_s = now_s
-
-    def silence_s(self, now_s: float) -> float:
-        """Return the time since the last message [s]."""
-        return now_s - self._heard_s
-
-    def expired(self, now_s: float) -> bool:
-        """Return True when the server has been silent for too long."""
-        return self.silence_s(now_s) > self._timeout_s
 
 
 @dataclass

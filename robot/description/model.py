@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from robot.description.frames import with_fixed_joints
 from robot.description.mesh_files import check_meshes, package_path
 from robot.description.srdf import Group as Group
-from robot.description.srdf import Semantics, read_srdf
+from robot.description.srdf import Semantics, read_srdf, with_group
 from robot.description.urdf import Joint as Joint
 from robot.description.urdf import JointLimits as JointLimits
 from robot.description.urdf import Tree, read_urdf
@@ -146,6 +146,7 @@ def parse(
         sources: names of the URDF and of the SRDF, for errors.
     """
     tree = read_urdf(urdf, sources[0], limits)
+    srdf = with_group(srdf, sources[1], tree)
     semantics = read_srdf(srdf, sources[1], tree)
     if still := {**_passive_positions(tree, semantics), **held}:
         urdf = with_fixed_joints(urdf, {**still, **_following_positions(tree, still)})

@@ -16,8 +16,8 @@ import robot.arms
 from robot.description import model, robot_file
 from robot.description.example_robots import find_example
 from robot.description.model import Gripper, Hull, JointLimits, LinkSurface, RobotModel
-from robot.description.robot_file import GripperTable, RobotFile, ServoTable
-from robot.description.servo_table import HardwareTable, ProfileSpec, ServoSpec, Zero, ZeroTick
+from robot.description.robot_file import GripperTable, HardwareSection, RobotFile, ServoTable
+from robot.description.servo_table import MAX_HOMING_OFFSET, HardwareTable, ProfileSpec, ServoSpec, Zero, ZeroTick
 from robot.errors import DescriptionError, RobotFileError
 
 Read = TypeVar("Read")
@@ -329,12 +329,12 @@ def _gripper(table: GripperTable) -> Gripper:
 def _hardware(file: RobotFile, arm: RobotModel) -> HardwareTable:
     section = file.hardware
     gripper = arm.gripper.joints if arm.gripper is not None else ()
-    servos = tuple(_servo(servo, arm, gripper=servo.joint in gripper) for servo in section.servos)
+    servos = tuple(_servo(servo, section, arm, gripper=servo.joint in gripper) for servo in section.servos)
     profile = None if section.profile is None else ProfileSpec(**section.profile.model_dump())
     return HardwareTable(section.kind, servos, section.baud, section.calibrations, profile)
 
 
-def _servo(table: ServoTable, arm: RobotModel, *, gripper: bool) -> ServoSpec:
+def _servo(table: ServoTable, section: HardwareSection, arm: RobotModel, *, gripper: bool) -> ServoSpec:
     joint = arm.joints[table.joint]
     zero: Zero
     match table.zero:
@@ -354,4 +354,5 @@ def _servo(table: ServoTable, arm: RobotModel, *, gripper: bool) -> ServoSpec:
         zero=zero,
         turns_freely=table.turns_freely,
         gripper=gripper,
+        max_homing_offset=MAX_HOMING_OFFSET[section.kind],
     )

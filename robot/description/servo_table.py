@@ -11,6 +11,10 @@ MAX_SERVO_ID = 253
 
 HardwareKind: TypeAlias = Literal["feetech", "dynamixel", "ideal"]
 
+# Greatest register HOMING_OFFSET by the servos' kind: an STS3215's has 11 bits and a sign; a Dynamixel's counts up
+# to 255 turns (e-manual, Homing Offset (20)), and lerobot writes whole turns into it where the servo had counted some.
+MAX_HOMING_OFFSET: Mapping[HardwareKind, int] = {"feetech": 2047, "dynamixel": 1_044_479}
+
 
 @dataclass(frozen=True)
 class ZeroTick:
@@ -37,6 +41,7 @@ class ServoSpec:
     zero: Zero = ZeroTick()
     turns_freely: bool = False  # True for a joint without end stops
     gripper: bool = False  # True for a joint of the gripper, which may stall against what it holds
+    max_homing_offset: int = MAX_HOMING_OFFSET["feetech"]  # greatest register HOMING_OFFSET [ticks]
 
     @property
     def needs_calibration(self) -> bool:

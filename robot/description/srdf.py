@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +10,8 @@ from dataclasses import dataclass, replace
 from robot.description.elements import attribute, number, root_of
 from robot.description.urdf import Joint, Tree
 from robot.errors import DescriptionError
+
+log = logging.getLogger("armbridge.description")
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,26 @@ def read_srdf(text: str, source: str, tree: Tree) -> Semantics:
     return _Reader(root_of(text, source), source, tree).read()
 
 
+def with_group(text: str, source: str, tree: Tree) -> str:
+    """Return an SRDF that has a group: where it has none, "arm", the chain to the link behind the most joints."""
+    root = root_of(text, source)
+    if root.find("group") is not None:
+        return text
+    tip = _farthest_link(tree)
+    chain = ET.SubElement(ET.SubElement(root, "group", name="arm"), "chain", base_link=tree.links[0], tip_link=tip)
+    log.warning("%s has no <group>: the group 'arm' is the longest chain, %s", source, chain.attrib)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _farthest_link(tree: Tree) -> str:
+    """Return the link behind the most movable joints, the nearest to the root of several."""
+    by_child = {joint.child: joint for joint in tree.joints.values()}
+    joint_count = {tree.links[0]: 0}
+    for link in tree.links[1:]:
+        joint_count[link] = joint_count[by_child[link].parent] + by_child[link].movable
+    return max(tree.links, key=joint_count.__getitem__)
+
+
 class _Reader:
     """SRDF that is being read, and the robot that it must fit."""
 
@@ -59,14 +82,12 @@ class _Reader:
         self._elements = {attribute(group, "name", source): group for group in root.iterfind("group")}
 
     def read(self) -> Semantics:
-        if not self._elements:
-            raise DescriptionError(self._source, f"has no <group>: add {self._proposed_group()}")
         found = (self._group(name) for name in self._elements)
         groups = {group.name: group for group in found if group.joints}
         if not groups:
-            raise DescriptionError(
-                self._source, f"has no <group> with a movable joint of the URDF: add {self._proposed_group()}"
-            )
+            chain = f'<chain base_link="{self._tree.links[0]}" tip_link="{_farthest_link(self._tree)}"/>'
+            problem = "has no <group> with a movable joint of the URDF: add"
+            raise DescriptionError(self._source, f'{problem} <group name="arm">{chain}</group>')
         end_effectors = tuple(self._end_effectors())
         for effector in end_effectors:
             if effector.group in groups:
@@ -242,8 +263,3 @@ class _Reader:
         return DescriptionError(
             f"{self._source} {where}", f"names the {kind} {name!r}, which the URDF of {robot!r} does not have: {remedy}"
         )
-
-    def _proposed_group(self) -> str:
-        """Return a group to copy: from the root to the link behind the most movable joints."""
-        tip = max(self._tree.links, key=lambda link: sum(joint.movable for joint in self._path(link)))
-        return f'<group name="arm"><chain base_link="{self._tree.links[0]}" tip_link="{tip}"/></group>'

@@ -12,8 +12,8 @@ from robot.calibration import Calibration
 from robot.description.gravity import LinkWeights
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
+from robot.emulator.adapter import InProcessPort
 from robot.emulator.faults import Faults
-from robot.emulator.in_process import InProcessPort
 from robot.emulator.servo import EmulatedServo
 from robot.emulator.servo_bus import Codec, S, ServoBus
 from robot.emulator.write_log import WriteLog

@@ -7,9 +7,9 @@ import socket
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from robot.emulator.adapter import InProcessPort
 from robot.emulator.control import CommandStream, Emulation
 from robot.emulator.feetech import FeetechServo
-from robot.emulator.in_process import InProcessPort
 from robot.emulator.servo_bus import ServoBus
 
 # One is in use at a time; the rest allows for connections that were not closed.

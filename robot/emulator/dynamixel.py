@@ -1,4 +1,4 @@
-"""Emulated Dynamixel servos of the X series: control table, drive, protection, and packets of protocol 2.0.
+"""Emulated Dynamixel servos of the X series: control table, drive, protection, packets, and an arm of them.
 
 Access, ranges and error numbers follow the e-manual's control tables of the XL430-W250 and XL330-M288 and its page
 DYNAMIXEL Protocol 2.0, as far as they state them. Where they do not, the emulation is the harsher of what could be: the
@@ -9,15 +9,19 @@ is cleared goes on to its old goal.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Mapping
 
 from dynamixel_sdk import INST_PING, INST_READ, INST_REBOOT, INST_STATUS, INST_SYNC_READ
 
-from robot.calibration import TICKS_PER_TURN
+from robot.calibration import TICKS_PER_TURN, JointCalibration
+from robot.description.limits import JointBounds
+from robot.description.model import RobotModel
+from robot.emulator.arm import EmulatedArm, start_pose_rad
 from robot.emulator.plant import NO_LOAD_TICKS_S, STALL_CURRENT_A, Drive, Plant
 from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, Thresholds
 from robot.emulator.servo_bus import Codec, Instruction
+from robot.hardware.config import EmulatedDynamixelConfig
+from robot.hardware.dynamixel.family import Dynamixel, model_of
 from robot.hardware.dynamixel.packets import ALERT, HEADER, PREFIX_BYTES, crc16, packet
 from robot.hardware.dynamixel.registers import (
     FULL_PWM,
@@ -37,6 +41,7 @@ from robot.hardware.dynamixel.registers import (
     status_of,
 )
 from robot.hardware.interface import StatusFlag
+from robot.messages import GuardLimits
 
 # Error numbers of a status packet.
 INSTRUCTION_ERROR = 2
@@ -199,21 +204,17 @@ class DynamixelServo(EmulatedServo[Register]):
 
     @property
     def present_ticks(self) -> int:
-        """Register PRESENT_POSITION."""
         return round(self.plant.position_ticks) - self._turns_ticks + self._offset_ticks
 
     @property
     def error(self) -> int:
-        """ERR byte of its replies, without an error of the instruction."""
         return ALERT if self.value(Register.HARDWARE_ERROR_STATUS) else 0
 
     @property
     def listens(self) -> bool:
-        """True while it has power and has started."""
         return self.connected and self._starts_in_s <= 0.0
 
     def acknowledges(self, code: int) -> bool:
-        """Return True if it replies to an instruction of this code, by register STATUS_RETURN_LEVEL."""
         return self.value(Register.STATUS_RETURN_LEVEL) >= _ANSWERED_FROM.get(code, ANSWERS_ALL)
 
     def ping(self) -> bytes:
@@ -221,7 +222,6 @@ class DynamixelServo(EmulatedServo[Register]):
         return self.memory.read(Register.MODEL_NUMBER, 2) + self.memory.read(Register.FIRMWARE_VERSION, 1)
 
     def maintain(self, code: int) -> bool:
-        """Carry out a reboot, after which it is silent for a while; errors are cleared."""
         if code == INST_REBOOT:
             self.power_up()
             self._starts_in_s = REBOOT_S
@@ -233,11 +233,9 @@ class DynamixelServo(EmulatedServo[Register]):
         self.update_protection()
 
     def hear(self) -> None:
-        """Note an instruction on the bus, for which the watchdog waits."""
         self._heard_s = 0.0
 
     def step(self, duration_s: float) -> None:
-        """Advance by ``duration_s`` [s]."""
         self._starts_in_s = max(0.0, self._starts_in_s - duration_s)
         super().step(duration_s)
         self._heard_s += duration_s
@@ -371,13 +369,11 @@ class DynamixelCodec(Codec):
     rejection = INSTRUCTION_ERROR
 
     def end_of_instruction(self, received: bytes, at: int) -> int | None:
-        """Return the end of the packet that begins at ``at``; None while it is incomplete."""
         length = received[at + PREFIX_BYTES - 2 : at + PREFIX_BYTES]
         end = at + PREFIX_BYTES + int.from_bytes(length, "little")
         return end if len(length) == 2 and end <= len(received) else None
 
     def instruction(self, packet: bytes) -> Instruction | None:
-        """Parse a packet; None if it is too short."""
         if len(packet) < PREFIX_BYTES + _SHORTEST_LENGTH:
             return None
         body = packet[PREFIX_BYTES:-2].replace(_HEADER_IN_BODY + b"\xfd", _HEADER_IN_BODY)
@@ -385,14 +381,30 @@ class DynamixelCodec(Codec):
         return Instruction(packet[len(HEADER)], body[0], body[1:], len(packet), error)
 
     def status_packet(self, servo_id: int, error: int, data: bytes = b"") -> bytes:
-        """Build a servo's reply."""
-        return _status_packet(servo_id, error, data)
-
-
-# An arm at rest repeats its replies, a moving one those to writes.
-@lru_cache(maxsize=64)
-def _status_packet(servo_id: int, error: int, data: bytes) -> bytes:
-    return packet(servo_id, INST_STATUS, bytes([error]) + data)
+        return packet(servo_id, INST_STATUS, bytes([error]) + data)
 
 
 DYNAMIXEL = DynamixelCodec()
+
+
+def emulated_dynamixel_arm(
+    robot: RobotModel,
+    config: EmulatedDynamixelConfig,
+    bounds: JointBounds,
+    limits: GuardLimits,
+    clock: Callable[[], float],
+) -> EmulatedArm[DynamixelServo]:
+    """Build the emulated Dynamixel servos of an arm."""
+    joints = config.calibration.joints
+    servos = [_servo(joint, start_rad) for joint, start_rad in zip(joints, start_pose_rad(config), strict=True)]
+    return EmulatedArm(robot, config, Dynamixel(), servos, DYNAMIXEL, bounds, limits, clock, holds=config.driven)
+
+
+def _servo(joint: JointCalibration, start_rad: float) -> DynamixelServo:
+    plant = Plant(
+        position_ticks=joint.ticks_from_rad(start_rad) - joint.homing_offset,
+        lower_stop_ticks=joint.range_min - joint.homing_offset,
+        upper_stop_ticks=joint.range_max - joint.homing_offset,
+    )
+    limits = joint.range_min, joint.range_max
+    return DynamixelServo(joint.servo_id, model_of(joint), plant, limits, joint.homing_offset, joint=joint.joint)

@@ -1,4 +1,4 @@
-"""Emulated Feetech STS3215: its registers, how they drive the motor and protect it, and its packets.
+"""Emulated Feetech STS3215: its registers, how they drive the motor and protect it, its packets, and an arm of it.
 
 Registers and their units follow Feetech's STS3215 memory table V3.6, packets its SCS/STS protocol manual.
 """
@@ -6,16 +6,22 @@ Registers and their units follow Feetech's STS3215 memory table V3.6, packets it
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ
 
-from robot.calibration import TICKS_PER_TURN
+from robot.calibration import TICKS_PER_TURN, Calibration, JointCalibration
+from robot.description.limits import JointBounds
+from robot.description.model import RobotModel
+from robot.emulator.arm import EmulatedArm, start_pose_rad
 from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Plant
-from robot.emulator.populations import SUPPLY_V
+from robot.emulator.populations import FACTORY, POPULATIONS, SUPPLY_V, Population
 from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, Thresholds
 from robot.emulator.servo_bus import Codec, Instruction
+from robot.emulator.write_log import WriteLog
+from robot.hardware.config import EmulatedConfig
+from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.packets import HEADER, LENGTH_OVERHEAD, checksum
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
@@ -27,6 +33,7 @@ from robot.hardware.feetech.registers import (
     Register,
 )
 from robot.hardware.interface import StatusFlag
+from robot.messages import GuardLimits
 
 # The last documented address is 86; addresses beyond it read as zero.
 MEMORY_BYTES = 87
@@ -166,12 +173,10 @@ class FeetechServo(EmulatedServo[Register]):
 
     @property
     def present_ticks(self) -> int:
-        """Register PRESENT_POSITION: the encoder less the homing offset."""
         counted = round(self.plant.position_ticks) - self.value(Register.HOMING_OFFSET)
         return counted if self._counts_on else counted % TICKS_PER_TURN
 
     def acknowledges(self, code: int) -> bool:
-        """Return True if it replies to an instruction of this code, by register RESPONSE_LEVEL."""
         return code in (INST_PING, INST_READ) or self.value(Register.RESPONSE_LEVEL) != 0
 
     def maintain(self, code: int) -> bool:
@@ -209,9 +214,8 @@ class FeetechServo(EmulatedServo[Register]):
         return min(reachable or turns[:1], key=lambda ticks: abs(ticks - plant.position_ticks))
 
     def step(self, duration_s: float) -> None:
-        """Advance by ``duration_s`` [s]."""
         if not self._turn_ticks[0] <= self.plant.position_ticks < self._turn_ticks[1]:
-            self._drive = self._drive_from_registers()
+            self._follow_drive()
         super().step(duration_s)
 
     def _measured(self) -> Iterable[tuple[Register, int]]:
@@ -307,7 +311,6 @@ class FeetechCodec(Codec):
     _FRAME_BYTES = 5
 
     def end_of_instruction(self, received: bytes, at: int) -> int | None:
-        """Return the end of the packet that begins at ``at``; None while it is incomplete."""
         if at + self._FRAME_BYTES > len(received):
             return None
         end = at + received[at + 3] + self._FRAME_BYTES - 1
@@ -315,16 +318,97 @@ class FeetechCodec(Codec):
         return end if end <= len(received) or received[at + 2] > BROADCAST_ID else None
 
     def instruction(self, packet: bytes) -> Instruction | None:
-        """Parse a packet; None if it is invalid."""
         body = packet[2:-1]
         if len(body) <= LENGTH_OVERHEAD or packet[-1] != checksum(body):
             return None
         return Instruction(body[0], body[2], body[3:], len(packet))
 
     def status_packet(self, servo_id: int, error: int, data: bytes = b"") -> bytes:
-        """Build a servo's reply."""
         body = bytes([servo_id, len(data) + LENGTH_OVERHEAD, error]) + data
         return HEADER + body + bytes([checksum(body)])
 
 
 FEETECH = FeetechCodec()
+
+
+def emulated_feetech_arm(
+    robot: RobotModel, config: EmulatedConfig, bounds: JointBounds, limits: GuardLimits, clock: Callable[[], float]
+) -> EmulatedArm[FeetechServo]:
+    """Build the emulated Feetech servos of an arm.
+
+    Raises:
+        OSError: the log or the control socket cannot be created.
+    """
+    population = POPULATIONS[config.population]
+    servos = build_servos(config.calibration, start_pose_rad(config), population, as_read=config.resumes)
+    holds = config.driven and (config.resumes or not population.has_shifted)
+    log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
+    arm = EmulatedArm(robot, config, Feetech(config.profile), servos, FEETECH, bounds, limits, clock, log, holds=holds)
+    if config.control:
+        # Only here: most arms take no commands, and pydantic takes its time.
+        from robot.emulator.control_socket import CommandedPort, ControlSocket
+
+        arm.port = CommandedPort(arm.bus, clock, ControlSocket(config.control))
+    return arm
+
+
+def build_servos(
+    calibration: Calibration, start_rad: Sequence[float], population: Population = FACTORY, *, as_read: bool = False
+) -> list[FeetechServo]:
+    """Build the arm's servos at a pose [rad]; the calibrated ranges are the joints' mechanical stops.
+
+    ``as_read`` is True if the pose is the one that the calibration makes of the servos' readings, which may have
+    another zero.
+
+    Raises:
+        ValueError: the pose has another number of joints, or lies outside the ranges.
+    """
+    if len(start_rad) != len(calibration.joints):
+        raise ValueError(f"the start pose needs {len(calibration.joints)} positions, not {len(start_rad)}")
+    return [
+        _servo(place, joint, position, population, as_read=as_read)
+        for place, (joint, position) in enumerate(zip(calibration.joints, start_rad, strict=True))
+    ]
+
+
+def _servo(
+    place: int, joint: JointCalibration, start_rad: float, population: Population, *, as_read: bool
+) -> FeetechServo:
+    if not joint.lower_rad <= start_rad <= joint.upper_rad:
+        raise ValueError(
+            f"{joint.joint} cannot start at {start_rad:g} rad, outside its range of "
+            f"{joint.lower_rad:.3f} to {joint.upper_rad:.3f}"
+        )
+
+    def own(each: Sequence[int]) -> int:
+        """Return the value of this joint."""
+        return each[place % len(each)]
+
+    zero = joint.homing_offset + own(population.horn_ticks)
+    offset = (joint.homing_offset if population.has_offsets else 0) + own(population.offset_shift_ticks)
+    lower_stop, upper_stop = joint.range_min + zero, joint.range_max + zero
+    if joint.servo.turns_freely and population.free_joint_stops_ticks is not None:
+        lower_stop, upper_stop = (stop + zero for stop in population.free_joint_stops_ticks)
+    start = joint.ticks_from_rad(start_rad) + (offset if as_read else zero)
+    plant = Plant(max(lower_stop, min(upper_stop, start)), lower_stop, upper_stop)
+    lowest, highest = population.limits_ticks or (joint.range_min, joint.range_max)
+    eprom = {
+        Register.ID: joint.servo_id if population.servo_id is None else population.servo_id,
+        Register.MIN_ANGLE_LIMIT: lowest,
+        Register.MAX_ANGLE_LIMIT: highest,
+        Register.HOMING_OFFSET: offset,
+        Register.FIRMWARE_MINOR: own(population.firmware),
+        **population.registers,
+        **(population.gripper if joint.servo.gripper else {}),
+    }
+    servo = FeetechServo(plant, eprom, joint=joint.joint, zero_ticks=zero)
+    if joint.servo.gripper:
+        servo.motor.heating = population.gripper_heating
+    servo.voltage_v = population.supply_v
+    servo.protection.latches = population.overload_latches
+    servo.powers_up_holding = population.powers_up_holding
+    servo.powers_up_unlocked = population.powers_up_unlocked
+    servo.power_up()
+    if population.unlocked:
+        servo.set(Register.LOCK, 0)
+    return servo

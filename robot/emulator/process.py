@@ -17,7 +17,7 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType, MappingProxyType
@@ -30,8 +30,7 @@ from robot.emulator.adapter import Adapter
 from robot.emulator.arm import weight_of
 from robot.emulator.control import CommandStream, Emulation, LiveCommand, answer, carry_out, check
 from robot.emulator.faults import Faults
-from robot.emulator.feetech import FEETECH, FeetechServo
-from robot.emulator.feetech_arm import build_servos
+from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.populations import POPULATIONS
 from robot.emulator.rehearsal import REHEARSALS, Rehearsal, TimedCommand, read_script
 from robot.emulator.servo_bus import ServoBus
@@ -55,99 +54,71 @@ _BAUDRATES: Mapping[int, int] = MappingProxyType(
 )
 
 
-class PseudoTerminal:
-    """Pseudo terminal: a pair of master and slave.
-
-    The slave stays open here, or the master would fail whenever a client leaves, and is raw before any client
-    opens it, or the line discipline would echo and alter bytes. A symbolic link may lead to the slave.
-    """
-
-    def __init__(self, link: Path | None = None) -> None:
-        self.master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self.master, False)
-        self.port = os.ttyname(self._slave)  # path of the slave, which clients open
-        self._link = link
-        if link is not None:
-            if link.is_symlink():
-                link.unlink()
-            link.symlink_to(self.port)
-
-    @property
-    def baudrate(self) -> int:
-        """Baud rate that the client has set; 0 for one that no servo has."""
-        return _BAUDRATES.get(termios.tcgetattr(self._slave)[_OSPEED], 0)
-
-    def read(self) -> bytes:
-        """Return what the client has written."""
-        try:
-            return os.read(self.master, READ_BYTES)
-        except BlockingIOError:
-            return b""
-
-    def write(self, data: bytes) -> None:
-        """Send bytes to the client; those that do not fit into its buffer are lost, as on a wire."""
-        with contextlib.suppress(BlockingIOError):
-            os.write(self.master, data)
-
-    def leave_link(self) -> None:
-        """Keep the link on :meth:`close`: another terminal has replaced it with its own."""
-        self._link = None
-
-    def close(self) -> None:
-        """Take the port away."""
-        os.close(self.master)
-        os.close(self._slave)
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)
-
-
 class UsbAdapter(Adapter):
-    """USB adapter, whose port is a pseudo terminal; a symbolic link stays the same when the port's name changes."""
+    """USB adapter, whose port is a pseudo terminal; a symbolic link stays the same when the port's name changes.
+
+    The slave stays open here, or the master would fail whenever a client leaves, and is raw before any client opens it,
+    or the line discipline would echo and alter bytes.
+    """
 
     def __init__(self, link: Path | None = None) -> None:
         super().__init__("")
         self._link = link
-        self._terminal: PseudoTerminal | None = None
+        self._terminal: tuple[int, int] | None = None  # master and slave; None while it is unplugged
         self.plug_in()
 
     @property
     def descriptors(self) -> list[int]:
         """File descriptors to wait on for bytes from the host."""
-        return [] if self.frozen or self._terminal is None else [self._terminal.master]
+        return [] if self.frozen or self._terminal is None else [self._terminal[0]]
 
     @property
     def baudrate(self) -> int:
         """Baud rate that the host has set; 0 for one that no servo has, or while unplugged."""
-        return 0 if self._terminal is None else self._terminal.baudrate
+        return 0 if self._terminal is None else _BAUDRATES.get(termios.tcgetattr(self._terminal[1])[_OSPEED], 0)
 
     def plug_in(self, *, renamed: bool = False) -> None:
         """Create the port, under another name if ``renamed``, unless it is there."""
         if self._terminal is not None:
             return
-        terminal = PseudoTerminal(self._link)
-        if renamed and terminal.port == self.port:
-            replaced, terminal = terminal, PseudoTerminal(self._link)
-            replaced.leave_link()
-            replaced.close()
-        self._terminal, self.port = terminal, terminal.port
+        master, slave = os.openpty()
+        if renamed and os.ttyname(slave) == self.port:
+            former, (master, slave) = (master, slave), os.openpty()
+            _close(former)
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        if self._link is not None:
+            if self._link.is_symlink():
+                self._link.unlink()
+            self._link.symlink_to(os.ttyname(slave))
+        self._terminal, self.port = (master, slave), os.ttyname(slave)
 
     def unplug(self) -> None:
         """Remove the port and its link, and drop the bytes not delivered yet."""
         if self._terminal is not None:
-            self._terminal.close()
+            _close(self._terminal)
+            if self._link is not None:
+                self._link.unlink(missing_ok=True)
         self._terminal = None
         self._outbox.clear()
 
     def read(self) -> bytes:
         """Return what the host has written."""
-        return b"" if self._terminal is None else self._terminal.read()
+        with contextlib.suppress(BlockingIOError):
+            return b"" if self._terminal is None else os.read(self._terminal[0], READ_BYTES)
+        return b""
 
     def deliver(self, now_s: float) -> None:
-        """Send the host the bytes that are due; without a port they are lost."""
+        """Send the host the bytes that are due; without a port, or room in its buffer, they are lost, as on a wire."""
         due = self.due_bytes(now_s)
         if due and self._terminal is not None:
-            self._terminal.write(due)
+            with contextlib.suppress(BlockingIOError):
+                os.write(self._terminal[0], due)
+
+
+def _close(descriptors: Iterable[int]) -> None:
+    for descriptor in descriptors:
+        os.close(descriptor)
 
 
 # Time step of the arm while the bus is silent.

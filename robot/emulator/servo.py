@@ -170,6 +170,7 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         self.voltage_v = 0.0  # supply [V]
         self.memory = Memory(self.table, self.memory_bytes)
         self.kept_write: tuple[int, bytes] | None = None  # address and bytes of the latest REG_WRITE until an ACTION
+        self._measured_at: tuple[float, ...] = ()  # state whose measurements the memory has; empty for none
 
     @abstractmethod
     def power_up(self) -> None:
@@ -276,8 +277,19 @@ class EmulatedServo(ABC, Generic[RegisterT]):
 
     def read(self, address: int, length: int) -> bytes:
         """Read memory; addresses without a register are zero."""
-        for register, value in self._measured():
-            self.memory.set(register, value)
+        plant = self.plant
+        # At rest the host reads the same values a hundred times a second.
+        state = (
+            plant.position_ticks,
+            plant.velocity_ticks_s,
+            plant.duty_permille,
+            round(self.motor.temperature_c),
+            self.voltage_v,
+        )
+        if state != self._measured_at:
+            self._measured_at = state
+            for register, value in self._measured():
+                self.memory.set(register, value)
         return self.memory.read(address, length)
 
     def step(self, duration_s: float) -> None:
@@ -311,14 +323,19 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         self.baudrate = self.baudrates[baud_rate] if baud_rate < len(self.baudrates) else 0
         self.return_delay_s = self.value(self.return_delay) * RETURN_DELAY_UNIT_S
         self._thresholds = self._thresholds_from_registers()
-        self._drive = self._drive_from_registers()
+        self._follow_drive()
 
     def _follow_write(self, address: int) -> None:
         """Bring everything that depends on the registers from an address on up to date."""
         if address < self.table.torque_enable:
             self._follow_registers()
         else:
-            self._drive = self._drive_from_registers()
+            self._follow_drive()
+
+    def _follow_drive(self) -> None:
+        """Bring drive and measurements up to date, which depend on every register."""
+        self._drive = self._drive_from_registers()
+        self._measured_at = ()
 
     def _follow_status(self) -> None:
         """Let errors that came or went act on registers and drive."""

@@ -9,8 +9,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import groupby
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 from scservo_sdk import (
     BROADCAST_ID,
@@ -100,7 +101,7 @@ class InstructionParser:
         return instructions
 
 
-@dataclass
+@dataclass(slots=True)
 class Reply:
     """Reply on its way to the host; times are monotonic [s]."""
 
@@ -116,13 +117,13 @@ class Reply:
         self.data = self.data[: max(0, passed)]
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """Servo that replies, the number of the error that it reports, 0 for none, and the data of its reply."""
 
     servo: EmulatedServo[Any]
     error: int = 0
     data: bytes = b""
+    servo_id: int | None = None  # id in the reply; None for the servo's own
 
 
 # First register -> servo id -> bytes written there.
@@ -188,7 +189,8 @@ class ServoBus(Generic[S]):
         if baudrate == 0:
             return []
         for instruction in self._parser.feed(data, now_s):
-            self._wire_free_s = max(now_s, self._wire_free_s) + self._wire_time_s(instruction.byte_count, baudrate)
+            wire_s = instruction.byte_count * self._byte_s(baudrate)
+            self._wire_free_s = max(now_s, self._wire_free_s) + wire_s
             if not self.faults.loses_instruction():
                 self._execute(instruction, baudrate)
         return self._on_wire
@@ -210,7 +212,7 @@ class ServoBus(Generic[S]):
         written: Written = {}
         answers = list(self._answers(instruction, hearers, written))
         for _, together in groupby(answers, key=lambda answer: answer.servo.servo_id):
-            self._reply(list(together), baudrate)
+            self._reply(tuple(together), baudrate)
         if self.log is not None:
             for address, data in written.items():
                 self.log.record_write(self._now_s, instruction.code, address, data, self.servos)
@@ -235,9 +237,11 @@ class ServoBus(Generic[S]):
             if broadcast or instruction.servo_id == servo.servo_id:
                 # A broadcast is answered by nobody, except a ping. A reboot resets what a servo acknowledges.
                 replies = servo.acknowledges(code) and (not broadcast or code == INST_PING)
+                servo_id = servo.servo_id
                 answer = self._execute_on(servo, instruction, written)
                 if answer is not None and replies:
-                    yield answer
+                    # The write of a new id is acknowledged with the old one: lerobot's setup_motors waits for that.
+                    yield answer._replace(servo_id=servo_id)
 
     def _execute_on(self, servo: S, instruction: Instruction, written: Written) -> Answer | None:
         """Carry out an instruction on one of its receivers; return its reply."""
@@ -276,20 +280,21 @@ class ServoBus(Generic[S]):
 
     def _reply(self, answers: Sequence[Answer], baudrate: int) -> None:
         """Put the reply of a servo on the wire; replies of several servos with the same id collide."""
-        servo = answers[0].servo
+        servo, byte_s = answers[0].servo, self._byte_s(baudrate)
         start_s = self._wire_free_s + (TURNAROUND_S + servo.return_delay_s if self._wire_time else 0.0)
-        servo_id = self.faults.id_of_reply(servo.servo_id)
+        sent_id = answers[0].servo_id
+        servo_id = self.faults.id_of_reply(servo.servo_id if sent_id is None else sent_id)
         packets = [
-            self._codec.status_packet(servo_id, answer.servo.error | answer.error, answer.data) for answer in answers
+            _status_packet(self._codec, servo_id, answer.servo.error | answer.error, answer.data) for answer in answers
         ]
         packet = packets[0] if len(packets) == 1 else superimposed(packets)
         arriving = self.faults.apply(packet)
-        self._wire_free_s = start_s + self._wire_time_s(max(len(packet), len(arriving)), baudrate)
+        self._wire_free_s = start_s + max(len(packet), len(arriving)) * byte_s
         self._given_s = max(self._given_s, self._wire_free_s + self.faults.hold_up_s())
-        self._on_wire.append(Reply(start_s, wire_time_s(1, baudrate), self._wire_free_s, self._given_s, arriving))
+        self._on_wire.append(Reply(start_s, byte_s, self._wire_free_s, self._given_s, arriving))
 
-    def _wire_time_s(self, byte_count: int, baudrate: int) -> float:
-        return wire_time_s(byte_count, baudrate) if self._wire_time else 0.0
+    def _byte_s(self, baudrate: int) -> float:
+        return wire_time_s(1, baudrate) if self._wire_time else 0.0
 
 
 def superimposed(packets: Sequence[bytes]) -> bytes:
@@ -309,6 +314,12 @@ def superimposed(packets: Sequence[bytes]) -> bytes:
         received.append(low & 0xFF ^ 0xFF)
         low >>= BITS_PER_BYTE - 1
     return bytes(received)
+
+
+# An arm at rest repeats its replies, a moving one those to writes.
+@lru_cache(maxsize=64)
+def _status_packet(codec: Codec, servo_id: int, error: int, data: bytes) -> bytes:
+    return codec.status_packet(servo_id, error, data)
 
 
 def _sync_write(hearers: Sequence[S], address: int, length: int, blocks: bytes, written: Written) -> None:

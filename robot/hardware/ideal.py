@@ -45,6 +45,7 @@ class IdealArm(HardwareInterface):
         self._at_s = clock()
         self._zeros = np.zeros(joints)
         self._unmeasured = np.full(joints, np.nan)
+        self._no_limit = np.full(joints, np.inf)
         self._no_status = np.zeros(joints, dtype=int)
 
     def open(self) -> HardwareInterface:
@@ -52,15 +53,14 @@ class IdealArm(HardwareInterface):
         return self
 
     def survey(self) -> Steps[Survey]:
-        """Report every joint as it is."""
         yield 0.0
         goal_rad = np.where(self._on, self._goal_rad, np.nan)
         return Survey(
             self._bounds,
             self._on.copy(),
             goal_rad,
-            np.full(len(self._on), np.inf),
-            Actuation.unprotected(len(self._on)),
+            self._no_limit,
+            Actuation.unprotected(self._no_limit, self._no_limit),
             reply_latency_s=0.0,
         )
 
@@ -80,23 +80,19 @@ class IdealArm(HardwareInterface):
         )
 
     def write_goals(self, goal_rad: Vector) -> None:
-        """Set the joints' goals."""
         self._goal_rad = goal_rad
 
     def write_torque_shares(self, torque_share: Vector) -> None:
         """Do nothing: an ideal joint needs no torque."""
 
     def check(self, stamp_s: float) -> Fault | None:  # noqa: ARG002 - the interface's signature
-        """Return None: no other program can change an ideal joint."""
         return None
 
     def driven(self) -> Steps[Flags]:
-        """Report the joints that follow their goals."""
         yield 0.0
         return self._on.copy()
 
     def enable(self, joints: Sequence[int]) -> Steps[Vector]:
-        """Let joints follow their goals, beginning at their positions."""
         yield 0.0
         for joint in joints:
             if not self._on[joint]:
@@ -111,28 +107,23 @@ class IdealArm(HardwareInterface):
         return (yield from self.switch_off())
 
     def switch_off(self, joints: Sequence[int] | None = None) -> Steps[list[str]]:
-        """Switch torque off, which always succeeds."""
         yield 0.0
         self._on[slice(None) if joints is None else list(joints)] = False
         return []
 
     def cut_torque(self) -> Steps[list[str]]:
-        """Switch all torque off with the first step."""
         self._on[:] = False
         yield 0.0
         return []
 
     def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:  # noqa: ARG002 - likewise
-        """Do nothing: an ideal joint has no overload."""
         yield 0.0
         return self._goal_rad if hold else None
 
     def condition(self, joint: int) -> Condition:
-        """Return the condition of an ideal joint, which is always good."""
         return Condition("ideal joint", bool(self._on[joint]), 0.0, 0)
 
     def label(self, joint: int) -> str:
-        """Return the joint's name."""
         return self.joint_names[joint]
 
     def close(self) -> None:

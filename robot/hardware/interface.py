@@ -36,12 +36,6 @@ Flags: TypeAlias = NDArray[np.bool_]
 # Round trips of the last second at 100 Hz.
 ROUND_TRIPS_KEPT = 100
 
-# No joint turns this far in a cycle (46 rad/s); longer gaps allow for the free speed of the actuators.
-JUMP_RAD = 0.46
-
-# Free speed of small servos (an STS3215 at 7.4 V), for actuators that state none.
-FREE_SPEED_RAD_S = 5.5
-
 CALIBRATION_NOT_KEPT = "a calibration is written into Feetech servos only, and this arm has others"
 
 
@@ -85,12 +79,14 @@ class Actuation(NamedTuple):
     overload_current_a: Vector  # current that must not last; infinite without such a protection [A]
     stall_current_a: Vector  # current of the stalled motor at full duty [A]
     free_speed_rad_s: Vector  # speed without load at full duty [rad/s]
+    # Way between two readings in a row beyond which they are no motion; longer gaps allow for the free speed [rad].
+    jump_rad: Vector
 
     @classmethod
-    def unprotected(cls, joints: int) -> Actuation:
-        """Return the strength of a number of actuators that have no settings."""
-        ones, never = np.ones(joints), np.full(joints, np.inf)
-        return cls(ones, ones, never, never, never, ones, np.full(joints, FREE_SPEED_RAD_S))
+    def unprotected(cls, free_speed_rad_s: Vector, jump_rad: Vector) -> Actuation:
+        """Return the strength of actuators that have no settings."""
+        ones, never = np.ones(len(jump_rad)), np.full(len(jump_rad), np.inf)
+        return cls(ones, ones, never, never, never, ones, free_speed_rad_s, jump_rad)
 
 
 @dataclass(frozen=True)

@@ -47,13 +47,10 @@ class Tokens:
 
     Args:
         anonymous: identity of clients without a token; None when they may do nothing.
-
-    Attributes:
-        any: True when there are tokens.
     """
 
     def __init__(self, tokens: dict[str, Identity], anonymous: Identity | None) -> None:
-        # By digest: all have one length, so that comparing tells nothing of a token's.
+        # By digest: all have one length, so that a comparison shows nothing about a token's length.
         self._tokens = [(_digest(token), token, identity) for token, identity in tokens.items()]
         self.any = bool(tokens)
         self.anonymous = anonymous
@@ -101,7 +98,6 @@ class RosauthVerifier:
 
         Args:
             proof: operation with the fields of rosauth's ``authenticate``; its level does not count.
-            now_s: seconds since the epoch.
         """
         if abs(now_s - proof.t) > GOOD_FOR_S:
             return f"field t: the proof was made {now_s - proof.t:+.0f} s ago by this server's clock, the limit is 5"
@@ -130,11 +126,7 @@ class RosauthVerifier:
 
 
 class AuthThrottle:
-    """Throttle of clients that guess: counts wrong tokens by the address that they came from.
-
-    Args:
-        clock: monotonic time [s].
-    """
+    """Throttle of clients that guess: counts wrong tokens by the address that they came from."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -149,7 +141,7 @@ class AuthThrottle:
         key = client_key(address)
         wrong, until_s = self._known(key)
         wrong.add(hash(shown))
-        # From the last one that is heard on, the whole time is waited.
+        # The whole wait begins again with each further token.
         if len(wrong) == 1 or len(wrong) >= MAX_WRONG:
             until_s = self._clock() + WINDOW_S
         self._wrong[key] = wrong, until_s
@@ -204,7 +196,6 @@ def _anonymous(settings: AccessSettings, *, any_tokens: bool) -> Identity | None
 
 
 def _read(file: Path) -> AccessSettings:
-    """Read the tokens in a file; no error shows any of them."""
     try:
         if file.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH):
             log.warning("access.token_file: %s can be read by other users of this machine; chmod 600 it", file)

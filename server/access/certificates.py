@@ -35,10 +35,10 @@ from server.errors import ConfigurationError
 VALID_DAYS = 397
 AUTHORITY_VALID_DAYS = 3650
 
-# A certificate with less time left is made anew.
+# A certificate with less time left is replaced.
 RENEW_DAYS = 30
 
-# Clocks of phones differ from the server's; what is valid from now on would not be valid yet.
+# Clocks of phones differ from the server's; a certificate that begins now would not be valid there yet.
 _CLOCK_MARGIN = timedelta(hours=1)
 
 # Each name costs some bytes in every handshake.
@@ -51,17 +51,13 @@ _MAX_COMMON_NAME_CHARACTERS = 64
 
 @dataclass(frozen=True)
 class CertificateFiles:
-    """Files of the local authority and of the server's certificate.
-
-    Attributes:
-        directory: folder of all of them, open to its owner alone.
-    """
+    """Files of the local authority and of the server's certificate."""
 
     directory: Path
 
     @property
     def authority(self) -> Path:
-        """Certificate of the authority, in PEM; the one that phones are to trust."""
+        """Certificate of the authority, in PEM; phones are to trust it."""
         return self.directory / "armbridge-authority.crt"
 
     @property
@@ -71,7 +67,7 @@ class CertificateFiles:
 
     @property
     def certificate(self) -> Path:
-        """Certificate of the server, followed by that of the authority."""
+        """Certificate of the server, followed by the authority's."""
         return self.directory / "server.pem"
 
     @property
@@ -85,8 +81,6 @@ class Outcome:
     """Outcome of :func:`ensure_certificate`.
 
     Attributes:
-        names: names and addresses in the certificate.
-        authority_name: name of the authority, as phones show it.
         fingerprint: of the authority, SHA-256 as phones show it.
         made_authority: True when the authority is new, so that phones do not know it yet.
         reason: reason for a new certificate; empty when the old one stays.
@@ -107,12 +101,7 @@ class _Pair:
 
 
 def ensure_certificate(files: CertificateFiles, names: Iterable[str], now: datetime | None = None) -> Outcome:
-    """Make the server's certificate, and the authority before it; leave alone what is still good.
-
-    Args:
-        files: where everything is kept.
-        names: host names and IP addresses that the certificate must have.
-        now: present time; None for the clock's.
+    """Make the server's certificate, and the authority before it; leave good ones alone.
 
     Raises:
         ConfigurationError: a name is no host name and no address, or the files cannot be used.

@@ -28,7 +28,7 @@ RESERVED_S = 3.0
 TOPIC = "/arm/control"
 TAKE_SERVICE = "/arm/take_control"
 
-# Tells a client its own name, by which it finds itself on the topic.
+# Answers with the client's own name, by which it finds itself on the topic.
 WHO_SERVICE = "/arm/who_am_i"
 
 # Period of the check for an idle holder, and of the messages while there is a holder [s].
@@ -39,16 +39,11 @@ class ControlLease:
     """Control of the arm by one client at a time.
 
     Args:
-        policy: ``lease`` for one client at a time, ``shared`` for all at once.
         idle_s: time without a request of the holder after which the arm is free for others [s].
-        wall_clock: seconds since the epoch.
-        busy: returns the goal that is worked on; meanwhile the holder does not idle.
 
     Attributes:
         excluded_by: leases that nobody else may hold when a client takes this one: of several arms that of all arms
             excludes those of each, and each of them excludes it.
-        holder: the client that drives; None when the arm is free.
-        since_s: start of the holder's control [s since the epoch].
     """
 
     def __init__(
@@ -76,14 +71,7 @@ class ControlLease:
         self._watchers.append(on_change)
 
     def drive(self, node: Node, now_s: float) -> str | None:
-        """Take control, or keep it, to move the arm or to switch it.
-
-        Args:
-            now_s: monotonic time [s].
-
-        Returns:
-            The reason why it may not; None when it may.
-        """
+        """Take control, or keep it, to move the arm or to switch it."""
         if self.policy == "shared" or not node.remote:
             return None
         if self.holder is not node:
@@ -101,14 +89,7 @@ class ControlLease:
         return None
 
     def release(self, node: Node, now_s: float) -> str | None:
-        """Give control back; a client that has shown a token with the role ADMIN may take it from another.
-
-        Args:
-            now_s: monotonic time [s].
-
-        Returns:
-            The reason why it may not; None when the arm is free.
-        """
+        """Give control back; a client that has shown a token with the role ADMIN may take it from another."""
         if self.holder is None or self.holder is node:
             self._set(None)
             return None
@@ -195,12 +176,7 @@ def _time_of_day(stamp_s: float) -> str:
 
 
 class ControlServices:
-    """Topic ``/arm/control`` (latched), and the services that take, release and ask for control.
-
-    Args:
-        clock: monotonic time [s].
-        call_later: calls something after a delay.
-    """
+    """Topic ``/arm/control`` (latched), and the services that take, release and ask for control."""
 
     def __init__(
         self,

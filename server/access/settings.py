@@ -119,14 +119,7 @@ class SessionSettings(SettingsSection):
 
 
 def check_tokens(tokens: Mapping[str, str]) -> None:
-    """Check tokens and their names against the limits.
-
-    Args:
-        tokens: by name.
-
-    Raises:
-        ValueError: one that is no good; the text never has the token.
-    """
+    """Check tokens and their names against the limits."""
     for name, token in tokens.items():
         if not _NAME.fullmatch(name):
             raise ValueError(f"the name {name!r} must be 1 to 64 letters, digits and . _ @ -, the first no sign")

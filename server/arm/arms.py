@@ -9,8 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from robot.arm import Arm
-from robot.arm_group import ArmGroup, joined_health, joined_state
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm, ArmGroup, joined_health, joined_state
 from robot.calibration import Calibration
 from robot.description.joined import PlacedArm, joined, prefixed
 from robot.description.model import RobotModel
@@ -34,11 +33,7 @@ LEADER_RATE_HZ = 100.0
 
 @dataclass(frozen=True)
 class ArmFiles:
-    """An arm by its files.
-
-    Attributes:
-        description: with prefixed names for one of several arms.
-    """
+    """An arm by its files."""
 
     settings: ArmSettings
     description: Description
@@ -57,9 +52,6 @@ class ArmFiles:
 
 def read_arms(settings: Settings, alone: Description | None = None) -> dict[str, ArmFiles]:
     """Read the files of all arms, each by its name.
-
-    Args:
-        alone: the only arm, if it was read before.
 
     Raises:
         ConfigurationError: a file or a setting that cannot be used.
@@ -140,11 +132,7 @@ def joined_robot(arms: Mapping[str, ArmFiles]) -> RobotModel:
 
 
 class StateFeed:
-    """Way of the arms' states to the features, which are made after the arms.
-
-    Args:
-        graph: topics that clients may subscribe to.
-    """
+    """Way of the arms' states to the features, which are made after the arms."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
@@ -175,7 +163,6 @@ class ServedArm:
 
     Attributes:
         name: of one of several arms; empty for the only one, and for all together.
-        settings: its own; the defaults for all together.
         leads: True for an arm that others follow.
     """
 
@@ -225,9 +212,6 @@ class JoinedBeat:
 
         It is when each arm has sent one that is not silent, or some are late. A busy machine brings the states of one
         arm in bursts, which are told once.
-
-        Args:
-            now_s: monotonic time [s].
         """
         self._fresh.add(name)
         since_s = now_s - self._told_s
@@ -243,13 +227,8 @@ class Arms:
     """All arms of a server.
 
     Args:
-        files: each arm by its name.
         feed: takes the state of each arm as soon as it comes, and those of several as one as often as the arms send
             theirs.
-        arm_process: process of the only arm, if it was started ahead.
-
-    Attributes:
-        whole: the only arm, or all arms together.
     """
 
     def __init__(self, files: Mapping[str, ArmFiles], feed: StateFeed, arm_process: StartedChild | None = None) -> None:
@@ -289,7 +268,7 @@ class Arms:
             self._feed.take_health("", joined_health(self._health))
 
 
-def read_now(arm: ArmInterface, state: ArmState) -> ArmState:
+def read_now(arm: AnyArm, state: ArmState) -> ArmState:
     """Return a state with the joints alone that are read at present: some of several arms may not be."""
     if not isinstance(arm, ArmGroup):
         return state

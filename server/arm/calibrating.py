@@ -39,7 +39,6 @@ class Recalibrated:
     Attributes:
         arm: name of one of several arms; else empty.
         position_rad: positions of the joints under it, by joint [rad].
-        ended: end of the procedure, to be shown by the server that starts.
     """
 
     arm: str
@@ -68,7 +67,6 @@ class CalibrationProcedure:
     """Calibration of the arm into a file.
 
     Args:
-        arm: the arm's handle.
         file: calibration to write, and True if the settings name this file.
         end_goals: ends all goals of the arm and stops every motion of it, for a reason.
         start_anew: called when the calibration is written.

@@ -44,12 +44,7 @@ Accepted = TypeVar("Accepted")
 
 @dataclass(frozen=True)
 class Ended:
-    """End of a procedure.
-
-    Attributes:
-        result: how it ended, a sentence.
-        findings: what was found, a sentence each.
-    """
+    """End of a procedure."""
 
     result: str = ""
     findings: tuple[str, ...] = ()
@@ -63,12 +58,10 @@ class Dialogue:
     """Conversation of a procedure with the person: the present step, and the answer that is waited for.
 
     Args:
-        procedure: name of the procedure.
         changed: called after every change of what is shown.
 
     Attributes:
         progress: share that is done, 0 to 1.
-        findings: what was found, a sentence each.
         droops_rad: droop of joints that was measured, by joint [rad].
     """
 
@@ -190,7 +183,6 @@ class Commissioning:
 
     Args:
         make: makes a procedure by its name and the name of a calibration; raises a RobotError when it cannot begin.
-        ended: end of the procedure before, if it was followed by a start of the server.
     """
 
     def __init__(self, graph: LocalGraph, make: Callable[[str, str], Procedure], ended: Ended | None = None) -> None:

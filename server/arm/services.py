@@ -7,7 +7,7 @@ import logging
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm
 from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Mode, Order, PlaybackDirection
 from server.arrival import arrival_epoch
 from server.execution.monitors import ENABLE, RESET_FAULT
@@ -41,7 +41,7 @@ class ArmServices:
     def __init__(
         self,
         graph: LocalGraph,
-        arm: ArmInterface,
+        arm: AnyArm,
         end_goals: Callable[[str], None],
     ) -> None:
         self._graph = graph
@@ -87,7 +87,7 @@ async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
     return {"success": done.done, "message": done.message}
 
 
-async def _standstill(arm: ArmInterface) -> CommandDone:
+async def _standstill(arm: AnyArm) -> CommandDone:
     """Wait until the arm no longer moves."""
     if await arm.rest(STOP_TIMEOUT_S):
         return CommandDone(0, done=True, message="the arm does not move")
@@ -128,7 +128,7 @@ class ArmPace:
     the arm, and the gripper too. Guards and limits of the arm hold at every pace.
     """
 
-    def __init__(self, graph: LocalGraph, arm: ArmInterface) -> None:
+    def __init__(self, graph: LocalGraph, arm: AnyArm) -> None:
         self._graph = graph
         self._node = Node("arm pace")
         subscriber = Subscriber(
@@ -145,7 +145,7 @@ class ArmPace:
         set_limit = SPEED_LIMIT, SPEED_LIMIT_TYPE, lambda request: self._set_limit(arm, request["speed_limit"])
         graph.offer(self._node, *set_limit, rule=WORKING)
 
-    def _set_limit(self, arm: ArmInterface, limit: float) -> Response:
+    def _set_limit(self, arm: AnyArm, limit: float) -> Response:
         if not MIN_SPEED_LIMIT <= limit <= 1.0:
             message = (
                 f"speed_limit must be {MIN_SPEED_LIMIT:g} to 1, a share of the joints' velocity limits, not {limit:g};"
@@ -156,7 +156,7 @@ class ArmPace:
         arm.change_pace(ChangePace(speed_limit=limit))
         return {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
 
-    def _offer(self, arm: ArmInterface, name: str, direction: PlaybackDirection, rule: Rule) -> None:
+    def _offer(self, arm: AnyArm, name: str, direction: PlaybackDirection, rule: Rule) -> None:
         def serve(_request: dict[str, Any]) -> dict[str, Any]:
             if arm.state.mode is not Mode.MOVING:
                 return {"success": False, "message": f"no motion is in progress: the arm is {arm.state.mode.value}"}
@@ -166,7 +166,7 @@ class ArmPace:
         self._graph.offer(self._node, name, "std_srvs/Trigger", serve, rule=rule)
 
 
-def _set_speed(arm: ArmInterface, factor: float) -> None:
+def _set_speed(arm: AnyArm, factor: float) -> None:
     if 0.0 <= factor <= 1.0:
         arm.change_pace(ChangePace(speed_factor=factor))
     else:

@@ -42,8 +42,6 @@ class Description:
     """The arm by its files.
 
     Attributes:
-        title: name of the arm for people.
-        robot: the robot, within its calibration if it has one.
         calibration: of the servos; None for an ideal arm, which has none.
         calibration_file: where the calibration was read; None for a nominal one.
     """
@@ -95,9 +93,6 @@ class Description:
 
 def arm_config(settings: Settings, description: Description) -> ArmConfig:
     """Make the arm process's configuration.
-
-    Args:
-        settings: all of them; the sections ``arm`` and ``emulator`` count.
 
     Raises:
         ConfigurationError: a setting of the emulated servos that cannot be used, or that this arm has no use for.

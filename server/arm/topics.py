@@ -70,7 +70,6 @@ class ArmStateTopics:
 
     Args:
         robot: the arm; names the hardware, and gives the limits until the servos' own are known.
-        state: the arm's state at the start.
     """
 
     def __init__(self, graph: LocalGraph, robot: RobotModel, state: ArmState) -> None:

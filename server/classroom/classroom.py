@@ -20,9 +20,9 @@ from pathlib import Path
 
 import uvloop
 
-# The last two are loaded ahead for the arms' processes, each of which would load what its hardware needs for itself.
+# The last two are loaded ahead for the arms' processes, which would each load their hardware's modules.
 import robot.control.loop
-import robot.emulator.feetech_arm
+import robot.emulator.feetech
 import robot.hardware.ideal
 from planners.pool_host import PlannerHost
 from robot.processes import OF_SERVICE_MANAGER, StartedChild
@@ -44,12 +44,7 @@ READY_TIMEOUT_S = 0.3
 
 @dataclass(frozen=True)
 class ClassroomOptions:
-    """Size and place of a classroom.
-
-    Attributes:
-        students: number of them.
-        planners: number of motions that may be planned at the same time.
-    """
+    """Size and place of a classroom."""
 
     students: int
     planners: int
@@ -58,9 +53,6 @@ class ClassroomOptions:
 
 def run_classroom(settings: Settings, options: ClassroomOptions) -> None:
     """Run a classroom until SIGINT or SIGTERM.
-
-    Args:
-        settings: those that all servers have; the port is that of the first.
 
     Raises:
         ConfigurationError: settings that contradict each other, the robot, or a classroom.
@@ -158,7 +150,7 @@ def _make_folders(folder: Path, students: Sequence[Student]) -> None:
 
 
 class _Readiness:
-    """Tells once when all servers are ready."""
+    """Logs once when all servers are ready."""
 
     def __init__(self, students: Sequence[Student], host: str, file: Path, *, tls: bool) -> None:
         self._waited = list(students)

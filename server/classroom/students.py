@@ -30,12 +30,7 @@ MAX_PORT = 65_535
 
 @dataclass(frozen=True)
 class Student:
-    """Place of one student.
-
-    Attributes:
-        name: of the student's server, folder and token.
-        token: with which the student may operate the arm.
-    """
+    """Place of one student."""
 
     name: str
     port: int
@@ -44,9 +39,6 @@ class Student:
 
     def settings(self, base: Settings, teacher_token: str) -> Settings:
         """Return the settings of the student's server.
-
-        Args:
-            teacher_token: token with which the teacher may do everything.
 
         Raises:
             ConfigurationError: they name a token or a name twice.
@@ -73,11 +65,10 @@ def places(count: int, first_port: int, folder: Path, host: str) -> list[Student
     """Make a place for each student; who is in the folder's list keeps the token.
 
     Args:
-        count: number of students.
         first_port: port of the first one, the others follow; 0 takes free ones.
 
     Raises:
-        ConfigurationError: there are not so many ports.
+        ConfigurationError: there are not enough ports.
         StartError: the list cannot be read.
     """
     if first_port and (last_port := first_port + count - 1) > MAX_PORT:
@@ -99,11 +90,7 @@ def new_token() -> str:
 
 
 def read_tokens(file: Path) -> dict[str, str]:
-    """Read the tokens of an earlier run by name; none without a list.
-
-    Raises:
-        StartError: the file is no such list.
-    """
+    """Read the tokens of an earlier run by name; none without a list."""
     try:
         with file.open(newline="") as lines:
             rows: list[dict[str, Any]] = list(csv.DictReader(lines))
@@ -118,15 +105,7 @@ def read_tokens(file: Path) -> dict[str, str]:
 
 
 def write_list(file: Path, students: Sequence[Student], teacher_token: str, host: str, *, tls: bool) -> None:
-    """Write a line for each student and one for the teacher, readable by the user alone.
-
-    Args:
-        teacher_token: good at every server.
-        tls: True when they have a certificate.
-
-    Raises:
-        StartError: it cannot be written.
-    """
+    """Write a line for each student and one for the teacher, readable by the user alone."""
     shown = reachable_name(host)
     scheme = "wss" if tls else "ws"
     temporary = file.with_suffix(".new")
@@ -154,7 +133,6 @@ def reachable_name(host: str) -> str:
 
 
 def _free_ports(count: int, host: str) -> list[int]:
-    """Return ports that nobody listens on now."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     found = [socket.socket(family) for _ in range(count)]
     try:

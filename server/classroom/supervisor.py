@@ -37,7 +37,6 @@ class Member:
     """A process that is to run.
 
     Attributes:
-        name: its name in the log.
         log_file: takes what it logs, from an empty file at its first start; None for the terminal.
     """
 
@@ -103,11 +102,7 @@ class Member:
 
 
 def supervise(members: Sequence[Member], check: Callable[[], None]) -> None:
-    """Run all members until SIGINT or SIGTERM; then end them together.
-
-    Args:
-        check: called a few times a second.
-    """
+    """Run all members until SIGINT or SIGTERM; then end them together."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     # A collection in a child would write to every object, and so copy what it shares with the others.
     gc.collect()
@@ -126,8 +121,8 @@ def supervise(members: Sequence[Member], check: Callable[[], None]) -> None:
 
 def _told_to_end() -> bool:
     """Wait for a signal, for a while; return True when it asks for the end."""
-    told = signal.sigtimedwait(SIGNALS, CHECK_S)
-    return told is not None and told.si_signo != signal.SIGCHLD
+    received = signal.sigtimedwait(SIGNALS, CHECK_S)
+    return received is not None and received.si_signo != signal.SIGCHLD
 
 
 def _end(members: Iterable[Member]) -> None:

@@ -1,5 +1,5 @@
 """The commands of ``armbridge``, one module each.
 
-A command is a module with ``add_parser``, which describes its options, and ``run``, which carries it out and returns an
-exit code of :class:`server.commands.terminal.ExitCode`.
+A module describes the options of its commands with :func:`server.commands.options.add_command`, which also names the
+function that carries the command out; its errors become exit codes in one place.
 """

@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from robot.calibration import Calibration
 from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
 from robot.commissioning.experiments import EXPERIMENTS, Experiment, ServoRig, run_experiment
-from robot.commissioning.scan import BAUDRATES, ScanResult, explain_missing, scan
-from robot.commissioning.servo_registers import ServoRegisters
+from robot.commissioning.scan import BAUDRATES, ScanResult, ServoRegisters, explain_missing, scan
 from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
@@ -27,14 +26,15 @@ from robot.messages import GuardLimits
 from server.commands.options import (
     Subparsers,
     add_calibration,
+    add_command,
     add_robot,
     add_serial,
-    guarded,
     open_bus,
     read_calibration,
     read_hardware,
 )
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
+from server.commands.terminal import ExitCode, Terminal, table
+from server.errors import ConfigurationError
 
 HEADINGS = (
     "id", "joint", "model", "firmware", "V", "degC", "mode", "position", "limits", "offset", "torque", "complaints",
@@ -43,22 +43,17 @@ HEADINGS = (
 
 def add_scan_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "scan",
-        help="list the servos on the bus, and say which are missing and why",
-        description="List every servo on the bus: id, model, firmware, supply voltage, temperature, operating mode, "
+        _scan,
+        "list the servos on the bus, and say which are missing and why",
+        "List every servo on the bus: id, model, firmware, supply voltage, temperature, operating mode, "
         "position, angle limits, homing offset [ticks], and whether torque is on. Only reads; nothing moves.",
-        epilog=EXIT_CODES,
     )
     add_robot(parser)
     add_serial(parser)
     parser.add_argument("--all-bauds", action="store_true", help="look at every baud rate, not only at 1000000")
-    parser.set_defaults(run=run_scan)
-
-
-def run_scan(options: argparse.Namespace) -> int:
-    """Carry out the command."""
-    return guarded(lambda terminal: _scan(options, terminal))
 
 
 def _scan(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
@@ -87,7 +82,7 @@ def _complaints(result: ScanResult, servos: Sequence[ServoSpec], baudrate: int) 
 
 
 def _row(servo: ServoRegisters, names: Mapping[int, str]) -> list[object]:
-    lowest, highest = servo.settings.angle_limits_ticks
+    lowest, highest = servo.angle_limits_ticks
     return [
         servo.servo_id,
         names.get(servo.servo_id, "?"),
@@ -116,13 +111,14 @@ LINE_WIDTH = 100
 
 def add_doctor_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "doctor",
-        help="measure the arm and its bus, judge them, and say what to do",
-        description="Look at every servo, measure the bus for a few seconds, and print a verdict per check with what "
+        _doctor,
+        "measure the arm and its bus, judge them, and say what to do",
+        "Look at every servo, measure the bus for a few seconds, and print a verdict per check with what "
         "to do. Then, one by one and only if you agree, ask the arm what no document says; some of these questions "
         "switch one servo's torque (see --servo) or move it by 2 degrees.",
-        epilog=EXIT_CODES,
     )
     add_robot(parser)
     add_serial(parser)
@@ -138,24 +134,16 @@ def add_doctor_parser(subparsers: Subparsers) -> None:
         metavar="ID",
         help="servo that may be driven; it must be relaxed (the last one: the gripper, of which nothing falls)",
     )
-    parser.set_defaults(run=run_doctor)
-
-
-def run_doctor(options: argparse.Namespace) -> int:
-    """Carry out the command."""
-    if options.cycles < 1:
-        Terminal().say(f"armbridge: --cycles must be at least 1, not {options.cycles}")
-        return ExitCode.USAGE
-    return guarded(lambda terminal: _doctor(options, terminal))
 
 
 def _doctor(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    if options.cycles < 1:
+        raise ConfigurationError(f"--cycles must be at least 1, not {options.cycles}")
     calibration, servos = read_calibration(options), read_hardware(options).servos
     ids = tuple(servo.servo_id for servo in servos)
     driven = ids[-1] if options.servo is None else options.servo
     if driven not in ids:
-        terminal.say(f"armbridge: --servo must be one of {', '.join(map(str, ids))}, not {driven}")
-        return ExitCode.USAGE
+        raise ConfigurationError(f"--servo must be one of {', '.join(map(str, ids))}, not {driven}")
     with contextlib.closing(open_bus(options)) as bus:
         result, findings = examine_bus(bus, servos, calibration, options.cycles, terminal)
         present = tuple(servo.servo_id for servo in result.servos)
@@ -169,15 +157,7 @@ def _doctor(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 def examine_bus(
     bus: Bus, servos: Sequence[ServoSpec], calibration: Calibration | None, cycles: int, terminal: Terminal
 ) -> tuple[ScanResult, list[Finding]]:
-    """Scan the bus, measure it and judge both; nothing is written.
-
-    Args:
-        calibration: calibration of the arm; None if it is not known.
-        cycles: number of cycles at 100 Hz to measure.
-
-    Raises:
-        PortLost: the port is gone.
-    """
+    """Scan the bus, measure it and judge both; nothing is written."""
     terminal.say("looking at the servos ...")
     result = scan(bus, tuple(servo.servo_id for servo in servos))
     findings = judge_scan(result, servos, calibration)
@@ -237,21 +217,16 @@ def _as_text(findings: list[Finding]) -> str:
 
 def add_relax_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "relax",
-        help="switch the servos' torque off, gently, when no server is running",
-        description=f"Lower the servos' torque over {LOWER_S} s, switch it off, and check servo by servo that it is. "
+        _relax,
+        "switch the servos' torque off, gently, when no server is running",
+        f"Lower the servos' torque over {LOWER_S} s, switch it off, and check servo by servo that it is. "
         "The arm sinks: support it. While a server is running, call its service /arm/relax instead.",
-        epilog=EXIT_CODES,
     )
     add_robot(parser)
     add_serial(parser)
-    parser.set_defaults(run=run_relax)
-
-
-def run_relax(options: argparse.Namespace) -> int:
-    """Carry out the command."""
-    return guarded(lambda terminal: _relax(options, terminal))
 
 
 def _relax(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
@@ -261,11 +236,7 @@ def _relax(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def relax_arm(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> ExitCode:
-    """Relax whatever holds; says which servos may still be driven.
-
-    Raises:
-        PortLost: the port is gone.
-    """
+    """Relax whatever holds; says which servos may still be driven."""
     holding, silent = _look(bus, servos)
     if not holding and not silent:
         terminal.say("torque is off on all servos")

@@ -6,26 +6,24 @@ import argparse
 import contextlib
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from robot.calibration import Calibration, find_calibration, new_calibration_path, reserved, save
-from robot.commissioning.calibrate import differences
 from robot.commissioning.directions import asked_motions
 from robot.commissioning.scan import explain_missing, read_telemetry, scan
-from robot.commissioning.servo_registers import ServoRegisters
 from robot.commissioning.session import HOLD, WRITE, Act, CalibrationSession, Step
 from robot.description import robot_folder
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError, StartupError
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.calibration import write_to_servos
+from robot.hardware.feetech.calibration import differences, write_to_servos
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, parse_telemetry
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Difference
 from server.commands.arm import relax_arm
-from server.commands.options import Subparsers, add_robot, add_serial, guarded, open_bus, read_hardware
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
+from server.commands.options import Subparsers, add_command, add_robot, add_serial, open_bus, read_hardware
+from server.commands.terminal import ExitCode, Terminal, table
 
 # Fast enough to follow a hand across the seam (no joint turns by half a turn meanwhile), slow enough to be read.
 SWEEP_PERIOD_S = 0.02
@@ -33,13 +31,14 @@ SWEEP_PERIOD_S = 0.02
 
 def add_calibrate_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "calibrate",
-        help="record the ranges and directions of the joints in a calibration file of lerobot's format",
-        description="Switches torque off, asks you to move every joint from stop to stop, asks for a motion of each "
+        _calibrate,
+        "record the ranges and directions of the joints in a calibration file of lerobot's format",
+        "Switches torque off, asks you to move every joint from stop to stop, asks for a motion of each "
         "joint that shows its direction, and writes a file like lerobot's. "
         "Nothing is written to the servos unless you say --write-servos.",
-        epilog=EXIT_CODES,
     )
     parser.add_argument(
         "file", metavar="NAME_OR_PATH", help="where to write: a file, or an id for lerobot's calibration directory"
@@ -62,12 +61,6 @@ def add_calibrate_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--yes", action="store_true", help="do not ask before torque is switched off, nor before anything is written"
     )
-    parser.set_defaults(run=run_calibrate)
-
-
-def run_calibrate(options: argparse.Namespace) -> int:
-    """Carry out the command."""
-    return guarded(lambda terminal: (_write_back if options.write_back else _calibrate)(options, terminal))
 
 
 def _write_back(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
@@ -90,28 +83,27 @@ def _write_back(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    if options.write_back:
+        return _write_back(options, terminal)
     hardware = read_hardware(options)
     path = new_calibration_path(options.file, hardware.calibrations, os.environ)
     with reserved(path, overwrite=options.overwrite), contextlib.closing(open_bus(options)) as bus:
-        reports = _all_there(bus, hardware.servos, terminal)
-        offsets = {servo.servo_id: servo[Register.HOMING_OFFSET] for servo in reports}
+        registers = _all_there(bus, hardware.servos, terminal)
+        offsets = {servo_id: held[Register.HOMING_OFFSET] for servo_id, held in registers.items()}
         motions = {} if options.no_directions else asked_motions(robot_folder.resolve(options.robot).model)
         session = CalibrationSession(hardware.servos, motions, recentre=options.write_servos)
         return _Conversation(session, bus, hardware.servos, offsets, path, terminal, yes=options.yes).run()
 
 
-def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> tuple[ServoRegisters, ...]:
-    """Read every servo of the arm."""
+def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> dict[int, Mapping[Register, int]]:
     terminal.say("looking at the servos ...")
     result = scan(bus, tuple(servo.servo_id for servo in servos))
     if missing := explain_missing(result, servos):
         raise StartupError("; ".join(missing))
-    return result.servos
+    return result.registers
 
 
 class _Conversation:
-    """Calibration session at a terminal."""
-
     def __init__(
         self,
         session: CalibrationSession,
@@ -140,6 +132,9 @@ class _Conversation:
                 terminal.say(_calibration_table(session.calibration))
                 for finding in session.findings:
                     terminal.say(f"* {finding}")
+                if session.to_mend:
+                    terminal.say(f"nothing is written: mend {', '.join(session.to_mend)}, then calibrate again")
+                    return ExitCode.PROBLEMS
             try:
                 act = session.answer(self._answer(step))
             except CalibrationError as error:
@@ -184,7 +179,7 @@ class _Conversation:
         calibration = session.calibration
         if calibration is None:
             raise CalibrationError(str(self._path), "", "there is no result")
-        changes = differences(calibration, scan(self._bus, self._ids).servos)
+        changes = differences(calibration, scan(self._bus, self._ids).registers)
         if session.recentre:
             _write_changes(self._bus, changes, terminal)
         elif changes:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot.files import locked, replace
-from server.commands.options import Subparsers
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
+from server.commands.options import Subparsers, add_command
+from server.commands.terminal import ExitCode, Terminal
 from server.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ Android:
   3. Choose the file. Chrome trusts it from then on.
 Compare the fingerprint that the phone shows (SHA-256):
   {fingerprint}
-Keep {authority_key} to yourself: whoever has it can
+Keep {authority_key} to yourself: anybody who has it can
 pretend to be any website to these phones. Remove the authority from a phone that is no longer used."""
 
 
@@ -41,14 +41,15 @@ TOKEN_BYTES = 16
 
 def add_certificate_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "certificate",
-        help="make a certificate for this machine that phones and browsers accept (https)",
-        description="Make a local certificate authority, once, and a certificate of it for the names and addresses of "
+        _certificate,
+        "make a certificate for this machine that phones and browsers accept (https)",
+        "Make a local certificate authority, once, and a certificate of it for the names and addresses of "
         "this machine, and say how the server and a phone take them. The first time, make a token as well. "
         "Called again it renews the certificate when it "
         "is about to end or when names or addresses are missing. Nothing is sent anywhere.",
-        epilog=EXIT_CODES,
     )
     parser.add_argument(
         "--name",
@@ -61,18 +62,15 @@ def add_certificate_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--directory", type=Path, metavar="FOLDER", help="where the files are kept (tls in the data folder)"
     )
-    parser.set_defaults(run=run_certificate)
 
 
-def run_certificate(options: argparse.Namespace) -> int:
-    """Carry out the command."""
+def _certificate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.access.certificates import CertificateFiles, ensure_certificate
     from server.access.host_addresses import host_addresses
     from server.gateway.admission import own_names
     from server.moveit.named_states import data_directory
 
-    terminal = Terminal()
     directory = options.directory or data_directory(os.environ) / "tls"
     files = CertificateFiles(directory.absolute())
     own = ("localhost", *reversed(own_names()), *host_addresses(), "127.0.0.1", "::1")
@@ -87,17 +85,7 @@ def run_certificate(options: argparse.Namespace) -> int:
 
 
 def ensure_token(directory: Path) -> tuple[Path, str]:
-    """Make a file of tokens with one in it, if there is none.
-
-    Args:
-        directory: the folder of the file; it exists.
-
-    Returns:
-        The file, and the token that was made; empty where there was a file.
-
-    Raises:
-        ConfigurationError: the file cannot be written.
-    """
+    """Make a file of tokens with one in it, if there is none."""
     file, token = directory / TOKEN_FILE, secrets.token_hex(TOKEN_BYTES)
     try:
         with locked(file):
@@ -110,11 +98,7 @@ def ensure_token(directory: Path) -> tuple[Path, str]:
 
 
 def description_of(files: CertificateFiles, outcome: Outcome, tokens: Path, token: str) -> str:
-    """Return what was made, and what to do with it.
-
-    Args:
-        token: the token that was made; empty for none.
-    """
+    """Return what was made, and what to do with it."""
     certificate = f"The certificate is valid until {outcome.ends:%Y-%m-%d}"
     made = f"{certificate}; it was made because {outcome.reason}." if outcome.reason else f"{certificate}; it stays."
     known = "" if outcome.made_authority else " Phones that trust it already need nothing."

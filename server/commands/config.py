@@ -10,21 +10,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from server.commands.options import Subparsers, add_setting_options, read_settings
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
+from server.commands.options import Subparsers, add_command, add_setting_options, read_settings
+from server.commands.terminal import ExitCode, Terminal, table
 from server.config import Settings
 from server.config_keys import Setting, every_setting, template, toml_value
-from server.errors import ConfigurationError
 
 
 def add_config_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "config",
-        help="print every setting with its value and its source, or a configuration file to begin with",
-        description="Print the settings that armbridge serve would have with the same options and environment, and "
+        _config,
+        "print every setting with its value and its source, or a configuration file to begin with",
+        "Print the settings that armbridge serve would have with the same options and environment, and "
         "who has set each: default, file, environment or command line.",
-        epilog=EXIT_CODES,
     )
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print them as a JSON object, by key")
@@ -32,27 +32,19 @@ def add_config_parser(subparsers: Subparsers) -> None:
         "--template", action="store_true", help="print a TOML file with every setting explained, at its default"
     )
     add_setting_options(parser)
-    parser.set_defaults(run=run_config)
 
 
-def run_config(options: argparse.Namespace) -> int:
-    """Carry out the command."""
-    terminal = Terminal()
+def _config(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     if options.template:
         terminal.tell(template(every_setting(Settings)).rstrip("\n"))
         return ExitCode.DONE
-    try:
-        settings, sources = read_settings(options)
-    except ConfigurationError as error:
-        terminal.say(f"armbridge: {error}")
-        return ExitCode.USAGE
+    settings, sources = read_settings(options)
     values = list(_effective(settings, sources))
     terminal.tell(_as_json(values) if options.json else _as_table(values))
     return ExitCode.DONE
 
 
 def _effective(settings: Settings, sources: dict[str, str]) -> Iterator[tuple[Setting, Any, str]]:
-    """Every setting with its value and its source."""
     dumped = settings.model_dump(mode="json")
     for setting in every_setting(Settings):
         value: Any = dumped
@@ -73,8 +65,8 @@ def _as_table(values: list[tuple[Setting, Any, str]]) -> str:
     return table(("setting", "value", "unit", "source"), rows)
 
 
-# The arm process brakes, relaxes if it is to, and ends within 5.5 s of the server's death; one that parks the arm takes
-# up to 15 s more, and is waited for as long as it runs. Then it may be killed.
+# The arm process brakes, relaxes if it is to, and ends within 5.5 s of the server's death; to park the arm takes up to
+# 15 s more, and is waited for. Then it may be killed.
 _AFTER_DEATH_S = 6
 _PARKING_S = 15
 
@@ -108,7 +100,7 @@ RestartSec=2
 RestartPreventExitStatus={usage}
 WatchdogSec=20
 TimeoutStartSec=60
-# The server gets SIGTERM and ends its children in order; what is left after the timeout is killed.
+# The server gets SIGTERM and ends its children in order; processes that remain after the timeout are killed.
 KillMode=mixed
 TimeoutStopSec=30
 
@@ -157,22 +149,21 @@ WantedBy=multi-user.target
 
 def add_systemd_unit_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "systemd-unit",
-        help="print a systemd unit that runs the server as a service",
-        description="Print a systemd unit for this installation: armbridge systemd-unit > armbridge.service.",
-        epilog=EXIT_CODES,
+        _systemd_unit,
+        "print a systemd unit that runs the server as a service",
+        "Print a systemd unit for this installation: armbridge systemd-unit > armbridge.service.",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings in TOML, for the service to read")
     parser.add_argument("--user", metavar="NAME", help="run as this user (one that systemd makes up)")
     parser.add_argument("--group", metavar="NAME", default="dialout", help="that serial ports belong to (dialout)")
-    parser.set_defaults(run=run_systemd_unit)
 
 
-def run_systemd_unit(options: argparse.Namespace) -> int:
-    """Carry out the command."""
+def _systemd_unit(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     command = server_command(Path(sys.executable))
-    Terminal().tell(unit(command, options.config, options.user, options.group).rstrip())
+    terminal.tell(unit(command, options.config, options.user, options.group).rstrip())
     return ExitCode.DONE
 
 
@@ -183,13 +174,7 @@ def server_command(python: Path) -> list[str]:
 
 
 def unit(command: list[str], config: Path | None, user: str | None, group: str) -> str:
-    """The unit's text.
-
-    Args:
-        command: how the server is called.
-        config: file of its settings; None for none.
-        user: who it runs as; None for a user that exists only as long as the service runs.
-    """
+    """The unit's text."""
     words = [*command, "serve", *([] if config is None else ["--config", str(config.absolute())])]
     return _UNIT.format(
         command=" ".join(_quoted(word) for word in words),

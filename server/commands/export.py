@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from server.commands.options import Subparsers, add_interfaces
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
-from server.errors import ConfigurationError, ServerError
+from server.commands.options import Subparsers, add_command, add_interfaces, number
+from server.commands.terminal import ExitCode, Terminal
 from server.interfaces import load_registry
 
 MAX_FPS = 100
@@ -16,20 +15,25 @@ DEFAULT_FPS = 30
 
 def add_export_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "export",
-        help="write recordings as a dataset for learning (LeRobotDataset v3.0)",
-        description="Write recordings of serve --record as a dataset for learning (docs/datasets.md): the states of the"
+        _export,
+        "write recordings as a dataset for learning (LeRobotDataset v3.0)",
+        "Write recordings of serve --record as a dataset for learning (docs/datasets.md): the states of the"
         " arm, the actions that were asked for, and what cameras saw, at a fixed rate. Episodes are those marked on"
         " /dataset/episode; a recording without marks is one episode. What is left out counts as a problem found. Needs"
         " armbridge[datasets].",
-        epilog=EXIT_CODES,
     )
     parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING.mcap", help="the recordings")
     parser.add_argument("--format", choices=("lerobot",), default="lerobot", help="LeRobotDataset v3.0 (lerobot)")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder to make")
     parser.add_argument(
-        "--fps", type=_fps, default=DEFAULT_FPS, metavar="N", help=f"frames a second, 1 to {MAX_FPS} ({DEFAULT_FPS})"
+        "--fps",
+        type=number(int, 1, MAX_FPS),
+        default=DEFAULT_FPS,
+        metavar="N",
+        help=f"frames a second, 1 to {MAX_FPS} ({DEFAULT_FPS})",
     )
     parser.add_argument("--task", metavar="TEXT", help="what the arm does, for episodes whose marks do not say it")
     parser.add_argument(
@@ -45,21 +49,12 @@ def add_export_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument("--no-video", action="store_true", help="leave the cameras out")
     add_interfaces(parser)
-    parser.set_defaults(run=run_export)
 
 
-def _fps(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= MAX_FPS:
-        raise argparse.ArgumentTypeError(f"must be a whole number from 1 to {MAX_FPS}, not {text!r}")
-    return int(text)
-
-
-def run_export(options: argparse.Namespace) -> int:
-    """Carry out the command."""
+def _export(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.datasets.export import ExportOptions, export
 
-    terminal = Terminal()
     chosen = ExportOptions(
         options.recordings,
         options.output,
@@ -71,14 +66,8 @@ def run_export(options: argparse.Namespace) -> int:
     )
     try:
         done = export(chosen, load_registry(options.interfaces or ()), terminal.say)
-    except ConfigurationError as error:
+    except OSError as error:
         terminal.say(f"armbridge: {error}")
-        return ExitCode.USAGE
-    except (ServerError, OSError) as error:
-        terminal.say(f"armbridge: {error}")
-        return ExitCode.FAILED
-    except KeyboardInterrupt:
-        terminal.say("armbridge: stopped")
         return ExitCode.FAILED
     for problem in done.problems:
         terminal.say(f"* {problem}")

@@ -1,8 +1,10 @@
-"""Options that commands share: those of the arm's bus, and those that change settings."""
+"""Options that commands share: for the arm's bus, and for settings."""
 
 from __future__ import annotations
 
 import argparse
+import logging
+import math
 import os
 import re
 import tomllib
@@ -10,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from robot import logs
 from robot.calibration import Calibration, find_calibration
 from robot.description import robot_folder
 from robot.description.servo_table import HardwareTable
@@ -17,10 +20,10 @@ from robot.errors import DescriptionError, PortBusy, RobotError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.port import AUTO, resolve_port
 from server.arm.setup import DEFAULT_ROBOT
-from server.commands.terminal import ExitCode, Terminal
+from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.config import Settings
 from server.config_loader import load_with_sources
-from server.errors import ConfigurationError
+from server.errors import ConfigurationError, ServerError
 
 Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 - argparse has no public name for it
 
@@ -29,6 +32,69 @@ SERIAL_HELP = (
     "socket://host:port, or auto for the one adapter plugged in"
 )
 CALIBRATION_HELP = "the arm's calibration: a file, or the arm's id in lerobot's calibration directory"
+
+DEFAULT_URL = "ws://127.0.0.1:9090"
+
+# Where a token does not show in the list of processes.
+TOKEN_VARIABLE = "ARMBRIDGE_TOKEN"  # noqa: S105 - the name of a variable
+
+# Carries a command out; its errors become exit codes in `guarded`.
+Run: TypeAlias = Callable[[argparse.Namespace, Terminal], ExitCode]
+
+
+def add_command(
+    subparsers: Subparsers, name: str, run: Run, summary: str, description: str, **more: Any
+) -> argparse.ArgumentParser:
+    """Add a command to a parser; its help ends with the meaning of exit codes."""
+    parser = subparsers.add_parser(name, help=summary, description=description, **{"epilog": EXIT_CODES, **more})
+    parser.set_defaults(run=run)
+    return parser
+
+
+def number(kind: type[int] | type[float], least: float, greatest: float) -> Callable[[str], float]:
+    """Return a reader of an option's number, within bounds."""
+    wanted = f"a whole number from {least:g} to {greatest:g}" if kind is int else f"{least:g} to {greatest:g}"
+
+    def read(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= greatest:
+            raise argparse.ArgumentTypeError(f"must be {wanted}, not {text!r}")
+        return value
+
+    return read
+
+
+def add_connect(parser: argparse.ArgumentParser) -> None:
+    """Describe ``--connect``."""
+    parser.add_argument(
+        "--connect", type=websocket_url, default=DEFAULT_URL, metavar="URL", help=f"of the server ({DEFAULT_URL})"
+    )
+
+
+def add_token_file(parser: argparse.ArgumentParser, tokens: str) -> None:
+    """Describe ``--token-file``, for one of the tokens of a setting."""
+    parser.add_argument(
+        "--token-file",
+        type=Path,
+        metavar="FILE",
+        help=f"file with one of {tokens} and nothing else; else it comes from {TOKEN_VARIABLE}",
+    )
+
+
+def read_token(options: argparse.Namespace) -> str | None:
+    """Read the token that a client shows, if it has one.
+
+    Raises:
+        ConfigurationError: the file cannot be read.
+    """
+    file: Path | None = options.token_file
+    try:
+        return os.environ.get(TOKEN_VARIABLE) if file is None else file.read_text().strip()
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"--token-file: {file} cannot be read: {error}") from error
 
 
 def add_serial(parser: argparse.ArgumentParser) -> None:
@@ -41,10 +107,11 @@ def add_calibration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
 
 
-def add_interfaces(parser: argparse.ArgumentParser) -> None:
+def add_interfaces(parser: argparse.ArgumentParser, dest: str = "interfaces") -> None:
     """Describe ``--interfaces``."""
     parser.add_argument(
         "--interfaces",
+        dest=dest,
         type=Path,
         action="append",
         metavar="FOLDER",
@@ -52,11 +119,12 @@ def add_interfaces(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROBOT) -> None:
+def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROBOT, dest: str = "robot") -> None:
     """Describe ``--robot``."""
     names = ", ".join(robot_folder.built_in_names())
     parser.add_argument(
         "--robot",
+        dest=dest,
         metavar="NAME_OR_FOLDER",
         default=default,
         help=f"the arm: a built-in one ({names}), or the folder of its robot.toml ({DEFAULT_ROBOT})",
@@ -71,11 +139,7 @@ def websocket_url(text: str) -> str:
 
 
 def read_hardware(options: argparse.Namespace) -> HardwareTable:
-    """Read the hardware of the robot that the options name, which has Feetech servos.
-
-    Raises:
-        DescriptionError: there is no such robot, or it has other servos.
-    """
+    """Read the hardware of the robot that the options name, which has Feetech servos."""
     hardware = robot_folder.resolve(options.robot).hardware
     if hardware.kind != "feetech":
         raise DescriptionError(
@@ -85,20 +149,12 @@ def read_hardware(options: argparse.Namespace) -> HardwareTable:
 
 
 def open_bus(options: argparse.Namespace) -> Bus:
-    """Open the bus that the options name.
-
-    Raises:
-        PortError: it cannot be opened.
-    """
+    """Open the bus that the options name."""
     return Bus.open(resolve_port(options.serial))
 
 
 def read_calibration(options: argparse.Namespace) -> Calibration | None:
-    """Read the calibration that the options name, if they name one.
-
-    Raises:
-        CalibrationError: it cannot be used.
-    """
+    """Read the calibration that the options name, if they name one."""
     if options.calibration is None:
         return None
     hardware = read_hardware(options)
@@ -106,65 +162,93 @@ def read_calibration(options: argparse.Namespace) -> Calibration | None:
 
 
 def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
-    """Run a command on the arm; what it refuses or fails at becomes one line and an exit code."""
+    """Run a command; its refusal or failure becomes one line and an exit code."""
     terminal = Terminal()
     try:
         return command(terminal)
     except PortBusy as error:
         terminal.say(f"armbridge: {error}. If that is armbridge serve, stop it first or use its services.")
-    except RobotError as error:
+    except ConfigurationError as error:
+        terminal.say(f"armbridge: {error}")
+        return ExitCode.USAGE
+    except (RobotError, ServerError) as error:
         terminal.say(f"armbridge: {error}")
     except KeyboardInterrupt:
         terminal.say("armbridge: stopped")
     return ExitCode.FAILED
 
 
-# Option -> its section and key in the settings.
-_KEYS = {
-    "host": ("server", "host"),
-    "port": ("server", "port"),
-    "tcp_port": ("server", "tcp_port"),
-    "log_level": ("server", "log_level"),
-    "interfaces": ("server", "interfaces"),
-    "serial": ("arm", "serial"),
-    "robot": ("arm", "robot"),
-    "calibration": ("arm", "calibration"),
-    "insecure": ("access", "insecure"),
-    "urdf": ("arm", "urdf"),
-    "srdf": ("arm", "srdf"),
-    "package_path": ("arm", "package_path"),
-    "record": ("recording", "file"),
-    "record_limit_mb": ("recording", "limit_mb"),
-}
+# An option that overrides a setting is kept under the setting's key, as in ``server.port``.
+
+
+def add_server_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the options of a command that serves clients."""
+    parser.add_argument("--host", dest="server.host", metavar="HOST", help="address to listen on (127.0.0.1)")
+    parser.add_argument(
+        "--port", dest="server.port", type=int, metavar="PORT", help="TCP port (9090); 0 takes a free one"
+    )
+    parser.add_argument(
+        "--insecure",
+        dest="access.insecure",
+        action="store_true",
+        default=None,
+        help="serve an address that others can reach without tokens: everybody there may do everything",
+    )
+    add_interfaces(parser, "server.interfaces")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="settings in TOML; options given here override them"
+    )
 
 
 def add_setting_options(parser: argparse.ArgumentParser) -> None:
     """Describe the options of a command that needs the settings."""
-    parser.add_argument("--host", help="address to listen on (127.0.0.1)")
-    parser.add_argument("--port", type=int, help="TCP port (9090); 0 takes a free one")
+    add_server_options(parser)
     parser.add_argument(
         "--tcp-port",
+        dest="server.tcp_port",
         type=int,
         metavar="PORT",
         help="one more port, for rosbridge over raw TCP (none); 0 takes a free one",
     )
     parser.add_argument(
-        "--insecure",
-        action="store_true",
-        default=None,
-        help="serve an address that others can reach without tokens: everybody there may move the arm",
-    )
-    _add_arm_options(parser)
-    add_interfaces(parser)
-    parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record every message to this file")
-    parser.add_argument(
-        "--record-limit-mb", type=int, metavar="MB", help="begin the next file when one has so many megabytes"
+        "--log-level",
+        dest="server.log_level",
+        choices=("debug", "info", "warning", "error"),
+        help="least level of the log (info)",
     )
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="settings in TOML; options given here override them"
+        "--serial",
+        dest="arm.serial",
+        metavar="PORT",
+        help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
+    )
+    add_robot(parser, None, "arm.robot")
+    parser.add_argument("--calibration", dest="arm.calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
+    parser.add_argument(
+        "--urdf",
+        dest="arm.urdf",
+        type=Path,
+        metavar="FILE",
+        help="a URDF in place of the robot's; without --robot, --serial and --calibration its arm is an ideal one",
+    )
+    parser.add_argument("--srdf", dest="arm.srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
+    parser.add_argument(
+        "--package-path",
+        dest="arm.package_path",
+        type=Path,
+        action="append",
+        metavar="FOLDER",
+        help="where the packages of package:// are looked for, ahead of ROS_PACKAGE_PATH; may be repeated",
     )
     parser.add_argument(
-        "--log-level", choices=("debug", "info", "warning", "error"), help="least level of the log (info)"
+        "--record", dest="recording.file", type=Path, metavar="FILE.mcap", help="record every message to this file"
+    )
+    parser.add_argument(
+        "--record-limit-mb",
+        dest="recording.limit_mb",
+        type=int,
+        metavar="MB",
+        help="size in megabytes from which on the next file is begun",
     )
     parser.add_argument(
         "--set",
@@ -173,30 +257,6 @@ def add_setting_options(parser: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE",
         dest="assignments",
         help="any setting, as in --set goals.capacity=4; may be repeated (armbridge config lists them)",
-    )
-
-
-def _add_arm_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--serial",
-        metavar="PORT",
-        help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
-    )
-    add_robot(parser, default=None)
-    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
-    parser.add_argument(
-        "--urdf",
-        type=Path,
-        metavar="FILE",
-        help="a URDF in place of the robot's; without --robot, --serial and --calibration its arm is an ideal one",
-    )
-    parser.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
-    parser.add_argument(
-        "--package-path",
-        type=Path,
-        action="append",
-        metavar="FOLDER",
-        help="where the packages of package:// are looked for, ahead of ROS_PACKAGE_PATH; may be repeated",
     )
 
 
@@ -209,25 +269,29 @@ def read_settings(options: argparse.Namespace) -> tuple[Settings, dict[str, str]
     return load_with_sources(options.config, overrides(options))
 
 
-def overrides(options: argparse.Namespace) -> dict[str, Any]:
-    """The settings that options override, by section and key.
+def configure_logs(settings: Settings) -> None:
+    """Configure the log of a server."""
+    logs.configure(settings.server.log_level.upper(), settings.server.log_format)
+    # A line for every handshake and request that is no WebSocket; the gateway logs what matters of a client.
+    logging.getLogger("websockets").setLevel(logging.WARNING)
 
-    Raises:
-        ConfigurationError: a ``--set`` that is no assignment.
-    """
+
+def overrides(options: argparse.Namespace) -> dict[str, Any]:
+    """The settings that options override, by section and key."""
     values: dict[str, Any] = {}
-    for text in options.assignments:
+    given = vars(options)
+    for text in given.get("assignments", ()):
         key, equals, value = text.partition("=")
         if not equals:
             raise ConfigurationError(f"--set {_key(text)}: must be KEY=VALUE, as in --set server.port=9191")
         _put(values, key.strip().split("."), _value(key, value.strip()))
-    for option, path in _KEYS.items():
-        if (chosen := getattr(options, option)) is not None:
-            _put(values, path, chosen)
+    for key, chosen in given.items():
+        if "." in key and chosen is not None:
+            _put(values, key.split("."), chosen)
     return values
 
 
-def _put(values: dict[str, Any], path: tuple[str, ...] | list[str], value: Any) -> None:
+def _put(values: dict[str, Any], path: list[str], value: Any) -> None:
     *sections, name = path
     for section in sections:
         inner = values.setdefault(section, {})

@@ -9,8 +9,8 @@ from pathlib import Path
 from robot.description import model, robot_folder
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
-from server.commands.options import Subparsers, add_robot
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
+from server.commands.options import Subparsers, add_command, add_robot
+from server.commands.terminal import ExitCode, Terminal
 from server.errors import ConfigurationError
 
 # Options that override a field of every problem.
@@ -19,13 +19,14 @@ _PROBLEM_SETTINGS = ("allowed_time_s", "optimization_time_s", "seed")
 
 def add_plan_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    plan = subparsers.add_parser(
+    plan = add_command(
+        subparsers,
         "plan",
-        help="plan the problems of files, without a server",
-        description="Plan the problems of files (docs/planning.md) and print a table. Without --all or --id all"
+        _plan,
+        "plan the problems of files, without a server",
+        "Plan the problems of files (docs/planning.md) and print a table. Without --all or --id all"
         " problems but those that a file calls infeasible. A problem whose answer is not as its file expects counts"
         " as a problem found.",
-        epilog=EXIT_CODES,
     )
     plan.add_argument("problems", type=Path, nargs="+", metavar="PROBLEM.json", help="the files")
     plan.add_argument("--all", action="store_true", help="plan the infeasible problems as well")
@@ -47,11 +48,9 @@ def add_plan_parser(subparsers: Subparsers) -> None:
         "--optimize", type=float, dest="optimization_time_s", metavar="S", help="seconds to spend on a shorter motion"
     )
     plan.add_argument("--seed", type=int, help="of the searches; same seed, same plan")
-    plan.set_defaults(run=run_plan)
 
 
-def run_plan(options: argparse.Namespace) -> int:
-    """Carry out the command."""
+def _plan(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: it loads the planning libraries.
     from planners.files import plan_command
 
@@ -61,13 +60,12 @@ def run_plan(options: argparse.Namespace) -> int:
     )
     try:
         robot = _robot(options.robot, options.urdf, options.srdf)
-    except (ConfigurationError, DescriptionError) as error:
-        Terminal().say(f"armbridge: {error}")
-        return ExitCode.USAGE
+    except DescriptionError as error:
+        raise ConfigurationError(str(error)) from error
     try:
-        return plan_command.run(chosen, robot, sys.stdout, sys.stderr)
+        return ExitCode(plan_command.run(chosen, robot, sys.stdout, sys.stderr))
     except KeyboardInterrupt:
-        Terminal().say("armbridge: stopped before every problem was planned")
+        terminal.say("armbridge: stopped before every problem was planned")
         return ExitCode.FAILED
 
 

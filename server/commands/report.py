@@ -17,8 +17,8 @@ from robot.hardware.feetech.registers import Register
 from robot.hardware.port import resolve_port
 from server.arm.setup import DEFAULT_ROBOT, Description
 from server.commands.arm import as_json, examine_bus
-from server.commands.options import Subparsers, add_setting_options, read_settings
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
+from server.commands.options import Subparsers, add_command, add_setting_options, read_settings
+from server.commands.terminal import ExitCode, Terminal
 from server.config import PREFIX, Settings
 from server.errors import ConfigurationError
 
@@ -32,25 +32,20 @@ CYCLES = 100
 
 def add_report_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "report",
-        help="write one file about this installation and its arm, without secrets, to attach to a report",
-        description="Collect what helps to find the cause of a problem into one zip file: settings, versions, serial "
+        _report,
+        "write one file about this installation and its arm, without secrets, to attach to a report",
+        "Collect what helps to find the cause of a problem into one zip file: settings, versions, serial "
         "ports, calibration, the last faults, and the running server's diagnostics and log. When no server runs and "
         "--serial or the settings name a port, the servos are read instead; nothing is written to them. Give the same "
         "options as to armbridge serve. Nothing is sent anywhere.",
-        epilog=EXIT_CODES,
     )
     parser.add_argument(
         "--output", type=Path, metavar="FILE.zip", help="the file to write (armbridge-report-TIME.zip, here)"
     )
     add_setting_options(parser)
-    parser.set_defaults(run=run_report)
-
-
-def run_report(options: argparse.Namespace) -> int:
-    """Carry out the command."""
-    return report_to(_output(options), options, Terminal())
 
 
 def _output(options: argparse.Namespace) -> Path:
@@ -58,12 +53,8 @@ def _output(options: argparse.Namespace) -> Path:
     return Path(f"armbridge-report-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip") if path is None else path
 
 
-def report_to(path: Path, options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    """Write the report; what cannot be had is named in it.
-
-    Args:
-        path: file to write, which must not exist.
-    """
+def _report(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    path = _output(options)
     # Imported when it is needed: --help answers without the server's libraries.
     from server.monitoring.report import CONTENTS
 
@@ -81,9 +72,6 @@ def report_to(path: Path, options: argparse.Namespace, terminal: Terminal) -> Ex
     except OSError as error:
         terminal.say(f"armbridge: the report cannot be written: {error}")
         return ExitCode.FAILED
-    except KeyboardInterrupt:
-        terminal.say("armbridge: stopped")
-        return ExitCode.FAILED
     for name, size in sizes.items():
         terminal.say(f"  {name} ({size} bytes)")
     terminal.tell(f"written to {path}")
@@ -92,11 +80,7 @@ def report_to(path: Path, options: argparse.Namespace, terminal: Terminal) -> Ex
 
 
 def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dict[str, int]]:
-    """Collect the report.
-
-    Returns:
-        The archive, and the size of each member [bytes].
-    """
+    """Collect the report."""
     # Imported when it is needed: --help answers without the server's libraries.
     from server.access.authentication import Tokens
     from server.monitoring.report import Redactor, Report, add_faults, add_machine, add_settings
@@ -140,7 +124,7 @@ def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dic
 
 
 def _secrets(settings: Settings) -> Iterator[str]:
-    """Yield the tokens in settings and environment, also those of settings that contradict each other."""
+    """Yield the tokens in settings and environment, even if the settings contradict each other."""
     access = settings.access
     tables = access.admin_tokens, access.operate_tokens, access.view_tokens
     for token in (access.token, *(token for table in tables for token in table.values())):
@@ -157,7 +141,6 @@ def _strongest(tokens: dict[str, Identity]) -> str | None:
 
 
 def _add_arm(report: Report, settings: Settings) -> None:
-    """Add the files that describe the arm."""
     folder = robot_folder.find(settings.arm.robot or DEFAULT_ROBOT)
     report.add_file("arm/robot.toml", folder / "robot.toml")
     file = Description.read(settings.arm).calibration_file
@@ -184,7 +167,7 @@ def _add_bus(report: Report, settings: Settings, terminal: Terminal) -> None:
 
 
 def _registers(bus: Bus, servo_id: int) -> dict[str, int | None]:
-    """Read all registers of a servo by name; None for one that it does not tell."""
+    """Read all registers of a servo by name; None for a register that it does not answer for."""
     values: dict[str, int | None] = {}
     for register in Register:
         values[register.name] = None

@@ -8,9 +8,9 @@ from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
 from robot.errors import DescriptionError
 from robot.hardware.feetech.profiles import profile_of
-from server.commands.options import Subparsers
+from server.commands.options import Subparsers, add_command
 from server.commands.robot_import import add_parser
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
+from server.commands.terminal import ExitCode, Terminal, table
 
 
 def add_robot_parser(subparsers: Subparsers) -> None:
@@ -21,26 +21,21 @@ def add_robot_parser(subparsers: Subparsers) -> None:
         description="Arms are folders with a robot.toml, a URDF and an SRDF (docs/robots.md).",
     )
     actions = parser.add_subparsers(required=True, metavar="ACTION")
-    check = actions.add_parser(
+    check = add_command(
+        actions,
         "check",
-        help="say everything that is wrong with an arm's folder",
-        description="Read an arm's robot.toml and all files that it names; print the arm, or everything that is wrong.",
-        epilog=EXIT_CODES,
+        _check,
+        "say everything that is wrong with an arm's folder",
+        "Read an arm's robot.toml and all files that it names; print the arm, or everything that is wrong.",
     )
     check.add_argument("folder", metavar="NAME_OR_FOLDER", help="a folder with a robot.toml, or a built-in arm")
-    check.set_defaults(run=run_check)
-    listed = actions.add_parser(
-        "list", help="list the built-in arms", description="List the built-in arms.", epilog=EXIT_CODES
-    )
-    listed.set_defaults(run=run_list)
+    add_command(actions, "list", _list, "list the built-in arms", "List the built-in arms.")
     add_parser(actions)
     for described in actions.choices.values():
         described.set_defaults(usage=described.format_usage())
 
 
-def run_check(options: argparse.Namespace) -> int:
-    """Carry out ``robot check``."""
-    terminal = Terminal()
+def _check(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     found = robot_folder.problems(options.folder)
     for problem in found:
         terminal.tell(problem)
@@ -56,11 +51,10 @@ def run_check(options: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def run_list(_options: argparse.Namespace) -> int:
-    """Carry out ``robot list``."""
+def _list(_options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     arms = [robot_folder.built_in(name) for name in robot_folder.built_in_names()]
     rows = [(arm.name, arm.title, len(arm.model.movable_joints), arm.hardware.kind) for arm in arms]
-    Terminal().tell(table(("name", "arm", "joints", "hardware"), rows))
+    terminal.tell(table(("name", "arm", "joints", "hardware"), rows))
     return ExitCode.DONE
 
 

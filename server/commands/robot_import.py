@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from robot.errors import DescriptionError
-from server.commands.options import Subparsers
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
+from server.commands.options import Subparsers, add_command
+from server.commands.terminal import ExitCode, Terminal
 
 # States that are drawn, and seed: as planners.assistant.importing has them, which loads the planning libraries.
 SAMPLES = 20_000
@@ -15,13 +14,14 @@ SAMPLES = 20_000
 
 def add_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    command = subparsers.add_parser(
+    command = add_command(
+        subparsers,
         "import",
-        help="make a robot folder of a URDF",
-        description="Make a robot folder of a URDF (docs/bring_your_own_arm.md): convex parts of its meshes, a draft"
+        _import,
+        "make a robot folder of a URDF",
+        "Make a robot folder of a URDF (docs/bring_your_own_arm.md): convex parts of its meshes, a draft"
         " SRDF with groups, named states and the pairs of links that never touch, and a draft robot.toml. The folder is"
         " checked and a motion is planned in it.",
-        epilog=EXIT_CODES,
     )
     command.add_argument("urdf", type=Path, metavar="URDF", help="the URDF; expand xacro first")
     command.add_argument("--out", type=Path, metavar="DIR", help="folder to make (the robot's name, here)")
@@ -43,16 +43,13 @@ def add_parser(subparsers: Subparsers) -> None:
         "--no-convex", action="store_true", help="make no convex parts: meshes are checked themselves, more slowly"
     )
     command.add_argument("--overwrite", action="store_true", help="replace the robot folder that is there")
-    command.set_defaults(run=run_import)
 
 
-def run_import(options: argparse.Namespace) -> int:
-    """Carry out the command."""
+def _import(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: it loads the planning libraries.
     from planners.assistant import importing
     from planners.errors import PlannerError
 
-    terminal = Terminal()
     try:
         out = options.out or importing.default_folder(options.urdf)
         chosen = importing.ImportOptions(
@@ -67,7 +64,7 @@ def run_import(options: argparse.Namespace) -> int:
             overwrite=options.overwrite,
         )
         lines = importing.import_robot(chosen, terminal.say)
-    except (PlannerError, DescriptionError, OSError) as error:
+    except (PlannerError, OSError) as error:
         terminal.say(f"armbridge: {error}")
         return ExitCode.FAILED
     except KeyboardInterrupt:

@@ -36,20 +36,22 @@ from robot.hardware.feetech.profiles import PROFILES, ServoProfile, profile_of
 from robot.hardware.feetech.registers import Register
 from robot.hardware.port import resolve_port
 from server.commands.arm import relax_arm
-from server.commands.options import Subparsers, add_robot, add_serial, guarded, read_hardware
-from server.commands.terminal import EXIT_CODES, ExitCode, Terminal, table
+from server.commands.options import Subparsers, add_command, add_robot, add_serial, read_hardware
+from server.commands.terminal import ExitCode, Terminal, table
+from server.errors import ConfigurationError
 from server.moveit.named_states import default_path
 
 
 def add_setup_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
-    parser = subparsers.add_parser(
+    parser = add_command(
+        subparsers,
         "setup",
-        help="give new servos their ids and settings, one at a time",
-        description="Asks for one servo after the other, from the gripper to the base, and gives each its id, 1 Mbaud, "
+        _set_up,
+        "give new servos their ids and settings, one at a time",
+        "Asks for one servo after the other, from the gripper to the base, and gives each its id, 1 Mbaud, "
         "and the settings that the arm needs. Only what differs is written, after a yes, and read back. The registers "
         "from before are saved to a file first. Break it off whenever you like: the next run goes on.",
-        epilog=EXIT_CODES,
     )
     add_robot(parser)
     add_serial(parser)
@@ -68,20 +70,13 @@ def add_setup_parser(subparsers: Subparsers) -> None:
     add("--backup", type=Path, metavar="FILE", help="save the registers from before here (a file named by the time)")
     add("--any-model", action="store_true", help="write to servos of an unknown model too")
     add("--yes", action="store_true", help="do not ask before writing")
-    parser.set_defaults(run=run_setup)
 
 
-def run_setup(options: argparse.Namespace) -> int:
-    """Carry out the command."""
-    return guarded(lambda terminal: _run(options, terminal))
-
-
-def _run(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+def _set_up(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     hardware, robot = read_hardware(options), robot_folder.resolve(options.robot).model
     joints = [servo.joint for servo in hardware.servos]
     if unknown := [name for name in options.joint or () if name not in joints]:
-        terminal.say(f"armbridge: --joint must be one of {', '.join(joints)}, not {unknown[0]}")
-        return ExitCode.USAGE
+        raise ConfigurationError(f"--joint must be one of {', '.join(joints)}, not {unknown[0]}")
     stamp = f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%S.%f}"
     backup = BackupFile(options.backup or default_path(f"registers_{stamp}", robot, os.environ), robot.name)
     line = ServoLine(lambda baudrate: Bus.open(resolve_port(options.serial), baudrate))
@@ -99,7 +94,7 @@ def _run(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 @dataclass(frozen=True)
 class _Work:
-    """Servo of a joint, and what is to be written to it."""
+    """Servo of a joint, and the registers to be written to it."""
 
     joint: str
     servo: FoundServo
@@ -113,8 +108,6 @@ class _Work:
 
 
 class _Visit:
-    """A visit to the servos of an arm."""
-
     def __init__(
         self,
         line: ServoLine,
@@ -174,7 +167,7 @@ class _Visit:
         return self._end()
 
     def _present(self) -> dict[int, FoundServo]:
-        """Return the servos that answer, by id; none when they cannot be told apart."""
+        """Return the servos that answer, by id; empty when several have one id."""
         try:
             found = look(self._line, BAUDRATE, {joint.servo_id for joint in self._arm})
         except (StartupError, NoReply) as error:
@@ -209,7 +202,8 @@ class _Visit:
             try:
                 if servo is None:
                     self._terminal.await_enter(f"Plug in the servo of {joint.joint}")
-                    servo = search(self._line, joint, self._arm, self._terminal.say)
+                    only_joint = len(self._options.joint or ()) == 1
+                    servo = search(self._line, joint, self._arm, self._terminal.say, only_joint=only_joint)
                 self._carry_out([self._work(joint, servo, self._profile([(joint, servo)]))])
             except (StartupError, NoReply, PortError) as error:
                 self._line.close()

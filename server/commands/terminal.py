@@ -15,7 +15,7 @@ YES = frozenset({"y", "yes"})
 
 READ_BYTES = 4096
 
-# Cursor up by so many lines, and clear to the end of the screen (ECMA-48).
+# Cursor up by a number of lines, and clear to the end of the screen (ECMA-48).
 _REDRAW = "\x1b[{lines}A\x1b[J"
 
 
@@ -68,29 +68,17 @@ class Terminal:
         self.say(question)
 
     def confirm(self, question: str) -> bool:
-        """Ask a question; whatever is not yes is no.
-
-        Raises:
-            AnswerMissing: the input ended.
-        """
+        """Ask a question; whatever is not yes is no."""
         self.ask(f"{question} [y/N]")
         return self._line().strip().lower() in YES
 
     def await_enter(self, request: str) -> None:
-        """Ask for something to be done, and wait for Enter.
-
-        Raises:
-            AnswerMissing: the input ended.
-        """
+        """Ask for something to be done, and wait for Enter."""
         self.ask(f"{request}, then press Enter.")
         self._line()
 
     def line_typed(self) -> str | None:
-        """Return the line that was typed since the last question, None before Enter; does not wait.
-
-        Raises:
-            AnswerMissing: the input ended.
-        """
+        """Return the line that was typed since the last question, None before Enter; does not wait."""
         if b"\n" not in self._received and select.select([self._input], [], [], 0.0)[0]:
             self._receive()
         return self._line() if b"\n" in self._received else None

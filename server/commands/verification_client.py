@@ -29,9 +29,6 @@ class ServerLost(RobotError):  # noqa: N818 - named by the fact
 def verify(url: str, token: str | None, terminal: Terminal) -> ExitCode:
     """Have a server verify its arm.
 
-    Args:
-        token: of an admin; None where none is needed.
-
     Raises:
         ServerLost: the server cannot be reached, refuses, or has left.
     """
@@ -53,12 +50,7 @@ class VerificationClient:
         self._told: set[str] = set()
 
     def run(self, token: str | None) -> ExitCode:
-        """Begin a verification, and ask the person what the server asks.
-
-        Raises:
-            ServerLost: the server refuses.
-            WebSocketException: it has left.
-        """
+        """Begin a verification, and ask the person what the server asks."""
         if token is not None:
             self._send({"op": "auth", "token": token})
         self._call(BEGIN, {"procedure": "verify", "name": ""})
@@ -115,7 +107,6 @@ class VerificationClient:
         self._websocket.send(json.dumps(operation))
 
     def _call(self, service: str, request: Mapping[str, Any]) -> None:
-        """Call a service, and wait for its answer."""
         number = str(next(self._numbers))
         self._send({"op": "call_service", "service": service, "id": number, "args": request})
         while (reply := self._receive(ANSWER_TIMEOUT_S)) is not None:

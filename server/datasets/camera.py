@@ -25,7 +25,7 @@ _BARS = np.array(
     dtype=np.uint8,
 )
 
-# The square crosses the picture in so many images.
+# Number of images in which the square crosses the picture.
 _SQUARE_STEPS = 60
 _SQUARE_SHARE = 8
 
@@ -43,7 +43,6 @@ class Captured(NamedTuple):
     """Image of a camera.
 
     Attributes:
-        stamp_ns: time at which it was read [ns since the epoch].
         pixels: red, green and blue, shape (height, width, 3).
     """
 
@@ -55,7 +54,7 @@ class ImageSource(Protocol):
     """Something that gives images.
 
     Attributes:
-        paced: True if it gives them at its own rate, False if whoever reads has to wait between them.
+        paced: True if it gives them at its own rate, False if the reader has to wait between them.
         finite: True if it ends of itself, as a file does.
     """
 
@@ -70,11 +69,7 @@ class ImageSource(Protocol):
 
 
 class TestPattern:
-    """Colour bars with a white square that moves.
-
-    Args:
-        width: of the images [pixels]; None for 640.
-    """
+    """Colour bars with a white square that moves."""
 
     __test__ = False
     paced = False
@@ -103,10 +98,6 @@ class TestPattern:
 
 class OpenCvSource:
     """Camera or video file that OpenCV reads.
-
-    Args:
-        device: number of a camera, or path of a device or file.
-        width: wanted of a camera [pixels]; None for its own.
 
     Raises:
         CameraError: OpenCV is not installed, or cannot open the device.
@@ -143,15 +134,7 @@ class OpenCvSource:
 
 
 def open_source(device: str, width: int | None) -> ImageSource:
-    """Open a camera.
-
-    Args:
-        device: number or path of a camera, path of a video file, or ``test``.
-        width: wanted [pixels]; None for its own.
-
-    Raises:
-        CameraError: it cannot be opened.
-    """
+    """Open a camera."""
     return TestPattern(width) if device == TEST_DEVICE else OpenCvSource(device, width)
 
 
@@ -165,7 +148,6 @@ def to_jpeg(pixels: Pixels, width: int | None, quality: int) -> bytes:
 
     Args:
         pixels: shape (height, width, 3).
-        width: to scale it to [pixels]; None for its own.
         quality: of JPEG, 1 to 95.
     """
     image = Image.fromarray(pixels)
@@ -179,17 +161,11 @@ def to_jpeg(pixels: Pixels, width: int | None, quality: int) -> bytes:
 
 
 class NewestImage:
-    """Thread that reads a camera and keeps its newest image alone: whoever is late gets no old ones.
+    """Thread that reads a camera and keeps its newest image alone: a late reader gets no old ones.
 
     Args:
-        source: the camera; closed at the end.
         period_s: time between two images of a source that is not paced [s].
         arrived: called, in the thread, after each image and at the end.
-        clock: monotonic time [s].
-        wall_clock_ns: time since the epoch [ns].
-
-    Attributes:
-        captured: number of images so far.
     """
 
     def __init__(

@@ -28,7 +28,7 @@ LOOK_PERIOD_S = 1.0
 
 FIRST_DELAY_S, LAST_DELAY_S = 0.5, 10.0
 
-# Answers of the server are complaints, each told once.
+# Answers of the server are complaints, each printed once.
 MAX_COMPLAINTS = 20
 
 # What a server answers to a client that only publishes is short.
@@ -41,10 +41,6 @@ class CameraOptions:
 
     Attributes:
         token: of an operator; None where none is needed.
-        fps: images a second, at most.
-        width: to scale images to [pixels]; None for the camera's.
-        quality: of JPEG, 1 to 95.
-        frame_id: of the images' headers.
     """
 
     url: str
@@ -63,7 +59,7 @@ class Connection(Protocol):
         """Send a frame."""
 
     async def ping(self) -> Awaitable[float]:
-        """Send a ping; what is returned waits for its pong."""
+        """Send a ping; the returned future waits for its pong."""
 
 
 class CameraClient:
@@ -71,9 +67,6 @@ class CameraClient:
 
     An image is published when the server has taken the last one: a ping follows each, and its pong says that the server
     has read everything before it (RFC 6455, section 5.5.2). On a slow network there are fewer images, and no old ones.
-
-    Args:
-        tell: takes sentences about the connection.
 
     Attributes:
         published: number of images that the server has taken.
@@ -87,11 +80,7 @@ class CameraClient:
         self._complaints: set[str] = set()
 
     async def run(self, source: ImageSource) -> None:
-        """Publish the images of a camera; comes back when they end.
-
-        Args:
-            source: the camera; closed at the end.
-        """
+        """Publish the images of a camera; comes back when they end."""
         loop = asyncio.get_running_loop()
         images = NewestImage(source, 1.0 / self._options.fps, lambda: _wake(loop, self._arrived))
         images.start()
@@ -125,9 +114,6 @@ class CameraClient:
 
     async def publish(self, connection: Connection, images: NewestImage) -> None:
         """Publish images on a connection until they end.
-
-        Args:
-            images: the camera's.
 
         Raises:
             WebSocketException: the connection has ended.
@@ -170,7 +156,7 @@ class CameraClient:
 
 
 def _wake(loop: asyncio.AbstractEventLoop, event: asyncio.Event) -> None:
-    """Set an event of a loop from another thread; one that has ended needs it no more."""
+    """Set an event of a loop from another thread, unless the loop has ended."""
     with contextlib.suppress(RuntimeError):
         loop.call_soon_threadsafe(event.set)
 
@@ -193,10 +179,6 @@ def _complaint(answer: Any) -> str:
 
 async def publish_camera(options: CameraOptions, source: ImageSource, tell: Callable[[str], None]) -> tuple[int, bool]:
     """Publish a camera's images until they end, SIGINT or SIGTERM.
-
-    Args:
-        source: the camera; closed at the end.
-        tell: takes sentences about the connection.
 
     Returns:
         Number of published images, and True if a signal has ended it.

@@ -22,7 +22,6 @@ class Mark:
     """Mark of an episode.
 
     Attributes:
-        kind: start, stop or discard.
         task: what the arm is to do, of a start; empty when none was named.
     """
 
@@ -37,13 +36,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Episode:
-    """Span of a recording.
-
-    Attributes:
-        start_s: time of its beginning, of the recording's log [s].
-        end_s: time of its end [s].
-        task: what the arm does in it; empty when none was named.
-    """
+    """Span of a recording."""
 
     start_s: float
     end_s: float
@@ -53,11 +46,8 @@ class Episode:
 def parse_mark(text: str) -> Mark:
     """Read a mark.
 
-    Args:
-        text: ``start``, ``start TASK``, ``stop`` or ``discard``.
-
     Raises:
-        ValueError: it is none of these, or the task is too long.
+        ValueError: it is no such mark, or the task is too long.
     """
     kind, _, rest = text.strip().partition(" ")
     task = " ".join(rest.split())
@@ -87,7 +77,6 @@ class EpisodeMarks:
     Attributes:
         open: the episode in progress, which ends where it starts until a mark ends it; None between episodes.
         ended: episodes that were not discarded, oldest first.
-        notes: sentences about marks that do not fit.
     """
 
     open: Episode | None = None
@@ -99,9 +88,6 @@ class EpisodeMarks:
 
         A start within an episode ends that one. A discard drops the episode in progress; between episodes it drops the
         last one, because people see that an attempt has failed when it is over.
-
-        Args:
-            at_s: its time [s].
         """
         if mark.kind == START:
             if self.open is not None:
@@ -120,11 +106,7 @@ class EpisodeMarks:
             self.notes.append(f"the discard at {at_s:.1f} s has no episode and counts for nothing")
 
     def finish(self, at_s: float) -> None:
-        """End an episode that is in progress when the recording ends.
-
-        Args:
-            at_s: end of the recording [s].
-        """
+        """End an episode that is in progress when the recording ends."""
         if self.open is not None:
             self.notes.append(
                 f"the episode started at {self.open.start_s:.1f} s was not stopped, and ends with the file"
@@ -141,9 +123,7 @@ def episodes_of(marks: Iterable[tuple[float, str]], start_s: float, end_s: float
     """Return the episodes of a recording, and sentences about marks that do not fit.
 
     Args:
-        marks: time [s] and text of each mark, in the order of time.
         start_s: beginning of the recording, which is one episode when it has no marks [s].
-        end_s: its end [s].
     """
     state, marked = EpisodeMarks(), False
     for at_s, text in marks:

@@ -53,10 +53,7 @@ class ExportOptions:
     """Options of an export.
 
     Attributes:
-        task: task of episodes whose marks name none; None for none.
         action_topic: topic of the actions; None for the leader's, else a controller's state, else the next state.
-        units: radians, or lerobot's degrees and percent of the gripper.
-        video: True to export what cameras saw.
     """
 
     recordings: Sequence[Path]
@@ -70,13 +67,7 @@ class ExportOptions:
 
 @dataclass(frozen=True)
 class Exported:
-    """Outcome of an export.
-
-    Attributes:
-        episodes: number of episodes.
-        frames: number of frames.
-        problems: sentences about what was left out.
-    """
+    """Outcome of an export."""
 
     episodes: int
     frames: int
@@ -87,8 +78,6 @@ class Exported:
 
 @dataclass
 class _Source:
-    """Recording with its episodes."""
-
     samples: Samples
     actions: str
     cameras: dict[str, str]
@@ -97,9 +86,6 @@ class _Source:
 
 def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
     """Write a dataset of recordings.
-
-    Args:
-        tell: takes sentences about the progress.
 
     Raises:
         ExportError: the recordings make no dataset, or an extra is not installed.
@@ -138,7 +124,6 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
 
 
 def _check(options: ExportOptions) -> None:
-    """Refuse what cannot succeed."""
     if options.output.exists():
         raise ExportError(f"{options.output} exists already: name another folder (--output)")
     if find_spec("pyarrow") is None:
@@ -154,7 +139,7 @@ def _told(source: _Source) -> str:
 
 
 def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, problems: list[str]) -> _Source:
-    """Return a recording with its episodes; what is left out is added to the problems."""
+    """Return a recording with its episodes; omissions are added to the problems."""
     path = samples.path
     states_s, states = series(samples.joints[STATE_TOPIC], joints)
     if not states_s.size:
@@ -225,13 +210,12 @@ def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
 
 
 def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> Frames:
-    """Return frames in the units of the dataset."""
     if options.units == "rad":
         return frames
     missing = [name for name in joints if is_gripper(name) and name not in samples.limits]
     if missing:
-        told = f"the range of {', '.join(missing)}, as on /arm/joint_limits, which was not recorded"
-        raise ExportError(f"{samples.path}: --units lerobot needs {told}")
+        needed = f"the range of {', '.join(missing)}, as on /arm/joint_limits, which was not recorded"
+        raise ExportError(f"{samples.path}: --units lerobot needs {needed}")
     states = in_lerobot_units(frames.states, joints, samples.limits)
     return replace(frames, states=states, actions=in_lerobot_units(frames.actions, joints, samples.limits))
 
@@ -242,11 +226,7 @@ def _image_times_s(images: Sequence[tuple[float, float]]) -> Times:
 
 
 def camera_keys(topics: Iterable[str]) -> dict[str, str]:
-    """Return the key of each camera's video -> its topic: ``/wrist/image_raw/compressed`` is the camera ``wrist``.
-
-    Args:
-        topics: names of image topics.
-    """
+    """Return the key of each camera's video -> its topic: ``/wrist/image_raw/compressed`` is the camera ``wrist``."""
     keys: dict[str, str] = {}
     for topic in sorted(topics):
         whole = [part for part in topic.split("/") if part]
@@ -259,7 +239,6 @@ def camera_keys(topics: Iterable[str]) -> dict[str, str]:
 def _write_videos(
     root: Path, sources: Sequence[_Source], options: ExportOptions, registry: Registry, tell: Tell
 ) -> dict[str, lerobot.Camera]:
-    """Write the videos of all cameras."""
     cameras: dict[str, lerobot.Camera] = {}
     with ExitStack() as stack:
         writers = {

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from server.datasets.episodes import Episode
 from server.datasets.samples import Positions, Times
 
-# 25 periods of the states: what is missing for longer is no jitter of a network, and nobody knows what was there.
+# 25 periods of the states: a longer gap is no jitter of a network, and nobody knows what happened in it.
 MAX_GAP_S = 0.5
 
 # One frame has no motion.
@@ -34,7 +34,6 @@ class Tracks:
         state_times_s: times of the states [s], increasing.
         states: positions of the joints, shape (n, joints).
         action_times_s: times of the actions [s], increasing; None for the next state as the action.
-        actions: positions that were asked for, shape (m, joints); None for the next state.
         image_times_s: camera -> times of its images [s], not decreasing.
     """
 
@@ -51,9 +50,7 @@ class Frames:
     """Frames of an episode.
 
     Attributes:
-        start_s: time of the first frame [s].
         states: positions of the joints, shape (frames, joints).
-        actions: shape (frames, joints).
         images: camera -> index of the image of each frame, not decreasing, shape (frames,).
     """
 
@@ -105,12 +102,7 @@ def frames_of(episode: Episode, tracks: Tracks, fps: int) -> Frames:
 
 
 def gripper_percent(positions: Positions, limits: tuple[float, float]) -> Positions:
-    """Return positions of a gripper as lerobot has them: 0 at the lower limit, 100 at the upper.
-
-    Args:
-        positions: of the joint [rad, m].
-        limits: of the joint [rad, m].
-    """
+    """Return positions of a gripper as lerobot has them: 0 at the lower limit, 100 at the upper."""
     lower, upper = limits
     return (positions - lower) / (upper - lower) * 100.0
 
@@ -123,15 +115,11 @@ def is_gripper(joint: str) -> bool:
 def in_lerobot_units(
     positions: Positions, joints: Sequence[str], limits: Mapping[str, tuple[float, float]]
 ) -> Positions:
-    """Return positions in degrees, and those of grippers in percent of their range.
+    """Return positions in degrees, and positions of grippers in percent of their range.
 
     Args:
         positions: shape (n, joints) [rad].
-        joints: names.
         limits: of the grippers at least [rad].
-
-    Raises:
-        KeyError: the limits of a gripper are not among them.
     """
     columns = [
         gripper_percent(column, limits[name]) if is_gripper(name) else np.degrees(column)
@@ -157,13 +145,7 @@ def _begun(name: str, times: Times, episode: Episode) -> float:
 
 
 def _check_gaps(name: str, times: Times, at_s: Times, start_s: float, *, interpolated: bool) -> None:
-    """Refuse frames with a gap between the samples that they are made of.
-
-    Args:
-        times: of the samples [s], not decreasing.
-        at_s: of the frames [s].
-        start_s: beginning of the episode [s].
-    """
+    """Refuse frames with a gap between the samples that they are made of."""
     first, last = _last_before(times, at_s[[0, -1]])
     after = min(int(np.searchsorted(times, at_s[-1] - TIME_TOLERANCE_S)), times.size - 1)
     span = np.append(times[first : last + 1], times[after] if interpolated else at_s[-1])

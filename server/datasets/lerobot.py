@@ -1,6 +1,6 @@
 """Files of a LeRobotDataset v3.0: frames in Parquet, metadata of episodes and tasks, statistics and ``info.json``.
 
-The format is that of lerobot's ``LeRobotDataset`` with the codebase version v3.0 (huggingface/lerobot,
+The format is lerobot's ``LeRobotDataset`` with the codebase version v3.0 (huggingface/lerobot,
 ``src/lerobot/datasets``: ``dataset_metadata.py``, ``dataset_writer.py``, ``utils.py``). All episodes are in one file of
 each kind; readers find them by the indices and times in ``meta/episodes``.
 """
@@ -48,8 +48,6 @@ class Camera:
     """Video of a camera, as it was written.
 
     Attributes:
-        height: of its frames [pixels].
-        width: of its frames [pixels].
         statistics: of each episode's frames.
     """
 
@@ -63,8 +61,6 @@ class Dataset:
     """Contents of a dataset.
 
     Attributes:
-        joints: names of the joints.
-        robot_type: name of the arm; None when it is not known.
         episodes: frames of each episode, with states and actions in the dataset's units.
         cameras: key of each video, such as ``observation.images.camera``, and the video.
     """
@@ -92,11 +88,7 @@ def video_file(root: Path, key: str) -> Path:
 
 
 def write(root: Path, dataset: Dataset) -> None:
-    """Write everything but the videos, which are there already.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
+    """Write everything but the videos, which are there already."""
     columns = [_columns(dataset, index) for index in range(len(dataset.episodes))]
     of_episodes = [{name: statistics_of(values) for name, values in each.items()} for each in columns]
     for key, camera in dataset.cameras.items():
@@ -155,7 +147,6 @@ def info(dataset: Dataset) -> dict[str, Any]:
 
 
 def _columns(dataset: Dataset, index: int) -> dict[str, NDArray[Any]]:
-    """Return the columns of an episode's frames."""
     episode = dataset.episodes[index]
     first = sum(each.count for each in dataset.episodes[:index])
     number = np.arange(episode.count, dtype=np.int64)

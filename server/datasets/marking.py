@@ -43,10 +43,6 @@ class EpisodeServices:
 
     While an episode is recorded, the arm's states come at their full rate, and the controllers tell what they command,
     which nobody else may have asked for.
-
-    Args:
-        recording: tells if the server records.
-        clock: monotonic time [s].
     """
 
     def __init__(self, graph: Graph, recording: Callable[[], bool], clock: Callable[[], float] | None = None) -> None:
@@ -63,7 +59,6 @@ class EpisodeServices:
         graph.services.offer(self._node, DISCARD_SERVICE, "std_srvs/Trigger", self._discard, rule=WORKING)
 
     def _take(self, published: PublishedMessage) -> None:
-        """Take a mark of anybody."""
         try:
             mark = parse_mark(published.msg["data"])
         except ValueError as error:
@@ -75,7 +70,7 @@ class EpisodeServices:
         self._observe(wanted=self._marks.open is not None and self._recording())
 
     def _observe(self, *, wanted: bool) -> None:
-        """Subscribe to what is published for subscribers alone, or no longer; the recording has it then."""
+        """Subscribe, or no longer, to topics that are published for subscribers alone: the recording then has them."""
         for topic in self._graph.subscribed_by(self._observer):
             self._graph.unsubscribe(self._observer, topic)
         if not wanted:

@@ -43,9 +43,7 @@ class JointSample(NamedTuple):
     """Message with positions of joints.
 
     Attributes:
-        log_s: time of recording [s since the epoch].
         stamp_s: stamp of its header [s]; 0 for none.
-        positions: their positions [rad, m].
     """
 
     log_s: float
@@ -59,13 +57,10 @@ class Samples:
     """Samples of a recording.
 
     Attributes:
-        joints: samples of each topic with positions of joints.
         images: topic of each camera -> time of recording [s since the epoch] and stamp [s] of each image, in the order
             of the file.
         marks: time of recording [s since the epoch] and text of each mark of an episode.
-        robot: name of the arm; empty when it was not recorded.
         limits: joint -> its limits [rad, m], where they were recorded.
-        unreadable: number of messages that do not fit their type.
     """
 
     path: Path
@@ -97,21 +92,13 @@ def read_samples(path: Path, registry: Registry) -> Samples:
 
 
 def messages(path: Path) -> Iterator[RecordedMessage]:
-    """Yield the messages of a recording in the order of the file.
-
-    Raises:
-        RecordingError: it cannot be read.
-    """
+    """Yield the messages of a recording in the order of the file."""
     for chunk in Recording(path).chunks():
         yield from chunk
 
 
 def image_data(message: RecordedMessage, registry: Registry) -> bytes:
-    """Return the compressed image of a message.
-
-    Raises:
-        ProtocolError: it does not fit its type.
-    """
+    """Return the compressed image of a message."""
     # uint8[] is base64 text in the server's messages, as in rosbridge's JSON.
     return pybase64.b64decode(cdr.deserialize(registry, message.type_name, message.octets)["data"])
 
@@ -164,11 +151,10 @@ def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
     stamps may be another one: its difference, the median over the topic, is taken off.
 
     Args:
-        log_s: times of recording [s].
         stamp_s: stamps [s]; 0 for none.
 
     Returns:
-        Times [s], those of recording where there are no stamps that could be used.
+        Times [s]; the times of recording where there are no usable stamps.
     """
     logged, stamped = np.asarray(log_s, dtype=np.float64), np.asarray(stamp_s, dtype=np.float64)
     if not logged.size or np.any(stamped == 0.0):
@@ -181,10 +167,10 @@ def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
 
 
 def merged(topics: Sequence[Sequence[JointSample]]) -> list[JointSample]:
-    """Return the messages of several topics as those of one, each with the last known position of every joint.
+    """Return the messages of several topics as one sequence, each with the last known position of every joint.
 
     Args:
-        topics: messages of each, in the order of the recording; those of one stamp are of one moment.
+        topics: messages of each, in the order of the recording; messages with one stamp are of one moment.
     """
     known: dict[str, float] = {}
     result: list[JointSample] = []

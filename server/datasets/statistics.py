@@ -35,11 +35,7 @@ def statistics_of(values: NDArray[Any]) -> Statistics:
 
 
 class ImageStatistics:
-    """Statistics of a camera's frames, channel by channel, from the histogram of their pixels.
-
-    Attributes:
-        frames: number of frames.
-    """
+    """Statistics of a camera's frames, channel by channel, from the histogram of their pixels."""
 
     def __init__(self) -> None:
         self.frames = 0
@@ -50,7 +46,6 @@ class ImageStatistics:
 
         Args:
             image: shape (height, width, 3).
-            times: number of frames that show this image.
         """
         self.frames += times
         for channel in range(3):
@@ -62,7 +57,7 @@ class ImageStatistics:
         self._histogram += other._histogram
 
     def result(self) -> Statistics:
-        """Return the statistics of values 0 to 1, each of shape (3, 1, 1), as lerobot has those of images."""
+        """Return the statistics of values 0 to 1, each of shape (3, 1, 1), as lerobot has statistics of images."""
         levels = np.arange(LEVELS) / (LEVELS - 1)
         pixels = self._histogram.sum(axis=1, keepdims=True)
         shares = self._histogram / pixels

@@ -45,7 +45,6 @@ class VideoWriter:
 
     Attributes:
         shape: height and width [pixels]; zeros before the first frame.
-        frames: number of frames written.
     """
 
     def __init__(self, path: Path, fps: int) -> None:
@@ -78,10 +77,9 @@ class VideoWriter:
 
         Args:
             image: shape (height, width, 3).
-            times: number of frames that show it.
 
         Raises:
-            VideoError: it has another size than the first one, or one that H.264 cannot have.
+            VideoError: it has another size than the first one, or a size that H.264 cannot have.
         """
         height, width = image.shape[:2]
         if not self.frames:

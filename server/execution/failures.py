@@ -39,7 +39,6 @@ class FailedGoals:
     """Directory of problem files, which several servers may share.
 
     Args:
-        directory: created with the first file.
         wall_clock: seconds since 1970, for the names.
         max_files: limit of files, of up to 3 MB each with a scene of 10 000 objects; the oldest make room for new ones.
     """
@@ -97,9 +96,6 @@ async def with_nearest_goal(
     Of a path of the tip ``free_m`` and ``free_orientation`` are the end to which it can be followed, ``free_fraction``
     is its share up to there, and ``end_by_other_way`` says if its end can be reached by a motion that does not follow
     it. The message says the same.
-
-    Args:
-        failure: the reason why a problem has no plan.
     """
     match problem:
         case PlanningProblem() if failure.code in SUGGESTED_FOR or _beyond_limits(failure, problem):

@@ -69,12 +69,7 @@ class CurrentState:
 
 
 def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -> dict[str, Any]:
-    """Return the moveit_msgs/RobotState of joints that stand still.
-
-    Args:
-        positions_rad: by joint [rad].
-        stamp_s: wall-clock time [s].
-    """
+    """Return the moveit_msgs/RobotState of joints that stand still."""
     stamp = Stamp.from_seconds(stamp_s).as_message()
     header = {"stamp": stamp, "frame_id": frame}
     return {
@@ -112,11 +107,7 @@ class ReadArm(Protocol):
 
 
 def check_ready(arm: ReadArm) -> None:
-    """Check that a motion can begin now.
-
-    Raises:
-        RefusedError: none can; its sentence names the remedy.
-    """
+    """Check that a motion can begin now."""
     state, age_s = arm.state, arm.state_age_s
     if state.mode is Mode.DISCONNECTED:
         raise _not_ready(MoveItErrorCode.COMMUNICATION_FAILURE, f"the arm is not connected: {state.reason}")
@@ -165,7 +156,6 @@ class SceneMonitor:
     Args:
         retry_for_s: time during which a planner that does not answer in time is asked again [s]; as long as the arm
             may be silent, for a busy machine keeps both from the cores.
-        clock: monotonic time [s].
     """
 
     def __init__(
@@ -186,14 +176,7 @@ class SceneMonitor:
         source.on_change(self._on_change)
 
     async def check(self, questions: Callable[[], Questions]) -> None:
-        """Check a motion in the present scene.
-
-        Args:
-            questions: asks about the rest of the motion.
-
-        Raises:
-            RefusedError: the motion would touch something, or the planners cannot check it.
-        """
+        """Check a motion in the present scene."""
         until_s = self._clock() + self._retry_for_s
         while True:
             scene = self._source.scene
@@ -222,7 +205,6 @@ class SceneMonitor:
         """Monitor a motion until :meth:`stop`.
 
         Args:
-            version: of the scene in which the motion was found free.
             on_contact: called once, when the motion is no longer free; the monitor then stops.
         """
         self._checked_version, self._questions, self._on_contact = version, questions, on_contact

@@ -28,7 +28,9 @@ from robot.description.model import RobotModel
 from robot.messages import MotionProgress, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
-from server.execution.queue import Joints, Performed
+
+# Names of joints.
+Joints: TypeAlias = frozenset[str]
 
 # Position of every movable joint [rad].
 Positions: TypeAlias = Mapping[str, float]
@@ -50,7 +52,6 @@ class PlannedMotion:
         scene: makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
         attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
         delay_s: pause before another attempt [s].
-        warnings: parts of the request that were ignored, a sentence each.
         confirm: true if a user is to confirm the plan before the arm moves.
     """
 
@@ -78,6 +79,22 @@ class ExternalTrajectory:
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory
 
 
+@dataclass(frozen=True)
+class Performed:
+    """Motions planned and executed for a goal.
+
+    Attributes:
+        start_rad: position of every movable joint at the start of the first motion [rad].
+        executed: the path of the arm by its readings; None when it did not move.
+        planning_time_s: time spent on planning [s].
+    """
+
+    start_rad: Mapping[str, float]
+    planned: tuple[Trajectory, ...] = ()
+    executed: Trajectory | None = None
+    planning_time_s: float = 0.0
+
+
 class AskPlanner(Protocol):
     """Function that has a planner answer, as `planners.interface.Planners.ask` does."""
 
@@ -90,7 +107,6 @@ class PlannedSequence:
     """Result of planning a sequence.
 
     Attributes:
-        notes: deviations from the goals, a sentence each.
         failure: the reason why the next motion is missing; None when all were found.
         problem: the problem without a plan; None when there is none.
     """
@@ -247,7 +263,6 @@ def splice_point_of(
 
     Args:
         progress: its progress by the arm's latest state; None for one that is not in progress.
-        pace: of the arm's motions.
         age_s: time since the state came [s].
     """
     if progress is None or pace.direction is not PlaybackDirection.FORWARD:
@@ -269,9 +284,6 @@ def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: Robot
 
     Returns:
         The motion with the way to its start before it; the motion itself when the arm holds at its start.
-
-    Raises:
-        RefusedError: the start is too far away; names the joint and the numbers.
     """
     held = np.array([held_rad[name] for name in motion.joint_names])
     away = np.abs(motion.positions_rad[0] - held)

@@ -28,9 +28,6 @@ class PlannedAhead:
 
     It answers the very problem that it was made for, in the very scene: the start of the arm bit for bit, goal, limits
     and settings. Planners answer everything else, so that goals end as if nothing had been planned in advance.
-
-    Args:
-        pool: the planners, which plan ahead only while they have nothing else to plan.
     """
 
     def __init__(self, pool: Planners) -> None:

@@ -41,11 +41,6 @@ class TimeLimits:
 
         Args:
             duration_s: the duration [s].
-            field: its name in the refusal.
-            advice: end of the refusal's sentence.
-
-        Raises:
-            RefusedError: it is longer than the limit, or no number.
         """
         if not duration_s <= self.trajectory_s:
             limit_s = self.trajectory_s
@@ -66,9 +61,6 @@ class ArmClock:
 
     A busy machine slows a simulated arm's clock down. A server that stood still itself receives all the arm's time at
     once, also the time before the arm was told to do something.
-
-    Args:
-        clock: monotonic time of this machine [s].
     """
 
     def __init__(self, arm: TimedArm, clock: Callable[[], float] = time.monotonic) -> None:
@@ -105,7 +97,6 @@ class ExecutionDeadline:
 
         Args:
             elapsed_s: the time that passed [s].
-            pace: of the motion meanwhile; a slow motion uses its time up as slowly.
         """
         if pace.direction is PlaybackDirection.FORWARD and pace.speed_factor >= MIN_SPEED_FACTOR:
             self._used_s += elapsed_s * pace.speed_factor

@@ -13,11 +13,7 @@ from server.lifecycle import Feature
 
 
 class ArmControl(Feature):
-    """Services that switch, stop and pace an arm, topics of its state, and the lease of its control.
-
-    Args:
-        context: the server's.
-    """
+    """Services that switch, stop and pace an arm, topics of its state, and the lease of its control."""
 
     name = "control"
 

@@ -12,13 +12,6 @@ from server.lifecycle import Feature
 class Clients(Feature):
     """The listener, and the service that issues tokens for it.
 
-    Args:
-        context: the server's.
-
-    Attributes:
-        listener: accepts connections once it is open.
-        routes: handlers of HTTP requests of other features.
-
     Raises:
         ConfigurationError: the certificate cannot be used.
     """

@@ -20,11 +20,7 @@ from server.lifecycle import Feature
 
 
 class Restart:
-    """Start of the server in place of the present one, which an arm's new calibration asks for.
-
-    Attributes:
-        requested: set when the server is to start again.
-    """
+    """Start of the server in place of the present one, which an arm's new calibration asks for."""
 
     def __init__(self) -> None:
         self.requested = asyncio.Event()
@@ -40,7 +36,6 @@ class CommissioningOfArms(Feature):
     """Commissioning of each arm.
 
     Args:
-        context: the server's.
         recalibrated: calibration with which this server has started again; None for a first start.
         shared_calibration: True where other servers use the arms' calibration too, so that none is written.
     """

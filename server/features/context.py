@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import time
 from collections.abc import Sequence
@@ -12,8 +11,7 @@ from typing import Protocol
 
 from planners.interface import Planners
 from robot.arm import Arm
-from robot.arm_group import ArmGroup
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm, ArmGroup
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.access.authorization import Access
@@ -21,18 +19,19 @@ from server.arm.arms import ServedArm
 from server.config import Settings
 from server.execution.executor import ExecutionContext, GoalExecutors
 from server.execution.failures import FailedGoals
+from server.execution.goal import Answer, Goal, Progress
 from server.execution.monitors import CurrentState
-from server.execution.motions import Motion, Positions
-from server.execution.queue import Answer, GoalQueue, Progress, QueuedGoal, RunningGoal
+from server.execution.motions import Positions
+from server.execution.queue import GoalQueue, RunningGoal
 from server.execution.time_limits import TimeLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.monitoring.goal_counters import GoalCounters
+from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
-from server.moveit.goal_messages import GoalOptions, GoalTranslator, OneArm
-from server.moveit.goal_topics import Confirmation
-from server.moveit.gripper import Gripper, GripperLimits
+from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator, OneArm
+from server.moveit.goals.goal_topics import Confirmation
 from server.moveit.named_states import NamedStates, NamedStatesFile, default_path
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.context import planning_group
@@ -45,23 +44,17 @@ from server.rosapi import RosApi
 class GoalListener(Protocol):
     """Feature that takes the news of goals."""
 
-    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
         """Take the progress of a goal."""
 
-    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         """Take the answer to a goal."""
 
 
 class Goals:
-    """Way of goals to the arms.
+    """Way of goals to the arms."""
 
-    Attributes:
-        queue: of all goals; those of different arms run at the same time.
-        confirmation: decides if goals are to be confirmed.
-        listeners: features that take the news of goals, in their order.
-    """
-
-    def __init__(self, graph: Graph, arm: ArmInterface, planning: PlanningContext, settings: Settings) -> None:
+    def __init__(self, graph: Graph, arm: AnyArm, planning: PlanningContext, settings: Settings) -> None:
         moveit, goals, robot = settings.moveit, settings.goals, planning.robot
         self.time_limits = TimeLimits(
             moveit.allowed_execution_duration_scaling,
@@ -82,7 +75,7 @@ class Goals:
             self.confirmation.wait,
         )
         self.executors = GoalExecutors(arm, execution)
-        self.queue: GoalQueue[Motion] = GoalQueue(
+        self.queue: GoalQueue = GoalQueue(
             self.executors, goals.policy, goals.capacity, self._on_progress, self._on_answer
         )
         file = NamedStatesFile(goals.named_states_file or default_path("named_states", robot, os.environ))
@@ -91,11 +84,11 @@ class Goals:
         self.counters = GoalCounters()
         self.listeners: list[GoalListener] = []
 
-    def _on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def _on_progress(self, goal: Goal, progress: Progress) -> None:
         for listener in self.listeners:
             listener.on_progress(goal, progress)
 
-    def _on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def _on_answer(self, goal: Goal, answer: Answer) -> None:
         self.counters.count(goal.source, answer)
         for listener in self.listeners:
             listener.on_answer(goal, answer)
@@ -103,12 +96,7 @@ class Goals:
 
 @dataclass(frozen=True, eq=False)
 class ArmContext:
-    """Context of the features of one arm, or of all arms together.
-
-    Attributes:
-        graph: names of the arm.
-        node: publishes and subscribes for the arm's goals.
-    """
+    """Context of the features of one arm, or of all arms together."""
 
     served: ServedArm
     graph: LocalGraph
@@ -171,24 +159,19 @@ class ArmContext:
         """End the goals that move the arm, the active one and all that wait, and every motion of it."""
         self.goals.queue.stop(reason, self.only_joints)
 
-    def go_to(self, positions_rad: Positions, scaling: float) -> tuple[str, asyncio.Future[Answer]]:
+    def go_to(self, positions_rad: Positions, scaling: float) -> Goal:
         """Queue a goal for joints of the arm.
 
         Args:
             positions_rad: joint -> position [rad].
             scaling: share of the velocity and acceleration limits.
 
-        Returns:
-            Its number, and its answer to come.
-
         Raises:
             RefusedError: there is no such joint.
         """
         message = {"name": list(positions_rad), "position": list(positions_rad.values())}
         motion = self.translator.joints(message, GoalOptions(None, scaling, scaling))
-        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-        number = self.goals.queue.submit("the server", motion, on_answer=answered.set_result, message=message)
-        return number, answered
+        return self.goals.queue.submit("the server", motion, message=message)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,9 +205,6 @@ def context_of(
     settings: Settings, graph: Graph, arms: tuple[ServedArm, Sequence[ServedArm]], pool: Planners
 ) -> ServerContext:
     """Return the context of a server.
-
-    Args:
-        arms: the only arm or all arms together, and the arms one by one.
 
     Raises:
         ConfigurationError: the tokens cannot be used.

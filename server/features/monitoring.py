@@ -25,11 +25,7 @@ if TYPE_CHECKING:
 
 
 class Logs(Feature):
-    """The log as a topic, as services, and in files about faults; it stops last, and so has the lines of the stop.
-
-    Args:
-        context: the server's.
-    """
+    """The log as a topic, as services, and in files about faults; it stops last, and so has the lines of the stop."""
 
     name = "the logs"
     deadline_s = 0.4
@@ -72,8 +68,6 @@ class Monitoring(Feature):
     """Health of the server: over HTTP, as metrics, and for systemd.
 
     Args:
-        context: the server's.
-        clients: its clients, who get the health over HTTP.
         recorder: the recorder; None for none.
         bridge: member of a zenoh network; None for none.
         notifier: notifier of systemd; None for a server that is not its service.

@@ -12,10 +12,12 @@ from planners.servo.question import ACCELERATION_SHARE, APPROACH_PER_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
-from server.execution.motions import Motion
-from server.execution.queue import Answer, Progress, QueuedGoal
+from server.execution.goal import Answer, Goal, Progress
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
+from server.moveit.actions.goal_calls import GoalCalls
+from server.moveit.actions.gripper import ACTIONS as GRIPPER_ACTIONS
+from server.moveit.actions.gripper import GripperActions
 from server.moveit.actions.joint_trajectory_controller import (
     ControllerStatePublisher,
     JointTrajectoryController,
@@ -30,17 +32,16 @@ from server.moveit.actions.move_group import (
 )
 from server.moveit.description import RobotDescription
 from server.moveit.display import TransformsTopics
-from server.moveit.goal_calls import GoalCalls
-from server.moveit.goal_history import GoalHistory
-from server.moveit.goal_topics import GoalChecks, GoalReports, GoalStatusTopics, GoalTopics, final_status
-from server.moveit.gripper import ACTIONS as GRIPPER_ACTIONS
-from server.moveit.gripper import GripperActions
+from server.moveit.goals.goal_history import GoalHistory
+from server.moveit.goals.goal_topics import GoalChecks, GoalReports, GoalStatusTopics, GoalTopics, final_status
 from server.moveit.named_states import NamedStatesServices, default_path
 from server.moveit.requests.context import planning_group
 from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
 from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.services.move_group_services import offer_services
+from server.moveit.services.transform_republisher import ACTION as REPUBLISHER_ACTION
+from server.moveit.services.transform_republisher import TransformRepublisher
 from server.moveit.servo.servo_node import ServoNode
 from server.timers import call_later
 
@@ -54,11 +55,7 @@ QUEUE_CLOSE_TIMEOUT_S = 1.0
 
 
 class PlanningScene(Feature):
-    """The planning scene: its topics and services, named scenes, and the file from which the next start restores it.
-
-    Args:
-        context: the server's.
-    """
+    """The planning scene: its topics and services, named scenes, and the file from which the next start restores it."""
 
     name = "the planning scene"
     deadline_s = 0.4
@@ -87,11 +84,7 @@ class PlanningScene(Feature):
 
 
 class MoveGroup(Feature):
-    """Services and actions of move_group, with the description, the transforms and the named states.
-
-    Args:
-        context: the server's.
-    """
+    """Services and actions of move_group, with the description, the transforms and the named states."""
 
     name = "move_group"
 
@@ -101,6 +94,7 @@ class MoveGroup(Feature):
         self._graph, self._planning, self._confirmation = graph, planning, goals.confirmation
         self._description = RobotDescription(graph, robot, context.rosapi.parameters.keep)
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
+        self._republisher = TransformRepublisher(graph, planning.frames)
         self._named_states = NamedStatesServices(graph, robot, goals.named_states, planning.current)
         reports, translator = GoalReports(robot, moveit), context.whole.translator
         self._checks = GoalChecks(graph, reports, translator, planning.current, planning.pool, planning.scene_state)
@@ -119,14 +113,11 @@ class MoveGroup(Feature):
     def on_state(self, arm: str, state: ArmState) -> None:
         if not arm:
             self._transforms.take_state(state)
+            self._republisher.take_state(state)
 
 
 class GoalRecords(Feature):
-    """Records of the last goals, and the contacts for which they failed.
-
-    Args:
-        context: the server's.
-    """
+    """Records of the last goals, and the contacts for which they failed."""
 
     name = "records of goals"
 
@@ -139,29 +130,25 @@ class GoalRecords(Feature):
     async def start(self) -> None:
         self._history.open()
 
-    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
         """Note in which scene the goal is planned."""
         self._history.take_progress(goal, progress)
 
-    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         """Keep the record, and show the contacts."""
         self._display.contacts_of(answer.details)
         self._history.take_answer(goal, answer, final_status(goal, answer, self._robot))
 
 
 class ArmGoals(Feature):
-    """Goals of each arm by topics, services and actions; every group with a driven joint has a controller.
-
-    Args:
-        context: the server's.
-    """
+    """Goals of each arm by topics, services and actions; every group with a driven joint has a controller."""
 
     name = "goals of the arms"
 
     def __init__(self, context: ServerContext) -> None:
         self._goals_of = {arm.name: _GoalsOfArm(arm) for arm in context.arms}
         actions = (action for each in self._goals_of.values() for action in each.actions)
-        self._actions = (*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, *actions)
+        self._actions = (*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, REPUBLISHER_ACTION, *actions)
         self._actionlib = ActionlibBridge(context.graph, time.monotonic, call_later)
 
     async def start(self) -> None:
@@ -210,27 +197,23 @@ class _GoalsOfArm:
         for publisher in self._controller_states:
             publisher.take_state(state)
 
-    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
         if self._is_here(goal):
             self._status.publish_progress(goal, progress)
 
-    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         if self._is_here(goal):
             # All goals are logged once, as goals of the whole.
             self._status.publish_answer(goal, answer, logged=bool(self._arm.name))
 
-    def _is_here(self, goal: QueuedGoal[Motion]) -> bool:
+    def _is_here(self, goal: Goal) -> bool:
         """Return True for a goal that moves the arm, or was sent to it and refused."""
         arm = self._arm
         return not arm.name or bool(goal.joints & arm.joints) or goal.source.startswith(arm.graph.resolve("/"))
 
 
 class GoalQueueing(Feature):
-    """The queue of goals.
-
-    Args:
-        context: the server's.
-    """
+    """The queue of goals."""
 
     name = "the goal queue"
 
@@ -250,11 +233,7 @@ class GoalQueueing(Feature):
 
 
 class Servo(Feature):
-    """MoveIt Servo for each arm.
-
-    Args:
-        context: the server's.
-    """
+    """MoveIt Servo for each arm."""
 
     name = "servo"
 

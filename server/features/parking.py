@@ -24,8 +24,8 @@ from server.arrival import arrival_epoch
 from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.monitors import CurrentState
-from server.execution.motions import Motion, PlannedMotion, Positions
-from server.execution.queue import Answer, GoalPolicy, GoalQueue
+from server.execution.motions import PlannedMotion, Positions
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import SWITCHING
@@ -64,8 +64,6 @@ class RestPose:
     """Pose in which an arm is parked.
 
     Attributes:
-        state: its name in the SRDF.
-        group: planning group that moves there.
         positions_rad: position of each joint [rad].
     """
 
@@ -95,10 +93,6 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
 
 class Parking:
     """Parking of one arm, and the service for it.
-
-    Args:
-        arm: the arm's handle.
-        context: the arm's context.
 
     Raises:
         ConfigurationError: the settings name a state that does not exist.
@@ -162,18 +156,11 @@ class Parking:
 
     async def _park(self, source: str, pose: RestPose, epoch: int) -> CommandDone:
         joints = frozenset(self._robot.groups[pose.group].joints)
-        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-
-        def take(answer: Answer) -> None:
-            if not answered.done():
-                answered.set_result(answer)
-
         # Motions outside the queue, as of the gripper, end too before the way is planned.
         await self._arm.rest(REST_TIMEOUT_S)
         motion = PlannedMotion((self._problem,), joints)
-        self._queue.submit(source, motion, policy=GoalPolicy.QUEUE, on_answer=take, epoch=epoch)
-        # The queue answers every goal.
-        answer = await answered
+        goal = self._queue.submit(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch)
+        answer = await goal.answered
         if answer.code is not MoveItErrorCode.SUCCESS:
             log.warning("%s: the arm is not parked: %s", source, answer.message)
             return CommandDone(0, done=False, message=f"the arm is not parked: {answer.message}")
@@ -272,7 +259,6 @@ class _Place:
 
     Attributes:
         held_rad: goal of every joint [rad].
-        version: of the scene.
         pid: process id of the arm process, which keeps the way.
         speed_limit: of the arm, which decides on the duration.
     """
@@ -294,21 +280,14 @@ class _Place:
 
 
 class LastClient:
-    """Parks or relaxes the arm some time after the last client that may drive has left.
-
-    Args:
-        arm: the arm's handle.
-        settings: the section ``arm``.
-        drivers: clients that are connected and may drive.
-        clock: monotonic time [s].
-    """
+    """Parks or relaxes the arm some time after the last client that may drive has left."""
 
     def __init__(
         self,
         arm: Arm,
         settings: ArmSettings,
         drivers: Collection[object],
-        queue: GoalQueue[Motion],
+        queue: GoalQueue,
         parking: Parking,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -359,14 +338,7 @@ class LastClient:
 
 
 class Parkings(Feature):
-    """Parking of each arm. At the end of the server each arm that is to be parked gets its way to the rest pose.
-
-    Args:
-        context: the server's.
-
-    Attributes:
-        last_clients: a background task for each arm that is parked or relaxed after the last client.
-    """
+    """Parking of each arm. At the end of the server each arm that is to be parked gets its way to the rest pose."""
 
     name = "the way to the rest pose"
     deadline_s = PREPARING_S

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 class Recording(Feature):
     """The recorder, where the settings name a file.
 
-    Args:
-        context: the server's.
-
     Attributes:
         recorder: takes messages from its construction on; None to record nothing.
 
@@ -50,9 +47,6 @@ class Recording(Feature):
 
 def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) -> Recorder | None:
     """Begin to take messages for the recording, if the settings name a file; `Recorder.start` opens it.
-
-    Args:
-        settings: the section ``recording``.
 
     Raises:
         ConfigurationError: at its path is something else than a file, or its folder cannot be written to.

@@ -14,14 +14,7 @@ from server.teaching.services import Teaching
 
 
 class TaughtMotions(Feature):
-    """Recording of motions, and the action that replays them.
-
-    Args:
-        context: the server's.
-
-    Attributes:
-        motions: the motions by name.
-    """
+    """Recording of motions, and the action that replays them."""
 
     name = "teaching"
 

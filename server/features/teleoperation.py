@@ -14,11 +14,7 @@ ONLY_ARM = "arm"
 
 
 class Following(Feature):
-    """Teleoperation: each arm that does not lead can follow.
-
-    Args:
-        context: the server's.
-    """
+    """Teleoperation: each arm that does not lead can follow."""
 
     name = "teleoperation"
 

@@ -82,7 +82,8 @@ class ClientServices:
         call = self._requested.get(operation.id)
         if call is None:
             raise OperationError(operation.op, "id", "no call of this id waits for a response")
-        if operation.result:
+        # rosbridge_library passes on any values that are an object, whatever `result` says (service_response.py).
+        if operation.result or isinstance(operation.values, dict):
             call.succeed(self._client.translator.from_client(message))
         else:
             call.fail(f"Service {call.service} failed" if operation.values is None else operation.values)

@@ -197,7 +197,7 @@ class ClientTopics:
     def _deliver_earlier(self, topic: str, earlier: Sequence[PublishedMessage]) -> None:
         subscription = self._session.subscriptions.get(topic)
         # Under a throttle that drops, one of them gets through: it shall be the newest.
-        newest_only = subscription is not None and subscription.skips
+        newest_only = self._session.newest_only or (subscription is not None and subscription.skips)
         queued = [self._queue(published) for published in (earlier[-1:] if newest_only else earlier)]
         # Not before all are there: of what waits for a throttle, only the last ones are to be sent.
         if any(queued):

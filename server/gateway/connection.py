@@ -6,8 +6,9 @@ import asyncio
 import contextlib
 import logging
 import time
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
+from protocol.dialect import Dialect
 from protocol.limits import Limits
 from protocol.send_budget import SendBudget
 from protocol.session import Session
@@ -100,6 +101,7 @@ class Connection:
         scheduling: turns and threads, which all clients share.
         budget: memory for what waits for all clients.
         takes_goals_along: True where its goals are cancelled when it leaves, unless its URL says otherwise.
+        ros_version: generation of ROS in whose spelling it gets messages, unless its URL says otherwise.
 
     Attributes:
         address: IP address of the client.
@@ -116,6 +118,7 @@ class Connection:
         budget: SendBudget,
         *,
         takes_goals_along: bool,
+        ros_version: Literal[1, 2] = 2,
     ) -> None:
         self._transport = transport
         # Made when something has to wait: most clients hardly ever hear so much.
@@ -136,7 +139,8 @@ class Connection:
             identity=transport.identity,
             address=place,
         )
-        session = Session(limits, "ros1" if query.get("ros") == ["1"] else "ros2", budget)
+        dialect: Dialect = "ros1" if query.get("ros", [str(ros_version)]) == ["1"] else "ros2"
+        session = Session(limits, dialect, budget, newest_only=not transport.framed)
         self._client = Client(
             ClientContext(node, graph, session, time.monotonic, self._wake_up, transport.send_at_once),
             AuthContext(access, self.address, auth_throttle, self._disconnect, self._limit_messages),

@@ -429,6 +429,7 @@ class Listener:
             self._scheduling,
             self._budget,
             takes_goals_along=self._takes_goals_along,
+            ros_version=self._settings.ros_version,
         )
         self._clients.add(connection.node, connection.address)
         self.traffic.add(connection)

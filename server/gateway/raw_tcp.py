@@ -7,6 +7,7 @@ of the port get the spelling of one generation of ROS.
 
 from __future__ import annotations
 
+import asyncio
 import math
 import socket
 from collections.abc import Awaitable, Callable, Sequence
@@ -37,6 +38,8 @@ class TcpStream(Transport):
         identity: identity of clients that have not authenticated; None where they may do nothing.
     """
 
+    framed = False
+
     def __init__(
         self,
         settings: ServerSettings,
@@ -49,6 +52,9 @@ class TcpStream(Transport):
         self.identity = identity
         self.query = {"ros": [str(settings.tcp_ros_version)]}
         self._splitter = StreamSplitter(settings.limits.max_message_bytes)
+        # True while a frame has its turn of the loop.
+        self._writing = False
+        self._writing_paused = False
 
     @property
     def max_message_bytes(self) -> int:
@@ -73,9 +79,45 @@ class TcpStream(Transport):
     def _clear(self) -> None:
         self._splitter.clear()
 
-    @staticmethod
-    def _wire(encoded: EncodedMessage) -> Sequence[bytes]:
-        return [frame.data for frame in encoded.frames]
+    def send_at_once(self, encoded: EncodedMessage) -> bool:
+        if not self.takes_more:
+            return False
+        self.send_all((encoded,))
+        return True
+
+    def send_all(self, messages: Sequence[EncodedMessage]) -> None:
+        """Send messages, each frame in a turn of the loop, which is a send of its own.
+
+        rosbridge2cpp takes what one `recv` returns for one message.
+        """
+        frames = [frame.data for encoded in messages for frame in encoded.frames]
+        size_bytes = sum(map(len, frames))
+        self.sent_messages += len(frames)
+        self.sent_bytes += size_bytes
+        self._unsent += frames
+        self._unsent_bytes += size_bytes
+        if not self._writing:
+            self._write_next()
+
+    def _write_next(self) -> None:
+        self._writing = bool(self._unsent)
+        if self._writing:
+            self._writable.clear()
+            frame = self._unsent.pop(0)
+            self._unsent_bytes -= len(frame)
+            self._write_now((frame,))
+            asyncio.get_running_loop().call_soon(self._write_next)
+        elif not self._writing_paused:
+            self._writable.set()
+
+    def pause_writing(self) -> None:
+        self._writing_paused = True
+        super().pause_writing()
+
+    def resume_writing(self) -> None:
+        self._writing_paused = False
+        if not self._writing:
+            super().resume_writing()
 
     def end(self, reason: str, _code: int = INTERNAL_ERROR) -> None:
         """End the connection with a status message, in the encoding that the client speaks."""

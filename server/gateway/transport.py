@@ -55,6 +55,7 @@ class Transport(asyncio.Protocol):
         serve: serves the client until it leaves; called once, in a task.
 
     Attributes:
+        framed: True where the client gets messages one by one; in a stream it may take two for one.
         identity: identity of the client; None until it has authenticated.
         peer: IP address and port of the client.
         query: choices of the client, as a URL's query has them: ``ros``, ``on_disconnect``.
@@ -67,6 +68,8 @@ class Transport(asyncio.Protocol):
 
     max_message_bytes: int
     _transport: asyncio.Transport
+
+    framed = True
 
     def __init__(
         self, limiter: ConnectionLimiter, transports: set[Transport], serve: Callable[[Transport], Awaitable[None]]
@@ -88,7 +91,7 @@ class Transport(asyncio.Protocol):
         self._unsent_bytes = 0
         self._receive: Callable[[str | bytes], None] | None = None
         self._held = False
-        self._paused = False
+        self._reading_paused = False
         # The next turn is to come by itself.
         self._turn_waits = False
         self._at_eof = False
@@ -122,11 +125,6 @@ class Transport(asyncio.Protocol):
     @abstractmethod
     def _clear(self) -> None:
         """Forget the bytes that wait."""
-
-    @staticmethod
-    @abstractmethod
-    def _wire(encoded: EncodedMessage) -> Sequence[bytes]:
-        """Return the bytes of a message."""
 
     @abstractmethod
     def end(self, reason: str, code: int = INTERNAL_ERROR) -> None:
@@ -282,8 +280,8 @@ class Transport(asyncio.Protocol):
         except MemoryError:
             self.end_out_of_memory()
             return
-        if not self._paused and not self._ending and not self._transport.is_closing():
-            self._paused = True
+        if not self._reading_paused and not self._ending and not self._transport.is_closing():
+            self._reading_paused = True
             self._transport.pause_reading()
 
     def _take_turn_later(self) -> None:
@@ -299,8 +297,8 @@ class Transport(asyncio.Protocol):
     def _go_on_reading(self) -> None:
         if self._at_eof:
             self._end_of_stream()
-        elif self._paused and not self._transport.is_closing():
-            self._paused = False
+        elif self._reading_paused and not self._transport.is_closing():
+            self._reading_paused = False
             self._transport.resume_reading()
 
     def _end_of_stream(self) -> None:
@@ -358,7 +356,7 @@ class Transport(asyncio.Protocol):
         """
         if not self.takes_more:
             return False
-        pieces = self._wire(encoded)
+        pieces = encoded.wire_pieces()
         size_bytes = sum(map(len, pieces))
         self.sent_messages += encoded.frame_count
         self.sent_bytes += size_bytes
@@ -375,7 +373,7 @@ class Transport(asyncio.Protocol):
 
     def send_all(self, messages: Sequence[EncodedMessage]) -> None:
         """Send messages that have waited, after `takes_more` was true; one call of the kernel takes them together."""
-        pieces = [piece for encoded in messages for piece in self._wire(encoded)]
+        pieces = [piece for encoded in messages for piece in encoded.wire_pieces()]
         self.sent_messages += sum(encoded.frame_count for encoded in messages)
         self.sent_bytes += sum(map(len, pieces))
         self._write(pieces)
@@ -389,6 +387,9 @@ class Transport(asyncio.Protocol):
         """Write behind all that was sent before."""
         if self._unsent:
             self._write_unsent()
+        self._write_now(pieces)
+
+    def _write_now(self, pieces: Sequence[bytes]) -> None:
         try:
             self._transport.writelines(pieces)
         except MemoryError:

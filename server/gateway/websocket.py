@@ -12,7 +12,7 @@ import asyncio
 import contextlib
 import logging
 import secrets
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from typing import cast
 from urllib.parse import parse_qs, urlsplit
 
@@ -24,7 +24,6 @@ from websockets.server import ServerProtocol
 from websockets.speedups import apply_mask
 
 from protocol.errors import one_line, shorten
-from protocol.publication import EncodedMessage
 from server.gateway.admission import AdmissionPolicy, ConnectionLimiter, HandshakeRequest
 from server.gateway.handshake import accept, read_upgrade
 from server.gateway.http import HttpHandler, HttpResponse, bad_request, names
@@ -389,12 +388,6 @@ class WebSocket(Transport):
             self.end("", CloseCode.GOING_AWAY)
         elif self._task is None:
             self.abort()
-
-    # What goes to the client.
-
-    @staticmethod
-    def _wire(encoded: EncodedMessage) -> Sequence[bytes]:
-        return encoded.wire_pieces()
 
 
 def _ignore(_frame: str | bytes) -> None:

@@ -11,7 +11,7 @@ import uuid
 from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from protocol.errors import InterfaceError, MessageError
 from protocol.operations import Mark
@@ -21,9 +21,12 @@ from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
-from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
+from server.graph.providers import PendingRequest, Provider, Providers
 from server.graph.services import Services
 from server.timers import CallLater
+
+if TYPE_CHECKING:
+    from server.graph.action_topics import ActionTopics
 
 
 class GoalStatus(enum.IntEnum):
@@ -41,8 +44,6 @@ class Result:
     """The end of a goal.
 
     Attributes:
-        ok: whether there is a result message.
-        status: a value of `GoalStatus`.
         values: the complete result message; without one a sentence, or what the provider gave.
     """
 
@@ -54,16 +55,9 @@ class Result:
 class Goal(PendingRequest[Result]):
     """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts.
 
-    Args:
-        action: fully qualified name.
-        type_name: canonical name of the action's type.
-        on_feedback: gets the complete feedback messages, None when nobody wants them.
-
     Attributes:
         goal_id: sixteen octets that no other goal has.
         sender_id: the sender's own mark for it, None where it has none.
-        cancel_requested: whether somebody has asked for the end of the goal.
-        sender_left: whether its sender is to be told nothing any more.
     """
 
     def __init__(
@@ -94,11 +88,7 @@ class Goal(PendingRequest[Result]):
         self._on_every_feedback = callback
 
     def feedback(self, values: object) -> None:
-        """Tell how the goal goes; what the message leaves out gets its default.
-
-        Raises:
-            MessageError: the values do not fit the action's type.
-        """
+        """Tell how the goal goes; what the message leaves out gets its default."""
         completed = self._message_types.complete(f"{self.type_name}_Feedback", values)
         if self.ended:
             return
@@ -111,7 +101,7 @@ class Goal(PendingRequest[Result]):
         """End the goal with a result message; what it leaves out gets its default.
 
         Raises:
-            MessageError: the values do not fit the action's type; the sender has been told that the goal failed.
+            MessageError: the values do not fit the action's type; the goal has failed, and its sender knows.
         """
         try:
             completed = self._message_types.complete(f"{self.type_name}_Result", values)
@@ -162,52 +152,33 @@ class ActionProvider(Provider):
     """An action that somebody offers.
 
     Attributes:
-        check_lists: checks the lists of a goal message before it is completed; None for any.
         goals: those in flight by their id in base64, the oldest first.
     """
 
     start: Callable[[Goal], None]
     check_lists: CheckLists | None = None
+    max_goal_s: float = MAX_GOAL_S
     goals: dict[str, Goal] = field(default_factory=dict)
 
 
-class ActionFollower(Protocol):
-    """Someone who tells others of all actions and goals."""
-
-    def open(self, node: Node, action: str, type_name: str) -> None:
-        """Take note of an action that is offered from now on."""
-
-    def close(self, node: Node, action: str) -> None:
-        """Take note of an action that is withdrawn, after its goals have ended."""
-
-    def follow(self, node: Node, goal: Goal) -> None:
-        """Take note of a goal that its provider is just getting."""
-
-
-class Actions(ProviderDirectory[ActionProvider]):
+class Actions(Providers[ActionProvider]):
     """All actions.
 
     Args:
         services: where each action gets its service ``<action>/_action/cancel_goal``.
-        call_later: does something after a delay.
-
-    Attributes:
-        rules: rules of the actions of local parts, by name.
     """
 
     def __init__(self, message_types: MessageTypes, services: Services, call_later: CallLater) -> None:
-        super().__init__(Providers("action", MAX_ACTIONS, message_types, self._end_goals))
-        self._message_types = message_types
+        super().__init__("action", MAX_ACTIONS, message_types)
         self._services = services
         self._call_later = call_later
         # Those in flight, by their sender.
         self._sent: Index[Node, Goal] = Index()
-        self._follower: ActionFollower | None = None
-        self.rules: dict[str, Rule] = {}
+        self._topics: ActionTopics | None = None
 
-    def tell(self, follower: ActionFollower) -> None:
-        """Tell someone of all actions and goals from now on."""
-        self._follower = follower
+    def publish_on(self, topics: ActionTopics) -> None:
+        """Publish the statuses and the feedback of all goals from now on."""
+        self._topics = topics
 
     def offer(
         self,
@@ -218,41 +189,34 @@ class Actions(ProviderDirectory[ActionProvider]):
         limits: ListLimits | None = None,
         *,
         rule: Rule | None = None,
+        max_goal_s: float = MAX_GOAL_S,
     ) -> None:
         """Offer an action; a client takes the place of a client that offered it before.
 
         Args:
-            name: fully qualified name.
-            type_name: the action's type.
             start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
-                `Goal.when_canceled` tells when somebody wants it ended, `Goal.when_ended` when it has ended.
-            limits: of the lists in a goal message; None for any.
-            rule: requirements of the senders of goals; None for those of a client's action.
+                `Goal.when_canceled` calls back when somebody wants it ended, `Goal.when_ended` when it has ended.
+            rule: requirements of the senders of goals; None for the rule of a client's action.
+            max_goal_s: time after which a goal fails [s].
 
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
         """
-        canonical = self._offers.claim(node, name, type_name)
+        canonical = self._claim(node, name, type_name)
         check_lists = None
         if limits is not None:
             check_lists = limits.check(self._message_types.registry, f"{canonical}_Goal")
             self._message_types.compile_later(*(f"{canonical}_{part}" for part in ("Goal", "Feedback", "Result")))
-        offer = ActionProvider(node, name, canonical, start, check_lists)
+        offer = ActionProvider(node, name, canonical, start, check_lists, max_goal_s)
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
-        self._offers.add(offer)
-        if rule is not None:
-            self.rules[name] = rule
-        if self._follower is not None:
-            self._follower.open(node, name, canonical)
-
-    def withdraw(self, node: Node, name: str) -> None:
-        """End an offer of this node; goals in flight end. Nothing happens when it offers no such action."""
-        self._offers.withdraw(node, name)
+        self._add(offer, rule)
+        if self._topics is not None:
+            self._topics.open(node, name, canonical)
 
     def remove(self, node: Node) -> None:
-        """Forget a node that has left: its actions end; goals that it has sent are not told any more.
+        """Forget a node that has left: its actions end; it hears no more of goals that it has sent.
 
         They go on, as in ROS, unless the node takes them along.
         """
@@ -260,7 +224,7 @@ class Actions(ProviderDirectory[ActionProvider]):
             goal.forget_sender()
             if node.takes_goals_along:
                 goal.cancel()
-        self._offers.withdraw_all(node)
+        self._withdraw_all(node)
 
     def send_goal(
         self,
@@ -274,11 +238,7 @@ class Actions(ProviderDirectory[ActionProvider]):
         """Send a goal.
 
         Args:
-            name: fully qualified name of the action.
-            type_name: the action's type, as the sender knows it.
-            arguments: the goal message, as in `MessageTypes.complete_arguments`.
             on_result: called once, perhaps before this returns; not if the sender leaves before.
-            on_feedback: called with every feedback message.
 
         Returns:
             The goal, to be cancelled perhaps; None when it was not taken on.
@@ -296,11 +256,7 @@ class Actions(ProviderDirectory[ActionProvider]):
         return goal
 
     def cancel_left_behind(self, name: str, sender_id: Mark) -> None:
-        """Cancel the goals of an action with this mark whose senders have left.
-
-        Args:
-            name: fully qualified name of the action.
-        """
+        """Cancel the goals of an action with this mark whose senders have left."""
         offer = self._offers.get(name)
         for goal in list(offer.goals.values()) if offer is not None else ():
             if goal.sender_left and goal.sender_id == sender_id:
@@ -318,7 +274,8 @@ class Actions(ProviderDirectory[ActionProvider]):
         goal_id = b64encode(goal.goal_id).decode()
         offer.goals[goal_id] = goal
         self._sent.add(goal.sender, goal)
-        timer = self._call_later(MAX_GOAL_S, lambda: goal.fail(f"Action {goal.action} took more than {MAX_GOAL_S:g} s"))
+        limit_s = offer.max_goal_s
+        timer = self._call_later(limit_s, lambda: goal.fail(f"Action {goal.action} took more than {limit_s:g} s"))
 
         def forget(_result: Result) -> None:
             timer.cancel()
@@ -326,8 +283,8 @@ class Actions(ProviderDirectory[ActionProvider]):
             self._sent.discard(goal.sender, goal)
 
         goal.when_ended(forget)
-        if self._follower is not None:
-            self._follower.follow(offer.node, goal)
+        if self._topics is not None:
+            self._topics.follow(offer.node, goal)
         goal.when_ended(lambda result: None if goal.sender_left else on_result(result))
         try:
             offer.start(goal)
@@ -335,12 +292,12 @@ class Actions(ProviderDirectory[ActionProvider]):
             log.exception("action %s failed", goal.action)
             goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
 
-    def _end_goals(self, offer: ActionProvider) -> None:
+    def _end_requests(self, offer: ActionProvider) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
         for goal in list(offer.goals.values()):
             goal.fail(f"Action {offer.name} was withdrawn by its provider")
-        if self._follower is not None:
-            self._follower.close(offer.node, offer.name)
+        if self._topics is not None:
+            self._topics.close(offer.node, offer.name)
 
 
 def _cancel_service(action: str) -> str:

@@ -50,14 +50,14 @@ class TypedNames:
     """Names in use of one kind, such as topics, each with its type.
 
     Attributes:
-        revision: number of changes; what is made of the names holds for as long as it stays the same.
+        revision: number of changes; lists made of the names are valid for as long as it stays the same.
     """
 
     def __init__(self) -> None:
         self.revision = 0
         # By dialect, name and spelling of the type in that dialect.
         self._types: dict[Dialect, dict[str, str]] = {"ros2": {}, "ros1": {}}
-        # Every spelling of a type can be converted to that of ROS 1.
+        # Every spelling of a type can be converted to ROS 1's.
         self._by_type: Index[str, str] = Index()
 
     def __len__(self) -> int:
@@ -87,9 +87,5 @@ class TypedNames:
         return self._types[dialect].copy()
 
     def of_type(self, type_name: str) -> list[str]:
-        """Return the names that have a type, in order of entry; none for an unknown type.
-
-        Args:
-            type_name: the type in the spelling of either dialect.
-        """
+        """Return the names that have a type, in order of entry; none for an unknown type."""
         return self._by_type.of(spell_type(type_name, "ros1"))

@@ -33,8 +33,6 @@ class _Kept(NamedTuple):
     """A message that is kept.
 
     Attributes:
-        published: the message.
-        size_bytes: its size.
         until_s: time until which it is kept [s], monotonic.
         client: the client that has latched it; None for the server.
     """
@@ -49,7 +47,6 @@ class _Share:
     """Latched messages of the server, or of all clients.
 
     Attributes:
-        size_bytes: their size together.
         ending: topics whose message has an end, the earliest first.
     """
 
@@ -73,9 +70,6 @@ class LatchedMessages:
 
     def latch(self, published: PublishedMessage, client: Node | None = None) -> str | None:
         """Keep a message instead of the one latched before it.
-
-        Args:
-            client: the client that latches it; None for the server.
 
         Returns:
             The limit that it exceeds, as a sentence; then the topic has no latched message. None when it is kept.
@@ -127,7 +121,6 @@ class LatchedMessages:
         """Keep a message for a while.
 
         Args:
-            now: present time [s], monotonic.
             lifespan_s: for how long [s]; the same for all.
         """
         topic, size_bytes = published.topic, published.size_bytes
@@ -144,12 +137,7 @@ class LatchedMessages:
             self._give_up_recent(now)
 
     def of(self, topic: str, now: float) -> list[PublishedMessage]:
-        """Return what a new subscriber to the topic gets, oldest first.
-
-        Args:
-            topic: fully qualified name.
-            now: present time [s], monotonic.
-        """
+        """Return what a new subscriber to the topic gets, oldest first."""
         latched = self._latched.get(topic)
         recent = self._recent.get(topic, ())
         kept_now = recent if latched is None else [latched, *recent]
@@ -161,18 +149,14 @@ class LatchedMessages:
         self._recent_bytes -= sum(kept.size_bytes for kept in self._recent.pop(topic, ()))
 
     def give_up_old(self, now: float) -> None:
-        """Give up what nobody gets any more.
-
-        Args:
-            now: present time [s], monotonic.
-        """
+        """Give up what nobody gets any more."""
         for share in (self._of_server, self._of_clients):
             while share.ending and self._latched[topic := next(iter(share.ending))].until_s < now:
                 self.unlatch(topic)
         self._give_up_recent(now)
 
     def _give_up_recent(self, now: float) -> None:
-        """Drop what is too old; over the limit, the oldest message of the topic that has been quiet for longest."""
+        """Drop old messages; over the limit, the oldest message of the topic that has been quiet for longest."""
         self._next_look_s = now + GIVE_UP_EVERY_S
         while self._recent:
             topic, recent = next(iter(self._recent.items()))

@@ -36,17 +36,13 @@ class ListLimits:
     max_values: int = MAX_VALUES
 
     def check(self, registry: Registry, type_name: str) -> CheckLists:
-        """Return the check of a type's messages; their fields may also come as a list, in order of declaration.
-
-        Raises:
-            InterfaceError: the type is unknown.
-        """
+        """Return the check of a type's messages; their fields may also come as a list, in order of declaration."""
         counted = _counted(registry, type_name, "", self.max_elements)
         names = tuple(each.name for each in registry.message(type_name).fields)
 
         def check(message: object) -> None:
             value = message.value if isinstance(message, ReceivedMessage) else message
-            # One that was completed in the background comes again.
+            # A message that was completed in the background comes again.
             if isinstance(message, ReceivedMessage) and message.checked:
                 return
             by_name = dict(zip(names, value, strict=False)) if isinstance(value, list) else value
@@ -59,11 +55,9 @@ class ListLimits:
 
 @dataclass(frozen=True, eq=False)
 class _Member:
-    """A field with lists in it, or one that is a list itself.
+    """A field that is a list, or has lists in it.
 
     Attributes:
-        path: of the field, for errors.
-        is_list: True for a list.
         max_elements: limit of a list; None if only its values are counted.
         values: number of values of an element.
         inner: members of the message, or of each message in the list.

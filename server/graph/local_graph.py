@@ -103,5 +103,4 @@ class LocalGraph:
         self._graph.actions.offer(node, self.resolve(name), type_name, start, limits, rule=self._below(rule))
 
     def _below(self, rule: Rule) -> Rule:
-        """Return a rule for control of the arm whose namespace this is."""
         return replace(rule, arm=self._prefix.removeprefix("/"))

@@ -23,8 +23,8 @@ VALUES_AT_ONCE = 4_000
 BYTES_AT_ONCE = 32_768
 ROS1_BYTES_AT_ONCE = 8_192
 
-# An element of a list may be sent as `{}` and stand for hundreds of values. A message may have so many, and one for
-# each byte that came.
+# An element of a list may be sent as `{}` and stand for hundreds of values. A message may have this
+# number, and one more for each byte that came.
 FREE_VALUES = 20_000
 
 
@@ -69,11 +69,7 @@ class ReceivedMessage:
         return self.size_bytes if self._completed is None else max(self.size_bytes, LARGE_BYTES)
 
     def completed(self, type_name: str) -> dict[str, Any] | None:
-        """Return the message as a thread has completed it for a type; None when none has.
-
-        Raises:
-            MessageError: it does not fit the type.
-        """
+        """Return the message as a thread has completed it for a type; None when none has."""
         if self._completed is None or self._type_name != type_name:
             return None
         if isinstance(self._completed, MessageError):
@@ -90,11 +86,7 @@ class ReceivedMessage:
 
 
 class PostponedError(Exception):
-    """A message of a client takes longer to complete than everybody may be kept waiting; nothing has been done yet.
-
-    Attributes:
-        message: complete it in the background, and do it again.
-    """
+    """A message of a client takes longer to complete than everybody may be kept waiting; nothing has been done yet."""
 
     def __init__(self, message: ReceivedMessage, type_name: str) -> None:
         super().__init__(f"a message of type {type_name} is to be completed in the background")
@@ -103,12 +95,7 @@ class PostponedError(Exception):
 
 
 class MessageTypes:
-    """Types and messages, of whoever publishes or calls.
-
-    Args:
-        wall_clock: seconds since the epoch, for stamps.
-        relay_unknown_types: take types that the registry does not know, and leave their messages as they are.
-    """
+    """Types and messages of publishers and callers."""
 
     def __init__(
         self,
@@ -138,11 +125,7 @@ class MessageTypes:
             return f"{parts[0]}/{kind}/{parts[-1]}"
 
     def strict_reader(self, type_name: str) -> PublicationReader | None:
-        """Return what reads messages of a type that are just as it declares them; None for a type that has none.
-
-        Args:
-            type_name: canonical name of a message type.
-        """
+        """Return what reads messages of a type that are just as it declares them; None for a type that has none."""
         if type_name not in self._strict_readers:
             strict = strict_type(self.registry, type_name) if self.registry.knows(type_name) else None
             self._strict_readers[type_name] = None if strict is None else PublicationReader(strict)
@@ -166,8 +149,6 @@ class MessageTypes:
 
         Args:
             type_name: canonical name of a message type, or of a member such as ``std_srvs/srv/SetBool_Request``.
-            value: the message; of a client a `ReceivedMessage`.
-            received: when it came, None for now.
 
         Raises:
             MessageError: the value does not fit the type.
@@ -189,12 +170,7 @@ class MessageTypes:
         """Complete a request or a goal, given as rosbridge's ``args``.
 
         Args:
-            type_name: as for :meth:`complete`.
             arguments: fields by name or in order of declaration; anything else stands for no fields.
-
-        Raises:
-            MessageError: the arguments do not fit the type.
-            PostponedError: as for :meth:`complete`.
         """
         if isinstance(arguments, ReceivedMessage):
             arguments.are_arguments = True
@@ -207,13 +183,7 @@ class MessageTypes:
         """Complete a message of a client, in any thread.
 
         Args:
-            type_name: as for :meth:`complete`.
-            received: when it came, None for now.
             max_values_at_once: values beyond which it is left to the background.
-
-        Raises:
-            MessageError: the message does not fit the type.
-            LargeMessageError: it has more values than are completed at once.
         """
         value = message.value
         if message.dialect == "ros1" and self.registry.knows(type_name):
@@ -239,7 +209,6 @@ class MessageTypes:
             return value
 
     def _by_name(self, type_name: str, arguments: object) -> dict[str, Any]:
-        """Return arguments by name."""
         if isinstance(arguments, dict):
             return arguments
         if not isinstance(arguments, list):
@@ -248,5 +217,5 @@ class MessageTypes:
             names = [field.name for field in self.registry.message(type_name).fields]
         except InterfaceError:
             raise MessageError(f"{type_name} as an object", describe(arguments)) from None
-        # rosbridge_library drops what is beyond the fields, and so do callers who rely on it.
+        # rosbridge_library drops arguments beyond the fields, and callers rely on it.
         return dict(zip(names, arguments, strict=False))

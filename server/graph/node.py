@@ -12,7 +12,6 @@ class Node:
         remote: whether it is a client, which may not take the place of a part of the server.
         takes_goals_along: whether the goals that it has sent to actions are cancelled when it leaves.
         identity: who it is; None for a client that has yet to say so.
-        address: where a client connects from; empty where that does not matter.
     """
 
     def __init__(
@@ -32,7 +31,7 @@ class Node:
 
     @property
     def only_looks(self) -> bool:
-        """True for a client that may only look, and for one that has yet to say who it is."""
+        """True for a client that may only look, and for a client without an identity yet."""
         return self.identity is None or self.identity.role < Role.OPERATE
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ from fnmatch import translate
 
 
 class Role(IntEnum):
-    """Rights of a client; each role has those of the ones before it.
+    """Rights of a client; each role includes the roles before it.
 
     VIEW reads, plans and stops; OPERATE moves the arm and changes the scene; ADMIN configures.
     """
@@ -42,12 +42,7 @@ ANYONE = Identity("", Role.ADMIN)
 
 
 def display_name(identity: Identity | None, address: str) -> str:
-    """Return the name of a client in logs and in answers to others.
-
-    Args:
-        identity: None for a client that has yet to authenticate.
-        address: address and port that it connects from.
-    """
+    """Return the name of a client in logs and in answers to others."""
     return f"{identity.name} ({address})" if identity is not None and identity.by_token else f"client {address}"
 
 
@@ -102,7 +97,6 @@ class NameFilter:
     """Patterns of names that clients may use, as rosbridge_server's parameters ``topics_glob`` and its like.
 
     Args:
-        setting: name of the setting, for refusals.
         patterns: patterns as of a shell: ``*`` is any text, also with slashes; without any pattern every name passes.
         always: further patterns that count once there are any.
     """
@@ -113,11 +107,7 @@ class NameFilter:
         self._pattern = re.compile("|".join(translate(each) for each in (*wanted, *always))) if wanted else None
 
     def refusal(self, kind: str, name: str) -> str | None:
-        """Return the reason why a name may not be used, None when it may.
-
-        Args:
-            kind: topic, service, action or parameter, for the sentence.
-        """
+        """Return the reason why a name may not be used, None when it may."""
         if self._pattern is None or self._pattern.match(name):
             return None
         return f"{kind} {name}: fits no pattern of {self._setting}; add one there to open it"

@@ -16,6 +16,7 @@ from server.errors import GraphError
 from server.graph.index import Index, TypedNames
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
+from server.graph.permissions import Rule
 
 log = logging.getLogger("armbridge.graph")
 
@@ -23,11 +24,7 @@ End = TypeVar("End")
 
 
 class PendingRequest(Generic[End]):
-    """Base of calls and goals on their way.
-
-    Attributes:
-        ended: whether it has ended; another end goes nowhere.
-    """
+    """Base of calls and goals on their way."""
 
     def __init__(self) -> None:
         self.ended = False
@@ -44,7 +41,9 @@ class PendingRequest(Generic[End]):
         for callback in self._when_ended:
             try:
                 callback(end)
-            except Exception:  # whoever hears of it first must not keep it from the others, of whom one stops the arm
+            except (
+                Exception
+            ):  # an error of one listener must not keep the end from the others, of which one stops the arm
                 log.exception("the end of a request could not be told to everybody")
 
 
@@ -55,12 +54,7 @@ _TYPE_KINDS: dict[ProvidedKind, Kind] = {"service": "srv", "action": "action"}
 
 @dataclass(eq=False)
 class Provider:
-    """A service or an action that a node provides.
-
-    Attributes:
-        name: fully qualified name.
-        type_name: canonical name of its type.
-    """
+    """A service or an action that a node provides."""
 
     node: Node
     name: str
@@ -71,41 +65,67 @@ AnyProvider = TypeVar("AnyProvider", bound=Provider)
 
 
 class Providers(Generic[AnyProvider]):
-    """All offers of one kind, one a name.
-
-    Args:
-        limit: greatest number of offers.
-        end: called with an offer that has just been withdrawn or replaced, to end what is on its way.
+    """All offers of one kind, one a name; base of :class:`Services` and :class:`Actions`.
 
     Attributes:
         names: names that are offered, with their types.
+        rules: rules of the offers of local parts, by name.
     """
 
-    def __init__(
-        self, kind: ProvidedKind, limit: int, message_types: MessageTypes, end: Callable[[AnyProvider], None]
-    ) -> None:
+    def __init__(self, kind: ProvidedKind, limit: int, message_types: MessageTypes) -> None:
+        self.names = TypedNames()
+        self.rules: dict[str, Rule] = {}
         self._kind = kind
         self._limit = limit
         self._message_types = message_types
-        self._end = end
         self._offers: dict[str, AnyProvider] = {}
-        self.names = TypedNames()
-        self.by_node: Index[Node, AnyProvider] = Index()
+        self._by_node: Index[Node, AnyProvider] = Index()
 
-    def get(self, name: str) -> AnyProvider | None:
-        """Return the offer of a fully qualified name; None when there is none."""
-        return self._offers.get(name)
+    @property
+    def revision(self) -> int:
+        """Number of changes of the offers."""
+        return self.names.revision
 
-    def claim(self, node: Node, name: str, type_name: str) -> str:
-        """See that a node may offer something, and end the offer that is there; `add` the new one afterwards.
+    def types(self) -> dict[str, str]:
+        """Return the canonical type of everything that is offered, by name."""
+        return self.names.types()
 
-        A client takes the place of a client that offered the same before.
+    def type_of(self, name: str) -> str | None:
+        """Return the canonical type of the offer under a name; None without one."""
+        return self.names.type_of(name)
 
-        Returns:
-            The type's canonical name.
+    def provider(self, name: str) -> Node | None:
+        """Return the node that provides a name; None when there is none."""
+        offer = self._offers.get(name)
+        return None if offer is None else offer.node
 
-        Raises:
-            GraphError: the type is unknown, the name is taken by a part of the server, or there are too many offers.
+    def providers_of_type(self, type_name: str) -> set[Node]:
+        """Return the nodes that provide something of a type, in the spelling of either dialect."""
+        return {self._offers[name].node for name in self.names.of_type(type_name)}
+
+    def nodes(self) -> list[Node]:
+        """Return all nodes that provide something."""
+        return list(self._by_node)
+
+    def provided_by(self, node: Node) -> list[str]:
+        """Return the names that a node provides."""
+        return [offer.name for offer in self._by_node.of(node)]
+
+    def withdraw(self, node: Node, name: str) -> None:
+        """End an offer of this node, and the requests on their way; nothing happens when it offers no such thing."""
+        offer = self._offers.get(name)
+        if offer is not None and offer.node is node:
+            self._remove(offer)
+
+    def _end_requests(self, offer: AnyProvider) -> None:
+        """End the requests on their way to an offer that has just been withdrawn or replaced."""
+        raise NotImplementedError
+
+    def _claim(self, node: Node, name: str, type_name: str) -> str:
+        """Check that a node may offer something, and end the offer that is there; `_add` the new one afterwards.
+
+        A client takes the place of a client that offered the same before. Returns the type's canonical name; raises
+        GraphError when the type is unknown, the name is taken by a part of the server, or there are too many offers.
         """
         try:
             canonical = self._message_types.canonical(type_name, _TYPE_KINDS[self._kind])
@@ -120,21 +140,16 @@ class Providers(Generic[AnyProvider]):
             raise GraphError(self._kind, name, f"cannot be added: there are {self._limit} {self._kind}s already")
         return canonical
 
-    def add(self, offer: AnyProvider) -> None:
+    def _add(self, offer: AnyProvider, rule: Rule | None) -> None:
         """Enter an offer whose name has been claimed."""
         self._offers[offer.name] = offer
         self.names.add(offer.name, offer.type_name)
-        self.by_node.add(offer.node, offer)
+        self._by_node.add(offer.node, offer)
+        if rule is not None:
+            self.rules[offer.name] = rule
 
-    def withdraw(self, node: Node, name: str) -> None:
-        """End an offer of this node; nothing happens when it offers no such thing."""
-        offer = self._offers.get(name)
-        if offer is not None and offer.node is node:
-            self._remove(offer)
-
-    def withdraw_all(self, node: Node) -> None:
-        """End all offers of a node."""
-        for offer in self.by_node.of(node):
+    def _withdraw_all(self, node: Node) -> None:
+        for offer in self._by_node.of(node):
             # The end of one may have ended others.
             if self._offers.get(offer.name) is offer:
                 self._remove(offer)
@@ -142,47 +157,5 @@ class Providers(Generic[AnyProvider]):
     def _remove(self, offer: AnyProvider) -> None:
         del self._offers[offer.name]
         self.names.remove(offer.name)
-        self.by_node.discard(offer.node, offer)
-        self._end(offer)
-
-
-class ProviderDirectory(Generic[AnyProvider]):
-    """Names and types of what is provided, for introspection.
-
-    Attributes:
-        names: names that are offered, with their types.
-    """
-
-    def __init__(self, offers: Providers[AnyProvider]) -> None:
-        self._offers = offers
-        self.names = offers.names
-
-    @property
-    def revision(self) -> int:
-        """Number of changes in what is offered."""
-        return self._offers.names.revision
-
-    def types(self) -> dict[str, str]:
-        """Canonical type of everything that is offered, by name."""
-        return self.names.types()
-
-    def type_of(self, name: str) -> str | None:
-        """Canonical type of what is offered under a fully qualified name; None when nothing is."""
-        return self.names.type_of(name)
-
-    def provider(self, name: str) -> Node | None:
-        """Return the node that provides a fully qualified name; None when there is none."""
-        offer = self._offers.get(name)
-        return None if offer is None else offer.node
-
-    def providers_of_type(self, type_name: str) -> set[Node]:
-        """Return the nodes that provide something of a type, in the spelling of either dialect."""
-        return {offer.node for offer in map(self._offers.get, self.names.of_type(type_name)) if offer is not None}
-
-    def nodes(self) -> list[Node]:
-        """Return all nodes that provide something."""
-        return list(self._offers.by_node)
-
-    def provided_by(self, node: Node) -> list[str]:
-        """Return the names that a node provides."""
-        return [offer.name for offer in self._offers.by_node.of(node)]
+        self._by_node.discard(offer.node, offer)
+        self._end_requests(offer)

@@ -21,7 +21,7 @@ from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
-from server.graph.providers import PendingRequest, Provider, ProviderDirectory, Providers
+from server.graph.providers import PendingRequest, Provider, Providers
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
@@ -56,16 +56,7 @@ class Response:
 
 
 class Call(PendingRequest[Response]):
-    """A call that its provider is to end with :meth:`succeed` or :meth:`fail`; only the first end counts.
-
-    Args:
-        service: fully qualified name.
-        type_name: canonical name of the service's type.
-        dialect: which generation of ROS the caller wants to be told about; messages are in ROS 2 spelling all the same.
-
-    Attributes:
-        caller_left: True once the caller has left.
-    """
+    """A call that its provider is to end with :meth:`succeed` or :meth:`fail`; only the first end counts."""
 
     def __init__(
         self,
@@ -92,7 +83,7 @@ class Call(PendingRequest[Response]):
             reason: as in `Response`.
 
         Raises:
-            MessageError: the values do not fit the service's type; the caller has been told that the call failed.
+            MessageError: the values do not fit the service's type; the call has failed, and its caller knows.
         """
         try:
             completed = self._message_types.complete(f"{self.type_name}_Response", values)
@@ -104,7 +95,7 @@ class Call(PendingRequest[Response]):
     def succeed_as_it_is(self, response: Mapping[str, Any], reason: str = "") -> None:
         """Answer with a response message that is complete and valid already.
 
-        For a large one of the server's own, of which most has been told before. Nobody may change it from here on.
+        For a large response of the server's own, most of which has been sent before. Nobody may change it from here on.
         """
         self._end(Response(ok=True, values=response, reason=reason))
 
@@ -166,13 +157,7 @@ DEFAULT_LIMITS = ListLimits()
 
 @dataclass(eq=False)
 class ServiceProvider(Provider):
-    """A service that somebody offers.
-
-    Attributes:
-        timeout_s: how long a call may take that names no time of its own [s].
-        check_lists: checks the lists of a request before it is completed; None for any.
-        calls: those in flight, the oldest first.
-    """
+    """A service that somebody offers."""
 
     start: Callable[[Call], None]
     timeout_s: float
@@ -180,21 +165,12 @@ class ServiceProvider(Provider):
     calls: dict[Call, None] = field(default_factory=dict)
 
 
-class Services(ProviderDirectory[ServiceProvider]):
-    """All services.
-
-    Args:
-        call_later: does something after a delay.
-
-    Attributes:
-        rules: rules of the services of local parts, by name.
-    """
+class Services(Providers[ServiceProvider]):
+    """All services."""
 
     def __init__(self, message_types: MessageTypes, call_later: CallLater) -> None:
-        super().__init__(Providers("service", MAX_SERVICES, message_types, _fail_calls))
-        self._message_types = message_types
+        super().__init__("service", MAX_SERVICES, message_types)
         self._call_later = call_later
-        self.rules: dict[str, Rule] = {}
         # Those in flight, by their caller.
         self._calls: Index[Node, Call] = Index()
 
@@ -212,12 +188,9 @@ class Services(ProviderDirectory[ServiceProvider]):
         """Offer a service of a local part.
 
         Args:
-            name: fully qualified name.
-            type_name: the service's type.
             function: gets the complete request and returns the response, at once or when awaited. It raises
                 ServiceError with the reason when it cannot.
-            timeout_s: how long a call may take that names no time of its own [s].
-            rule: requirements of its callers; None for those of a client's service.
+            rule: requirements of its callers; None for the rule of a client's service.
 
         Raises:
             GraphError: the type is unknown, or the name is taken by another part of the server.
@@ -239,29 +212,20 @@ class Services(ProviderDirectory[ServiceProvider]):
 
         A client takes the place of a client that offered the service before. Its requests have no limits, None: what
         another client answers costs the server no more than to pass it on.
-
-        Raises:
-            GraphError: the type is unknown, or the name is taken by a part of the server.
         """
-        canonical = self._offers.claim(node, name, type_name)
+        canonical = self._claim(node, name, type_name)
         check_lists = None
         if limits is not None:
             check_lists = limits.check(self._message_types.registry, f"{canonical}_Request")
             self._message_types.compile_later(f"{canonical}_Request", f"{canonical}_Response")
-        self._offers.add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists))
-        if rule is not None:
-            self.rules[name] = rule
-
-    def withdraw(self, node: Node, name: str) -> None:
-        """End an offer of this node; calls in flight fail. Nothing happens when it offers no such service."""
-        self._offers.withdraw(node, name)
+        self._add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists), rule)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its services, and what it has called."""
         for call in self._calls.of(node):
             call.caller_left = True
             call.fail("the caller has left")
-        self._offers.withdraw_all(node)
+        self._withdraw_all(node)
 
     def call(
         self,
@@ -275,11 +239,7 @@ class Services(ProviderDirectory[ServiceProvider]):
         """Call a service.
 
         Args:
-            name: fully qualified name.
-            arguments: the request, as in `MessageTypes.complete_arguments`.
-            on_response: called once, perhaps before this returns.
             timeout_s: how long to wait [s], 0 for `MAX_TIMEOUT_S`, None for what the service's offer says.
-            dialect: which generation of ROS the caller wants to be told about.
         """
         offer = self._offers.get(name)
         if offer is None:
@@ -312,7 +272,6 @@ class Services(ProviderDirectory[ServiceProvider]):
 
         call.when_ended(forget)
 
-
-def _fail_calls(offer: ServiceProvider) -> None:
-    for call in list(offer.calls):
-        call.fail(f"Service {offer.name} was withdrawn by its provider")
+    def _end_requests(self, offer: ServiceProvider) -> None:
+        for call in list(offer.calls):
+            call.fail(f"Service {offer.name} was withdrawn by its provider")

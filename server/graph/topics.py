@@ -40,7 +40,7 @@ log = logging.getLogger("armbridge.graph")
 # Far more than any robot has; keeps a client that invents topics from growing the server.
 MAX_TOPICS = 10_000
 
-# Clients that may only look make topics when they subscribe to what is not there yet. They cannot fill the table, or
+# Clients that may only look make topics when they subscribe to new names. They cannot fill the table, or
 # others could make none.
 MAX_TOPICS_FOR_VIEWERS = MAX_TOPICS // 2
 
@@ -53,7 +53,7 @@ MAX_TOPICS_OF_PUBLISHER = 2_000
 LIKENESS = 0.8
 MAX_COMPARED_CHARACTERS = 100
 
-# A comparison takes up to a millisecond, twenty times as long as to refuse an operation: so many at once, and so many
+# A comparison takes up to a millisecond, twenty times as long as to refuse an operation: a number at once, and a number
 # in a second in the long run, for all clients together.
 COMPARISONS_AT_ONCE = 20
 COMPARISONS_PER_S = 2.0
@@ -78,8 +78,8 @@ class Subscriber:
         refused: called with the error when somebody publishes what the topic's type does not allow.
         turned_away: called with a message, empty when it cannot be read, whose sender may not publish it, with the
             sender, and with a sentence that says why.
-        check_lists: checks the lists of a message before it is completed, whoever publishes it; None for any.
-        rule: requirements of publishing, where a part of the server subscribes; None for those of a client's topic.
+        check_lists: checks the lists of a message of any publisher before it is completed; None for any lists.
+        rule: requirements of publishing, where a part of the server subscribes; None for the rule of a client's topic.
     """
 
     deliver: Callable[[PublishedMessage], None]
@@ -96,6 +96,7 @@ class Topic:
     name: str
     type_name: str
     last_used_s: float
+    published_count: int = 0
     publishers: set[Node] = field(default_factory=set)
     subscribers: dict[Node, Subscriber] = field(default_factory=dict)
     latching: set[Node] = field(default_factory=set)
@@ -106,7 +107,7 @@ class Topic:
         return bool(self.publishers or self.subscribers)
 
     def keeps(self, node: Node) -> bool:
-        """Tell whether the node's messages are latched; a client's do not replace those of the server itself."""
+        """Return True if the node's messages are latched; a client's do not replace the server's."""
         return node in self.latching and (not node.remote or all(each.remote for each in self.latching))
 
 
@@ -114,15 +115,9 @@ class Graph:
     """All topics, services and actions.
 
     Args:
-        clock: monotonic time [s].
-        wall_clock: seconds since the epoch, for stamps.
-        call_later: does something after a delay.
-        relay_unknown_types: take types that the registry does not know, and relay what is said in them unseen.
-        unregister_timeout_s: for how long a topic that nobody uses keeps its type, and what is latched there [s].
+        unregister_timeout_s: time for which a topic that nobody uses keeps its type and its latched message [s].
 
     Attributes:
-        actions: who offers which, and the goals on their way.
-        topic_names: the topics in use, with their types.
         rules: rules of publishing on the topics that local parts subscribe to, by name.
         revision: number of changes in who publishes, latches or subscribes to which topic.
     """
@@ -140,13 +135,13 @@ class Graph:
         self.message_types = MessageTypes(registry, wall_clock, relay_unknown_types=relay_unknown_types)
         self.services = Services(self.message_types, call_later)
         self.actions = Actions(self.message_types, self.services, call_later)
-        self.actions.tell(ActionTopics(self, clock))
+        self.actions.publish_on(ActionTopics(self, clock))
         self._clock = clock
         self._comparisons = LogLimiter(COMPARISONS_AT_ONCE, COMPARISONS_PER_S)
         self._unregister_timeout_s = unregister_timeout_s
         self.topic_names = TypedNames()
         self._topics: dict[str, Topic] = {}
-        # Those that nobody uses, the one that has been unused for longest first.
+        # Topics that nobody uses, the longest unused first.
         self._unused: OrderedDict[str, Topic] = OrderedDict()
         self._publications: Index[Node, str] = Index()
         self._subscriptions: Index[Node, str] = Index()
@@ -245,7 +240,7 @@ class Graph:
             last_latching = topic.latching == {node}
             topic.latching.discard(node)
             if last_latching:
-                # As the type, what is latched outlives a socket that is only closed to be opened anew.
+                # Type and latched message outlive a socket that is closed only to be opened again.
                 self._latched_messages.unlatch_at(name, self._clock() + self._unregister_timeout_s)
             self._left(topic)
 
@@ -297,8 +292,6 @@ class Graph:
         """Complete a message, and deliver it to every subscriber; ``node`` becomes a publisher if it is none.
 
         Args:
-            name: fully qualified name of the topic.
-            latch: keep it for who subscribes later, as for a topic advertised so.
             lifespan_s: otherwise, for how long it reaches who subscribes later [s].
             as_it_is: the message is complete and valid already, as a large one of the server's own; nobody may change
                 it any more.
@@ -308,7 +301,7 @@ class Graph:
 
         Raises:
             GraphError: nobody has said what type the topic has, or the client publishes on too many.
-            MessageError: the message does not fit the type; the topic's local subscribers are told as well.
+            MessageError: the message does not fit the type; the topic's local subscribers get the error as well.
         """
         topic = self._topic(name)
         if node.remote and node not in topic.publishers:
@@ -342,10 +335,7 @@ class Graph:
     def strict_reader(self, node: Node, name: str) -> PublicationReader | None:
         """Return what reads a node's frames on a topic for :meth:`relay`; None where they take the general way.
 
-        What is returned holds until the `revision` changes; what is latched takes the general way.
-
-        Args:
-            name: fully qualified name of the topic.
+        The function is valid until the `revision` changes; latched messages take the general way.
         """
         topic = self._topics.get(name)
         if topic is None or node not in topic.publishers or topic.latching:
@@ -355,18 +345,14 @@ class Graph:
         return self.message_types.strict_reader(topic.type_name)
 
     def relay(self, node: Node, name: str, encoded: bytes, lifespan_s: float) -> None:
-        """Deliver a message to every subscriber, as :meth:`publish` does; the topic and its publisher are there.
-
-        Args:
-            name: fully qualified name of the topic.
-            encoded: the message as :meth:`strict_reader` has read it.
-            lifespan_s: as for :meth:`publish`.
-        """
+        """Deliver a message to every subscriber, as :meth:`publish` does; the topic and its publisher are there."""
         topic, types = self._topics[name], self.message_types
         published = PublishedMessage(name, topic.type_name, encoded, types.registry, types.wall_clock(), node)
         self._distribute(topic, published, node, lifespan_s)
 
     def _distribute(self, topic: Topic, published: PublishedMessage, node: Node, lifespan_s: float) -> str | None:
+        topic.published_count += 1
+        published.sequence_number = topic.published_count
         for watch in self._watchers:
             watch(published, topic.keeps(node))
         for subscriber in tuple(topic.subscribers.values()):
@@ -384,13 +370,7 @@ class Graph:
             raise GraphError("topic", name, f"this client publishes on {count} topics already, which is the limit")
 
     def turn_away(self, node: Node, name: str, message: object, reason: str) -> None:
-        """Have a message answered that is not let through, where its topic promises an answer.
-
-        Args:
-            name: fully qualified name of the topic.
-            message: as for :meth:`publish`.
-            reason: a sentence.
-        """
+        """Have a message answered that is not let through, where its topic promises an answer."""
         topic = self._topics.get(name)
         listeners = (
             () if topic is None else tuple(filter(None, (each.turned_away for each in topic.subscribers.values())))
@@ -411,16 +391,7 @@ class Graph:
         return self.message_types.complete(topic.type_name, message, received)
 
     def tell(self, node: Node, name: str, message: object) -> None:
-        """Deliver a message to one subscriber alone; nothing happens when it is none.
-
-        Args:
-            name: fully qualified name of a topic that is advertised.
-            message: as for :meth:`publish`.
-
-        Raises:
-            GraphError: nobody has said what type the topic has.
-            MessageError: the message does not fit the type.
-        """
+        """Deliver a message to one subscriber alone; nothing happens when it is none."""
         topic, received = self._topic(name), self.message_types.now()
         subscriber = topic.subscribers.get(node)
         if subscriber is not None:
@@ -432,16 +403,7 @@ class Graph:
     def latch(self, name: str, message: object, *, as_it_is: bool = False) -> None:
         """Keep a message for who subscribes later, and deliver it to nobody now.
 
-        For topics that tell those who listen of changes alone; otherwise latch what is published.
-
-        Args:
-            name: fully qualified name of a topic that is advertised.
-            message: what a new subscriber is to get first.
-            as_it_is: as for :meth:`publish`.
-
-        Raises:
-            GraphError: nobody has said what type the topic has.
-            MessageError: the message does not fit the type.
+        For topics on which subscribers get changes alone; otherwise latch the published message.
         """
         topic, received = self._topic(name), self.message_types.now()
         completed: Any = message if as_it_is else self.message_types.complete(topic.type_name, message, received)
@@ -493,7 +455,6 @@ class Graph:
             self._forget(next(iter(self._unused.values())))
 
     def _forget_old(self) -> None:
-        """Forget topics and messages whose time is over."""
         for _ in range(FORGOTTEN_AT_ONCE):
             if not self._unused or not self._outlived(topic := next(iter(self._unused.values()))):
                 break
@@ -501,7 +462,6 @@ class Graph:
         self._latched_messages.give_up_old(self._clock())
 
     def _forget(self, topic: Topic) -> None:
-        """Forget a topic that nobody uses, and what is kept of it."""
         del self._topics[topic.name], self._unused[topic.name]
         self._latched_messages.forget(topic.name)
 
@@ -515,7 +475,6 @@ class Graph:
             self.topic_names.add(topic.name, topic.type_name)
 
     def _left(self, topic: Topic) -> None:
-        """Note that someone has just left the topic."""
         self.revision += 1
         topic.last_used_s = self._clock()
         if not topic.used:

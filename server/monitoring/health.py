@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from robot.messages import ArmHealth, Mode
 from server.gateway.connection import Traffic
@@ -16,7 +16,7 @@ from server.monitoring.goal_counters import GoalCounters
 
 if TYPE_CHECKING:
     from planners.interface import Planners
-    from robot.arm_interface import ArmInterface
+    from robot.arm_group import AnyArm
     from server.execution.queue import GoalQueue
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
@@ -33,18 +33,14 @@ class Sources:
     """Parts of the server that are monitored; None for those that a server does not have.
 
     Attributes:
-        refused_connections: returns the number of refused connections by reason.
-        recorder: recording; None also if nothing is to be recorded.
-        zenoh: member of a zenoh network; None also if zenoh is off.
         started: True once the arm has been taken over, and goals are accepted.
-        stopping: True once the server is about to stop.
     """
 
     traffic: Traffic | None = None
     refused_connections: Callable[[], Mapping[str, int]] | None = None
     goal_counters: GoalCounters | None = None
-    queue: GoalQueue[Any] | None = None
-    arm: ArmInterface | None = None
+    queue: GoalQueue | None = None
+    arm: AnyArm | None = None
     arm_health: ArmHealth | None = None
     planners: Planners | None = None
     recorder: Recorder | None = None
@@ -69,8 +65,6 @@ class Health:
     Attributes:
         live: False if only a restart can help.
         ready: True if a goal would be carried out now, as far as that depends on the server.
-        reasons: reasons for which it is not live or not ready, a sentence each.
-        warnings: other problems, a sentence each.
     """
 
     live: bool
@@ -79,11 +73,7 @@ class Health:
     warnings: tuple[str, ...] = ()
 
     def response(self, *, good: bool) -> HttpResponse:
-        """Return the HTTP response with the health as JSON.
-
-        Args:
-            good: True for status 200, False for 503.
-        """
+        """Return the HTTP response with the health as JSON."""
         status = HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE
         return HttpResponse.of_data(status, json.dumps(dataclasses.asdict(self)).encode() + b"\n", "application/json")
 
@@ -95,7 +85,7 @@ def check_health(sources: Sources) -> Health:
     return Health(not dead, not reasons, reasons, tuple(_warnings(sources)))
 
 
-def _reasons_not_live(arm: ArmInterface | None) -> Iterator[str]:
+def _reasons_not_live(arm: AnyArm | None) -> Iterator[str]:
     if arm is not None and arm.state_age_s > ARM_SILENT_S:
         yield f"the arm process has been silent for more than {ARM_SILENT_S:g} s"
 
@@ -112,7 +102,7 @@ def _reasons_not_ready(sources: Sources) -> Iterator[str]:
         yield from _reasons_planners_are_not_ready(sources.planners)
 
 
-def _reasons_arm_is_not_ready(arm: ArmInterface) -> Iterator[str]:
+def _reasons_arm_is_not_ready(arm: AnyArm) -> Iterator[str]:
     state = arm.state
     if state.fault is not None:
         yield f"the arm has a fault: {state.fault.code.value}"

@@ -40,8 +40,8 @@ CHECK_PERIOD_S = 1.0
 # Resident memory above that after the start from which on a trim is worth while.
 EXCESS_BYTES = 16 << 20
 
-# A trim takes 0.2 ms a megabyte that it gives back, and until it is done nobody else gets memory. After one that gave
-# back less than the gain, the next comes later, and ever later.
+# A trim takes 0.2 ms a megabyte that it gives back, and until it is done nobody else gets memory. After a trim with
+# less than this gain, the next comes later, and ever later.
 GAIN_BYTES = 1 << 20
 FIRST_TRIM_S = 5.0
 LONGEST_TRIM_S = 300.0
@@ -54,7 +54,6 @@ class CollectorPolicy:
     """Policy of Python's garbage collector, by which no collection takes long.
 
     Args:
-        clock: monotonic time [s].
         keeps_frozen: True to leave out of every collection what was left out before; a collection writes to each object
             that it goes through, and so would copy the memory that a forked process shares with others.
     """
@@ -120,8 +119,6 @@ class MemoryKeeper:
     The C library keeps what a burst of large messages took, unless it happens to be the last of its heap.
 
     Args:
-        quiet: returns True while nothing moves.
-        read_bytes: returns the resident memory [bytes].
         trim: gives free memory back; called on a thread.
     """
 
@@ -149,11 +146,7 @@ class MemoryKeeper:
             await self.check(time.monotonic())
 
     async def check(self, now_s: float) -> None:
-        """Collect or trim where it is due.
-
-        Args:
-            now_s: monotonic time [s].
-        """
+        """Collect or trim where it is due."""
         resident = self._read_bytes()
         settled = resident <= self._latest_bytes + SETTLED_BYTES
         self._latest_bytes = resident

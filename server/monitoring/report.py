@@ -30,7 +30,7 @@ LEAST_SECRET_CHARACTERS = 8
 MAX_FAULT_BYTES = 10_000_000
 MAX_FAULT_FILES = 20
 
-# Of a file that is taken as it is; a robot.toml has a few kilobytes.
+# Of a file that is copied; a robot.toml has a few kilobytes.
 MAX_FILE_BYTES = 1_000_000
 
 README = "README.txt"
@@ -60,12 +60,7 @@ _HOMES = re.compile(r"/(home|Users)/[^/\s\"':,;]+")
 
 
 class Redactor:
-    """Blots secrets and names of home directories out of texts.
-
-    Args:
-        secrets: texts that must not be shown, such as tokens.
-        home: the user's home directory.
-    """
+    """Blots secrets and names of home directories out of texts."""
 
     def __init__(self, secrets: Iterable[str], home: Path) -> None:
         long = {secret for secret in secrets if len(secret) >= LEAST_SECRET_CHARACTERS}
@@ -89,11 +84,7 @@ class Redactor:
 
 
 class Report:
-    """Members of a report, each without secrets.
-
-    Args:
-        redactor: blots secrets out of every member.
-    """
+    """Members of a report, each without secrets."""
 
     def __init__(self, redactor: Redactor) -> None:
         self._redactor = redactor
@@ -114,11 +105,7 @@ class Report:
         self.add(name, json.dumps(value, indent=2, default=str) + "\n")
 
     def add_file(self, name: str, path: Path) -> None:
-        """Add a text file.
-
-        Raises:
-            OSError: it cannot be read.
-        """
+        """Add a text file."""
         with path.open("rb") as file:
             self.add(name, file.read(MAX_FILE_BYTES).decode(errors="replace"))
 
@@ -128,7 +115,7 @@ class Report:
 
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Note what goes wrong within the context: a report about what is broken is made of what is not."""
+        """Note errors within the context: the rest of the report goes on."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 - any library may fail on the machine that is reported
@@ -155,11 +142,7 @@ class Report:
 
 
 def add_settings(report: Report, settings: Settings, sources: Mapping[str, str]) -> None:
-    """Add the settings; of tokens only how many there are.
-
-    Args:
-        sources: source of those that are not at their defaults, by key.
-    """
+    """Add the settings; of tokens only how many there are."""
     values = settings.model_dump(mode="json")
     access = values["access"]
     for name, value in access.items():
@@ -180,11 +163,7 @@ def add_machine(report: Report) -> None:
 
 
 def add_faults(report: Report, directory: Path) -> None:
-    """Add the newest files about faults.
-
-    Args:
-        directory: directory of the files, which need not exist.
-    """
+    """Add the newest files about faults."""
     left = MAX_FAULT_BYTES
     for path in sorted(directory.glob(f"{PREFIX}*.jsonl"), reverse=True)[:MAX_FAULT_FILES]:
         with report.part(f"faults/{path.name}"):
@@ -220,7 +199,7 @@ def _distribution() -> str:
 
 
 def _groups() -> list[str]:
-    """Return the names of the user's groups, one of which may open serial ports."""
+    """Return the names of the user's groups; one may open serial ports."""
     import grp
 
     found = []

@@ -55,13 +55,7 @@ LOST_SHARE = 0.01
 
 
 class Diagnostics:
-    """Publishes the latest health of the arm, also when no new report comes.
-
-    Args:
-        robot_name: name of the hardware.
-        fault_file: returns the latest file about a fault; None before.
-        clock: monotonic time [s].
-    """
+    """Publishes the latest health of the arm, also when no new report comes."""
 
     def __init__(
         self,
@@ -114,16 +108,7 @@ def diagnostic_array(
     health_age_s: float,
     fault_file: Path | None = None,
 ) -> dict[str, Any]:
-    """Return the diagnostic_msgs/DiagnosticArray: the arm first, then its servos.
-
-    Args:
-        health: latest report; None before the first.
-        stamp_s: wall-clock time [s since the epoch].
-        robot_name: name of the hardware.
-        state_age_s: time since the state came [s].
-        health_age_s: time since the report was made [s].
-        fault_file: latest file about a fault.
-    """
+    """Return the diagnostic_msgs/DiagnosticArray: the arm first, then its servos."""
     arm = status(state, robot_name)
     if fault_file is not None:
         arm["values"] += key_values({"fault_file": str(fault_file)})
@@ -258,11 +243,7 @@ _OURS = re.compile(rf"{OUR_LOGGER}(\.[a-z0-9_]{{1,40}}){{0,4}}")
 
 
 class Rosout(logging.Handler):
-    """Publishes every record of the server's log, from its construction to :meth:`close`.
-
-    Args:
-        loop: the event loop of the graph; records come from other threads as well.
-    """
+    """Publishes every record of the server's log, from its construction to :meth:`close`."""
 
     def __init__(self, graph: Graph, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__()
@@ -330,7 +311,7 @@ def _set_levels(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _level(name: str) -> int:
-    """Return the level that holds for a logger; 0 for one that is not the server's."""
+    """Return the level that holds for a logger; 0 for a logger of others."""
     return logging.getLogger(name).getEffectiveLevel() if _exists(name) else 0
 
 

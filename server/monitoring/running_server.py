@@ -34,14 +34,7 @@ _TOPICS = {
 
 
 class RunningServer:
-    """The server that the settings describe, if it runs on this machine.
-
-    Args:
-        token: token to show; None for none.
-
-    Attributes:
-        runs: True if it answers.
-    """
+    """The server that the settings describe, if it runs on this machine."""
 
     def __init__(self, settings: Settings, token: str | None) -> None:
         server = settings.server
@@ -50,7 +43,7 @@ class RunningServer:
         self.address = f"[{host}]:{server.port}" if ":" in host else f"{host}:{server.port}"
         self._context: ssl.SSLContext | None = None
         if server.tls_certificate is not None:
-            # Its certificate may be of another name than that of the address; it is the one that it uses itself.
+            # Its certificate may have another name than the address; it is the one in the server's own settings.
             self._context = ssl.create_default_context(cafile=str(server.tls_certificate))
             self._context.check_hostname = False
         self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
@@ -58,7 +51,7 @@ class RunningServer:
         self.runs = self.health is not None
 
     def add_to(self, report: Report) -> set[Path]:
-        """Add what the server tells.
+        """Add the server's answers.
 
         Returns:
             Directory of its files about faults, if it names one.
@@ -106,7 +99,6 @@ class RunningServer:
         )
 
     def _ask(self, client: ClientConnection, report: Report) -> dict[str, Any]:
-        """Ask for the log, and wait for the topics; return their messages by member."""
         for topic, (_, type_name) in _TOPICS.items():
             client.send(json.dumps({"op": "subscribe", "topic": topic, "type": type_name}))
         client.send(json.dumps({"op": "call_service", "service": LOG, "id": "log"}))
@@ -145,7 +137,6 @@ def _histories(client: ClientConnection, diagnostics: dict[str, Any]) -> dict[st
 
 
 def _operations(client: ClientConnection) -> Iterator[dict[str, Any]]:
-    """Yield what the server sends within :data:`DIAGNOSTICS_TIMEOUT_S`."""
     until_s = time.monotonic() + DIAGNOSTICS_TIMEOUT_S
     with contextlib.suppress(TimeoutError):
         while (left_s := until_s - time.monotonic()) > 0.0:

@@ -1,1 +1,6 @@
-"""Interface of MoveIt: ROS messages on one side, execution, planners and arm on the other."""
+"""MoveIt's topics, services and actions.
+
+Functions that read a client's message raise :exc:`server.errors.RefusedError`; its sentence names the field, the value
+and the limit. Their argument ``where`` is the path of the field. The folders import each other in one direction: the
+modules here, ``scene``, ``requests``, ``goals``; then ``actions``, ``services`` and ``servo``.
+"""

@@ -24,15 +24,14 @@ log = logging.getLogger("armbridge.description")
 
 URDF_TOPIC = "/robot_description"
 SRDF_TOPIC = "/robot_description_semantic"
+# Nodes that have these parameters in ROS 2.
+NODES = ("/robot_state_publisher", "/move_group")
+
 FILE_SERVICE = "/file_server/get_file"
 
 
 class RobotDescription:
-    """Topics, parameters and file service of the description.
-
-    Args:
-        keep_parameter: keeps a parameter for rosapi, its value as JSON text.
-    """
+    """Topics, parameters and file service of the description."""
 
     def __init__(self, graph: Graph, robot: RobotModel, keep_parameter: Callable[[str, str], None]) -> None:
         self._graph = graph
@@ -48,9 +47,10 @@ class RobotDescription:
         for topic, text in texts.items():
             self._graph.advertise(self._node, topic, "std_msgs/String", latch=True)
             self._graph.publish(self._node, topic, {"data": text})
-            # ROS 1 clients ask for the name with its slash or without.
-            for name in (topic, topic.removeprefix("/")):
-                self._keep_parameter(name, json.dumps(text))
+            name = topic.removeprefix("/")
+            # ROS 1 clients ask for the name with its slash or without, clients of ROS 2 for a parameter of a node.
+            for parameter in (topic, name, *(f"{node}:{name}" for node in NODES)):
+                self._keep_parameter(parameter, json.dumps(text))
         self._graph.services.offer(self._node, FILE_SERVICE, "file_server/GetBinaryFile", self._get_file, rule=LOOKING)
 
     async def _get_file(self, request: dict[str, Any]) -> dict[str, Any]:

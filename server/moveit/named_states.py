@@ -61,9 +61,7 @@ class NamedStates:
     """Store of the states by name; case and blanks of names do not matter.
 
     Args:
-        robot: the arm; its SRDF's states cannot be changed.
         group: planning group whose states of the SRDF count; :meth:`select_group` chooses another.
-        saved: those saved before, name -> positions.
         keep: changes the states that are kept, those that other servers have saved meanwhile among them; returns them
             all.
     """
@@ -111,7 +109,6 @@ class NamedStates:
         """Return the spelling of a name and its state; None when there is no such state.
 
         Args:
-            name: the name.
             group: planning group whose states of the SRDF count; None for the selected one.
         """
         states = self._of(group)
@@ -244,12 +241,7 @@ class _Content(BaseModel):
 
 
 def default_path(content: str, robot: RobotModel, environment: Mapping[str, str]) -> Path:
-    """Return the default path of a file that the server keeps of a robot.
-
-    Args:
-        content: beginning of the file's name.
-        robot: the arm, whose name is in that of the file.
-    """
+    """Return the default path of a file that the server keeps of a robot."""
     safe = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in robot.name)
     return data_directory(environment) / f"{content}_{safe}.json"
 
@@ -263,11 +255,7 @@ def data_directory(environment: Mapping[str, str]) -> Path:
 
 
 class NamedStatesFile:
-    """JSON file of saved states: joint positions by state and joint [rad]. Several servers may share it.
-
-    Args:
-        path: of the file; created with the first state.
-    """
+    """JSON file of saved states: joint positions by state and joint [rad]. Several servers may share it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -334,11 +322,7 @@ class NamedStatesFile:
 
 
 class NamedStatesServices:
-    """MoveIt's warehouse services, and the latched topic ``/named_states``.
-
-    Args:
-        current: the positions of the arm, to be saved.
-    """
+    """MoveIt's warehouse services, and the latched topic ``/named_states``."""
 
     def __init__(self, graph: Graph, robot: RobotModel, states: NamedStates, current: CurrentState) -> None:
         self._graph = graph

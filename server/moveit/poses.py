@@ -20,14 +20,7 @@ MIN_NORM = 1e-6
 
 
 def read_pose(message: Message, where: str) -> Pose:
-    """Read a geometry_msgs/Pose; its quaternion is normalised, one of only zeros is no rotation.
-
-    Args:
-        where: path of the field, for the sentence.
-
-    Raises:
-        RefusedError: a number is not finite.
-    """
+    """Read a geometry_msgs/Pose; its quaternion is normalised, one of only zeros is no rotation."""
     point, quaternion = message["position"], message["orientation"]
     if not all(map(math.isfinite, (*point.values(), *quaternion.values()))):
         raise _not_finite(message, where)
@@ -42,6 +35,14 @@ def write_pose(pose: Pose) -> dict[str, Any]:
     return {
         "position": dict(zip("xyz", pose.position_m, strict=True)),
         "orientation": dict(zip("xyzw", pose.orientation, strict=True)),
+    }
+
+
+def write_transform(pose: Pose) -> dict[str, Any]:
+    """Return the geometry_msgs/Transform of a pose."""
+    return {
+        "translation": dict(zip("xyz", pose.position_m, strict=True)),
+        "rotation": dict(zip("xyzw", pose.orientation, strict=True)),
     }
 
 

@@ -66,9 +66,6 @@ _KINDS: Mapping[Callable[[int], bool], str] = {
 def check_path(path: Path) -> None:
     """Refuse a path at which something is that no recording can be numbered after.
 
-    Args:
-        path: file to record to; one that exists is left alone.
-
     Raises:
         ConfigurationError: it is a directory, a device or the like, or a link to nothing, or its folder is missing
             or cannot be written to.
@@ -93,9 +90,6 @@ class RecordedMessage(NamedTuple):
     """Message as a file holds it.
 
     Attributes:
-        topic: fully qualified name.
-        type_name: canonical name of the message's type.
-        latched: True if the topic is latched.
         log_time_ns: time of recording [ns since the epoch], by a clock that never jumps.
         publish_time_ns: time of publication [ns since the epoch].
     """
@@ -112,10 +106,6 @@ class McapFile:
     """MCAP file with the profile ``ros2`` and a channel for each topic and type.
 
     All methods may raise OSError.
-
-    Args:
-        stream: the file, open for writing; closed by :meth:`end`.
-        facts: further entries of the file's metadata.
     """
 
     def __init__(self, stream: BinaryIO, registry: Registry, facts: dict[str, str]) -> None:
@@ -149,11 +139,7 @@ class McapFile:
         self._writer.flush()
 
     def end(self, facts: dict[str, str]) -> None:
-        """Write the index, and close the file.
-
-        Args:
-            facts: metadata that are known only now.
-        """
+        """Write the index, and close the file."""
         self._writer.flush()
         if facts:
             self._writer.add_metadata(METADATA_NAME, facts)
@@ -170,13 +156,12 @@ class McapFile:
 
 
 class FileSeries:
-    """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, none of which existed before.
+    """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, all of them new.
 
     All methods, and the constructor, may raise OSError.
 
     Args:
         limit_bytes: size from which on a file is followed by the next; None for no limit.
-        keep: newest files of this recording to keep; 0 for all.
     """
 
     def __init__(
@@ -214,15 +199,11 @@ class FileSeries:
         self._file.flush()
 
     def end(self, facts: dict[str, str]) -> None:
-        """End the last file.
-
-        Args:
-            facts: metadata that are known only now.
-        """
+        """End the last file."""
         self._file.end(facts)
 
     def abandon(self) -> None:
-        """Close the file as it is, after an error."""
+        """Close the file without its end, after an error."""
         # Buffered data meet the same error again.
         with contextlib.suppress(OSError):
             self._stream.close()
@@ -266,5 +247,5 @@ def channel_metadata(latched: bool) -> dict[str, str]:
 
 
 def is_latched(metadata: Mapping[str, str]) -> bool:
-    """Return True if a channel's metadata are those of a latched topic."""
+    """Return True if a channel's metadata say that its topic is latched."""
     return _LATCHED.search(metadata.get(QOS_KEY, "")) is not None

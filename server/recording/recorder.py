@@ -33,7 +33,7 @@ POLL_PERIOD_S = 0.05
 # A process that is killed loses at most so much of the recording.
 FLUSH_PERIOD_S = 1.0
 
-# Both threads share one interpreter: after so many messages, some 20 us each, the event loop gets it for a moment.
+# Both threads share one interpreter: after this number of messages, some 20 us each, the event loop gets it.
 MESSAGES_AT_A_TIME = 10
 PAUSE_S = 0.0002
 
@@ -47,11 +47,7 @@ class Recorder:
     """Records a graph from its construction to :meth:`close`; messages wait in memory until :meth:`start`.
 
     Args:
-        path: the file; if it exists, a number is added to its name.
         limit_mb: size from which on a file is followed by the next [MB]; None for no limit.
-        keep_files: newest files of this recording to keep; 0 for all.
-        clock_ns: monotonic time [ns].
-        wall_clock_ns: time since the epoch [ns].
     """
 
     def __init__(
@@ -78,11 +74,7 @@ class Recorder:
         graph.watch(self._record)
 
     def start(self) -> None:
-        """Open the file, and write to it from now on.
-
-        Raises:
-            StartError: the file cannot be written.
-        """
+        """Open the file, and write to it from now on."""
         try:
             files = FileSeries(self._path, self._registry, self._facts, self._limit_bytes, self._keep_files)
         except OSError as error:
@@ -122,12 +114,7 @@ class Recorder:
 
 
 class QueuedMessage(NamedTuple):
-    """Message that waits to be written.
-
-    Attributes:
-        latched: True if its topic is latched.
-        log_time_ns: time of recording [ns since the epoch].
-    """
+    """Message that waits to be written."""
 
     published: PublishedMessage
     latched: bool
@@ -139,12 +126,6 @@ class WriterThread:
     """Thread that writes queued messages, so that neither disk nor compression blocks the event loop.
 
     An error ends the recording, and nothing else.
-
-    Args:
-        clock: monotonic time [s].
-
-    Attributes:
-        dropped: messages that found no room in the queue.
     """
 
     def __init__(self, registry: Registry, clock: Callable[[], float] = time.monotonic) -> None:

@@ -52,14 +52,7 @@ _DAMAGE = (McapError, OSError, struct.error, ValueError, KeyError, RuntimeError,
 
 @dataclass(frozen=True)
 class RecordedTopic:
-    """Topic of a recording.
-
-    Attributes:
-        topic: fully qualified name.
-        type_name: name of the messages' type.
-        latched: True if the topic is latched.
-        problem: reason for which it cannot be read; empty if it can.
-    """
+    """Topic of a recording."""
 
     topic: str
     type_name: str
@@ -72,8 +65,6 @@ class Summary:
     """Contents of a file.
 
     Attributes:
-        messages: number of its messages.
-        duration_s: time from the first message to the last [s].
         complete: False if the file was not ended or is damaged.
     """
 
@@ -102,11 +93,7 @@ class Recording:
         return summary
 
     def chunks(self) -> Iterator[list[RecordedMessage]]:
-        """Yield the messages in the order of the file, a chunk at a time, up to the first damage.
-
-        Raises:
-            RecordingError: the file cannot be read, or is no MCAP file.
-        """
+        """Yield the messages in the order of the file, a chunk at a time, up to the first damage."""
         unpacker = _Unpacker(self._path)
         with self._open() as stream:
             yield from unpacker.chunks(stream)
@@ -229,7 +216,6 @@ class ReplayOptions:
     Attributes:
         rate: seconds of the recording per second.
         delay_s: time for clients to connect before the replay begins [s].
-        loop: begin again at the end.
     """
 
     path: Path
@@ -310,15 +296,7 @@ class ReplayServer:
 
 
 class Player:
-    """Publishes a recording on a graph, with the recorded timing.
-
-    Args:
-        rate: seconds of the recording per second.
-
-    Attributes:
-        published: messages published so far.
-        unreadable: messages that could not be read so far.
-    """
+    """Publishes a recording on a graph, with the recorded timing."""
 
     def __init__(self, graph: Graph, recording: Recording, rate: float = 1.0) -> None:
         self._graph = graph
@@ -331,7 +309,7 @@ class Player:
         self.unreadable = 0
 
     def advertise(self, topics: Iterable[RecordedTopic]) -> None:
-        """Advertise the recorded topics; one that cannot be advertised is logged and left out."""
+        """Advertise the recorded topics; a topic that cannot be advertised is logged and left out."""
         for recorded in topics:
             if self._is_published_here(recorded.topic):
                 log.info("%s is left out: the replaying server has its own", recorded.topic)
@@ -341,11 +319,7 @@ class Player:
                 self._topics.setdefault(recorded.topic, recorded)
 
     async def play(self) -> None:
-        """Publish every message at its time, once through the file.
-
-        Raises:
-            RecordingError: the file can no longer be read.
-        """
+        """Publish every message at its time, once through the file."""
         loop = asyncio.get_running_loop()
         started_s, first_ns = loop.time(), None
         async for message in self._messages():

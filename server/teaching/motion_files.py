@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot.description.model import RobotModel
-from server.moveit.requests.trajectories import MAX_POINTS
+from server.moveit.trajectories import MAX_POINTS
 from server.named_files import NamedFiles
 from server.teaching.taught_motion import MAX_DURATION_S, TaughtMotion
 
@@ -30,11 +30,7 @@ class _Content(BaseModel):
 
 
 class MotionFiles:
-    """Store of motions by name.
-
-    Args:
-        folder: of the files; created with the first motion.
-    """
+    """Store of motions by name."""
 
     def __init__(self, folder: Path, robot: RobotModel) -> None:
         self._files = NamedFiles(folder, "motion", MAX_MOTIONS)

@@ -15,15 +15,16 @@ from planners.problem import MoveItErrorCode
 from robot.description.model import RobotModel
 from robot.description.srdf import Group
 from server.errors import RefusedError, ServiceError
-from server.execution.motions import Motion, PlannedMotion, Positions, Step
-from server.execution.queue import Answer, GoalQueue, Progress
+from server.execution.goal import Answer, Progress
+from server.execution.motions import PlannedMotion, Positions, Step
+from server.execution.queue import GoalQueue
 from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.graph.topics import Graph
-from server.moveit.actions.joint_trajectory_controller import code_message, reject_goal, submit_goal
+from server.moveit.actions.goal_bridge import code_message, reject_goal, submit_goal
+from server.moveit.error_codes import invalid
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import invalid
 from server.moveit.requests.planning_problems import ProblemBuilder
 from server.teaching.motion_files import MotionFiles
 from server.teaching.services import CHECK_TIME_S
@@ -43,7 +44,6 @@ class Replay:
     Attributes:
         speed: share of its own speed, above 0.
         reverse: true to go from its end to its start.
-        repeat: number of replays after the first.
     """
 
     name: str
@@ -53,11 +53,7 @@ class Replay:
 
     @classmethod
     def of(cls, message: Message) -> Replay:
-        """Read a goal message.
-
-        Raises:
-            RefusedError: a field that is out of its range.
-        """
+        """Read a goal message."""
         speed, repeat = read_speed(message["speed"]), message["repeat"]
         if repeat > MAX_REPEAT:
             raise invalid(f"repeat: must be 0 to {MAX_REPEAT}, not {repeat}", repeat=repeat)
@@ -65,18 +61,14 @@ class Replay:
 
 
 class ReplayAction:
-    """The action.
-
-    Args:
-        problems: builds the planned motion to the start.
-    """
+    """The action."""
 
     def __init__(
         self,
         graph: Graph,
         robot: RobotModel,
         motions: MotionFiles,
-        queue: GoalQueue[Motion],
+        queue: GoalQueue,
         problems: ProblemBuilder,
     ) -> None:
         self._graph = graph
@@ -110,11 +102,7 @@ class ReplayAction:
 
 
 def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, problems: ProblemBuilder) -> PlannedMotion:
-    """Return the motion to the start of a taught motion, and its replays.
-
-    Args:
-        problems: builds the planned motion to the start.
-    """
+    """Return the motion to the start of a taught motion, and its replays."""
     if replay.reverse:
         taught = taught.reversed()
     joints = frozenset(taught.joint_names)
@@ -126,11 +114,7 @@ def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, problems: P
 
 
 def groups_of(robot: RobotModel, joints: frozenset[str]) -> list[Group]:
-    """Return groups that have all of these joints and no other, the largest first, each joint in one of them.
-
-    Raises:
-        RefusedError: there are no such groups.
-    """
+    """Return groups that have all of these joints and no other, the largest first, each joint in one of them."""
     chosen: list[Group] = []
     left = set(joints)
     for group in sorted(robot.groups.values(), key=lambda group: -len(group.joints)):

@@ -54,12 +54,7 @@ _DRIVEN = (
 
 
 class Teaching:
-    """Records motions, one at a time, and keeps them by name.
-
-    Args:
-        motions: where motions are kept.
-        pool: the planners, which check motions.
-    """
+    """Records motions, one at a time, and keeps them by name."""
 
     def __init__(
         self,

@@ -16,9 +16,9 @@ from robot.description.model import RobotModel
 from robot.trajectory import Vector
 from server.errors import ServiceError
 from server.execution.motions import Positions
+from server.moveit.error_codes import invalid
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import invalid
-from server.moveit.requests.trajectories import MAX_POINTS, read_joint_trajectory
+from server.moveit.trajectories import MAX_POINTS, read_joint_trajectory
 
 # A joint that has moved by less rests: a hand trembles, and gears have play.
 REST_RAD = 0.01
@@ -112,11 +112,7 @@ class TaughtMotion:
 
 
 def read_speed(value: float) -> float:
-    """Return the share of a motion's own speed that a client asks for; 1 for 0, as when it is left out.
-
-    Raises:
-        RefusedError: a share that is out of its range.
-    """
+    """Return the share of a motion's own speed that a client asks for; 1 for 0, as when it is left out."""
     speed = value or 1.0
     if not (math.isfinite(speed) and 0.0 < speed <= MAX_SPEED):
         raise invalid(f"speed: must be above 0 and at most {MAX_SPEED:g}, not {speed:g}", speed=str(speed))
@@ -222,7 +218,6 @@ def from_message(message: Message, robot: RobotModel) -> TaughtMotion:
     """Read a trajectory_msgs/JointTrajectory; velocities and accelerations do not count.
 
     Raises:
-        RefusedError: a field that cannot be used.
         ServiceError: it is too long, or has one point.
     """
     points = message["points"]

@@ -79,9 +79,6 @@ class Following:
     def tick(self, now_s: float, observed: Observed) -> Act:
         """Decide on the present moment.
 
-        Args:
-            now_s: monotonic time [s].
-
         Returns:
             RAMP once for each ramp, BRAKE once for each end of a motion.
         """
@@ -132,11 +129,7 @@ class Following:
         return Act.NOTHING
 
     def interrupt(self, now_s: float, reason: str) -> Act:
-        """Brake, and ramp again as soon as that can be: the follower came to rest by itself.
-
-        Args:
-            now_s: monotonic time [s].
-        """
+        """Brake, and ramp again as soon as that can be: the follower came to rest by itself."""
         self.phase, self.message, self._stale_since_s = Phase.BRAKING, reason, now_s
         return Act.BRAKE
 

@@ -37,7 +37,6 @@ class LeaderSample:
 
     Attributes:
         stamp_s: time of the reading by the leader's clock [s].
-        positions_rad: by joint [rad].
     """
 
     stamp_s: float
@@ -49,7 +48,6 @@ class LeaderPose:
     """Pose of a leader to be followed.
 
     Attributes:
-        positions_rad: by joint [rad].
         velocity_rad_s: likewise [rad/s].
         latency_s: time since the reading, without the least time that a sample has taken to come [s].
     """
@@ -79,11 +77,7 @@ class JitterBuffer:
         self._jump = ""
 
     def add(self, sample: LeaderSample, now_s: float) -> None:
-        """Take a sample; one that is not newer than the last is dropped, unless the leader's clock was set back.
-
-        Args:
-            now_s: monotonic time [s].
-        """
+        """Take a sample; one that is not newer than the last is dropped, unless the leader's clock was set back."""
         last = self._samples[-1] if self._samples else None
         if last is not None:
             if last.stamp_s - SET_BACK_S < sample.stamp_s <= last.stamp_s:
@@ -130,9 +124,6 @@ class JitterBuffer:
         """Return the pose to follow now, between two samples where there are two; None without a sample.
 
         Beyond the last sample the leader is taken to rest: it is not extrapolated.
-
-        Args:
-            now_s: monotonic time [s].
         """
         if not self._samples:
             return None

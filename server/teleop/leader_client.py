@@ -84,14 +84,7 @@ class NewestSample:
 
 
 class LeaderClient:
-    """Client of a server that publishes the arm's joints.
-
-    Args:
-        tell: takes sentences about the connection.
-
-    Attributes:
-        published: number of samples that were sent.
-    """
+    """Client of a server that publishes the arm's joints."""
 
     def __init__(self, options: LeaderOptions, tell: Callable[[str], None]) -> None:
         self.published = 0
@@ -181,10 +174,6 @@ def _complaint(answer: Any) -> str:
 
 async def publish_leader(options: LeaderOptions, settings: Settings, tell: Callable[[str], None]) -> bool:
     """Publish the joints of a relaxed arm until SIGINT or SIGTERM.
-
-    Args:
-        settings: of the arm; it is not enabled.
-        tell: takes sentences about the arm and the connection.
 
     Returns:
         True if a signal has ended it, False if the arm cannot be read.

@@ -80,7 +80,6 @@ class Leader:
     Args:
         name: of the arm, or of the topic, with which it begins with a slash.
         max_velocity_rad_s: greatest velocity of joints that are watched for jumps, by the leader's names [rad/s].
-        clock: monotonic time [s].
 
     Attributes:
         joint_names: joints of the latest sample; empty before the first.
@@ -136,10 +135,7 @@ class _Following:
     """One follower and its leader, from the call that starts it to its end.
 
     Attributes:
-        leader: the leader.
-        node: subscribes to its topic.
         session: None while the first sample is waited for.
-        phase: phase that was told last.
         targets_rad: what the follower is asked to follow at present [rad].
     """
 

@@ -40,24 +40,12 @@ STOPS = ("/stop", "/emergency_stop")
 
 
 def bridge_of(settings: ZenohSettings, graph: Graph, access: Access, max_message_bytes: int) -> Bridge | None:
-    """Return the bridge that the settings ask for; None if zenoh is off.
-
-    Args:
-        settings: the section ``zenoh``.
-        max_message_bytes: limit of an incoming message [bytes].
-
-    Raises:
-        ConfigurationError: zenoh is not installed, or rejects the configuration.
-    """
+    """Return the bridge that the settings ask for; None if zenoh is off."""
     return None if settings.mode == "off" else Bridge(graph, settings, access, max_message_bytes)
 
 
 class Bridge:
     """Member of a zenoh network.
-
-    Args:
-        settings: the section ``zenoh``; its mode is not off.
-        max_message_bytes: limit of an incoming message [bytes].
 
     Raises:
         ConfigurationError: zenoh is not installed, or rejects the configuration.
@@ -117,13 +105,7 @@ class Bridge:
 
 
 class Sharing:
-    """Topics and services that are shared, in both directions.
-
-    Args:
-        network: network with an open session.
-        settings: the section ``zenoh``.
-        clock: monotonic time [s].
-    """
+    """Topics and services that are shared, in both directions."""
 
     def __init__(
         self,
@@ -209,7 +191,6 @@ class Discovery:
     Updated by zenoh's threads, and read by the event loop.
 
     Args:
-        session: id of this server's session, which is left out.
         is_relevant: selects entities to keep; called in zenoh's threads.
     """
 
@@ -237,11 +218,7 @@ class Discovery:
             return self._entities
 
     def update(self, token: str, *, alive: bool) -> None:
-        """Add or remove the entity of a token.
-
-        Args:
-            alive: False once it has vanished.
-        """
+        """Add or remove the entity of a token."""
         entity = Entity.parse(token) if alive else None
         is_kept = entity is not None and entity.session != self._session and self._is_relevant(entity)
         with self._lock:

@@ -15,22 +15,14 @@ Decoded: TypeAlias = Callable[[ReceivedMessage | MessageError], None]
 
 
 class Decoder:
-    """Decoder of CDR.
-
-    Args:
-        background: decodes and completes the large ones.
-    """
+    """Decoder of CDR."""
 
     def __init__(self, message_types: MessageTypes, background: Background) -> None:
         self._message_types = message_types
         self._background = background
 
     def decode(self, type_name: str, octets: bytes, decoded: Decoded) -> None:
-        """Decode a message.
-
-        Args:
-            decoded: called at once for a small message, later for a large one.
-        """
+        """Decode a message."""
         if len(octets) <= BYTES_AT_ONCE:
             decoded(self._completed(type_name, octets))
             return

@@ -45,11 +45,11 @@ MAX_SHARED = 1_000
 
 
 class NameFilter:
-    """Patterns of names, one of which must match.
+    """Patterns of names; a shared name matches one of them.
 
     Args:
         patterns: ``*`` stands for any text, also with slashes in it, as in the globs of ``access``.
-        always: tells further names that match, whatever the patterns are.
+        always: returns True for further names that match, whatever the patterns are.
     """
 
     def __init__(self, patterns: Iterable[str], always: Callable[[str], bool] = lambda _name: False) -> None:
@@ -71,11 +71,7 @@ class NameFilter:
 
 
 class Namespace:
-    """Namespace of this server's names on the network.
-
-    Args:
-        namespace: with a slash before it, or empty.
-    """
+    """Namespace of this server's names on the network."""
 
     def __init__(self, namespace: str) -> None:
         self._namespace = namespace
@@ -101,11 +97,7 @@ class Declared(Protocol):
 
 
 class Declaration:
-    """Entities that are declared together, such as a publisher and its liveliness token.
-
-    Args:
-        declare: yields each entity as soon as it is declared; called in the thread.
-    """
+    """Entities that are declared together, such as a publisher and its liveliness token."""
 
     def __init__(self, thread: SessionThread, declare: Callable[[zenoh.Session], Iterable[Declared]]) -> None:
         self._thread = thread
@@ -126,12 +118,7 @@ class Network:
     """Network with an open session, and this server's graph.
 
     Attributes:
-        thread: the session's threads.
-        graph: this server's topics and services.
-        node: node of all other machines in the graph.
         namespace: of this server's names on the network.
-        max_message_bytes: limit of a message, request or response, as for any other client [bytes].
-        warnings: limiter of warnings, each of which is logged once.
     """
 
     thread: SessionThread
@@ -165,13 +152,7 @@ class Network:
         return Declaration(self.thread, declare)
 
     def endpoint(self, network_name: str, type_name: str, kind: SharedKind) -> Endpoint | None:
-        """Return the endpoint of a topic or service; None if its type is unknown.
-
-        Args:
-            network_name: its name on the network.
-            type_name: canonical name of its type.
-            kind: msg for a topic, srv for a service.
-        """
+        """Return the endpoint of a topic or service; None if its type is unknown."""
         try:
             return Endpoint(network_name, type_name, _HASHES[kind](self.registry, type_name))
         except InterfaceError:
@@ -179,12 +160,7 @@ class Network:
             return None
 
     def agrees(self, endpoint: Endpoint, kind: SharedKind) -> bool:
-        """Return True if another machine has the same type as this server, to the field; else neither hears the other.
-
-        Args:
-            endpoint: the other machine's topic or service.
-            kind: msg for a topic, srv for a service.
-        """
+        """Return True if another machine's type is the same to the field; otherwise neither hears the other."""
         own = self.endpoint(endpoint.name, endpoint.type_name, kind)
         if own is not None and own != endpoint:
             self.warn(

@@ -49,13 +49,7 @@ class EntityKind(Enum):
 
 @dataclass(frozen=True)
 class Endpoint:
-    """Topic or service on the network.
-
-    Attributes:
-        name: fully qualified name.
-        type_name: canonical name of its type.
-        type_hash: hash of the type, with its prefix.
-    """
+    """Topic or service on the network."""
 
     name: str
     type_name: str
@@ -95,11 +89,7 @@ class Entity:
 
 
 class LivelinessTokens:
-    """Key expressions of one server's liveliness tokens.
-
-    Args:
-        namespace: of its node; empty for the root.
-    """
+    """Key expressions of one server's liveliness tokens."""
 
     def __init__(self, domain_id: int, session: str, namespace: str) -> None:
         self._prefix = f"{ADMIN_SPACE}/{domain_id}/{session}/0"
@@ -111,11 +101,7 @@ class LivelinessTokens:
         return f"{self._prefix}/0/{EntityKind.NODE.value}/{self._node}"
 
     def entity(self, kind: EntityKind, endpoint: Endpoint, *, latched: bool = False) -> str:
-        """Return the token of a new entity.
-
-        Args:
-            latched: True if it keeps its last message for later subscribers.
-        """
+        """Return the token of a new entity."""
         self._entities += 1
         qos = _QOS_LATCHED if latched else _QOS_VOLATILE
         spelled = f"{_mangled(endpoint.name)}/{dds_type(endpoint.type_name)}/{endpoint.type_hash}/{qos}"
@@ -126,7 +112,6 @@ class Attachment(NamedTuple):
     """Attachment of a message, request or response; rmw_zenoh drops those that have none.
 
     Attributes:
-        sequence_number: number among the sender's messages.
         source_timestamp_ns: time of sending [ns since the epoch].
         gid: the sender's id, `GID_BYTES` long.
     """

@@ -28,12 +28,7 @@ MAX_OUTGOING_CALLS = 64
 
 
 class IncomingCall(NamedTuple):
-    """Call of a service of this server.
-
-    Attributes:
-        query: zenoh's query, to be replied to.
-        sender: attachment of the request; None if it has none.
-    """
+    """Call of a service of this server."""
 
     service: OfferedService
     query: zenoh.Query
@@ -42,13 +37,7 @@ class IncomingCall(NamedTuple):
 
 
 class OfferedService:
-    """Service of this server that other machines may call.
-
-    Args:
-        name: its name in this server.
-        endpoint: its name and type on the network.
-        receive: called with each call, in a thread of zenoh.
-    """
+    """Service of this server that other machines may call."""
 
     def __init__(
         self, network: Network, name: str, endpoint: Endpoint, receive: Callable[[IncomingCall], None]
@@ -168,10 +157,6 @@ class OfferedServices:
 class CalledService:
     """Service of another machine that clients of this server may call.
 
-    Args:
-        name: its name in this server.
-        endpoint: its name and type on the network.
-
     Raises:
         GraphError: another service has its name.
     """
@@ -251,11 +236,7 @@ class CalledService:
 
 
 class CalledServices:
-    """All services of other machines that clients of this server may call.
-
-    Args:
-        names: services to call, by their names in this server.
-    """
+    """All services of other machines that clients of this server may call."""
 
     def __init__(self, network: Network, names: NameFilter) -> None:
         self._network = network
@@ -265,11 +246,7 @@ class CalledServices:
         self._announced: dict[str, Endpoint] = {}
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:
-        """Let clients call the services that exist now, and no others.
-
-        Args:
-            entities: entities of other machines; the same object for as long as nothing changes.
-        """
+        """Let clients call the services that exist now, and no others."""
         if entities is not self._entities:
             self._entities, self._announced = entities, self._endpoints(entities)
         wanted = {name: endpoint for name, endpoint in self._announced.items() if not self._is_taken(name)}
@@ -287,7 +264,6 @@ class CalledServices:
             self._network.warn(f"{endpoint.name} cannot be called: {error}")
 
     def _endpoints(self, entities: Iterable[Entity]) -> dict[str, Endpoint]:
-        """Return services that other machines offer and clients may call, by their names here."""
         network, found = self._network, dict[str, Endpoint]()
         for entity in entities:
             endpoint, name = entity.endpoint, network.namespace.to_local(entity.endpoint.name)

@@ -53,8 +53,7 @@ class SessionThread:
         open_session: opens the session; repeated as long as it raises ``zenoh.ZError``.
 
     Attributes:
-        opened: the session's id, as soon as it is open.
-        rejected: jobs that found no room.
+        opened: the session's id, once it is open.
     """
 
     def __init__(self, open_session: Callable[[], zenoh.Session]) -> None:
@@ -138,11 +137,7 @@ class SessionThread:
 
 
 class ReceiveQueue(Generic[Item]):
-    """Bounded queue from zenoh's threads to the event loop.
-
-    Args:
-        handle: called there with each item, in order.
-    """
+    """Bounded queue from zenoh's threads to the event loop."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, handle: Callable[[Item], None]) -> None:
         self._loop = loop

@@ -58,7 +58,7 @@ class ZenohSettings(SettingsSection):
     """zenoh's own configuration, JSON5, for options without a setting here, such as certificates; the settings above
     override it. None for zenoh's defaults.
     """
-    # DDS has room for so many, and zenoh follows it.
+    # DDS has room for this number, and zenoh follows it.
     domain_id: int = Field(default=0, ge=0, le=232)
     """ROS_DOMAIN_ID; other domains are neither seen nor heard."""
     namespace: str = ""
@@ -99,11 +99,7 @@ class ZenohSettings(SettingsSection):
 
 
 def check_installed(settings: ZenohSettings) -> None:
-    """Check that zenoh is installed if it is enabled, without importing it.
-
-    Raises:
-        ConfigurationError: it is not installed.
-    """
+    """Check that zenoh is installed if it is enabled, without importing it."""
     if settings.mode != "off" and importlib.util.find_spec("zenoh") is None:
         raise ConfigurationError(
             f"zenoh.mode: {settings.mode} needs the package eclipse-zenoh; pip install 'armbridge[zenoh]' brings it"

@@ -29,13 +29,7 @@ MAX_WAITING = 10
 
 
 class OutgoingTopic:
-    """Topic of this server that is published on the network.
-
-    Args:
-        name: its name in this server.
-        endpoint: its name and type on the network.
-        latched: True if later subscribers get the last message.
-    """
+    """Topic of this server that is published on the network."""
 
     def __init__(self, network: Network, name: str, endpoint: Endpoint, *, latched: bool) -> None:
         self.latched = latched
@@ -82,7 +76,7 @@ class OutgoingTopic:
         yield session.liveliness().declare_token(self._token)
 
     def _send(self, _session: zenoh.Session) -> None:
-        # First, so that later messages are submitted anew.
+        # First, so that later messages are submitted again.
         self._submitted = False
         for _ in range(len(self._waiting)):
             published = self._waiting.popleft()
@@ -108,11 +102,7 @@ class OutgoingTopics:
         return self._dropped_by_closed + sum(topic.dropped for topic in self._topics.values())
 
     def refresh(self, foreign: frozenset[str]) -> None:
-        """Publish the topics that exist now, and no others.
-
-        Args:
-            foreign: names on the network that other machines use, outside of this server's namespace.
-        """
+        """Publish the topics that exist now, and no others."""
         wanted = self._wanted(foreign)
         for name, topic in list(self._topics.items()):
             if wanted.get(name) != (topic.endpoint, topic.latched):
@@ -136,7 +126,7 @@ class OutgoingTopics:
         return found
 
     def _warn_of(self, name: str) -> None:
-        """Warn that a topic does not go out, unless it is one that this server itself publishes or takes."""
+        """Warn that a topic does not go out, unless this server itself publishes it or subscribes to it."""
         network = self._network
         if is_name(name) and not (network.is_own_publication(name) or network.is_own_subscription(name)):
             network.warn(f"{name} of a client does not go to other machines; zenoh.publish does not list it")
@@ -149,13 +139,7 @@ class OutgoingTopics:
 
 
 class Source(NamedTuple):
-    """Topic of other machines to subscribe to.
-
-    Attributes:
-        endpoint: its name and type on the network.
-        latched: True if one of its publishers keeps its last message.
-        announced: True if a machine publishes it.
-    """
+    """Topic of other machines to subscribe to."""
 
     endpoint: Endpoint
     latched: bool
@@ -170,12 +154,8 @@ class Source(NamedTuple):
 class IncomingTopic:
     """Topic of other machines that this server subscribes to.
 
-    Args:
-        name: its name in this server.
-
     Attributes:
-        waiting: messages that come after one that a thread decodes, in order; the newest.
-        decoding: True while a thread decodes one.
+        waiting: messages that come while a thread decodes an earlier one, in order; the newest.
 
     Raises:
         GraphError: this server has a topic of that name and another type.
@@ -201,11 +181,7 @@ class IncomingTopic:
         self._declaration.undeclare()
 
     def announce(self, *, announced: bool) -> None:
-        """Follow the machines that publish the topic; the subscription stays, so that no goal is lost meanwhile.
-
-        Args:
-            announced: True if a machine publishes it.
-        """
+        """Follow the machines that publish the topic; the subscription stays, so that no goal is lost meanwhile."""
         if announced != self.source.announced:
             self.source = self.source._replace(announced=announced)
             self._show_publisher()
@@ -244,11 +220,7 @@ class IncomingTopic:
 
 
 class IncomingTopics:
-    """All topics of other machines that this server subscribes to.
-
-    Args:
-        names: topics to subscribe to, by their names in this server.
-    """
+    """All topics of other machines that this server subscribes to."""
 
     def __init__(self, network: Network, names: NameFilter, authorizer: Authorizer) -> None:
         self._network = network
@@ -266,11 +238,7 @@ class IncomingTopics:
         return self._received.dropped + self._dropped_waiting
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:
-        """Subscribe to the topics that exist now, and to no others.
-
-        Args:
-            entities: entities of other machines; the same object for as long as nothing changes.
-        """
+        """Subscribe to the topics that exist now, and to no others."""
         if entities is not self._entities:
             self._entities, self._announced = entities, self._sources(entities)
         wanted = self._wanted()
@@ -305,7 +273,6 @@ class IncomingTopics:
         return found
 
     def _sources(self, entities: Iterable[Entity]) -> dict[str, Source]:
-        """Return topics that other machines publish and this server may subscribe to, by their names here."""
         found = dict[str, Source]()
         for entity in entities:
             endpoint, name = entity.endpoint, self._network.namespace.to_local(entity.endpoint.name)

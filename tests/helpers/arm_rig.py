@@ -8,6 +8,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from robot.calibration import Calibration
+from robot.control.actuator_thresholds import ActuatorThresholds
+from robot.control.guards import Guards, Temperatures
 from robot.control.pacing import PERIOD_S, Pacer
 from robot.control.realtime import Scheduling
 from robot.control.supervisor import Supervisor
@@ -17,7 +19,7 @@ from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register
 from robot.hardware.ideal import IdealArm
-from robot.hardware.interface import HardwareInterface, Measured, Steps
+from robot.hardware.interface import Actuation, HardwareInterface, Measured, Steps
 from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import (
     ArmConfig,
@@ -26,6 +28,7 @@ from robot.messages import (
     Command,
     CommandDone,
     Execute,
+    GuardLimits,
     Heartbeat,
     Mode,
     MotionEnded,
@@ -49,6 +52,20 @@ def reading(position_rad: Any, **told: Any) -> Measured:
     }
     columns = {name: np.broadcast_to(np.asarray(value), (6,)) for name, value in (usual | told).items()}
     return Measured(position_rad=np.asarray(position_rad, dtype=float), **columns)
+
+
+NO_LIMIT = np.full(6, np.inf)
+
+# Strength of servos without settings.
+PLAIN = Actuation.unprotected(np.full(6, 5.5), np.full(6, 0.46))
+
+
+def guards(
+    limits: GuardLimits | None = None, max_voltage_v: Any = NO_LIMIT, thresholds: ActuatorThresholds | None = None
+) -> Guards:
+    limits = limits or GuardLimits()
+    thresholds = thresholds or ActuatorThresholds.of(limits, PLAIN, np.ones(6))
+    return Guards(NAMES, Temperatures(), max_voltage_v, limits, thresholds)
 
 
 Result = TypeVar("Result")

@@ -9,8 +9,7 @@ import numpy as np
 from robot.calibration import Calibration, JointCalibration
 from robot.description import robot_folder
 from robot.description.limits import JointBounds, within_calibration
-from robot.emulator.dynamixel import DynamixelServo
-from robot.emulator.dynamixel_arm import emulated_dynamixel_arm
+from robot.emulator.dynamixel import DynamixelServo, emulated_dynamixel_arm
 from robot.hardware.config import DynamixelConfig, EmulatedDynamixelConfig
 from robot.hardware.dynamixel.bus import Bus
 from robot.hardware.dynamixel.family import Dynamixel

@@ -11,8 +11,8 @@ from typing import Any
 from hypothesis import strategies as st
 
 from robot.control.pacing import LoopClock
+from robot.emulator.adapter import InProcessPort
 from robot.emulator.control import Emulation, answer
-from robot.emulator.in_process import InProcessPort
 from robot.emulator.process import add_options, build_bus, configure
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.packets import checksum

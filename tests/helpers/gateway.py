@@ -232,8 +232,10 @@ class FullTransport:
     def __init__(self, real: Any) -> None:
         self._real = real
 
-    def writelines(self, _: object) -> None:
+    def write(self, _: object) -> None:
         raise MemoryError
+
+    writelines = write
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._real, name)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from robot.commissioning.setup import ServoLine
 from robot.emulator.feetech import FeetechServo
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import Register, encode
-from robot.hardware.feetech.settings import SETTINGS
+from robot.hardware.feetech.registers import SETTINGS, Register, encode
 from tests.helpers.emulator import SteppedEmulator
 
 # Options of the emulator of a kit.

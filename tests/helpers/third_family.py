@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from scservo_sdk import INST_READ, INST_SYNC_READ, INST_SYNC_WRITE
+
 from robot.calibration import JointCalibration
 from robot.errors import StartupError
 from robot.hardware.interface import Steps
 from robot.hardware.port import BusPort
 from robot.hardware.servos.bus import BROADCAST_ID, Sdk, ServoBus, StatusFrame, write_verified
 from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, label
-from robot.hardware.servos.registers import TWOS_COMPLEMENT, Area, Block, RegisterEnum, RegisterTable
-from robot.hardware.servos.telemetry import Telemetry
+from robot.hardware.servos.registers import TWOS_COMPLEMENT, Area, Block, RegisterEnum, RegisterTable, Telemetry
 
 
 class Register(RegisterEnum):
@@ -39,7 +40,6 @@ FULL_PERCENT = 100
 
 # Packet: header, id, number of bytes that follow, command or error, data, sum.
 HEADER = 0x55
-READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4
 OVERHEAD = 5
 
 
@@ -68,18 +68,8 @@ class ThirdBus(ServoBus):
     def _make_sdk(self) -> Sdk:
         return PlainPackets()
 
-    def _read_packet(self, servo_id: int, address: int, length: int) -> list[int]:
-        return packet(servo_id, READ, (address, length))
-
-    def _write_packet(self, servo_id: int, address: int, data: bytes) -> list[int]:
-        return packet(servo_id, WRITE, (address, *data))
-
-    def _sync_read_packet(self, ids: Sequence[int], address: int, length: int) -> list[int]:
-        return packet(BROADCAST_ID, SYNC_READ, (address, length, *ids))
-
-    def _sync_write_packet(self, address: int, data_by_id: dict[int, bytes]) -> list[int]:
-        each = [byte for servo_id, data in data_by_id.items() for byte in (servo_id, *data)]
-        return packet(BROADCAST_ID, SYNC_WRITE, (address, *each))
+    def _packet(self, servo_id: int, instruction: int, parameters: Sequence[int]) -> list[int]:
+        return packet(servo_id, instruction, parameters)
 
     def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
         size = data_length + OVERHEAD
@@ -118,6 +108,9 @@ class Third(ServoFamily):
 
     def max_voltage_v(self, values: Values) -> float:
         return 8.4
+
+    def free_speed_rad_s(self, joint: JointCalibration) -> float:
+        return 5.0
 
     def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
         values = TABLE.parse(self.motion, frame.data)
@@ -195,14 +188,13 @@ class ThirdServos:
 
     def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802
         _, servo_id, _, command, address, *data = packet[:-1]
-        if command == SYNC_READ:
+        if command == INST_SYNC_READ:
             for each in data[1:]:
                 self._reply(each, bytes(self.memory[each][address : address + data[0]]))
-        elif command == SYNC_WRITE:
-            size = TABLE.layout[Register(address)].size + 1
-            for at in range(0, len(data), size):
-                self._write(data[at], address, bytes(data[at + 1 : at + size]))
-        elif command == READ:
+        elif command == INST_SYNC_WRITE:
+            for at in range(1, len(data), data[0] + 1):
+                self._write(data[at], address, bytes(data[at + 1 : at + 1 + data[0]]))
+        elif command == INST_READ:
             self._reply(servo_id, bytes(self.memory[servo_id][address : address + data[0]]))
         elif servo_id == BROADCAST_ID:
             for each in self.memory:

@@ -31,8 +31,8 @@ class Follower:
         self.lower_rad, self.upper_rad = collision.lower_rad[ARM], collision.upper_rad[ARM]
 
     def tracker(self, point):
-        limits = self.collision.lower_rad, self.collision.upper_rad
-        return TipTracker(self.forward, limits, ARM, np.array([*point, 0.0]), TIP)
+        names = self.robot.groups["arm"].joints
+        return TipTracker(self.forward, self.collision, names, np.array([*point, 0.0]), TIP)
 
     def pose(self, point):
         return self.tracker(point).pose(point)

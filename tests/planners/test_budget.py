@@ -51,22 +51,15 @@ def test_budget_lasts_until_the_allowed_time_is_spent(clock):
     clock.advance(0.001)
     assert budget.used_up()
     assert budget.spent_s == pytest.approx(2.0)
+    assert budget.failure().code is MoveItErrorCode.TIMED_OUT
+    assert "2 s" in budget.failure().message
 
 
-def test_budget_ends_when_asked_to_stop(clock):
-    assert Budget(clock, 2.0, lambda: True).used_up()
-
-
-def test_failure_for_lack_of_time_names_the_allowed_time(clock):
-    budget = Budget(clock, 2.5, lambda: False)
-    clock.advance(3.0)
-    failure = budget.failure()
-    assert failure.code is MoveItErrorCode.TIMED_OUT
-    assert "2.5 s" in failure.message
-
-
-def test_failure_after_a_stop_is_preempted(clock):
-    assert Budget(clock, 2.0, lambda: True).failure().code is MoveItErrorCode.PREEMPTED
+def test_budget_and_its_shares_end_when_asked_to_stop(clock):
+    budget = Budget(clock, 2.0, lambda: True)
+    assert budget.used_up()
+    assert budget.share(0.5).used_up()
+    assert budget.failure().code is MoveItErrorCode.PREEMPTED
 
 
 def test_a_share_of_a_budget_is_of_the_time_that_is_left(clock):
@@ -78,7 +71,3 @@ def test_a_share_of_a_budget_is_of_the_time_that_is_left(clock):
     assert part.used_up()
     assert not budget.used_up()
     assert budget.left_s == pytest.approx(0.4)
-
-
-def test_a_share_of_a_budget_is_stopped_with_it(clock):
-    assert Budget(clock, 2.0, lambda: True).share(0.5).used_up()

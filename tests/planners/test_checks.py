@@ -70,11 +70,6 @@ def test_moving_start_may_be_as_fast_as_the_scaled_limit(robot, problem):
     assert refusal(robot, problem, velocity_scaling=0.4, **half).details["limit_rad_s"] == pytest.approx(0.4 * limit)
 
 
-@pytest.mark.parametrize("planner_id", ["", "RRTConnect", "RRTConnectkConfigDefault"])
-def test_planners_are_known_by_moveits_spellings_too(robot, problem, planner_id):
-    assert refusal(robot, problem, planner_id=planner_id) is None
-
-
 def test_start_a_little_beyond_a_limit_is_accepted_and_further_is_not(robot, at_home):
     lower = robot.joints["wrist_flex"].lower
     assert check_start(robot, at_home | {"wrist_flex": lower - 0.9 * START_LIMIT_TOLERANCE_RAD}) is None

@@ -65,13 +65,6 @@ def test_a_slow_path_keeps_its_timing_at_every_speed(planner, at_home, speed, la
     assert np.abs(motion.sample(motion.duration_s / 2.0)[0] - halfway).max() < 0.01
 
 
-def test_a_path_with_a_rest_in_it_rests_there(planner, at_home):
-    time_s = np.arange(0.0, 6.05, 0.1)
-    points = np.interp(time_s, [0.0, 1.0, 5.0, 6.0], [0.0, 0.2, 0.2, 0.4])
-    asked = JointPathProblem(at_home, ("shoulder_pan",), time_s, points[:, None])
-    assert planner.answer(asked).trajectory.duration_s > 5.5
-
-
 def test_a_path_through_something_is_refused_with_when_and_what(planner, collision, at_home, put):
     asked = problem(at_home)
     place_q = np.zeros(len(collision.joint_names))

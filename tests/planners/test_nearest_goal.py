@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from planners.goals import AxisGoal, Constraints, JointConstraint, JointGoal, PoseGoal, PositionGoal
-from planners.nearest_goal import spread
 from planners.problem import MoveItErrorCode, NearestGoalAnswer, NearestGoalQuestion, Plan, PlanningFailure
 from planners.scene import Box, Pose, SceneObject
 from tests.planners.scenes import thing
@@ -163,21 +162,6 @@ def test_a_joint_goal_that_violates_the_constraints_becomes_the_nearest_that_kee
     assert sum(abs(at - asked.positions_rad[name]) for name, at in goal.positions_rad.items()) < 0.9 + 0.5
 
 
-def test_a_goal_of_the_tip_that_violates_the_constraints_becomes_a_place_where_they_hold(setting):
-    start_rad = setting.home()
-    asked_m = setting.tip_m(setting.home(shoulder_pan=0.8, elbow_flex=-0.6, wrist_flex=1.2))
-    still = Constraints(
-        joints=tuple(JointConstraint(name, 0.0, 0.3, 0.3) for name in ("shoulder_pan", "shoulder_lift", "elbow_flex"))
-    )
-    asked = PositionGoal(TIP, asked_m, 0.005)
-    problem = setting.problem(asked, start_rad, path_constraints=still)
-    goal, failure = nearest(setting, problem)
-    assert failure.code is MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS
-    assert isinstance(setting.planner.answer(replace(problem, goal=goal)), Plan)
-    away_m = np.linalg.norm(np.array(goal.position_m) - asked_m)
-    assert away_m < 0.8 * np.linalg.norm(np.array(setting.tip_m(start_rad)) - asked_m)
-
-
 def test_a_joint_goal_beyond_the_limits_becomes_one_within_them(setting):
     upper_rad = setting.robot.joints["shoulder_pan"].upper
     asked = JointGoal({"shoulder_pan": upper_rad + 0.4, "elbow_flex": 0.3})
@@ -185,15 +169,6 @@ def test_a_joint_goal_beyond_the_limits_becomes_one_within_them(setting):
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert goal.positions_rad == {"shoulder_pan": upper_rad, "elbow_flex": 0.3}
     assert isinstance(setting.planner.answer(setting.problem(goal)), Plan)
-
-
-def test_a_joint_goal_beyond_the_limits_and_in_contact_there_becomes_a_free_one(setting):
-    upper_rad = setting.robot.joints["elbow_flex"].upper
-    in_contact = setting.planner.answer(setting.problem(JointGoal({"elbow_flex": upper_rad})))
-    assert in_contact.code is MoveItErrorCode.GOAL_IN_COLLISION
-    goal, _ = nearest(setting, setting.problem(JointGoal({"elbow_flex": upper_rad + 0.4})))
-    assert isinstance(setting.planner.answer(setting.problem(goal)), Plan)
-    assert goal.positions_rad["elbow_flex"] > upper_rad - 0.5
 
 
 @pytest.mark.parametrize(
@@ -208,21 +183,6 @@ def test_a_joint_goal_beyond_the_limits_and_in_contact_there_becomes_a_free_one(
 )
 def test_for_a_goal_that_cannot_be_read_there_is_none(setting, asked):
     assert nearest(setting, setting.problem(asked))[0] is None
-
-
-def test_points_are_chosen_nearest_first_a_step_apart_and_nearer_than_the_first():
-    away_m = np.array([1.0, 0.3, 0.31, 0.2, 0.99, 0.5, 1.2, 0.29])
-    assert spread(away_m, 9) == [3, 7, 5]
-    assert spread(away_m, 2) == [3, 7]
-    assert spread(np.array([1.0, 1.0, 0.97]), 9) == []
-
-
-def test_same_question_same_answer(beside_a_wall):
-    for code in (MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.TIMED_OUT):
-        question = NearestGoalQuestion(beside_a_wall.problem(JointGoal({"shoulder_pan": -1.2})), 5.0, code)
-        first, second = (beside_a_wall.planner.answer(question) for _ in range(2))
-        assert first == second
-        assert first.goal is not None
 
 
 def test_without_time_or_for_a_goal_of_another_kind_there_is_none(beside_a_wall):

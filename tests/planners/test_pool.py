@@ -85,10 +85,6 @@ async def test_requests_sent_together_while_workers_load_are_all_answered(loadin
     assert await asyncio.gather(*(loading.ask(EASY) for _ in range(5))) == [PLAN] * 5
 
 
-async def test_one_worker_stands_by_beside_the_active_ones(pool: PlannerPool) -> None:
-    assert len(pool.pids) == pool.loaded_count == 2
-
-
 async def test_the_spare_starts_once_the_first_worker_has_loaded(loading: PlannerPool, farm: Farm) -> None:
     await asyncio.sleep(0.4)
     assert len(farm.workers) == 1
@@ -141,14 +137,6 @@ async def test_the_spare_takes_over_before_a_cancelled_worker_listens(
         assert await pool.ask(EASY) is PLAN
 
 
-async def test_a_cancelled_worker_that_does_not_listen_is_replaced(pool: PlannerPool) -> None:
-    before = set(pool.pids)
-    await given_up(await under_way(pool, searched(DEAF)))
-    await asyncio.sleep(0.01)
-    await idle(pool, 2)
-    assert len(before & set(pool.pids)) == 1
-
-
 # Motions in the background.
 
 
@@ -170,37 +158,13 @@ async def test_a_motion_in_the_background_gives_way_to_one_that_is_due(pool: Pla
     assert len(farm.workers) == 2
 
 
-async def test_a_motion_in_the_background_goes_on_while_questions_are_answered(pool: PlannerPool) -> None:
+async def test_a_motion_in_the_background_gives_way_to_no_other_there_and_waits_for_none(pool: PlannerPool) -> None:
     planning = await in_background(pool)
-    assert await asyncio.gather(pool.ask(STATE), pool.ask(STATE)) == [SOUND, SOUND]
+    assert await pool.ask_in_background(EASY) is None
     await given_up(planning)
-
-
-async def test_nothing_is_planned_in_the_background_while_a_motion_is_due(pool: PlannerPool) -> None:
     due = await under_way(pool, LONG)
     assert await pool.ask_in_background(EASY) is None
     await given_up(due)
-
-
-async def test_a_motion_in_the_background_does_not_give_way_to_another_there(pool: PlannerPool) -> None:
-    planning = await in_background(pool)
-    assert await pool.ask_in_background(EASY) is None
-    await given_up(planning)
-
-
-async def test_a_motion_in_the_background_that_is_given_up_frees_its_worker(pool: PlannerPool, farm: Farm) -> None:
-    await given_up(await in_background(pool))
-    await idle(pool, 2)
-    assert len(farm.workers) == 2
-
-
-async def test_a_worker_that_dies_over_a_motion_in_the_background_is_told_and_replaced(pool: PlannerPool) -> None:
-    before = set(pool.pids)
-    answer = await pool.ask_in_background(searched(CRASHES))
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.CRASH
-    await idle(pool, 2)
-    assert len(before & set(pool.pids)) == 1
 
 
 # Deadlines.
@@ -291,53 +255,32 @@ async def test_a_racer_that_crashes_leaves_the_race_to_the_other(pool: PlannerPo
     assert isinstance(await pool.ask(searched(*ends)), Plan)
 
 
-async def test_when_all_workers_of_a_race_crash_there_is_one_answer(pool: PlannerPool) -> None:
-    answer = await pool.ask(searched(CRASHES, CRASHES))
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.CRASH
-
-
 LARGE = Scene(1, boxes(BRIEF_SCENE_BYTES // OBJECT_BYTES + 1))
 
 
-async def not_raced(pool: PlannerPool, farm: Farm, scene: Scene = LARGE, *, background: bool = False) -> bool:
-    """Whether a hard problem is left to one worker, though another is idle and would find a plan."""
+async def not_raced(pool: PlannerPool, farm: Farm, scene: Scene, *, background: bool) -> bool:
+    """Tell whether a hard problem is left to one worker, though another is idle and would find a plan."""
     problem = searched(IN_VAIN, HARD, allowed_time_s=10.0 * SEARCH_S)
     answer = await (pool.ask_in_background(problem, scene) if background else pool.ask(problem, scene))
     return answer is TIMED_OUT and sorted(len(worker.asked) for worker in farm.workers) == [0, 1]
 
 
-async def test_on_one_core_nothing_is_raced(pool: PlannerPool, farm: Farm, cores: Callable[[int], None]) -> None:
-    cores(1)
-    assert await not_raced(pool, farm, Scene(1))
-
-
-async def test_a_pool_that_does_not_race_leaves_a_hard_problem_to_one_worker(farm: Farm) -> None:
-    pool = PlannerPool(so101(), racing=False)
-    await pool.start()
-    await idle(pool, 2)
-    assert await not_raced(pool, farm, Scene(1))
-    await pool.close()
-
-
-async def test_a_motion_in_the_background_is_not_raced(pool: PlannerPool, farm: Farm) -> None:
-    assert await not_raced(pool, farm, Scene(1), background=True)
-
-
-async def test_no_worker_sets_up_a_large_scene_for_a_race(pool: PlannerPool, farm: Farm) -> None:
-    assert await not_raced(pool, farm, LARGE)
+@pytest.mark.parametrize(
+    ("number_of_cores", "scene", "background"),
+    [(1, Scene(1), False), (2, Scene(1), True), (2, LARGE, False)],
+    ids=["on one core", "in the background", "in a large scene that no idle worker has"],
+)
+async def test_nothing_is_raced(
+    pool: PlannerPool, farm: Farm, cores: Callable[[int], None], number_of_cores: int, scene: Scene, background: bool
+) -> None:
+    cores(number_of_cores)
+    assert await not_raced(pool, farm, scene, background=background)
 
 
 async def test_a_worker_that_has_a_large_scene_joins_a_race_in_it(pool: PlannerPool, farm: Farm) -> None:
     for worker in farm.workers:
         await worker.ask(STATE, LARGE)
     assert isinstance(await pool.ask(searched(IN_VAIN, HARD), LARGE), Plan)
-
-
-async def test_cancelling_frees_all_workers_of_a_race(pool: PlannerPool, farm: Farm) -> None:
-    await given_up(await under_way(pool, searched(IN_VAIN, IN_VAIN), idle_count=0))
-    await idle(pool, 2)
-    assert len(farm.workers) == 2
 
 
 async def test_a_race_gives_a_worker_to_the_request_that_needs_one_and_has_it_again_later(
@@ -381,11 +324,6 @@ async def test_a_request_for_which_no_worker_is_ready_is_refused_in_the_end(load
     answer = await loading.ask(EASY)
     assert isinstance(answer, PlanningFailure)
     assert answer.message == "planning is not available: no planner process was ready within 30 s"
-
-
-async def test_the_wait_for_a_worker_ends_when_one_takes_requests(loading: PlannerPool) -> None:
-    assert await loading.wait_until_loaded() is None
-    assert loading.loaded_count == 1
 
 
 async def test_the_wait_for_a_worker_ends_where_the_pool_is_closed(loading: PlannerPool, farm: Farm) -> None:

@@ -22,15 +22,6 @@ def test_configuration_for_a_point_is_one_by_name_for_every_joint(planner, colli
     assert answer.deviations[0].position_m <= 0.001
 
 
-def test_configuration_stays_near_the_one_that_it_starts_from(planner, at_home):
-    near = at_home | {"shoulder_pan": 0.5, "shoulder_lift": -0.3, "elbow_flex": 0.6, "wrist_roll": 1.0}
-    state = planner.answer(IkQuestion("arm", near, JointGoal({"elbow_flex": 0.65})))
-    goal = PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001)
-    answer = planner.answer(IkQuestion("arm", near, goal))
-    assert abs(answer.positions_rad[0]["wrist_roll"] - 1.0) < 0.3
-    assert state.positions_rad[0]["elbow_flex"] == 0.65
-
-
 def test_configuration_in_contact_is_an_answer_only_if_contacts_do_not_matter(planner, at_home):
     question = IkQuestion("arm", at_home, JointGoal(FOLDED))
     assert planner.answer(question).code is MoveItErrorCode.GOAL_IN_COLLISION
@@ -52,13 +43,8 @@ def test_bad_questions_are_refused(planner, at_home):
     assert planner.answer(StateQuestion("arm", {})).code is MoveItErrorCode.START_STATE_INVALID
 
 
-def test_sound_state_has_no_problem(planner, at_home):
-    answer = planner.answer(StateQuestion("arm", at_home))
-    assert answer.valid
-    assert answer.problems == ()
-
-
 def test_all_that_is_wrong_with_a_state_is_told(planner, at_home):
+    assert planner.answer(StateQuestion("arm", at_home)).problems == ()
     wrong = at_home | FOLDED | {"wrist_roll": 3.0}
     roll = Constraints(joints=(JointConstraint("wrist_roll", 1.0, 0.1, 0.1),))
     answer = planner.answer(StateQuestion("arm", wrong, roll))

@@ -15,9 +15,7 @@ from planners.messages import (
     Ask,
     Cancel,
     Loaded,
-    LoadFailed,
     LoadRobot,
-    MoreObjects,
     NewScene,
     StillSearching,
 )
@@ -57,19 +55,6 @@ async def test_an_answer_that_comes_while_the_event_loop_is_held_up_is_not_too_l
     loop.call_later(0.5, hold_up)
     async with timeout_after(1.0, waiting_until(0.0)):
         assert await worked.worker.ask(EASY, EMPTY_SCENE) is PLAN
-
-
-async def test_nothing_looks_at_a_deadline_once_the_work_is_done() -> None:
-    looked_at_s: list[float] = []
-
-    def run_delay_s() -> float:
-        looked_at_s.append(asyncio.get_running_loop().time())
-        return 0.0
-
-    async with timeout_after(1.0, run_delay_s):
-        pass
-    await asyncio.sleep(5.0)
-    assert max(looked_at_s) == 0.0
 
 
 # One worker, and what goes over its channel.
@@ -143,25 +128,6 @@ async def worked(monkeypatch: pytest.MonkeyPatch) -> Worked:
     return made
 
 
-async def test_a_worker_that_cannot_load_its_robot_says_why(worked: Worked) -> None:
-    worked.child.receives(LoadFailed("no link"))
-    assert worked.loaded == [None, "no link"]
-
-
-async def test_a_scene_is_sent_again_only_when_its_version_is_another(worked: Worked) -> None:
-    for scene, sent in (
-        (Scene(1, boxes(1)), [NewScene, MoreObjects, Ask]),
-        (Scene(1), [Ask]),
-        (Scene(2), [NewScene, Ask]),
-    ):
-        asking = await worked.asked(STATE, scene)
-        worked.child.answers(SOUND)
-        assert await asking is SOUND
-        assert worked.sent == sent
-        assert worked.worker.has(scene)
-    assert not worked.worker.has(Scene(1))
-
-
 async def test_a_scene_given_up_half_way_is_sent_anew(worked: Worked) -> None:
     large = Scene(3, boxes(600))
     asking = asyncio.create_task(worked.worker.ask(STATE, large))
@@ -206,13 +172,6 @@ async def test_a_worker_that_ends_over_a_request_says_how(worked: Worked) -> Non
     asking = await worked.asked(EASY)
     worked.child.exits()
     assert (await asking).message == "the planner process ended (SIGSEGV) while it worked on this"
-    assert not worked.worker.usable
-
-
-async def test_a_worker_that_answers_and_intends_to_end_gets_no_further_request(worked: Worked) -> None:
-    asking = await worked.asked(EASY)
-    worked.child.answers(PLAN, ending=True)
-    assert await asking is PLAN
     assert not worked.worker.usable
 
 

@@ -53,6 +53,12 @@ def test_times_and_headers_are_spelled_in_ros1_style_at_any_depth():
     assert header == {"seq": 0, "stamp": {"secs": 1, "nsecs": 2}, "frame_id": "a"}
 
 
+def test_only_the_header_of_the_message_itself_is_numbered():
+    poses = {"header": {}, "poses": [{"header": {}}]}
+    spelled = to_ros1(REGISTRY, "nav_msgs/Path", complete(REGISTRY, "nav_msgs/Path", poses, NOW), 2**32 + 7)
+    assert (spelled["header"]["seq"], spelled["poses"][0]["header"]["seq"]) == (7, 0)
+
+
 def test_renamed_fields_take_their_values_along():
     message = complete(REGISTRY, "sensor_msgs/CameraInfo", {"d": [1.0], "k": [2.0] * 9}, NOW)
     spelled = to_ros1(REGISTRY, "sensor_msgs/CameraInfo", message)
@@ -97,6 +103,18 @@ def test_a_message_may_be_partial_on_the_way_in():
 @pytest.mark.parametrize("msg", [None, 3, "now", [], {"header": 3}, {"header": {"stamp": "now"}}, {"nonsense": {}}])
 def test_an_untranslatable_message_is_passed_on_to_the_validation(msg):
     assert from_ros1(REGISTRY, "sensor_msgs/JointState", msg) == msg
+
+
+@pytest.mark.parametrize(
+    ("name", "msg", "w"),
+    [
+        ("geometry_msgs/Pose", {"orientation": {"x": 1.0}}, 0.0),
+        ("geometry_msgs/Pose", {"orientation": {"w": 0.5}}, 0.5),
+        ("geometry_msgs/Pose", {"position": {"x": 1.0}}, 0.0),
+    ],
+)
+def test_a_quaternion_without_w_is_zero_as_in_ros1(name, msg, w):
+    assert complete(REGISTRY, name, from_ros1(REGISTRY, name, msg), NOW)["orientation"]["w"] == w
 
 
 def test_a_field_in_both_spellings_is_left_to_the_validation():

@@ -72,8 +72,8 @@ def test_a_typedef_tells_the_fields_by_name_type_length_and_example():
         ("height", "uint32", -1, "0"),
         ("width", "uint32", -1, "0"),
         ("distortion_model", "string", -1, ""),
-        ("d", "float64", 0, "[]"),
-        ("k", "float64", 9, "[]"),
+        ("d", "double", 0, "[]"),
+        ("k", "double", 9, "[]"),
     ]
 
 

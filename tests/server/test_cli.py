@@ -56,23 +56,6 @@ def test_help_names_every_command_and_what_exit_codes_mean(capsys: pytest.Captur
     assert "Exit code 0" in said
 
 
-def test_help_of_a_command_names_its_options(capsys: pytest.CaptureFixture[str]) -> None:
-    assert exit_code_of("serve", "--help") == 0
-    said = capsys.readouterr().out
-    for option in ("--host", "--port", "--tcp-port", "--serial", "--calibration", "--urdf", "--srdf", "--config"):
-        assert option in said
-
-
-@pytest.mark.parametrize("command", ["scan", "doctor", "calibrate", "relax"])
-def test_every_command_on_the_arm_takes_its_port_and_explains_itself(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert exit_code_of(command, "--help") == 0
-    said = capsys.readouterr().out
-    assert "--serial" in said
-    assert "Exit code 0" in said
-
-
 def test_a_command_that_does_not_exist_is_called_wrongly() -> None:
     assert exit_code_of("dance") == 2
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from server.config import Settings
-from server.config_keys import every_setting, flattened, nearest, template, toml_value, unknown
+from server.config_keys import every_setting, nearest, template, toml_value
 from server.config_loader import known_keys, load, load_with_sources
 
 SETTINGS = {setting.key: setting for setting in every_setting(Settings)}
@@ -33,10 +33,6 @@ def test_the_range_of_a_choice_is_its_values() -> None:
     assert SETTINGS["goals.confirm"].range == "true, false"
 
 
-def test_a_meaning_may_go_over_several_lines() -> None:
-    assert SETTINGS["goals.on_disconnect"].meaning.endswith("?on_disconnect=finish.")
-
-
 def test_defaults_do_not_depend_on_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "none")
     assert {setting.key: setting for setting in every_setting(Settings)} == SETTINGS
@@ -58,19 +54,6 @@ MEANT = {
 @pytest.mark.parametrize(("written", "meant"), MEANT.items(), ids=[key[:40] for key in MEANT])
 def test_the_nearest_key_is_the_one_that_was_meant(written: str, meant: str) -> None:
     assert nearest(written, known_keys()) == meant
-
-
-def test_a_proposal_in_the_same_section_leaves_the_section_out() -> None:
-    assert unknown("moveit.plannr_id", known_keys()) == "moveit.plannr_id: unknown; did you mean planner_id?"
-
-
-def test_a_key_like_no_other_is_refused_without_a_proposal() -> None:
-    assert unknown("colour", known_keys()) == "colour: unknown"
-
-
-def test_tables_keep_their_own_keys_when_sections_are_flattened() -> None:
-    values = {"arm": {"zero": {"elbow": 0.1}, "rate": 1}}
-    assert dict(flattened(values, frozenset({"arm.zero"}))) == {"arm.zero": {"elbow": 0.1}, "arm.rate": 1}
 
 
 TEXT = template(every_setting(Settings))

@@ -14,7 +14,6 @@ from server.lifecycle import (
     BackgroundTask,
     Part,
     allowance_s,
-    first_of,
     start_in_order,
     stop_in_reverse,
     stop_signals,
@@ -154,24 +153,3 @@ async def test_a_start_is_given_up_when_the_end_comes_before_it_is_done() -> Non
     await asyncio.sleep(0)
     ending.set()
     assert not await asyncio.wait_for(starting, 1.0)
-
-
-async def test_a_start_that_is_done_in_time_is_told() -> None:
-    assert await unless_ended(asyncio.Event(), asyncio.sleep(0.0))
-
-
-async def test_a_start_that_fails_is_raised() -> None:
-    async def start() -> None:
-        raise StartError("port in use")
-
-    with pytest.raises(StartError):
-        await unless_ended(asyncio.Event(), start())
-
-
-async def test_the_first_of_some_events_ends_the_wait() -> None:
-    one, other = asyncio.Event(), asyncio.Event()
-    waiting = asyncio.create_task(first_of(one, other))
-    await asyncio.sleep(1.0)
-    assert not waiting.done()
-    other.set()
-    await asyncio.wait_for(waiting, 1.0)

@@ -7,20 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dynamixel_sdk import INST_READ, INST_REBOOT, INST_SYNC_READ, INST_SYNC_WRITE, INST_WRITE, PacketHandler
+from dynamixel_sdk import INST_REBOOT, PacketHandler
 
 from robot.hardware.dynamixel.packets import (
     ALERT,
     StatusFrame,
-    block_parameters,
     instruction_packet,
     parse_status_frames,
     status_bytes,
     stuffed_bytes,
-    sync_write_parameters,
 )
 from robot.hardware.dynamixel.registers import TABLE
-from robot.hardware.servos.bus import BROADCAST_ID, Sdk, ServoBus
+from robot.hardware.servos.bus import Sdk, ServoBus
 
 PROTOCOL = 2.0
 
@@ -32,22 +30,14 @@ class Bus(ServoBus):
     """Bus of any number of Dynamixel servos."""
 
     registers = TABLE
+    word_bytes = 2
 
     def _make_sdk(self) -> Sdk:
         sdk: Sdk = PacketHandler(PROTOCOL)
         return sdk
 
-    def _read_packet(self, servo_id: int, address: int, length: int) -> list[int]:
-        return instruction_packet(servo_id, INST_READ, block_parameters(address, length))
-
-    def _write_packet(self, servo_id: int, address: int, data: bytes) -> list[int]:
-        return instruction_packet(servo_id, INST_WRITE, (address & 0xFF, address >> 8, *data))
-
-    def _sync_read_packet(self, ids: Sequence[int], address: int, length: int) -> list[int]:
-        return instruction_packet(BROADCAST_ID, INST_SYNC_READ, (*block_parameters(address, length), *ids))
-
-    def _sync_write_packet(self, address: int, data_by_id: dict[int, bytes]) -> list[int]:
-        return instruction_packet(BROADCAST_ID, INST_SYNC_WRITE, sync_write_parameters(address, data_by_id))
+    def _packet(self, servo_id: int, instruction: int, parameters: Sequence[int]) -> list[int]:
+        return instruction_packet(servo_id, instruction, parameters)
 
     def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
         return parse_status_frames(received, ids, data_length)

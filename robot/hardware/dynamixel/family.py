@@ -40,9 +40,8 @@ from robot.hardware.dynamixel.registers import (
 from robot.hardware.interface import StatusFlag, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame, read, write_verified
 from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, Watchdog, label
-from robot.hardware.servos.registers import Block
+from robot.hardware.servos.registers import Block, Telemetry
 from robot.hardware.servos.survey import limits_warnings
-from robot.hardware.servos.telemetry import Telemetry
 
 # Register PROFILE_ACCELERATION, 39 rad/s^2: smoothness comes from the trajectory, and any less adds lag.
 PROFILE_ACCELERATION = round(25400 / TICKS_S2_PER_ACCELERATION_UNIT)
@@ -98,18 +97,15 @@ class Dynamixel(ServoFamily):
     calibrate_advice = "calibrate the arm with lerobot, and name the calibration (arm.calibration, --calibration NAME)"
 
     def check_model(self, joint: JointCalibration, model: int) -> None:
-        """Refuse a servo of another model than robot.toml names."""
         named = model_of(joint)
         if model != named.number:
             raise StartupError(f"servo {label(joint)} is model {model}, not {named.name} ({named.number})")
 
     def survey_blocks(self, joint: JointCalibration) -> Sequence[Block[Register]]:
-        """Return registers one by one."""
         current = (Register.CURRENT_LIMIT,) if model_of(joint).has_current else ()
         return [TABLE.block(register) for register in (*_SURVEYED, *current)]
 
     def check_settings(self, joint: JointCalibration, values: Values) -> None:
-        """Refuse a servo that does not follow positions as the calibration counts them."""
         has_current, mode = model_of(joint).has_current, values[Register.OPERATING_MODE]
         modes = [each for each in OperatingMode if has_current or each is not OperatingMode.CURRENT_BASED_POSITION]
         to_extended = f"set register OPERATING_MODE (11) to {int(OperatingMode.EXTENDED_POSITION)}"
@@ -132,14 +128,12 @@ class Dynamixel(ServoFamily):
             )
 
     def compare(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> dict[int, ServoFound]:
-        """Add the warnings."""
         each = ((joint, found[joint.servo_id]) for joint in joints)
         return {
             joint.servo_id: replace(servo, warnings=tuple(self._warnings(joint, servo.values))) for joint, servo in each
         }
 
     def position_limits_ticks(self, values: Values) -> tuple[int, int]:
-        """Return registers MIN_POSITION_LIMIT and MAX_POSITION_LIMIT."""
         return values[Register.MIN_POSITION_LIMIT], values[Register.MAX_POSITION_LIMIT]
 
     def goal_limits_ticks(self, values: Values, certain_ticks: tuple[int, int]) -> tuple[int, int]:
@@ -153,8 +147,10 @@ class Dynamixel(ServoFamily):
         return max(certain_ticks[0], lowest), min(certain_ticks[1], highest)
 
     def max_voltage_v(self, values: Values) -> float:
-        """Return register MAX_VOLTAGE_LIMIT."""
         return values[Register.MAX_VOLTAGE_LIMIT] * VOLT_PER_UNIT
+
+    def free_speed_rad_s(self, joint: JointCalibration) -> float:
+        return model_of(joint).free_speed_rad_s
 
     def has_watchdog(self, joint: JointCalibration, values: Values) -> bool:
         """Return True for a firmware that has the bus watchdog."""
@@ -177,11 +173,9 @@ class Dynamixel(ServoFamily):
         )
 
     def status_of(self, error: int) -> StatusFlag:
-        """Convert register HARDWARE_ERROR_STATUS."""
         return status_of(error)
 
     def profile(self, speed_ticks_s: float) -> Values:
-        """Return the velocity cap, and the acceleration with the least lag."""
         velocity = math.ceil(speed_ticks_s / TICKS_S_PER_VELOCITY_UNIT)
         return {Register.PROFILE_ACCELERATION: PROFILE_ACCELERATION, Register.PROFILE_VELOCITY: velocity}
 

@@ -72,6 +72,7 @@ class Model:
     # Stall current at the usual supply, 1.47 A at 5 V for the XL330-M288 and 1.4 A at 12 V for the XL430-W250 [mA].
     stall_current_ma: int
     stall_torque_nm: float  # stall torque at that supply [Nm]
+    free_speed_rad_s: float  # no-load speed at that supply, 61 rev/min and 103 rev/min [rad/s]
     has_current: bool  # True if it measures and limits its current
     watchdog_firmware: int  # firmware from which it has the bus watchdog; e-manual, Bus Watchdog (98)
 
@@ -80,8 +81,8 @@ MODELS: Mapping[str, Model] = MappingProxyType(
     {
         model.name: model
         for model in (
-            Model("xl430-w250", 1060, 1400, 1.5, has_current=False, watchdog_firmware=38),
-            Model("xl330-m288", 1200, 1470, 0.52, has_current=True, watchdog_firmware=0),
+            Model("xl430-w250", 1060, 1400, 1.5, 6.4, has_current=False, watchdog_firmware=38),
+            Model("xl330-m288", 1200, 1470, 0.52, 10.8, has_current=True, watchdog_firmware=0),
         )
     }
 )

@@ -15,14 +15,13 @@ import time
 from collections.abc import Callable, Sequence
 from itertools import cycle
 
-from scservo_sdk import INST_PING, INST_READ, INST_SYNC_READ, INST_SYNC_WRITE, INST_WRITE, PacketHandler
+from scservo_sdk import INST_PING, PacketHandler
 
 from robot.hardware.feetech.packets import (
     StatusFrame,
     instruction_packet,
     parse_status_frames,
     status_bytes,
-    sync_write_parameters,
 )
 from robot.hardware.feetech.registers import TABLE
 from robot.hardware.port import BusPort
@@ -94,17 +93,8 @@ class Bus(ServoBus):
         sdk: Sdk = PacketHandler(LITTLE_ENDIAN)
         return sdk
 
-    def _read_packet(self, servo_id: int, address: int, length: int) -> list[int]:
-        return instruction_packet(servo_id, INST_READ, (address, length))
-
-    def _write_packet(self, servo_id: int, address: int, data: bytes) -> list[int]:
-        return instruction_packet(servo_id, INST_WRITE, (address, *data))
-
-    def _sync_read_packet(self, ids: Sequence[int], address: int, length: int) -> list[int]:
-        return instruction_packet(BROADCAST_ID, INST_SYNC_READ, (address, length, *ids))
-
-    def _sync_write_packet(self, address: int, data_by_id: dict[int, bytes]) -> list[int]:
-        return instruction_packet(BROADCAST_ID, INST_SYNC_WRITE, sync_write_parameters(address, data_by_id))
+    def _packet(self, servo_id: int, instruction: int, parameters: Sequence[int]) -> list[int]:
+        return instruction_packet(servo_id, instruction, parameters)
 
     def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
         return parse_status_frames(received, ids, data_length)

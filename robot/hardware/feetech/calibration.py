@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from robot.calibration import Calibration, JointCalibration
 from robot.errors import PortError, RobotError
@@ -25,15 +25,25 @@ def calibrated_registers(joint: JointCalibration) -> dict[Register, int]:
     }
 
 
+def differences(calibration: Calibration, held: Mapping[int, Mapping[Register, int]]) -> list[Difference]:
+    """Compare a calibration with the registers of servos by id; joints of other servos are left out."""
+    return [
+        Difference(joint.joint, joint.servo_id, register, value, held[joint.servo_id][register])
+        for joint in calibration.joints
+        if joint.servo_id in held
+        for register, value in calibrated_registers(joint).items()
+        if held[joint.servo_id][register] != value
+    ]
+
+
 def read_differences(bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:
     """Compare a calibration with the servos' registers, as a sequence; raises NoReply."""
-    found = []
+    held: dict[int, dict[Register, int]] = {}
     for joint in calibration.joints:
-        for register, value in calibrated_registers(joint).items():
-            held = yield from read(bus, joint.servo_id, register)
-            if held != value:
-                found.append(Difference(joint.joint, joint.servo_id, register, value, held))
-    return found
+        held[joint.servo_id] = {}
+        for register in calibrated_registers(joint):
+            held[joint.servo_id][register] = yield from read(bus, joint.servo_id, register)
+    return differences(calibration, held)
 
 
 def write_to_servos(bus: ServoBus, changes: Sequence[Difference]) -> Steps[None]:

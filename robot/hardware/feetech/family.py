@@ -19,23 +19,29 @@ from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.calibration import read_differences, write_to_servos
 from robot.hardware.feetech.profiles import FACTORY, ServoProfile, meaning, nearest_profile
 from robot.hardware.feetech.registers import (
+    AMPERE_PER_UNIT,
     CONTROL,
+    FREE_SPEED_RAD_S,
     GOAL_ADDRESS,
     MODELS,
+    PERCENT,
     PERMILLE,
+    PROTECTION_TIME_UNIT_S,
+    SETTINGS,
+    SETTINGS_BLOCK,
     STALL_CURRENT_A,
     TABLE,
+    VOLT_PER_UNIT,
     Register,
     goal_block,
     parse_telemetry,
 )
-from robot.hardware.feetech.settings import SETTINGS, SETTINGS_BLOCK, ServoSettings
-from robot.hardware.interface import FREE_SPEED_RAD_S, Actuation, Steps
+from robot.hardware.interface import Actuation, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame, write_verified
 from robot.hardware.servos.family import Difference, Limit, ServoFamily, ServoFound, Values, label
-from robot.hardware.servos.registers import Block
+from robot.hardware.servos.registers import Block, Telemetry
 from robot.hardware.servos.survey import limits_warnings
-from robot.hardware.servos.telemetry import Telemetry
+from robot.trajectory import Vector
 
 # Register ACCELERATION: its largest value, 39 rad/s^2. Smoothness comes from the trajectory, and any less adds lag.
 ACCELERATION = 254
@@ -75,7 +81,6 @@ class Feetech(ServoFamily):
         self._profile = profile
 
     def check_model(self, joint: JointCalibration, model: int) -> None:
-        """Refuse a servo whose registers are unknown."""
         if model not in (_named_model(joint), *MODELS.values()):
             known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
             raise StartupError(
@@ -84,11 +89,9 @@ class Feetech(ServoFamily):
             )
 
     def survey_blocks(self, joint: JointCalibration) -> Sequence[Block[Register]]:  # noqa: ARG002 - the same for all
-        """Return settings and commands."""
         return SETTINGS_BLOCK, CONTROL
 
     def check_settings(self, joint: JointCalibration, values: Values) -> None:
-        """Refuse a servo that does not follow position goals."""
         mode = values[Register.OPERATING_MODE]
         if mode != POSITION_MODE:
             raise StartupError(
@@ -97,24 +100,22 @@ class Feetech(ServoFamily):
             )
 
     def compare(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> dict[int, ServoFound]:
-        """Compare the settings with the profile, and the firmware with the other servos'."""
-        held = {joint.servo_id: _settings(found[joint.servo_id]) for joint in joints}
-        profile = self._profile or nearest_profile((held[joint.servo_id], joint.servo.gripper) for joint in joints)
-        versions = Counter(settings.firmware for settings in held.values())
+        held = [(found[joint.servo_id].values, joint.servo.gripper) for joint in joints]
+        profile = self._profile or nearest_profile(held)
+        versions = Counter(_firmware(values) for values, _ in held)
         usual_firmware = max(versions, key=lambda version: (versions[version], version))
         compared = {}
         for joint in joints:
-            servo = joint.servo_id
-            expected = profile.differences(held[servo], gripper=joint.servo.gripper)
+            servo = found[joint.servo_id]
+            expected = profile.differences(servo.values, gripper=joint.servo.gripper)
             warnings = (
-                *_warnings(joint, found[servo], usual_firmware),
-                *_profile_warnings(held[servo], expected, profile.name),
+                *_warnings(joint, servo, usual_firmware),
+                *_profile_warnings(servo.values, expected, profile.name),
             )
-            compared[servo] = replace(found[servo], expected=expected, warnings=warnings)
+            compared[joint.servo_id] = replace(servo, expected=expected, warnings=warnings)
         return compared
 
     def position_limits_ticks(self, values: Values) -> tuple[int, int]:
-        """Return registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT."""
         return values[Register.MIN_ANGLE_LIMIT], values[Register.MAX_ANGLE_LIMIT]
 
     def goal_limits_ticks(self, values: Values, certain_ticks: tuple[int, int]) -> tuple[int, int]:  # noqa: ARG002
@@ -123,25 +124,33 @@ class Feetech(ServoFamily):
         return TABLE.value_range(Register.GOAL_POSITION) if limits == NO_LIMITS else limits
 
     def max_voltage_v(self, values: Values) -> float:
-        """Return register MAX_VOLTAGE."""
-        return ServoSettings(values).max_voltage_v
+        return values[Register.MAX_VOLTAGE] * VOLT_PER_UNIT
 
-    def actuation(self, found: Sequence[ServoFound]) -> Actuation:
-        """Return the strength that the settings leave."""
-        settings = [_settings(servo) for servo in found]
-        factory_gain = FACTORY.registers[Register.P_GAIN]
-        return Actuation(
-            stiffness=np.array([each[Register.P_GAIN] / factory_gain for each in settings]),
-            max_torque=np.array([each.max_torque for each in settings]),
-            overload_torque=np.array([each.overload_torque for each in settings]),
-            overload_time_s=np.array([each.protection_time_s for each in settings]),
-            overload_current_a=np.array([each.protection_current_a for each in settings]),
-            stall_current_a=np.full(len(found), STALL_CURRENT_A),
-            free_speed_rad_s=np.full(len(found), FREE_SPEED_RAD_S),
+    def free_speed_rad_s(self, joint: JointCalibration) -> float:  # noqa: ARG002 - the same for all
+        return FREE_SPEED_RAD_S
+
+    def actuation(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> Actuation:
+        plain = super().actuation(joints, found)
+
+        def each(register: Register) -> Vector:
+            """Return the values of a register."""
+            return np.array([float(found[joint.servo_id].values[register]) for joint in joints])
+
+        def threshold(register: Register) -> Vector:
+            """Return the values of a register in which 0 means no protection: a threshold of 0 would always trip."""
+            values = each(register)
+            return np.where(values > 0.0, values, np.inf)
+
+        return plain._replace(
+            stiffness=each(Register.P_GAIN) / FACTORY.registers[Register.P_GAIN],
+            max_torque=each(Register.MAX_TORQUE) / PERMILLE,
+            overload_torque=threshold(Register.OVERLOAD_TORQUE) / PERCENT,
+            overload_time_s=threshold(Register.PROTECTION_TIME) * PROTECTION_TIME_UNIT_S,
+            overload_current_a=threshold(Register.PROTECTION_CURRENT) * AMPERE_PER_UNIT,
+            stall_current_a=np.full(len(joints), STALL_CURRENT_A),
         )
 
     def settings(self, values: Values) -> dict[str, int]:
-        """Return identity and EPROM."""
         return {register.name: values[register] for register in SETTINGS}
 
     def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:  # noqa: ARG002 - the same for all
@@ -156,7 +165,6 @@ class Feetech(ServoFamily):
         return block[:_GOAL_AT], block[_GOAL_END:]
 
     def limit(self, joint: JointCalibration, values: Values, share: float) -> Limit:  # noqa: ARG002 - the same for all
-        """Return register TORQUE_LIMIT."""
         return Limit(Register.TORQUE_LIMIT, round(share * PERMILLE))
 
     def clear_error(self, bus: ServoBus, joint: JointCalibration) -> Steps[None]:
@@ -174,16 +182,14 @@ class Feetech(ServoFamily):
         return values.get(Register.TORQUE_LIMIT) == found.values[Register.MAX_TORQUE] != limit.value
 
     def read_differences(self, bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:
-        """Compare homing offsets and angle limits."""
         return read_differences(bus, calibration)
 
     def write_differences(self, bus: ServoBus, changes: Sequence[Difference]) -> Steps[None]:
-        """Write them into the EPROM."""
         return write_to_servos(bus, changes)
 
 
-def _settings(found: ServoFound) -> ServoSettings:
-    return ServoSettings({register: found.values[register] for register in SETTINGS})
+def _firmware(values: Values) -> tuple[int, int]:
+    return values[Register.FIRMWARE_MAJOR], values[Register.FIRMWARE_MINOR]
 
 
 def _named_model(joint: JointCalibration) -> int:
@@ -193,35 +199,34 @@ def _named_model(joint: JointCalibration) -> int:
 
 
 def _warnings(joint: JointCalibration, found: ServoFound, usual_firmware: tuple[int, int]) -> Iterator[ServoWarning]:
-    settings, limits = _settings(found), ServoSettings(found.values).angle_limits_ticks
+    values = found.values
+    limits = values[Register.MIN_ANGLE_LIMIT], values[Register.MAX_ANGLE_LIMIT]
     if found.model != _named_model(joint):
         sentence = f"the servo is model {found.model}, not {_named_model(joint)}: its speed and torque may be others"
         yield ServoWarning(ServoAlert.MODEL, sentence)
     yield from limits_warnings(joint, ServoAlert.ANGLE_LIMITS, limits)
-    if settings[Register.PHASE] & PHASE_MULTI_TURN:
+    if values[Register.PHASE] & PHASE_MULTI_TURN:
         sentence = "the servo counts several turns (register PHASE, bit 4), so that its position may overflow"
         yield ServoWarning(ServoAlert.SEVERAL_TURNS, sentence)
-    if delay := settings[Register.RETURN_DELAY]:
+    if delay := values[Register.RETURN_DELAY]:
         sentence = f"{meaning(Register.RETURN_DELAY, delay)}: set register RETURN_DELAY to 0"
         yield ServoWarning(ServoAlert.RETURN_DELAY, sentence)
-    if found.values[Register.LOCK] != 1:
+    if values[Register.LOCK] != 1:
         sentence = (
             "the servo's EPROM is unlocked (register LOCK), as lerobot leaves it, so that what is written by mistake "
             "stays: armbridge setup --registers locks it"
         )
         yield ServoWarning(ServoAlert.EPROM_UNLOCKED, sentence)
-    if settings.firmware != usual_firmware:
-        sentence = "the servo has firmware {}.{}, most others {}.{}".format(*settings.firmware, *usual_firmware)
+    if (firmware := _firmware(values)) != usual_firmware:
+        sentence = "the servo has firmware {}.{}, most others {}.{}".format(*firmware, *usual_firmware)
         yield ServoWarning(ServoAlert.FIRMWARE, sentence)
 
 
-def _profile_warnings(
-    settings: ServoSettings, expected: Mapping[Register, int], profile: str
-) -> Iterator[ServoWarning]:
+def _profile_warnings(values: Values, expected: Mapping[Register, int], profile: str) -> Iterator[ServoWarning]:
     for register, value in expected.items():
-        consequence = meaning(register, settings[register])
+        consequence = meaning(register, values[register])
         sentence = (
-            f"register {register.name} is {settings[register]}, not {value} as in the profile {profile}"
+            f"register {register.name} is {values[register]}, not {value} as in the profile {profile}"
             f"{consequence and f': {consequence}'}"
         )
         yield ServoWarning(ServoAlert.REGISTER, sentence, register.name)

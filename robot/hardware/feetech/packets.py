@@ -44,17 +44,6 @@ def instruction_packet(servo_id: int, instruction: int, parameters: Sequence[int
     return [0, 0, servo_id, len(parameters) + LENGTH_OVERHEAD, instruction, *parameters, 0]
 
 
-def sync_write_parameters(address: int, data_by_id: dict[int, bytes]) -> list[int]:
-    """Build the parameters of SYNC_WRITE; raises ValueError for data that differ in length."""
-    lengths = set(map(len, data_by_id.values()))
-    if len(lengths) != 1:
-        raise ValueError(f"a sync write needs data of one length for every servo, not of {sorted(lengths)} bytes")
-    parameters = [address, lengths.pop()]
-    for servo_id, data in data_by_id.items():
-        parameters += [servo_id, *data]
-    return parameters
-
-
 def status_bytes(data_length: int, replies: int = 1) -> int:
     """Count the bytes of ``replies`` status packets with ``data_length`` bytes of data each."""
     return replies * (data_length + STATUS_OVERHEAD_BYTES)

@@ -14,7 +14,6 @@ from types import MappingProxyType
 from robot.description.servo_table import ProfileSpec
 from robot.errors import DescriptionError
 from robot.hardware.feetech.registers import AMPERE_PER_UNIT, LAYOUT, Area, Register, value_range
-from robot.hardware.feetech.settings import ServoSettings
 
 RETURN_DELAY_UNIT_US = 2
 
@@ -31,7 +30,7 @@ class ServoProfile:
         """Return the values that a servo should have."""
         return {**self.registers, **(self.gripper if gripper else {})}
 
-    def differences(self, settings: ServoSettings, *, gripper: bool) -> dict[Register, int]:
+    def differences(self, settings: Mapping[Register, int], *, gripper: bool) -> dict[Register, int]:
         """Return the registers of a servo that have another value, with the expected one."""
         expected = self.expected(gripper=gripper)
         return {register: value for register, value in expected.items() if settings[register] != value}
@@ -94,7 +93,7 @@ def profile_of(spec: ProfileSpec | None) -> ServoProfile | None:
     return ServoProfile("robot.toml", {**base.registers, **own}, {**kept, **gripper})
 
 
-def nearest_profile(servos: Iterable[tuple[ServoSettings, bool]]) -> ServoProfile:
+def nearest_profile(servos: Iterable[tuple[Mapping[Register, int], bool]]) -> ServoProfile:
     """Return the profile from which an arm's servos differ least; each servo comes with True for the gripper's."""
     held = tuple(servos)
     return min(

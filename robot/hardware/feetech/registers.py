@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from robot.hardware.servos.registers import Area as Area
-from robot.hardware.servos.registers import RegisterEnum, RegisterTable
-from robot.hardware.servos.telemetry import Telemetry as Telemetry
+from robot.hardware.servos.registers import Block, RegisterEnum, RegisterTable
+from robot.hardware.servos.registers import Telemetry as Telemetry
 
 READ_ONLY, EEPROM, RAM = Area.READ_ONLY, Area.EEPROM, Area.RAM
 
@@ -77,20 +77,30 @@ TELEMETRY_BYTES = 15
 
 GOAL_ADDRESS = Register.ACCELERATION
 
-
 VOLT_PER_UNIT = 0.1
+PERCENT = 100.0
 PERMILLE = 1000.0
 AMPERE_PER_UNIT = 0.0065
+PROTECTION_TIME_UNIT_S = 0.01
 
 # Current of a stalled STS3215 C001 at full duty (Feetech's data sheet: 2.4 A at 6 V, 2.7 A at 7.4 V).
 STALL_CURRENT_A = 2.7
 
+# Its speed without load at 7.4 V (Feetech's data sheet).
+FREE_SPEED_RAD_S = 5.5
+
 # The acceleration register counts in steps of 100 ticks/s^2.
 TICKS_S2_PER_ACCELERATION_UNIT = 100
 
-
 TABLE = RegisterTable(Register)
 value_range, encode, decode = TABLE.value_range, TABLE.encode, TABLE.decode
+
+# Identity and EPROM, all below the SRAM, in one transaction; its even length keeps it apart from the telemetry's.
+SETTINGS = tuple(register for register in Register if register < Register.TORQUE_ENABLE)
+SETTINGS_BLOCK = Block(int(Register.FIRMWARE_MAJOR), Register.TORQUE_ENABLE - Register.FIRMWARE_MAJOR, SETTINGS)
+
+# Settings that can be written and outlive a power cut.
+EPROM = tuple(register for register in SETTINGS if register.layout.area is EEPROM)
 
 # Commands that a servo holds.
 CONTROL = TABLE.block(Register.TORQUE_ENABLE, Register.LOCK)

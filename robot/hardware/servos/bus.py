@@ -2,7 +2,7 @@
 
 Packets are completed and sent by a servo maker's SDK; replies are received here, in bounded time. After a missing or
 surplus byte the line is disturbed: it is used again once it has fallen quiet, so that no late reply is taken for the
-next one. A family's subclass is the codec of its packets.
+next one. A family's subclass is the codec of its packets; both makers' protocols number their instructions alike.
 
 Reads and verified writes of one servo are also sequences (:func:`read`, :func:`read_block`, :func:`write_verified`),
 which share the bus with the 100 Hz tick.
@@ -16,6 +16,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
+
+from scservo_sdk import INST_READ, INST_SYNC_READ, INST_SYNC_WRITE, INST_WRITE
 
 from robot.errors import NoReply, PortLost, StartupError
 from robot.hardware.interface import BusCounters, Steps
@@ -68,6 +70,7 @@ class ServoBus(ABC):
     """
 
     registers: ClassVar[RegisterTable[Any]]
+    word_bytes: ClassVar[int] = 1  # bytes of an address or length among the parameters, little endian
 
     def __init__(self, port: BusPort, clock: Callable[[], float] = time.monotonic) -> None:
         self.counters = BusCounters()
@@ -95,20 +98,8 @@ class ServoBus(ABC):
         """Make the handler that completes and sends packets."""
 
     @abstractmethod
-    def _read_packet(self, servo_id: int, address: int, length: int) -> list[int]:
-        """Build an instruction to read a block."""
-
-    @abstractmethod
-    def _write_packet(self, servo_id: int, address: int, data: bytes) -> list[int]:
-        """Build an instruction to write a block."""
-
-    @abstractmethod
-    def _sync_read_packet(self, ids: Sequence[int], address: int, length: int) -> list[int]:
-        """Build an instruction to read the same block of several servos."""
-
-    @abstractmethod
-    def _sync_write_packet(self, address: int, data_by_id: dict[int, bytes]) -> list[int]:
-        """Build an instruction to write the same block of several servos."""
+    def _packet(self, servo_id: int, instruction: int, parameters: Sequence[int]) -> list[int]:
+        """Build an instruction for the SDK, which completes it; raise ValueError for one that it cannot send."""
 
     @abstractmethod
     def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
@@ -153,7 +144,7 @@ class ServoBus(ABC):
         for attempt in range(attempts):
             self._await_quiet()
             length = self._read_length(size)
-            packet = self._read_packet(servo_id, register, length)
+            packet = self._packet(servo_id, INST_READ, self._words(register, length))
             frame = self._exchange(packet, (servo_id,), length).get(servo_id)
             if frame is not None:
                 return self.registers.decode(register, frame.data[:size])
@@ -166,7 +157,7 @@ class ServoBus(ABC):
         An acknowledgement does not repeat the value: values that matter for safety must be read back. Without one the
         servo may have taken the value. Raises ValueError for a value that the register cannot hold.
         """
-        packet = self._write_packet(servo_id, register, self.registers.encode(register, value))
+        packet = self._write_packet(servo_id, register, value)
         return self._instruction_error(self.ask(servo_id, packet, attempts).error)
 
     def sync_read(self, ids: Sequence[int], address: int, length: int) -> dict[int, StatusFrame]:
@@ -177,21 +168,36 @@ class ServoBus(ABC):
         self._await_quiet()
         return self._exchange(self._sync_read_packet(ids, address, length), ids, length)
 
+    def _write_packet(self, servo_id: int, register: IntEnum, value: int) -> list[int]:
+        data = self.registers.encode(register, value)
+        return self._packet(servo_id, INST_WRITE, [*self._words(register), *data])
+
+    def _sync_read_packet(self, ids: Sequence[int], address: int, length: int) -> list[int]:
+        return self._packet(BROADCAST_ID, INST_SYNC_READ, [*self._words(address, length), *ids])
+
     def broadcast_torque_off(self) -> None:
         """Switch every servo's torque off at once, over replies in progress and without acknowledgement."""
-        torque = self.registers.torque_enable
-        self._send(self._write_packet(BROADCAST_ID, torque, self.registers.encode(torque, 0)))
+        self._send(self._write_packet(BROADCAST_ID, self.registers.torque_enable, 0))
 
     def sync_write(self, address: int, data_by_id: dict[int, bytes]) -> None:
         """Write the same block of several servos in one packet, which none of them acknowledges.
 
-        The bytes by id are all of one length; the dict must not be changed afterwards.
+        The dict must not be changed afterwards. Raises ValueError for bytes of several lengths.
         """
         if data_by_id is not self._written or address != self._written_address:
-            self._written_packet = self._sync_write_packet(address, data_by_id)
+            lengths = set(map(len, data_by_id.values()))
+            if len(lengths) != 1:
+                raise ValueError(f"a sync write needs data of one length for all servos, not {sorted(lengths)} bytes")
+            parameters = self._words(address, lengths.pop())
+            for servo_id, data in data_by_id.items():
+                parameters += [servo_id, *data]
+            self._written_packet = self._packet(BROADCAST_ID, INST_SYNC_WRITE, parameters)
             self._written, self._written_address = data_by_id, address
         self._await_quiet()
         self._send(self._written_packet)
+
+    def _words(self, *numbers: int) -> list[int]:
+        return [number >> 8 * place & 0xFF for number in numbers for place in range(self.word_bytes)]
 
     def ask(self, servo_id: int, packet: list[int], attempts: int) -> StatusFrame:
         """Send an instruction whose reply carries no data, until the servo replies; raises NoReply."""

@@ -12,13 +12,14 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
+import numpy as np
+
 from robot.advice import ServoWarning
 from robot.calibration import Calibration, JointCalibration
 from robot.errors import OrderRefused
 from robot.hardware.interface import CALIBRATION_NOT_KEPT, Actuation, StatusFlag, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame
-from robot.hardware.servos.registers import Block, RegisterTable
-from robot.hardware.servos.telemetry import Telemetry
+from robot.hardware.servos.registers import Block, RegisterTable, Telemetry
 
 Values: TypeAlias = Mapping[Any, int]
 """Values of registers."""
@@ -78,6 +79,7 @@ class ServoFamily(ABC):
     goal_address: ClassVar[int]  # address of the block that ends with the goal's data (:meth:`around_goal`)
     goal_within_ticks: ClassVar[int] = 0  # largest difference between a goal that was written and the one read back
     counts_turns: ClassVar[bool] = False  # True for servos that count turns until they lose their supply
+    jump_rad: ClassVar[float] = 0.46  # way that no servo makes in a cycle of 10 ms (46 rad/s) [rad]
     watchdog: ClassVar[Watchdog | None] = None  # watchdog of its servos; None without one
     error_register: ClassVar[IntEnum | None] = None  # register with the error that a reply announces; None without one
     latched_status: ClassVar[StatusFlag] = StatusFlag.OVERLOAD  # status flags that last until :meth:`clear_error`
@@ -129,9 +131,14 @@ class ServoFamily(ABC):
     def max_voltage_v(self, values: Values) -> float:
         """Return the highest supply that a servo is set to; infinite without such a setting [V]."""
 
-    def actuation(self, found: Sequence[ServoFound]) -> Actuation:
-        """Return the strength of servos."""
-        return Actuation.unprotected(len(found))
+    @abstractmethod
+    def free_speed_rad_s(self, joint: JointCalibration) -> float:
+        """Return the speed of a joint's servo without load at full duty [rad/s]."""
+
+    def actuation(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> Actuation:  # noqa: ARG002
+        """Return the strength of an arm's servos, which were found by id."""
+        free_speed_rad_s = np.array([self.free_speed_rad_s(joint) for joint in joints])
+        return Actuation.unprotected(free_speed_rad_s, np.full(len(joints), self.jump_rad))
 
     def settings(self, values: Values) -> dict[str, int]:  # noqa: ARG002 - for families with settings
         """Return the settings to report, by name."""

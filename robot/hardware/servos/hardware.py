@@ -103,13 +103,12 @@ class ServoHardware(HardwareInterface):
         self._limits: dict[int, Limit] = {}
 
     def survey(self) -> Steps[Survey]:
-        """Survey the servos; see :meth:`HardwareInterface.survey`."""
         self._found.update((yield from survey(self._family, self.bus, self.servos, simulated=self._simulated)))
         self._first_found = self._first_found or dict(self._found)
         self.needs_survey = False
         self._shares = []
         found = [self._found[servo] for servo in self.servos.ids]
-        actuation = self._family.actuation(found)
+        actuation = self._family.actuation(self.servos.joints, self._found)
         self.servos.limit_torque(actuation.max_torque)
         self.full_torque = self.servos.full_torque
         own_limits = {servo: self._torque.goal_limits_ticks(servo) for servo in self.servos.ids}
@@ -155,13 +154,11 @@ class ServoHardware(HardwareInterface):
         self.bus.sync_write(self._family.goal_address, self._goal_blocks)
 
     def write_torque_shares(self, torque_share: Vector) -> None:
-        """Write the torque limits that have changed."""
         changed = self._checks.limits_to_write(self._limits_of(torque_share))
         if changed:
             torque.write_limits(self.bus, changed)
 
     def check(self, stamp_s: float) -> Fault | None:
-        """Read back registers of one servo, in turn."""
         due = self._checks.due()
         if due is None or self._tracker.is_silent(due[0]):
             return None
@@ -175,14 +172,12 @@ class ServoHardware(HardwareInterface):
         return self._checks.check(servo, self.bus.registers.parse(block, frame.data), stamp_s)
 
     def driven(self) -> Steps[Flags]:
-        """Read every servo's TORQUE_ENABLE."""
         driven = np.zeros(len(self.servos.ids), dtype=bool)
         for joint, servo in enumerate(self.servos.ids):
             driven[joint] = yield from self._torque.is_on(servo)
         return driven
 
     def enable(self, joints: Sequence[int]) -> Steps[Vector]:
-        """Switch torque on, unless positions or the servos' calibration are uncertain."""
         yield 0.0
         if refusal := self._refusal():
             raise StartupError(refusal)
@@ -192,21 +187,17 @@ class ServoHardware(HardwareInterface):
         return self.servos.rad_from_ticks(goals)
 
     def relax(self, torque_share: Vector) -> Steps[list[str]]:
-        """Lower the torque limits, then switch torque off."""
         start, full = self._limits_of(torque_share), self._torque.full_limits()
         return self._labels((yield from torque.relax(self.bus, self.servos.ids, start, full)))
 
     def switch_off(self, joints: Sequence[int] | None = None) -> Steps[list[str]]:
-        """Switch torque off servo by servo."""
         ids = self.servos.ids if joints is None else self._ids(joints)
         return self._labels((yield from torque.switch_off(self.bus, ids)))
 
     def cut_torque(self) -> Steps[list[str]]:
-        """Broadcast torque off, then verify it servo by servo."""
         return self._labels((yield from torque.emergency_stop(self.bus, self.servos.ids)))
 
     def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:
-        """Clear every error with which the servos have protected themselves."""
         overloaded = self._ids(joints)
         for servo in overloaded:
             yield from self._torque.clear_error(servo, hold=hold)
@@ -221,7 +212,6 @@ class ServoHardware(HardwareInterface):
         return self.servos.rad_from_ticks(goals)
 
     def write_calibration(self, calibration: Calibration) -> Steps[str]:
-        """Write homing offsets and position limits, where they differ."""
         changes = yield from self._family.read_differences(self.bus, calibration)
         self.needs_survey = self.needs_survey or bool(changes)
         yield from self._family.write_differences(self.bus, changes)
@@ -229,7 +219,6 @@ class ServoHardware(HardwareInterface):
         return f"{len(changes)} registers of {len(servos)} servos were written" if changes else "nothing had to change"
 
     def condition(self, joint: int) -> Condition:
-        """Return the condition of one servo."""
         servo = self.servos.ids[joint]
         found = self._found.get(servo)
         return Condition(
@@ -243,7 +232,6 @@ class ServoHardware(HardwareInterface):
         )
 
     def label(self, joint: int) -> str:
-        """Return the joint's name with its servo's id."""
         return self.servos.label(self.servos.ids[joint])
 
     def close(self) -> None:

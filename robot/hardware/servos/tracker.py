@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from robot.calibration import RAD_PER_TICK
-from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, Measured
+from robot.hardware.interface import Measured
 from robot.hardware.servos.bus import StatusFrame
 from robot.hardware.servos.family import ServoFamily
+from robot.hardware.servos.registers import Telemetry
 from robot.hardware.servos.servo_map import ServoMap
-from robot.hardware.servos.telemetry import Telemetry
 
 # Misses in a row after which a servo is asked behind the others.
 MISSES_UNTIL_LAST = 2
@@ -182,4 +182,5 @@ class ServoTracker:
         if before is None:
             return False
         way_rad = abs(reading.position_ticks - before.position_ticks) * RAD_PER_TICK
-        return way_rad > JUMP_RAD + FREE_SPEED_RAD_S * (now_s - self._read_at_s[servo_id])
+        free_speed_rad_s = self._family.free_speed_rad_s(self._servos.by_id[servo_id])
+        return way_rad > self._family.jump_rad + free_speed_rad_s * (now_s - self._read_at_s[servo_id])

@@ -1,8 +1,5 @@
 """ros2_control's joint_trajectory_controller: FollowJointTrajectory, its topic for trajectories, and its state.
 
-Before it stands the goal bridge, which MoveIt's actions use too: it takes goals to the goal queue, and the queue's
-answers back as feedback and results.
-
 https://control.ros.org/master/doc/ros2_controllers/joint_trajectory_controller/doc/userdoc.html
 """
 
@@ -20,36 +17,29 @@ from typing import Any, TypeAlias
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
-from robot.trajectory import Trajectory, Vector
+from robot.trajectory import Vector
 from server.errors import RefusedError
-from server.execution.monitors import state_message
-from server.execution.motions import Motion, Positions
-from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.execution.goal import Answer, GoalState, Progress
+from server.execution.motions import Positions
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.graph.topics import Subscriber
-from server.moveit.goal_messages import with_suggestion
+from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
+from server.moveit.durations import read_seconds
+from server.moveit.error_codes import refused
 from server.moveit.poses import Message
-from server.moveit.requests.durations import read_seconds
-from server.moveit.requests.error_codes import error_code, refused
 from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.requests.trajectories import check_speed, external_motion, external_trajectory, to_message
+from server.moveit.trajectories import check_speed, external_motion, external_trajectory
 
 log = logging.getLogger("armbridge.actions")
-
-# MoveIt's names of states (MoveGroupState in move_group); a goal that waits in the queue has none.
-MOVE_GROUP_STATES = {
-    GoalState.PLANNING: "PLANNING",
-    GoalState.EXECUTING: "MONITOR",
-    GoalState.DONE: "IDLE",
-}
 
 # Joint -> greatest distance [rad]. The arm's driver monitors joints that are not in it.
 Tolerances: TypeAlias = Mapping[str, float]
@@ -62,147 +52,6 @@ INDUSTRIAL_ACTION = "/joint_trajectory_action"
 
 # A joint that has not arrived by then does not arrive.
 MAX_GOAL_TIME_TOLERANCE_S = 10.0
-
-
-def submit_goal(
-    goal: Goal,
-    queue: GoalQueue[Motion],
-    request: Motion,
-    feedback: Callable[[Progress], Message | None],
-    result: Callable[[Answer], Message],
-) -> None:
-    """Submit the motion of a goal; it replaces the motion that the arm's group makes now.
-
-    Args:
-        goal: the goal; it ends with the queue's answer.
-        queue: queue of the arm's goals.
-        feedback: makes the feedback message of some progress, None for none.
-        result: makes the result message of the answer.
-    """
-
-    def send_feedback(progress: Progress) -> None:
-        message = feedback(progress)
-        if message is not None:
-            goal.feedback(message)
-
-    def end(answer: Answer) -> None:
-        send_feedback(Progress(GoalState.DONE, answer.message))
-        finish_goal(goal, answer, result)
-
-    number = queue.submit(
-        goal.action,
-        request,
-        policy=GoalPolicy.PREEMPT,
-        on_progress=send_feedback,
-        on_answer=end,
-        client=goal.sender,
-    )
-    cancel_with_goal(goal, lambda reason: queue.cancel(number, reason))
-
-
-def cancel_with_goal(goal: Goal, cancel: Callable[[str], None]) -> None:
-    """Cancel what is done for a goal when a client asks for it, and when the goal ends in any other way.
-
-    A goal may end before its motion: its time is over, or a part of the server has failed.
-
-    Args:
-        cancel: cancels its motion, for a reason; does nothing when the motion has ended.
-    """
-    goal.when_canceled(lambda: cancel(f"cancelled by a client of {goal.action}"))
-    goal.when_ended(lambda end: cancel(f"the goal of {goal.action} is over" + ("" if end.ok else f": {end.values}")))
-
-
-def reject_goal(
-    goal: Goal,
-    queue: GoalQueue[Motion],
-    failure: PlanningFailure,
-    result: Callable[[Answer], Message],
-) -> None:
-    """End a goal that cannot be submitted; the arm's motion continues."""
-    queue.reject(goal.action, failure)
-    finish_goal(goal, Answer.of(failure), result)
-
-
-def finish_goal(goal: Goal, answer: Answer, result: Callable[[Answer], Message]) -> None:
-    """End a goal with its result."""
-    goal.finish(goal_status(answer.code), result(answer))
-
-
-def goal_status(code: MoveItErrorCode) -> GoalStatus:
-    """Return the value of action_msgs/GoalStatus for an error code."""
-    if code is MoveItErrorCode.SUCCESS:
-        return GoalStatus.SUCCEEDED
-    return GoalStatus.CANCELED if code is MoveItErrorCode.PREEMPTED else GoalStatus.ABORTED
-
-
-class MoveGroupFeedback:
-    """Maker of move_group's feedback: the name of the state whenever it changes."""
-
-    def __init__(self) -> None:
-        self._state = ""
-
-    def __call__(self, progress: Progress) -> Message | None:
-        """Make the feedback message of some progress; None if the state is the same."""
-        state = MOVE_GROUP_STATES.get(progress.state, "")
-        if state in ("", self._state):
-            return None
-        self._state = state
-        return {"state": state}
-
-
-def code_message(answer: Answer) -> dict[str, Any]:
-    """Write the moveit_msgs/MoveItErrorCodes of an answer."""
-    return error_code(answer.code, answer.message)
-
-
-def move_group_result(answer: Answer, robot: RobotModel) -> Message:
-    """Write the result of moveit_msgs/MoveGroup."""
-    planned = _planned_messages(answer, robot)
-    executed = None if answer.performed is None else answer.performed.executed
-    return {
-        "error_code": _explained_code(answer, robot),
-        "trajectory_start": _start_message(answer, robot),
-        "planned_trajectory": planned[0] if planned else _trajectory_message(None, robot),
-        "executed_trajectory": _trajectory_message(executed, robot),
-        "planning_time": _planning_time_s(answer),
-    }
-
-
-def sequence_result(answer: Answer, robot: RobotModel) -> Message:
-    """Write the result of moveit_msgs/MoveGroupSequence."""
-    response = {
-        "error_code": _explained_code(answer, robot),
-        "sequence_start": _start_message(answer, robot),
-        "planned_trajectories": _planned_messages(answer, robot),
-        "planning_time": _planning_time_s(answer),
-    }
-    return {"response": response}
-
-
-def _explained_code(answer: Answer, robot: RobotModel) -> dict[str, Any]:
-    """Write the code of an answer, with what would work in its message if anything was found."""
-    return error_code(answer.code, with_suggestion(answer.message, answer.details, robot))
-
-
-def _start_message(answer: Answer, robot: RobotModel) -> dict[str, Any]:
-    """Write the moveit_msgs/RobotState at the start of an answer's motions; without joints if there are none."""
-    start_rad = {} if answer.performed is None else dict(answer.performed.start_rad)
-    return state_message(start_rad, robot.root_link, time.time())
-
-
-def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[str, Any]:
-    """Write the moveit_msgs/RobotTrajectory of a motion; as in MoveIt, one of no duration has no points."""
-    return to_message(None if motion is None or motion.duration_s == 0.0 else motion, robot.root_link)
-
-
-def _planned_messages(answer: Answer, robot: RobotModel) -> list[dict[str, Any]]:
-    """Write the moveit_msgs/RobotTrajectory of every planned motion."""
-    planned = () if answer.performed is None else answer.performed.planned
-    return [_trajectory_message(motion, robot) for motion in planned]
-
-
-def _planning_time_s(answer: Answer) -> float:
-    return 0.0 if answer.performed is None else answer.performed.planning_time_s
 
 
 class FollowCode(IntEnum):
@@ -229,7 +78,6 @@ class SegmentTolerances:
     """Tolerances of a goal.
 
     Attributes:
-        path: tolerances while the trajectory is played.
         time_s: time after the end by which the goal tolerances must be met, on the arm's clock [s].
     """
 
@@ -240,14 +88,10 @@ class SegmentTolerances:
 
 @dataclass(frozen=True)
 class TrajectoryContext:
-    """Context of trajectories that clients bring.
-
-    Attributes:
-        planning: description and positions of all arms, and parameters.
-    """
+    """Context of trajectories that clients bring."""
 
     planning: PlanningContext
-    queue: GoalQueue[Motion]
+    queue: GoalQueue
     time_limits: TimeLimits
 
     def check_speed(self, trajectory: Message, joint_names: Sequence[str], present_rad: Positions | None) -> None:
@@ -255,11 +99,7 @@ class TrajectoryContext:
 
         Args:
             trajectory: a trajectory_msgs/JointTrajectory.
-            joint_names: joints whose arm has the limit.
             present_rad: positions that the arm holds [rad]; None while they are unknown.
-
-        Raises:
-            RefusedError: the trajectory is too fast.
         """
         planning = self.planning
         if present_rad is not None and planning.parameters.configured.faster_trajectories == "refuse":
@@ -272,16 +112,13 @@ class JointTrajectoryController:
     Args:
         name: of the controller, before ``_controller``; None for that of the group.
         industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
-
-    Attributes:
-        actions: names of the actions.
     """
 
     def __init__(
         self,
         graph: LocalGraph,
         group: Group,
-        arm: ArmInterface,
+        arm: AnyArm,
         context: TrajectoryContext,
         name: str | None = None,
         *,
@@ -327,7 +164,7 @@ class JointTrajectoryController:
             if feedback is not None:
                 goal.feedback(feedback)
 
-        number = self._queue.submit(
+        queued = self._queue.submit(
             goal.action,
             external_motion(goal.request["trajectory"], self._robot),
             policy=GoalPolicy.PREEMPT,
@@ -335,6 +172,7 @@ class JointTrajectoryController:
             on_answer=lambda answer: trajectory_goal.take_answer(answer, self._arm.state),
             client=goal.sender,
         )
+        number = queued.goal_id
         self._goals[number] = trajectory_goal
         goal.when_ended(lambda _result: self._goals.pop(number, None))
         cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
@@ -361,11 +199,7 @@ class JointTrajectoryController:
 
 
 class TrajectoryGoal:
-    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result.
-
-    Args:
-        goal: the action's goal.
-    """
+    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result."""
 
     def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances, robot: RobotModel) -> None:
         self._goal = goal
@@ -382,11 +216,7 @@ class TrajectoryGoal:
         self._executing = progress.state is GoalState.EXECUTING
 
     def take_state(self, state: ArmState, cancel: Callable[[str], None]) -> None:
-        """Check the tolerances against a state of the arm.
-
-        Args:
-            cancel: ends the motion, with a reason.
-        """
+        """Check the tolerances against a state of the arm."""
         if self._settling is not None:
             self._end_when_settled(state, *self._settling)
         elif self._executing and not self._path_violation and state.goal_rad is not None:
@@ -482,9 +312,6 @@ def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
 
     Args:
         goal: goal message of control_msgs/FollowJointTrajectory.
-
-    Raises:
-        RefusedError: a tolerance that cannot be used.
     """
     path = read_tolerances(goal["path_tolerance"], "path_tolerance", group.joints)
     end = read_tolerances(goal["goal_tolerance"], "goal_tolerance", group.joints)
@@ -499,9 +326,6 @@ def read_tolerances(messages: Sequence[Message], field: str, joints: Sequence[st
 
     Args:
         messages: control_msgs/JointTolerance.
-
-    Raises:
-        RefusedError: another joint, or a tolerance that is not a number.
     """
     tolerances = {}
     for message in messages:
@@ -542,11 +366,9 @@ def check_trajectory(
     Args:
         trajectory: a trajectory_msgs/JointTrajectory.
         present_rad: positions that the arm holds, None while they are not known [rad].
-        now_s: wall-clock time [s].
 
     Raises:
         TrajectoryRefusedError: it names another joint, or its time is over.
-        RefusedError: it cannot be played for another reason.
     """
     if not trajectory["points"]:
         raise _invalid("trajectory.points is empty; to stop the arm, cancel the goal")
@@ -567,9 +389,6 @@ def check_duration(trajectory: Message, limits: TimeLimits) -> None:
 
     Args:
         trajectory: a trajectory_msgs/JointTrajectory.
-
-    Raises:
-        RefusedError: it takes longer than the limit.
     """
     points = trajectory["points"]
     if points:

@@ -5,38 +5,34 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
 from robot.description.model import RobotModel
+from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.failures import with_nearest_goal
-from server.execution.motions import Motion, PlannedMotion, Positions, Step, plan_sequence
-from server.execution.queue import Answer, GoalQueue
+from server.execution.goal import Answer, GoalState, Progress
+from server.execution.monitors import state_message
+from server.execution.motions import PlannedMotion, Positions, Step, plan_sequence
+from server.execution.queue import GoalQueue
 from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.permissions import GOAL, PLANNING_GOAL
 from server.graph.topics import Graph
-from server.moveit.actions.joint_trajectory_controller import (
-    MoveGroupFeedback,
-    TrajectoryContext,
-    cancel_with_goal,
-    check_duration,
-    code_message,
-    finish_goal,
-    move_group_result,
-    reject_goal,
-    sequence_result,
-    submit_goal,
-)
+from server.moveit.actions.goal_bridge import cancel_with_goal, code_message, finish_goal, reject_goal, submit_goal
+from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, check_duration
+from server.moveit.error_codes import error_code, refused
+from server.moveit.goals.goal_messages import with_suggestion
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import refused
 from server.moveit.requests.list_limits import PLANNING_LIMITS, TRAJECTORY_LIMITS
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import sequence_requests
-from server.moveit.requests.trajectories import external_motion, external_trajectory
+from server.moveit.trajectories import external_motion, external_trajectory, to_message
 
 log = logging.getLogger("armbridge.actions")
 
@@ -53,16 +49,22 @@ MAX_ATTEMPTS = 100
 MAX_DELAY_S = 10.0
 
 
+# MoveIt's names of states (MoveGroupState in move_group); a goal that waits in the queue has none.
+MOVE_GROUP_STATES = {
+    GoalState.PLANNING: "PLANNING",
+    GoalState.EXECUTING: "MONITOR",
+    GoalState.DONE: "IDLE",
+}
+
+
 @dataclass(frozen=True)
 class PlanningOptions:
     """Options of a goal, from moveit_msgs/PlanningOptions.
 
     Attributes:
         plan_only: true if the arm is not to move.
-        attempts: number of planning attempts.
         delay_s: pause between attempts [s].
         scene_diff: moveit_msgs/PlanningScene to apply to the present scene for planning; None for none.
-        warnings: a sentence for each option that is not followed.
     """
 
     plan_only: bool
@@ -82,6 +84,71 @@ class PlanningGoal:
 
     requests: Sequence[Message]
     options: PlanningOptions
+
+
+class MoveGroupFeedback:
+    """Maker of move_group's feedback: the name of the state whenever it changes."""
+
+    def __init__(self) -> None:
+        self._state = ""
+
+    def __call__(self, progress: Progress) -> Message | None:
+        """Make the feedback message of some progress; None if the state is the same."""
+        state = MOVE_GROUP_STATES.get(progress.state, "")
+        if state in ("", self._state):
+            return None
+        self._state = state
+        return {"state": state}
+
+
+def move_group_result(answer: Answer, robot: RobotModel) -> Message:
+    """Write the result of moveit_msgs/MoveGroup."""
+    planned = _planned_messages(answer, robot)
+    executed = None if answer.performed is None else answer.performed.executed
+    return {
+        "error_code": _explained_code(answer, robot),
+        "trajectory_start": _start_message(answer, robot),
+        "planned_trajectory": planned[0] if planned else _trajectory_message(None, robot),
+        "executed_trajectory": _trajectory_message(executed, robot),
+        "planning_time": _planning_time_s(answer),
+    }
+
+
+def sequence_result(answer: Answer, robot: RobotModel) -> Message:
+    """Write the result of moveit_msgs/MoveGroupSequence."""
+    response = {
+        "error_code": _explained_code(answer, robot),
+        "sequence_start": _start_message(answer, robot),
+        "planned_trajectories": _planned_messages(answer, robot),
+        "planning_time": _planning_time_s(answer),
+    }
+    return {"response": response}
+
+
+def _explained_code(answer: Answer, robot: RobotModel) -> dict[str, Any]:
+    """Write the code of an answer, with what would work in its message if anything was found."""
+    return error_code(answer.code, with_suggestion(answer.message, answer.details, robot))
+
+
+def _start_message(answer: Answer, robot: RobotModel) -> dict[str, Any]:
+    """Write the moveit_msgs/RobotState at the start of an answer's motions; without joints if there are none."""
+    start_rad = {} if answer.performed is None else dict(answer.performed.start_rad)
+    return state_message(start_rad, robot.root_link, time.time())
+
+
+def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[str, Any]:
+    """Write the moveit_msgs/RobotTrajectory of a motion; as in MoveIt, one of no duration has no points."""
+    return to_message(None if motion is None or motion.duration_s == 0.0 else motion, robot.root_link)
+
+
+def _planned_messages(answer: Answer, robot: RobotModel) -> list[dict[str, Any]]:
+    """Write the moveit_msgs/RobotTrajectory of every planned motion."""
+    planned = () if answer.performed is None else answer.performed.planned
+    return [_trajectory_message(motion, robot) for motion in planned]
+
+
+def _planning_time_s(answer: Answer) -> float:
+    return 0.0 if answer.performed is None else answer.performed.planning_time_s
 
 
 @dataclass(frozen=True)
@@ -104,13 +171,9 @@ SEQUENCE = PlanningAction(
 
 
 class PlanningActions:
-    """MoveGroup and MoveGroupSequence.
+    """MoveGroup and MoveGroupSequence."""
 
-    Args:
-        queue: queue of the arm's goals.
-    """
-
-    def __init__(self, graph: Graph, context: PlanningContext, queue: GoalQueue[Motion]) -> None:
+    def __init__(self, graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:
         self._graph = graph
         self._context = context
         self._queue = queue
@@ -158,21 +221,13 @@ class PlanningActions:
 
 
 def read_planning_goal(message: Message, action: PlanningAction) -> PlanningGoal:
-    """Read a goal.
-
-    Raises:
-        RefusedError: options or a sequence that cannot be used.
-    """
+    """Read a goal."""
     options = read_planning_options(message["planning_options"])
     return PlanningGoal(action.requests(message), options)
 
 
 def read_planning_options(message: Message) -> PlanningOptions:
-    """Read moveit_msgs/PlanningOptions.
-
-    Raises:
-        RefusedError: a delay out of bounds.
-    """
+    """Read moveit_msgs/PlanningOptions."""
     delay_s = float(message["replan_delay"])
     if not (math.isfinite(delay_s) and 0.0 <= delay_s <= MAX_DELAY_S):
         text = f"planning_options.replan_delay must be from 0 to {MAX_DELAY_S:g} s, not {delay_s:g}"
@@ -213,9 +268,6 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
 
     Its problems are built once more when the goal's turn comes, for the start that the arm then has. They are built
     here for the present one, so that a goal that cannot be planned does not replace the motion of another.
-
-    Raises:
-        RefusedError: a request that cannot be used.
     """
     options, present_rad = goal.options, context.current.positions_rad()
     warnings = (*options.warnings, *_ignored_start(goal.requests))
@@ -251,11 +303,7 @@ async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) 
 async def plan_steps(
     steps: Sequence[Step], start: PlanningStart, scene: Scene, context: PlanningContext, warnings: Sequence[str] = ()
 ) -> Answer:
-    """Plan motions one after the other, without moving, and show them.
-
-    Args:
-        warnings: parts of the request that were ignored, a sentence each.
-    """
+    """Plan motions one after the other, without moving, and show them."""
     planned = await plan_sequence(steps, start.start_rad, scene, context.pool.ask)
     if planned.failure is not None:
         context.display.contacts_of(planned.failure.details)

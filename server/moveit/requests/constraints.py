@@ -23,9 +23,9 @@ from planners.goals import (
 )
 from planners.scene import Pose
 from robot.description.model import Joint
+from server.moveit.error_codes import invalid
 from server.moveit.poses import Message
 from server.moveit.requests.context import RequestContext
-from server.moveit.requests.error_codes import invalid
 
 # Positions this near to each other are one: MoveGroupInterface's default joint tolerance.
 LEAST_JOINT_TOLERANCE_RAD = 1e-4
@@ -65,11 +65,6 @@ def read_joint_constraints(
 
     Args:
         messages: moveit_msgs/JointConstraint.
-        where: path of their field.
-
-    Raises:
-        RefusedError: an unknown joint, a number that is not finite, a negative tolerance, a position beyond the
-            limits, or ranges that have nothing in common.
     """
     found: dict[str, JointConstraint] = {}
     for index, message in enumerate(messages):
@@ -142,10 +137,6 @@ def read_orientation_constraint(message: Message, context: RequestContext, where
     Args:
         message: a moveit_msgs/OrientationConstraint; its tolerances are about the link's axes, whatever the
             ``parameterization``: those of the two kinds differ only where they are wide about several axes.
-        where: path of its field.
-
-    Raises:
-        RefusedError: an unknown link or frame, a number that is not finite, or a negative tolerance.
     """
     link = context.link(message["link_name"])
     pose = {"position": dict.fromkeys(AXES, 0.0), "orientation": message["orientation"]}
@@ -183,7 +174,6 @@ class Region:
     """Region of a position constraint.
 
     Attributes:
-        constraint: the constraint with this as its only region.
         within_m: radius of the largest ball around the region's middle that is inside it [m].
         elongated: true if that ball leaves out much of the region.
     """
@@ -201,10 +191,6 @@ def read_regions(message: Message, context: RequestContext, where: str) -> tuple
 
     Args:
         message: a moveit_msgs/PositionConstraint.
-        where: path of its field.
-
-    Raises:
-        RefusedError: an unknown link or frame, no region, or a region whose kind or size is not supported.
     """
     link = context.link(message["link_name"])
     volume = message["constraint_region"]
@@ -278,10 +264,6 @@ def read_goal(messages: Sequence[Message], context: RequestContext) -> Goal:
 
     Args:
         messages: moveit_msgs/Constraints, which are alternatives.
-        context: context of the request; gets the warnings.
-
-    Raises:
-        RefusedError: there is no constraint, or one that cannot be used.
     """
     if not messages:
         raise invalid("goal_constraints is empty: there is nothing to plan for")
@@ -296,10 +278,6 @@ def read_path_constraints(message: Message, context: RequestContext, where: str 
 
     Args:
         message: a moveit_msgs/Constraints.
-        where: path of its field.
-
-    Raises:
-        RefusedError: a constraint that cannot be used.
     """
     _refuse_visibility(message, where)
     turned = _orientations(message, context, where)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
+from server.moveit.error_codes import refused
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message, read_pose
-from server.moveit.requests.error_codes import refused
 from server.moveit.scene.frames import Frames, in_root
 
 # A pose has six dimensions: a group with fewer joints cannot reach any orientation.
@@ -23,7 +23,6 @@ class RequestContext:
 
     Attributes:
         start_rad: position of every movable joint, for frames that move with the arm [rad].
-        parameters: values for what the request leaves out.
         warnings: a sentence for each part of the request that is not followed; grows while the request is read.
     """
 
@@ -40,11 +39,7 @@ class RequestContext:
         return chooses_orientation(self.group)
 
     def link(self, name: str) -> str:
-        """Return the name of a link; that of the tip for an empty name.
-
-        Raises:
-            RefusedError: there is no such link, or the group has no tip.
-        """
+        """Return the name of a link; that of the tip for an empty name."""
         if not name:
             return checked_tip(tip_link(self.robot, self.group, self.parameters), self.group)
         if name not in self.robot.links:
@@ -59,10 +54,6 @@ class RequestContext:
 
         Args:
             frame_id: the frame; empty for the root link.
-            where: path of its field.
-
-        Raises:
-            RefusedError: a number that is not finite, or an unknown frame.
         """
         frame = self.frames.resolve(frame_id, self.start_rad)
         return in_root(frame, read_pose(message, where))
@@ -74,11 +65,7 @@ def chooses_orientation(group: Group) -> bool:
 
 
 def checked_tip(link: str, group: Group) -> str:
-    """Return the tip of a group.
-
-    Raises:
-        RefusedError: it has none.
-    """
+    """Return the tip of a group."""
     if not link:
         raise refused(
             MoveItErrorCode.INVALID_LINK_NAME,
@@ -98,11 +85,7 @@ def tip_link(robot: RobotModel, group: Group, parameters: MoveItParameters) -> s
 
 
 def planning_group(robot: RobotModel, name: str, parameters: MoveItParameters) -> Group:
-    """Return a planning group; for an empty name the configured one, or else the robot's default.
-
-    Raises:
-        RefusedError: there is no such group.
-    """
+    """Return a planning group; for an empty name the configured one, or else the robot's default."""
     wanted = name or parameters.group_name or robot.default_group
     if wanted not in robot.groups:
         known = ", ".join(sorted(robot.groups))

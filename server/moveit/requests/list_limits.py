@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from server.graph.list_limits import ListLimits
 from server.moveit.requests.planning_problems import MAX_ITEMS, MAX_LINKS
-from server.moveit.requests.trajectories import MAX_POINTS
+from server.moveit.trajectories import MAX_POINTS
 
 # Of all motions of a sequence together: for each item of the longest one, two constraints on poses and ten on joints.
 MAX_POSE_CONSTRAINTS = 2 * MAX_ITEMS

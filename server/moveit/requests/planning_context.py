@@ -18,9 +18,9 @@ from robot.description.model import RobotModel
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.moveit.display import DisplayTopics
+from server.moveit.error_codes import refused
 from server.moveit.parameters import PlannerParameters
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import refused
 from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import AssumedStates, SceneState
@@ -36,7 +36,6 @@ class StartState:
 
     Attributes:
         positions_rad: position of every movable joint, within the limits [rad].
-        warnings: a sentence for each part of the state that was changed or ignored.
     """
 
     positions_rad: Mapping[str, float]
@@ -52,9 +51,6 @@ def start_positions(message: Message, current_rad: Mapping[str, float] | None, r
     Args:
         message: a moveit_msgs/RobotState.
         current_rad: present positions by joint, None while they are not known [rad].
-
-    Raises:
-        RefusedError: an unknown joint, a position that cannot be, or an unknown present position.
     """
     positions = state_positions(message, current_rad, robot)
     warnings = []
@@ -142,7 +138,6 @@ class PlanningStart:
 
     Attributes:
         start_rad: position of every movable joint [rad].
-        warnings: a sentence for each part of the start state that was changed or ignored.
     """
 
     start_rad: Mapping[str, float]
@@ -187,27 +182,16 @@ class PlanningContext:
         Args:
             state: the request's moveit_msgs/RobotState.
             caller: the client; positions that it assumes complete the state.
-
-        Raises:
-            RefusedError: joints or attached objects that cannot be used.
         """
         start = start_positions(state, self._known_rad(caller), self.robot)
         return PlanningStart(start.positions_rad, self.scene_of(state, start.positions_rad), start.warnings)
 
     def positions_rad(self, state: Message, caller: Node) -> Mapping[str, float]:
-        """Read the position of every movable joint in a state, which may lie beyond the limits [rad].
-
-        Raises:
-            RefusedError: joints that cannot be used.
-        """
+        """Read the position of every movable joint in a state, which may lie beyond the limits [rad]."""
         return state_positions(state, self._known_rad(caller), self.robot)
 
     def scene_of(self, state: Message, positions_rad: Mapping[str, float]) -> Scene:
-        """Return the scene with the attached objects of a moveit_msgs/RobotState.
-
-        Raises:
-            RefusedError: attached objects that cannot be used.
-        """
+        """Return the scene with the attached objects of a moveit_msgs/RobotState."""
         scene = self.scene_state.scene
         diff = attached_diff(state)
         if diff is None or not (scene.attached or state["attached_collision_objects"]):

@@ -39,8 +39,9 @@ from planners.scene import Point, Pose
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 from server.errors import RefusedError
-from server.execution.motions import Positions, Step
-from server.execution.queue import Joints
+from server.execution.motions import Joints, Positions, Step
+from server.moveit.durations import read_seconds
+from server.moveit.error_codes import invalid, refused
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,
     MAX_KINEMATICS_TIMEOUT_S,
@@ -56,8 +57,6 @@ from server.moveit.requests.constraints import (
     read_path_constraints,
 )
 from server.moveit.requests.context import RequestContext, planning_group
-from server.moveit.requests.durations import read_seconds
-from server.moveit.requests.error_codes import invalid, refused
 from server.moveit.scene.frames import Frames
 
 Problem = TypeVar("Problem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
@@ -92,7 +91,6 @@ class ProblemBuilder:
     """Builder of planning problems for one robot.
 
     Args:
-        parameters: values for what requests leave out.
         speed_limit: share of the velocity limits that motions of some joints may use now.
     """
 
@@ -109,11 +107,7 @@ class ProblemBuilder:
         self._speed_limit = speed_limit
 
     def group(self, name: str) -> Group:
-        """Return a planning group; the configured one for an empty name.
-
-        Raises:
-            RefusedError: there is no such group.
-        """
+        """Return a planning group; the configured one for an empty name."""
         return planning_group(self._robot, name, self._parameters.configured)
 
     def context(self, group: Group, start_rad: Positions) -> RequestContext:
@@ -158,9 +152,6 @@ class ProblemBuilder:
         Args:
             request: the request; its start state is not read here, because only the first of several has one.
             start_rad: position of every movable joint at the start [rad].
-
-        Raises:
-            RefusedError: a field that cannot be used.
         """
         pipeline = check_pipeline(request["pipeline_id"])
         _check_unread(request)
@@ -182,7 +173,7 @@ class ProblemBuilder:
             planner_id=_planner_id(request["planner_id"], parameters, warnings) if pipeline == OMPL else "",
             optimization_time_s=parameters.optimization_time,
         )
-        planner = _pilz_planner(request["planner_id"], warnings) if pipeline == PILZ else POINT_TO_POINT
+        planner = _pilz_planner(request["planner_id"]) if pipeline == PILZ else POINT_TO_POINT
         warnings += _ignored_fields(request, planner)
         if planner == POINT_TO_POINT:
             return BuiltProblem(problem, tuple(warnings))
@@ -198,11 +189,7 @@ class ProblemBuilder:
         return min(asked, limit)
 
     def joints(self, requests: Iterable[Message]) -> Joints:
-        """Return the joints of all groups of some moveit_msgs/MotionPlanRequest.
-
-        Raises:
-            RefusedError: there is no such group.
-        """
+        """Return the joints of all groups of some moveit_msgs/MotionPlanRequest."""
         return frozenset().union(*(self.group(request["group_name"]).joints for request in requests))
 
     def step(self, request: Message) -> Step:
@@ -214,9 +201,6 @@ class ProblemBuilder:
 
         Args:
             start_rad: position of every movable joint at the start [rad].
-
-        Raises:
-            RefusedError: a field that cannot be used.
         """
         context = self.context(self.group(request["group_name"]), start_rad)
         max_step_m = request["max_step"]
@@ -246,9 +230,6 @@ class ProblemBuilder:
 
         Args:
             seed_rad: position of every movable joint to start from, within the limits [rad].
-
-        Raises:
-            RefusedError: a field that cannot be used.
         """
         context = self.context(group, seed_rad)
         constraints = read_path_constraints(request["constraints"], context, "ik_request.constraints")
@@ -270,9 +251,6 @@ def sequence_requests(sequence: Message) -> list[Message]:
 
     Args:
         sequence: a moveit_msgs/MotionSequenceRequest.
-
-    Raises:
-        RefusedError: an item that cannot be planned as part of a sequence.
     """
     items = sequence["items"]
     if not 1 <= len(items) <= MAX_ITEMS:
@@ -292,11 +270,7 @@ def sequence_requests(sequence: Message) -> list[Message]:
 
 
 def check_pipeline(pipeline_id: str) -> str:
-    """Return the planning pipeline of a name: the default one for an empty name.
-
-    Raises:
-        RefusedError: there is no such pipeline.
-    """
+    """Return the planning pipeline of a name: the default one for an empty name."""
     pipeline = pipeline_id or OMPL
     if pipeline not in PIPELINES:
         raise refused(
@@ -319,11 +293,7 @@ def read_scaling(request: Message, field: str, default: float, warnings: list[st
     not ask for full speed, and no client means it by a negative one, which is rejected.
 
     Args:
-        field: name of the field.
         warnings: gets a sentence for a value above 1.
-
-    Raises:
-        RefusedError: it is negative or not a number.
     """
     value = float(request[field])
     if math.isnan(value) or value < 0.0:
@@ -339,13 +309,8 @@ def tip_problem(
     """Build the problem of a request for Pilz's ``LIN`` or ``CIRC``.
 
     Args:
-        planner: `STRAIGHT` or `CIRCULAR`.
-        problem: the same request as a motion between its ends.
         arc: the request's path constraints, which name a point of a circle.
         tip_speed: the request's ``max_cartesian_speed`` [m/s].
-
-    Raises:
-        RefusedError: a goal that is no single pose, or a circle without radius.
     """
     link, end, tolerance_rad = _tip_end(problem, context)
     segment = Line(end) if planner == STRAIGHT else Arc(_via_m(arc, link, end, context), end)
@@ -456,15 +421,13 @@ def _planner_id(requested: str, parameters: MoveItParameters, warnings: list[str
     return name
 
 
-def _pilz_planner(requested: str, warnings: list[str]) -> str:
-    name = requested.upper()
-    if name in PIPELINES[PILZ]:
-        return name
-    if requested:
-        warnings.append(
-            f"there is no planner {requested!r}: {POINT_TO_POINT} is used; there are: {', '.join(PIPELINES[PILZ])}"
-        )
-    return POINT_TO_POINT
+def _pilz_planner(requested: str) -> str:
+    """Return one of Pilz's planners; MoveIt fails likewise for another one (planning_pipeline.cpp)."""
+    name = requested.upper() or POINT_TO_POINT
+    if name not in PIPELINES[PILZ]:
+        problem = f"planner_id: {PILZ} has no planner {requested!r} here; there are: {', '.join(PIPELINES[PILZ])}"
+        raise refused(MoveItErrorCode.PLANNING_FAILED, problem, planner_id=requested)
+    return name
 
 
 def _ignored_fields(request: Message, planner: str) -> list[str]:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from robot.description.model import RobotModel
+from server.moveit.error_codes import invalid
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import invalid
 
 Pair = frozenset[str]
 
@@ -33,7 +33,6 @@ class AllowedCollisionMatrix:
     """Contents of a moveit_msgs/AllowedCollisionMatrix; pairs that it does not name follow the SRDF.
 
     Attributes:
-        names: links and objects with an entry for each of their pairs.
         allowed: pairs of them that may touch; the others may not.
         defaults: name -> value for its pairs with names that are not in ``names``.
     """
@@ -75,15 +74,7 @@ class AllowedCollisionMatrix:
         )
 
     def exceptions(self, disabled: frozenset[Pair], known: Collection[str]) -> dict[Pair, bool]:
-        """Return the pairs for which the matrix differs from the SRDF: pair -> true if it may touch.
-
-        Args:
-            disabled: pairs that may touch by the SRDF.
-            known: names of all links and objects.
-
-        Raises:
-            RefusedError: there are more than `MAX_EXCEPTIONS`.
-        """
+        """Return the pairs for which the matrix differs from the SRDF: pair -> true if it may touch."""
         named = frozenset(self.names)
         # Counted first: an entry for a default name stands for pairs with all others.
         count = len(self.allowed ^ disabled) + len(self.defaults) * len(known)
@@ -106,14 +97,7 @@ class AllowedCollisionMatrix:
 
 
 def read_allowed_collision_matrix(message: Message, where: str) -> AllowedCollisionMatrix:
-    """Read a moveit_msgs/AllowedCollisionMatrix; only entries above the diagonal count, as in MoveIt.
-
-    Args:
-        where: path of the field, for errors.
-
-    Raises:
-        RefusedError: it contradicts itself.
-    """
+    """Read a moveit_msgs/AllowedCollisionMatrix; only entries above the diagonal count, as in MoveIt."""
     names, rows = message["entry_names"], [entry["enabled"] for entry in message["entry_values"]]
     if len(names) > MAX_NAMES:
         raise invalid(f"{where}.entry_names has {len(names)} entries, more than {MAX_NAMES}")

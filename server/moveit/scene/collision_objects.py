@@ -11,8 +11,8 @@ from typing import Any
 from planners.scene import AttachedObject, Pose, SceneObject, Shape
 from planners.scene_checks import pose_fault
 from server.errors import RefusedError
+from server.moveit.error_codes import invalid
 from server.moveit.poses import Message, read_pose, write_pose
-from server.moveit.requests.error_codes import invalid
 from server.moveit.scene import shapes
 
 Shapes = tuple[tuple[Shape, Pose], ...]
@@ -43,7 +43,6 @@ class CollisionObject:
         type: object_recognition_msgs/ObjectType, passed on unread.
         geometry: the shapes as messages, by field of :data:`GEOMETRY_KINDS`.
         shapes: the same in the order of :data:`GEOMETRY_KINDS`, each with its pose in the object's frame.
-        subframes: name -> pose in the object's frame.
     """
 
     name: str
@@ -104,8 +103,6 @@ class AttachedCollisionObject:
     """Object that a link holds.
 
     Attributes:
-        collision_object: the object; its frame is the link.
-        touch_links: further links that may touch it.
         detach_posture: trajectory_msgs/JointTrajectory, passed on unread.
     """
 
@@ -161,13 +158,6 @@ def read_collision_object(message: Message, frame: str, where: str) -> Collision
     """Read a moveit_msgs/CollisionObject that has geometry; its pose stays in the frame of its header.
 
     As in MoveIt, an object without a pose gets that of its shape if it has just one.
-
-    Args:
-        frame: name of the header's frame.
-        where: path of the field, for errors.
-
-    Raises:
-        RefusedError: it has no shape, or a value that cannot be used.
     """
     name = message["id"]
     if not has_geometry(message):
@@ -185,11 +175,7 @@ def read_collision_object(message: Message, frame: str, where: str) -> Collision
 
 
 def read_shape_poses(message: Message, where: str) -> tuple[Pose, ...]:
-    """Read the poses of the shapes in a moveit_msgs/CollisionObject, in the order of :data:`GEOMETRY_KINDS`.
-
-    Raises:
-        RefusedError: one cannot be used.
-    """
+    """Read the poses of the shapes in a moveit_msgs/CollisionObject, in the order of :data:`GEOMETRY_KINDS`."""
     return tuple(
         read_bounded_pose(each, f"{where}.{field}[{i}]")
         for _, field, _ in GEOMETRY_KINDS
@@ -206,11 +192,7 @@ def with_object_pose(pose: Pose, shapes: Shapes) -> tuple[Pose, Shapes]:
 
 
 def read_bounded_pose(message: Message, where: str) -> Pose:
-    """Read a geometry_msgs/Pose within the scene's bounds.
-
-    Raises:
-        RefusedError: it has no finite numbers, or is beyond the bounds.
-    """
+    """Read a geometry_msgs/Pose within the scene's bounds."""
     pose = read_pose(message, where)
     fault = pose_fault(pose)
     if fault is not None:

@@ -12,8 +12,8 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 from server.errors import RefusedError
+from server.moveit.error_codes import refused
 from server.moveit.poses import composed, inverse, pose_of
-from server.moveit.requests.error_codes import refused
 from server.moveit.scene.collision_objects import IDENTITY, AttachedCollisionObject, CollisionObject
 
 # MoveIt's name of the fixed frame, which is the robot's root link here.
@@ -79,11 +79,7 @@ class LinkTransforms:
         return self._robot.links
 
     def pose(self, link: str) -> Pose:
-        """Return the pose of a link in the root link.
-
-        Raises:
-            RefusedError: the arm's position is not known.
-        """
+        """Return the pose of a link in the root link."""
         if link == self.root_link:
             return IDENTITY
         if self._positions_rad is None:
@@ -106,7 +102,6 @@ class Frames:
         """Return the pose of a frame in the root link; names and errors are those of :func:`find_frame`.
 
         Args:
-            frame_id: its name.
             positions_rad: position of every movable joint [rad], None while they are not known.
         """
         latest, contents = self._latest, self._state.contents
@@ -139,12 +134,6 @@ def find_frame(frame_id: str, around: FrameObjects, links: LinkTransforms) -> Po
 
     The empty name, ``world`` and the root link are the root link itself; a leading slash does not matter. A subframe
     is named ``OBJECT/SUBFRAME``. Links are found before objects, and objects before fixed frames.
-
-    Args:
-        frame_id: its name.
-
-    Raises:
-        RefusedError: the frame is unknown, or moves with an arm whose position is not known.
     """
     name = frame_id.removeprefix("/")
     if not name:

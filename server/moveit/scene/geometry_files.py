@@ -22,8 +22,8 @@ from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, WORKING
 from server.graph.topics import Graph
+from server.moveit.error_codes import invalid
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import invalid
 from server.moveit.scene import shapes
 from server.moveit.scene.collision_objects import ADD, NO_STAMP, CollisionObject
 from server.moveit.scene.planning_scene import SceneContents
@@ -54,14 +54,7 @@ def write_geometry(contents: SceneContents) -> str:
 
 
 def read_geometry(text: str, frame: str) -> list[dict[str, Any]]:
-    """Read the objects of a text, as moveit_msgs/CollisionObject that add them.
-
-    Args:
-        text: as :func:`write_geometry` or MoveIt writes it.
-
-    Raises:
-        RefusedError: a line that cannot be read; the error has its number.
-    """
+    """Read the objects of a text, as moveit_msgs/CollisionObject that add them."""
     lines = _Lines(text)
     lines.next("the scene's name")
     objects = []
@@ -278,9 +271,6 @@ def file_within(directory: Path | None, name: str) -> Path:
 
     Args:
         directory: where files may be; None for nowhere.
-
-    Raises:
-        RefusedError: the file is elsewhere, or the name is no file name.
     """
     if directory is None:
         raise invalid("the setting moveit.geometry_directory names no folder, so there are no files")

@@ -258,8 +258,6 @@ class MonitoredScenePublisher:
 
     Args:
         rate_hz: changes that come faster are published together [Hz].
-        clock: monotonic time [s].
-        call_later: calls a function after a delay.
     """
 
     def __init__(
@@ -315,11 +313,7 @@ class MonitoredScenePublisher:
 
 
 class SceneServices:
-    """``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``.
-
-    Args:
-        assumed: joint states that clients assume.
-    """
+    """``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``."""
 
     def __init__(
         self,
@@ -389,12 +383,7 @@ class SceneServices:
 
 
 class SceneInterface:
-    """All topics and services of the planning scene.
-
-    Args:
-        assumed: joint states that clients assume.
-        parameters: rate of ``/monitored_planning_scene``, and the directory of geometry files.
-    """
+    """All topics and services of the planning scene."""
 
     def __init__(
         self,

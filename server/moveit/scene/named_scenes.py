@@ -42,11 +42,7 @@ def objects_in_words(count: int) -> str:
 
 
 class NamedScenes:
-    """Store of scenes by name. Several servers may share its folder.
-
-    Args:
-        folder: of the files; created with the first scene.
-    """
+    """Store of scenes by name. Several servers may share its folder."""
 
     def __init__(self, folder: Path, state: SceneState, robot: RobotModel, message_types: MessageTypes) -> None:
         self._files = NamedFiles(folder, "scene", MAX_SCENES)
@@ -115,11 +111,7 @@ def _read(path: Path) -> object:
 
 
 def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState) -> None:
-    """Offer ``/arm/scenes/list``, ``/arm/scenes/save``, ``/arm/scenes/load`` and ``/arm/scenes/delete``.
-
-    Args:
-        current: positions of the joints, for objects that links hold.
-    """
+    """Offer ``/arm/scenes/list``, ``/arm/scenes/save``, ``/arm/scenes/load`` and ``/arm/scenes/delete``."""
     node = Node("saved scenes")
 
     async def names(_request: Message) -> Message:

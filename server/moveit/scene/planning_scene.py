@@ -16,8 +16,8 @@ from planners.scene import Pose, Scene
 from planners.scene_checks import MAX_LENGTH_M, MAX_SHAPES
 from robot.description.model import RobotModel
 from server.errors import RefusedError
+from server.moveit.error_codes import invalid, refused
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import invalid, refused
 from server.moveit.scene.allowed_collision_matrix import (
     AllowedCollisionMatrix,
     disabled_collisions,
@@ -72,13 +72,9 @@ class SceneContents:
     """Contents of a planning scene. Objects are compared by identity, which makes comparing scenes quick.
 
     Attributes:
-        name: name of the scene.
         objects: collision objects by name, in the planning frame.
-        attached: attached collision objects by name.
         padding_m: link -> padding [m]; links that are not in it have none.
-        scale: link -> scale; links that are not in it have 1.
         colors: link or object -> std_msgs/ColorRGBA.
-        fixed_frames: fixed frame transforms by name, in the root link.
     """
 
     allowed_collisions: AllowedCollisionMatrix
@@ -101,12 +97,7 @@ class SceneContents:
         )
 
     def as_scene(self, version: int, robot: RobotModel) -> Scene:
-        """Return the scene as planners have it.
-
-        Args:
-            version: a number that no other scene has.
-            robot: the arm; its SRDF disables collisions that the matrix does not name.
-        """
+        """Return the scene as planners have it."""
         known = [*robot.links, *self.objects, *self.attached]
         return Scene(
             version,
@@ -166,30 +157,18 @@ class SceneDraft:
         return frame_id in ("", self.root)
 
     def frame(self, frame_id: str) -> Pose:
-        """Return the pose of a frame in the planning frame.
-
-        Raises:
-            RefusedError: the frame is unknown.
-        """
+        """Return the pose of a frame in the planning frame."""
         return find_frame(frame_id, self, self.links)
 
     def in_planning_frame(self, collision_object: CollisionObject) -> CollisionObject:
-        """Return an object with its pose in the planning frame.
-
-        Raises:
-            RefusedError: the object's frame is unknown.
-        """
+        """Return an object with its pose in the planning frame."""
         pose = self.object_pose(collision_object.name, collision_object.frame, collision_object.pose)
         if collision_object.frame == self.root:
             return collision_object
         return replace(collision_object, frame=self.root, pose=pose)
 
     def object_pose(self, name: str, frame_id: str, pose: Pose) -> Pose:
-        """Transform the pose of an object from a frame into the planning frame.
-
-        Raises:
-            RefusedError: the frame is unknown.
-        """
+        """Transform the pose of an object from a frame into the planning frame."""
         try:
             return in_root(self.frame(frame_id), pose)
         except RefusedError as error:
@@ -209,14 +188,7 @@ class SceneDraft:
 
 
 def apply_collision_object(draft: SceneDraft, message: Message, where: str) -> None:
-    """Apply a moveit_msgs/CollisionObject.
-
-    Args:
-        where: path of the field, for errors.
-
-    Raises:
-        RefusedError: it cannot be applied.
-    """
+    """Apply a moveit_msgs/CollisionObject."""
     name, operation = message["id"], message["operation"]
     present = draft.objects.get(name)
     if operation == APPEND and present is not None:
@@ -236,12 +208,7 @@ def appended(draft: SceneDraft, present: CollisionObject, message: Message, wher
     """Return an object with the shapes and subframes of a message appended, at the poses that these have there.
 
     Args:
-        present: the object, its pose in any frame.
         message: moveit_msgs/CollisionObject; its pose need not be that of the object.
-        where: path of the field, for errors.
-
-    Raises:
-        RefusedError: the message cannot be used.
     """
     more = draft.in_planning_frame(read_collision_object(message, message["header"]["frame_id"], where))
     own_pose = draft.in_planning_frame(present).pose
@@ -319,14 +286,7 @@ def _shapes_by_kind(geometry: Mapping[str, Any], shapes: Shapes) -> dict[str, Sh
 
 
 def apply_attached_object(draft: SceneDraft, message: Message, where: str) -> None:
-    """Apply a moveit_msgs/AttachedCollisionObject.
-
-    Args:
-        where: path of the field, for errors.
-
-    Raises:
-        RefusedError: it cannot be applied.
-    """
+    """Apply a moveit_msgs/AttachedCollisionObject."""
     operation, name, link = message["object"]["operation"], message["object"]["id"], message["link_name"]
     # An object can be detached without naming its link.
     if link not in draft.links.names and (link or operation != REMOVE):
@@ -401,15 +361,7 @@ def _detach(draft: SceneDraft, name: str, link: str, where: str) -> None:
 
 
 def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: AllowedCollisionMatrix) -> None:
-    """Apply a moveit_msgs/PlanningScene, in MoveIt's order: attached objects before those of the world.
-
-    Args:
-        message: a scene diff, or a whole scene that replaces the present one; fields may be left out.
-        srdf_matrix: the matrix for a whole scene that has none.
-
-    Raises:
-        RefusedError: it cannot be applied.
-    """
+    """Apply a moveit_msgs/PlanningScene, in MoveIt's order: attached objects before those of the world."""
     scene = {**EMPTY_DIFF, **message}
     if not scene["is_diff"]:
         draft.clear(srdf_matrix)
@@ -427,14 +379,7 @@ def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: Allow
 
 
 def apply_world(draft: SceneDraft, world: Message, where: str) -> None:
-    """Apply a moveit_msgs/PlanningSceneWorld.
-
-    Args:
-        where: path of the field, for errors.
-
-    Raises:
-        RefusedError: it cannot be applied.
-    """
+    """Apply a moveit_msgs/PlanningSceneWorld."""
     if world["octomap"]["octomap"]["data"]:
         text = f"{where}.octomap must be empty: contacts with an octomap are not checked; give boxes or a mesh instead"
         raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, text, field=f"{where}.octomap")

@@ -45,11 +45,7 @@ WRITING_SHARE = 0.1
 
 
 class SceneFile:
-    """File of a scene.
-
-    Args:
-        path: of the file; created with the first change.
-    """
+    """File of a scene."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -95,12 +91,7 @@ class SceneFile:
 
 
 class SavedScene:
-    """Keeper of the scene: restores it at the start, and writes it after changes, off the event loop.
-
-    Args:
-        clock: monotonic time [s].
-        call_later: calls a function after a delay.
-    """
+    """Keeper of the scene: restores it at the start, and writes it after changes, off the event loop."""
 
     def __init__(
         self,

@@ -19,8 +19,8 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.graph.node import Node
+from server.moveit.error_codes import refused
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import refused
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.collision_objects import GEOMETRY_KINDS
 from server.moveit.scene.frames import LinkTransforms
@@ -51,7 +51,6 @@ class SceneChange:
     """A change of the scene by a message.
 
     Attributes:
-        apply: applies it to a draft; raises RefusedError.
         elements: number of elements in the message, as far as they take time.
     """
 
@@ -76,7 +75,6 @@ class SceneState:
     links are found; None while they are not known.
 
     Attributes:
-        frame: the planning frame, in which the scene's poses are.
         contents: contents of the scene; another object after every change.
         scene: the same as planners have it; another object, with another version, after every change they can see.
     """
@@ -148,9 +146,6 @@ class SceneState:
         """Apply a change in its turn, and wait until it is applied; arguments are those of :meth:`submit`.
 
         A change whose wait is cancelled is not applied any more.
-
-        Raises:
-            RefusedError: it cannot be applied.
         """
         applied: asyncio.Future[RefusedError | None] = asyncio.get_running_loop().create_future()
 
@@ -186,20 +181,13 @@ class SceneState:
         self.apply(self.diff(message), positions_rad)
 
     def apply(self, change: SceneChange, positions_rad: Positions) -> None:
-        """Apply a change now, ahead of those that wait.
-
-        Raises:
-            RefusedError: it cannot be applied.
-        """
+        """Apply a change now, ahead of those that wait."""
         self._commit(*self._changed(self.contents, change, positions_rad))
 
     def with_diff(self, message: Message, positions_rad: Positions) -> Scene:
         """Return the scene as a moveit_msgs/PlanningScene would make it; the state stays as it is.
 
         Fields of the message may be left out.
-
-        Raises:
-            RefusedError: it cannot be applied.
         """
         change = SceneChange(lambda draft: self._apply_scene(draft, message), 0)
         return self._changed(self.contents, change, positions_rad)[1] or self.scene
@@ -314,12 +302,7 @@ class AssumedStates:
     def completed(
         self, assumed_rad: Mapping[str, float] | None, measured_rad: Mapping[str, float] | None
     ) -> dict[str, float] | None:
-        """Complete assumed positions by measured ones, for every movable joint [rad]; None while not all are known.
-
-        Args:
-            assumed_rad: by joint [rad].
-            measured_rad: by joint [rad].
-        """
+        """Complete assumed positions by measured ones, for every movable joint [rad]; None while not all are known."""
         positions = {**(measured_rad or {}), **(assumed_rad or {})}
         return positions if positions.keys() >= self._joints else None
 
@@ -332,9 +315,6 @@ class AssumedStates:
 
         Args:
             robot_state: without joints it changes nothing; with ``is_diff``, other joints stay as they are.
-
-        Raises:
-            RefusedError: an unknown joint, or a position that is not finite.
         """
         named = self._read(robot_state["joint_state"])
         before, sent = self._assumed.get(node), self._sent.get(node, {})

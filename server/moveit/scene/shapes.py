@@ -12,8 +12,8 @@ import numpy as np
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from planners.scene_checks import MAX_TRIANGLES, shape_fault
 from robot.trajectory import Vector
+from server.moveit.error_codes import invalid
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import invalid
 
 Corner = tuple[float, float]
 
@@ -98,10 +98,6 @@ def read_primitive(message: Message, where: str) -> Shape:
 
     Args:
         message: the shape.
-        where: path of the field, for errors.
-
-    Raises:
-        RefusedError: it cannot be used.
     """
     kind, sizes_m = message["type"], message["dimensions"]
     if kind not in DIMENSIONS:

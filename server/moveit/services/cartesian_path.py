@@ -21,10 +21,10 @@ from robot.trajectory import Trajectory, Vector
 from server.execution.monitors import state_message
 from server.execution.motions import deviation_note
 from server.graph.node import Node
+from server.moveit.error_codes import invalid, required, success
 from server.moveit.poses import Message, pose_of
-from server.moveit.requests.error_codes import invalid, required, success
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.requests.trajectories import to_message
+from server.moveit.trajectories import to_message
 
 # Steps up to this exceed no factor: a flip of an elbow or a wrist is larger, and at the start of a path five joints
 # that turn towards the requested orientation move far more than the mean.
@@ -48,9 +48,6 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
 
     If only a part of the path can be followed, the response has that part and its fraction. The code is SUCCESS, as in
     MoveIt (cartesian_path_service_capability.cpp), and its message has the reason.
-
-    Raises:
-        RefusedError: the request cannot be used, or not even a part of the path can be followed.
     """
     start = context.start(request["start_state"], caller)
     # A long path takes as long to read as everybody may be kept waiting.
@@ -173,8 +170,6 @@ def first_jump(
     """Find the first jump on a path; None if there is none.
 
     Args:
-        motion: the motion along the path.
-        tip: forward kinematics, and the link that follows the path.
         others_rad: position of every movable joint; those of the motion's joints are not used [rad].
         step_m: length of a step of the tip [m].
     """
@@ -224,8 +219,6 @@ def cut_lines(start: Pose, lines: Sequence[Line], along_m: float) -> tuple[Line,
     """Cut a path of straight lines off at a length.
 
     Args:
-        start: pose at the start of the first line.
-        lines: the path.
         along_m: the length to keep [m].
     """
     kept: list[Line] = []

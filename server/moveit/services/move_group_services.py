@@ -27,11 +27,11 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Rule
 from server.graph.services import Answered, Call, CompleteResponse, answer
 from server.graph.topics import Graph
-from server.moveit.goal_messages import with_suggestion
+from server.moveit.error_codes import failure_code, refused, required, success
+from server.moveit.goals.goal_messages import with_suggestion
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.poses import Message, pose_of, write_pose
 from server.moveit.requests.constraints import read_path_constraints
-from server.moveit.requests.error_codes import failure_code, refused, required, success
 from server.moveit.requests.list_limits import PLANNING_LIMITS
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import (
@@ -41,9 +41,9 @@ from server.moveit.requests.planning_problems import (
     check_pipeline,
     sequence_requests,
 )
-from server.moveit.requests.trajectories import to_message
 from server.moveit.scene.frames import seen_from
 from server.moveit.services.cartesian_path import compute_cartesian_path
+from server.moveit.trajectories import to_message
 
 log = logging.getLogger("armbridge.moveit")
 
@@ -61,17 +61,17 @@ INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}
 
 
 async def compute_ik(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
-    """Find joint positions for poses of links; returns the response of moveit_msgs/GetPositionIK.
-
-    Raises:
-        RefusedError: there are none, or the request cannot be used.
-    """
+    """Find joint positions for poses of links; returns the response of moveit_msgs/GetPositionIK."""
     ik_request = request["ik_request"]
     group = context.problems.group(ik_request["group_name"])
     seed_rad = within_limits(context.robot, context.positions_rad(ik_request["robot_state"], caller))
     scene = context.scene_of(ik_request["robot_state"], seed_rad)
     built = context.problems.ik(ik_request, group, seed_rad)
-    answer = required(await context.pool.ask(built.problem, scene))
+    found = await context.pool.ask(built.problem, scene)
+    if isinstance(found, PlanningFailure) and found.code is MoveItErrorCode.GOAL_IN_COLLISION:
+        # As MoveIt answers: clients that try one pose after the other go on where there is no solution.
+        found = replace(found, code=MoveItErrorCode.NO_IK_SOLUTION)
+    answer = required(found)
     solution = state_message(dict(answer.positions_rad[0]), context.robot.root_link, 0.0)
     return {"solution": solution, "error_code": success(*built.warnings, deviation_note(answer.deviations[0]))}
 
@@ -80,9 +80,6 @@ def compute_fk(context: PlanningContext, request: Message, caller: Node) -> dict
     """Compute poses of links, in the frame of the request's header; returns the response of moveit_msgs/GetPositionFK.
 
     Without names it computes the poses of all links.
-
-    Raises:
-        RefusedError: an unknown link or frame, or a state that cannot be used.
     """
     positions_rad = context.positions_rad(request["robot_state"], caller)
     names = request["fk_link_names"] or list(context.robot.links)
@@ -111,7 +108,6 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
     """Check a state for limits, collisions and constraints; returns the response of moveit_msgs/GetStateValidity.
 
     Raises:
-        RefusedError: a state, group or constraint that cannot be used.
         UnsuccessfulError: the state is invalid.
     """
     group = context.problems.group(request["group_name"])
@@ -193,11 +189,7 @@ def _contacts(pairs: Sequence[Mapping[str, Any]], robot: RobotModel, scene: Scen
 
 
 async def plan_kinematic_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
-    """Plan a motion; returns the response of moveit_msgs/GetMotionPlan.
-
-    Raises:
-        RefusedError: there is no such motion, or the request cannot be used.
-    """
+    """Plan a motion; returns the response of moveit_msgs/GetMotionPlan."""
     plan_request = request["motion_plan_request"]
     start = context.start(plan_request["start_state"], caller)
     built = context.problems.motion_plan(plan_request, start.start_rad)
@@ -226,7 +218,6 @@ async def explained(
     """Return a failure whose message says what would work, if anything was found.
 
     Args:
-        failure: the reason why a problem has no plan.
         problem: the problem; None when it could not be made.
     """
     added = await with_nearest_goal(failure, problem, scene, context.pool)
@@ -237,9 +228,6 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     """Plan a sequence of motions; returns the response of moveit_msgs/GetMotionSequence.
 
     If an item cannot be planned, the response has the motions of the items before it, and the item's error code.
-
-    Raises:
-        RefusedError: a sequence or a start state that cannot be used.
     """
     requests = sequence_requests(request["request"])
     steps = [context.problems.step(item) for item in requests]
@@ -274,11 +262,7 @@ def query_planner_interface(context: PlanningContext, request: Message, caller: 
 
 
 def get_planner_params(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
-    """Look parameters of a planner up; returns the response of moveit_msgs/GetPlannerParams.
-
-    Raises:
-        RefusedError: there is no such pipeline or group.
-    """
+    """Look parameters of a planner up; returns the response of moveit_msgs/GetPlannerParams."""
     _check_planner(context, request)
     texts = context.parameters.texts(request["group"], request["planner_config"])
     descriptions = ["" if key in KNOWN_KEYS else "kept, changes nothing" for key in texts]
@@ -286,12 +270,7 @@ def get_planner_params(context: PlanningContext, request: Message, caller: Node)
 
 
 def set_planner_params(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
-    """Set parameters of a planner; returns the empty response of moveit_msgs/SetPlannerParams.
-
-    Raises:
-        RefusedError: there is no such pipeline or group.
-        ServiceError: a value that cannot be used.
-    """
+    """Set parameters of a planner; returns the empty response of moveit_msgs/SetPlannerParams."""
     _check_planner(context, request)
     keys, values = request["params"]["keys"], request["params"]["values"]
     if len(keys) != len(values):
@@ -310,11 +289,7 @@ def _check_planner(context: PlanningContext, request: Message) -> None:
 
 
 def get_urdf(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
-    """Write the URDF of a planning group; returns the response of moveit_msgs/GetGroupUrdf.
-
-    Raises:
-        RefusedError: there is no such group.
-    """
+    """Write the URDF of a planning group; returns the response of moveit_msgs/GetGroupUrdf."""
     group = context.problems.group(request["group_name"])
     # The same message every time, so that it is also encoded only once.
     response = context.urdf_responses.get(group.name)
@@ -352,11 +327,7 @@ def error_response(failure: PlanningFailure) -> dict[str, Any]:
 
 
 def fail_call(failure: PlanningFailure) -> dict[str, Any]:
-    """Make the call fail, for responses without a field for the reason.
-
-    Raises:
-        ServiceError: always.
-    """
+    """Make the call fail, for responses without a field for the reason."""
     raise ServiceError(failure.message)
 
 
@@ -374,7 +345,6 @@ class MoveGroupService:
     """Service of move_group.
 
     Attributes:
-        handler: computes the response; raises RefusedError.
         rejection: writes the response to a request that was rejected.
         complete: True if the handler writes every field of a response that may be large.
     """

@@ -28,15 +28,16 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from robot.arm_interface import ArmInterface, StreamInterface
+from robot.arm import ArmStream
+from robot.arm_group import AnyArm
 from robot.trajectory import Vector
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
+from server.moveit.error_codes import invalid
+from server.moveit.parameters import ServoParameters
 from server.moveit.poses import Message, composed, matrix_of, read_pose
-from server.moveit.requests.error_codes import invalid
-from server.moveit.servo.parameters import ServoParameters
 
 log = logging.getLogger("armbridge.servo")
 
@@ -104,11 +105,7 @@ class ServoSetup:
 
 
 def read_twist(message: Message, parameters: ServoParameters) -> TwistCommand:
-    """Read a geometry_msgs/TwistStamped.
-
-    Raises:
-        RefusedError: a number that cannot be used.
-    """
+    """Read a geometry_msgs/TwistStamped."""
     linear = _scaled_vector(message, "linear", parameters.linear_scale, parameters)
     angular = _scaled_vector(message, "angular", parameters.rotational_scale, parameters)
     return TwistCommand(linear, angular, message["header"]["frame_id"])
@@ -119,9 +116,6 @@ def read_joint_jog(message: Message, joints: Sequence[str], parameters: ServoPar
 
     Args:
         message: the message; its displacements are not followed.
-
-    Raises:
-        RefusedError: a joint or a number that cannot be used.
     """
     names, velocities = message["joint_names"], message["velocities"]
     if len(names) != len(velocities) or not names:
@@ -143,9 +137,6 @@ def read_pose_target(message: Message, resolve: Resolve, positions_rad: Position
 
     Args:
         positions_rad: commanded position of every movable joint [rad].
-
-    Raises:
-        RefusedError: a pose that is not finite, or an unknown frame.
     """
     pose = read_pose(message["pose"], "pose")
     return TipTarget(composed(resolve(message["header"]["frame_id"], positions_rad), pose))
@@ -156,9 +147,6 @@ def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Posi
 
     Args:
         positions_rad: commanded position of every movable joint [rad].
-
-    Raises:
-        RefusedError: an unknown frame.
     """
     if not isinstance(command, TwistCommand):
         return command
@@ -199,13 +187,12 @@ class ServoSession:
     Args:
         publish_status: called after every step.
         interrupted: called with the reason when the arm is stopped from elsewhere.
-        clock: monotonic time [s].
         current: positions of all joints, also of arms that are not steered; None for those of the arm.
     """
 
     def __init__(
         self,
-        arm: ArmInterface,
+        arm: AnyArm,
         setup: ServoSetup,
         ask: Ask,
         resolve: Resolve,
@@ -223,7 +210,7 @@ class ServoSession:
         self._input: ServoInput = JointVelocities({})
         self._expires_at_s = -math.inf
         self._task: asyncio.Task[None] | None = None
-        self._stream: StreamInterface | None = None
+        self._stream: ArmStream | None = None
         self._released = False
         self._latencies_s: deque[float] = deque(maxlen=LATENCY_ANSWERS)
         # Set by what the next step does not wait for: the end of the stream, and a command that is followed at once.
@@ -296,7 +283,7 @@ class ServoSession:
         self._publish_status(ServoStatus.INVALID, f"steering was ended: {ended.message}")
         self._interrupted(f"steering was ended: {ended.message}")
 
-    async def _follow_commands(self, stream: StreamInterface) -> None:
+    async def _follow_commands(self, stream: ArmStream) -> None:
         velocity: Mapping[str, float] = {}
         anchor: Anchor | None = None
         kind: type[ServoCommand] | None = None

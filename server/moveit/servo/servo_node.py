@@ -14,7 +14,7 @@ from typing import Any
 from planners.servo.question import ServoStatus
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from server.arrival import arrival_epoch
 from server.errors import RefusedError, UnsuccessfulError
@@ -23,12 +23,11 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import STOPPING, SWITCHING
 from server.graph.topics import Subscriber
-from server.moveit.parameters import MoveItParameters
+from server.moveit.error_codes import invalid
+from server.moveit.parameters import LEAST_TIMEOUT_S, MoveItParameters
 from server.moveit.poses import Message
 from server.moveit.requests.context import planning_group, tip_link
-from server.moveit.requests.error_codes import invalid
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.servo.parameters import LEAST_TIMEOUT_S
 from server.moveit.servo.servo_loop import (
     ServoInput,
     ServoSession,
@@ -103,7 +102,6 @@ class StatusPublisher:
 
     Args:
         type_name: ``moveit_msgs/ServoStatus`` or ``std_msgs/Int8``.
-        clock: monotonic time [s].
     """
 
     def __init__(
@@ -134,11 +132,7 @@ class StatusPublisher:
 
 
 class Ownership:
-    """Control by one client at a time, until it leaves or sends no more commands.
-
-    Args:
-        present: tells if a client is still connected.
-    """
+    """Control by one client at a time, until it leaves or sends no more commands."""
 
     def __init__(self, present: Callable[[object], bool]) -> None:
         self._present = present
@@ -146,11 +140,7 @@ class Ownership:
         self._heard_s = 0.0
 
     def owner(self, now_s: float) -> object:
-        """Return the client in control; None if there is none.
-
-        Args:
-            now_s: monotonic time [s].
-        """
+        """Return the client in control; None if there is none."""
         if self._owner is not None and (now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self._owner)):
             self._owner = None
         return self._owner
@@ -176,7 +166,6 @@ class CommandGate:
     """Gate for commands: those of the client in control, of the selected type, while the arm is free.
 
     Args:
-        present: tells if a client is still connected.
         timeout_s: after a silence of this time a stick counts as released [s].
         busy: returns the reason if the arm cannot be steered now, else an empty text.
         arm: the arm, whose stops release a held stick.
@@ -186,7 +175,7 @@ class CommandGate:
     """
 
     def __init__(
-        self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str], arm: ArmInterface
+        self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str], arm: AnyArm
     ) -> None:
         self._ownership = Ownership(present)
         self._timeout_s = timeout_s
@@ -228,11 +217,7 @@ class CommandGate:
         self._presses = dict.fromkeys(self._presses, self._heard_epoch)
 
     def rejection(self, client: object, kind: CommandType, now_s: float) -> CommandRejection | None:
-        """Check a command; None if it is to be followed.
-
-        Args:
-            now_s: monotonic time [s].
-        """
+        """Check a command; None if it is to be followed."""
         owner = self._ownership.owner(now_s)
         if owner is None and self._heard_s > -float("inf"):
             # The selection of a client ends with its control.
@@ -278,9 +263,6 @@ class CommandTimeouts:
         Args:
             timeout_s: time after which its commands expire [s].
             present: every client that has a choice and is still connected.
-
-        Raises:
-            RefusedError: no finite number, or one below `LEAST_TIMEOUT_S`.
         """
         if not math.isfinite(timeout_s) or timeout_s < LEAST_TIMEOUT_S:
             text = f"{TIMEOUT_TOPIC}: data must be at least {LEAST_TIMEOUT_S:g} s, not {timeout_s:g}"
@@ -304,8 +286,6 @@ class ServoNode:
     """MoveIt Servo's node.
 
     Args:
-        parameters: group, tip, and parameters of the servo loop.
-        arm: the arm, or the arms together, that it steers.
         busy: returns the reason if the arm cannot be steered now, else an empty text.
     """
 
@@ -313,7 +293,7 @@ class ServoNode:
         self,
         graph: LocalGraph,
         parameters: MoveItParameters,
-        arm: ArmInterface,
+        arm: AnyArm,
         planning: PlanningContext,
         busy: Callable[[], str],
     ) -> None:

@@ -6,12 +6,10 @@ import pytest
 from planners.assistant.surface import (
     ConvexPart,
     Surface,
-    components,
     measure,
     merged,
-    sample_with_normals,
 )
-from tests.helpers.stl_arm import boxes_union, channel
+from tests.helpers.stl_arm import boxes_union
 
 
 def surface(triangles) -> Surface:
@@ -20,29 +18,6 @@ def surface(triangles) -> Surface:
 
 CUBE = surface(boxes_union([((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1))]))
 RANDOM = np.random.default_rng(0)
-
-
-def test_triangles_that_meet_share_their_vertices():
-    assert len(CUBE.vertices_m) == 8
-    assert len(CUBE.triangles) == 12
-    assert CUBE.area_m2 == pytest.approx(0.24)
-
-
-def test_pieces_that_do_not_touch_are_components():
-    two = surface(boxes_union([((0.0, 0.0, 0.0), (0.1, 0.1, 0.1)), ((0.2, 0.0, 0.0), (0.3, 0.1, 0.1))]))
-    assert [len(piece.triangles) for piece in components(two)] == [12, 12]
-
-
-def test_samples_lie_on_the_surface_and_normals_point_outwards():
-    points, normals = sample_with_normals(CUBE, 500, RANDOM)
-    assert np.abs(points).max(axis=1) == pytest.approx(np.full(500, 0.1))
-    assert (points * normals).sum(axis=1) == pytest.approx(np.full(500, 0.1))
-
-
-def test_the_hull_of_a_channel_stands_out_by_half_its_width():
-    deviation = measure(surface(channel()), [ConvexPart(channel().reshape(-1, 3))], np.random.default_rng(1))
-    assert deviation.outside_m == pytest.approx(0.016, abs=0.0005)
-    assert deviation.uncovered_m == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_part_that_is_too_small_leaves_the_surface_uncovered():
@@ -56,11 +31,6 @@ def test_faces_between_parts_do_not_stand_out():
     parts = [ConvexPart(boxes_union([half]).reshape(-1, 3)) for half in halves]
     # Distances are to samples, which are 1.1 mm apart on this surface.
     assert measure(CUBE, parts, np.random.default_rng(1)).greatest_m < 0.002
-
-
-def test_flat_points_get_a_thin_part():
-    part = ConvexPart(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]))
-    assert part.depth_m(np.array([[0.02, 0.02, 0.0]])) < 0.0
 
 
 def test_a_part_within_planes_encloses_it():

@@ -32,30 +32,16 @@ def tame(arc):
 arcs = st.builds(lambda via, end: Arc(via, Pose(end)), points, points).filter(tame)
 
 
-@given(points)
-def test_a_line_is_straight_and_ends_in_its_end(end):
-    path = TipPath(START, [Line(Pose(end))])
-    expected = np.linspace(0.0, 1.0, 200)[:, np.newaxis] * (np.array(end) - START.translation) + START.translation
-    if path.length_m > 0.0:
-        np.testing.assert_allclose(places(path), expected, atol=1e-9)
-
-
 @given(arcs)
 @examples(30)
-def test_an_arc_goes_through_its_points(arc):
+def test_an_arc_goes_evenly_through_its_points_and_has_its_length(arc):
     path = TipPath(START, [arc])
     way = places(path, 500)
     np.testing.assert_allclose(way[0], START.translation, atol=1e-9)
     np.testing.assert_allclose(way[-1], arc.end.position_m, atol=1e-6)
     step_m = np.linalg.norm(np.diff(way, axis=0), axis=1).max()
     assert np.linalg.norm(way - np.array(arc.via_m), axis=1).min() <= step_m + 1e-6
-
-
-@given(arcs)
-@examples(30)
-def test_an_arc_is_run_through_evenly_and_its_length_is_the_path_s(arc):
-    path = TipPath(START, [arc])
-    steps_m = np.linalg.norm(np.diff(places(path, 300), axis=0), axis=1)
+    steps_m = np.linalg.norm(np.diff(way, axis=0), axis=1)
     np.testing.assert_allclose(steps_m, steps_m.mean(), rtol=1e-3)
     assert steps_m.sum() == pytest.approx(path.length_m, rel=1e-3)
 
@@ -144,16 +130,6 @@ def test_a_bad_segment_is_told_by_its_number(robot, segment, said):
     assert refusal.code == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert "segment 1" in refusal.message
     assert said in refusal.message
-
-
-def test_a_good_problem_is_not_refused(robot):
-    assert check_path(robot, PROBLEM) is None
-    assert check_shape(np.array([0.1, 0.0, 0.1]), PROBLEM) is None
-
-
-def test_an_arc_without_a_circle_is_refused():
-    flat = replace(PROBLEM, segments=(Arc((0.15, 0.0, 0.1), Pose((0.2, 0.0, 0.1))),))
-    assert "segment 0" in check_shape(np.array([0.1, 0.0, 0.1]), flat).message
 
 
 def test_a_path_of_too_many_points_is_refused_with_the_limit():

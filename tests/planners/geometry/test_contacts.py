@@ -9,7 +9,7 @@ import pytest
 
 from planners.geometry import contacts
 from planners.geometry.collision import CollisionModel, PairFilter, link_bodies, object_bodies
-from planners.geometry.contacts import Broadphase, deeper_than, nearer_than, overlap_m, parts_of
+from planners.geometry.contacts import Broadphase, PartPair, parts_of
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import convex, robot_shapes, urdf_shapes
@@ -82,17 +82,6 @@ def test_near_is_nearer_than_the_margin_of_each_pair(crowded, margin_m):
             assert broadphase.near_among(q, range(0, count, 2), margins_m) == [pair for pair in near if pair % 2 == 0]
 
 
-def test_padded_pairs_touch_before_they_overlap(crowded):
-    build, states = crowded
-    plain, padded = build(0.0), build(0.02)
-    count = len(plain._pairs)
-    for q in states:
-        apart_m = distances_m(plain, count, q)
-        if abs(apart_m.min() - 0.02) > 1e-5:
-            assert padded.touches(q) == (apart_m.min() < 0.02)
-        np.testing.assert_allclose(distances_m(padded, count, q), apart_m - 0.02, atol=1e-9)
-
-
 # Two small tetrahedra at the ends of the boom: between them is only their hull.
 CORNERS_M = 0.02 * np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
@@ -138,38 +127,15 @@ def test_parts_are_nearer_than_a_margin_when_any_two_of_them_are(margin_m):
             for one in first
             for other in second
         )
-        near = nearer_than(parts_of(first), at_first, parts_of(second), at_second, margin_m)
+        pair = PartPair(parts_of(first), at_first, parts_of(second), at_second)
+        near = pair.nearer_than(margin_m)
         verdicts.add(near)
         if abs(nearest_m - margin_m) > 1e-5:
             assert near == (nearest_m < margin_m)
+        assert pair.nearest().distance_m == pytest.approx(nearest_m, abs=1e-5)
+        for depth_m in (-0.05, 0.0, 0.02):
+            assert abs(nearest_m + depth_m) < 1e-5 or pair.deeper_than(depth_m) == (nearest_m < -depth_m)
     assert verdicts == {True, False}
-
-
-def test_solid_parts_overlap_as_deep_as_the_deepest_two():
-    cubes = parts_of([_box(0.1, 0.1, 0.1, at_x=0.0), _box(0.1, 0.1, 0.1, at_x=0.003)])
-    post = parts_of([_box(0.02, 0.02, 0.5, at_x=0.0)])
-    for inside_m in (0.001, 0.004):
-        at_post = pin.SE3(np.eye(3), np.array([0.063 - inside_m, 0.0, 0.0]))
-        assert overlap_m(cubes, pin.SE3.Identity(), post, at_post) == pytest.approx(inside_m, abs=1e-5)
-    beside = pin.SE3(np.eye(3), np.array([0.07, 0.0, 0.0]))
-    assert overlap_m(cubes, pin.SE3.Identity(), post, beside) <= 0.0
-
-
-@pytest.mark.parametrize("deepest_m", [-0.005, 0.001, 0.004])
-def test_deeper_than_compares_the_deepest_two_with_a_depth(deepest_m):
-    cubes = parts_of([_box(0.1, 0.1, 0.1, at_x=0.0), _box(0.1, 0.1, 0.1, at_x=0.003)])
-    post = parts_of([_box(0.02, 0.02, 0.5, at_x=0.0)])
-    at_post = pin.SE3(np.eye(3), np.array([0.063 - deepest_m, 0.0, 0.0]))
-    for depth_m in (-0.008, -0.002, 0.0, 0.002, 0.008):
-        assert deeper_than(cubes, pin.SE3.Identity(), post, at_post, depth_m) == (deepest_m > depth_m)
-
-
-def test_shapes_with_places_of_their_own_are_where_they_are():
-    crossed = parts_of([_box(0.02, 0.02, 0.5, at_x=x) for x in (0.0, 0.2, 0.0)])
-    cube = parts_of([_box(0.01, 0.01, 0.01, at_x=0.0)])
-    for at_x, near in ((0.0, True), (0.1, False), (0.2, True)):
-        at_cube = pin.SE3(np.eye(3), np.array([at_x, 0.0, 0.2]))
-        assert nearer_than(cube, at_cube, crossed, pin.SE3.Identity(), 0.01) == near
 
 
 def test_parts_are_there_before_they_are_needed(robot, monkeypatch):
@@ -184,12 +150,12 @@ def test_a_motion_out_of_a_gap_is_judged_by_the_mesh(crane):
     collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.15, 0.01, 0.28)))
     arm, start = crane.groups["arm"], np.zeros(3)
     lifted, extended, elsewhere = np.array([(0.0, -0.3, 0.0), (0.0, 0.0, 0.1), (1.0, 0.0, 0.0)])
-    space = JointSpace(collision, arm, start)
+    space = JointSpace(collision, arm.joints, start)
     assert space.free(start)
     assert space.line_free(start, lifted)
     assert space.line_free(start, extended)
-    assert not JointSpace(collision, arm, elsewhere).free(start)
-    assert JointSpace(collision, arm, elsewhere, also_free=[start]).free(start)
+    assert not JointSpace(collision, arm.joints, elsewhere).free(start)
+    assert JointSpace(collision, arm.joints, elsewhere, also_free=[start]).free(start)
 
 
 def test_parts_of_the_builtin_arm_cover_the_official_meshes(robot, shared_data):
@@ -212,7 +178,7 @@ def test_parts_of_the_builtin_arm_cover_the_official_meshes(robot, shared_data):
 def test_the_folded_arm_is_free_by_its_parts(robot, collision, jaw_rad, joints_rad):
     q = np.array([*joints_rad, jaw_rad])
     assert not collision.colliding_pairs(q)
-    assert JointSpace(collision, robot.groups["arm"], q).free(q[:5])
+    assert JointSpace(collision, robot.groups["arm"].joints, q).free(q[:5])
 
 
 def _on_surface(mesh, rng, count):
@@ -220,10 +186,6 @@ def _on_surface(mesh, rng, count):
     for index in rng.integers(mesh.num_tris, size=count):
         triangle = mesh.tri_indices(int(index))
         yield rng.dirichlet((1.0, 1.0, 1.0)) @ vertices[[triangle[0], triangle[1], triangle[2]]]
-
-
-def _box(*size_m, at_x):
-    return pin.GeometryObject("box", 0, pin.SE3(np.eye(3), np.array([at_x, 0.0, 0.0])), coal.Box(*size_m))
 
 
 def with_part(crane):

@@ -11,11 +11,6 @@ from tests.planners.scenes import around_the_arm, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
 HOME = np.zeros(5)
-READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
-
-
-def test_a_point_is_the_groups_part_of_a_configuration(joint_space):
-    np.testing.assert_array_equal(joint_space.point(np.arange(6.0)), np.arange(5.0))
 
 
 @pytest.mark.parametrize("ends", BLOCKED_LINES)
@@ -23,24 +18,13 @@ def test_lines_through_the_arm_are_blocked_from_either_side(joint_space, ends):
     start, end = map(np.array, ends)
     assert not joint_space.line_free(start, end)
     assert not joint_space.line_free(end, start)
-    assert not joint_space.curve_free(np.array([HOME, start, end]))
-
-
-def test_lines_and_curves_between_free_poses_are_free(joint_space):
-    assert joint_space.line_free(HOME, READY)
-    assert joint_space.curve_free(np.array([HOME, READY, HOME]))
-
-
-def test_the_last_point_of_a_curve_is_checked(joint_space):
-    folded = np.array([0.0, -1.745, 1.69, 1.0, 0.0])
-    assert not joint_space.curve_free(np.array([HOME, READY, folded]), step_m=10.0)
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_nothing_touches_within_a_range_that_is_free(robot, arm, seed):
     collision = CollisionModel(robot)
     collision.set_scene(around_the_arm(seed))
-    space, rng = JointSpace(collision, arm, np.zeros(6)), np.random.default_rng(seed)
+    space, rng = JointSpace(collision, arm.joints, np.zeros(6)), np.random.default_rng(seed)
     free = 0
     for _ in range(100):
         point, joint_travel = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad), rng.uniform(0.0, 0.1, 5)
@@ -55,7 +39,7 @@ def test_nothing_touches_within_a_range_that_is_free(robot, arm, seed):
 def test_threats_to_a_wide_range_include_those_to_a_narrow_one_in_it(robot, arm):
     collision = CollisionModel(robot)
     collision.set_scene(around_the_arm(1))
-    space, rng = JointSpace(collision, arm, np.zeros(6)), np.random.default_rng(0)
+    space, rng = JointSpace(collision, arm.joints, np.zeros(6)), np.random.default_rng(0)
     for _ in range(50):
         point = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad)
         wide, narrow = np.full((1, 5), 0.1), np.full((1, 5), 0.05)
@@ -69,19 +53,18 @@ def test_threats_to_a_wide_range_include_those_to_a_narrow_one_in_it(robot, arm)
 
 def test_a_condition_is_asked_all_along_a_line(collision, arm):
     asked = []
-    space = JointSpace(collision, arm, np.zeros(6), holds=lambda q: asked.append(q[0]) is None)
+    space = JointSpace(collision, arm.joints, np.zeros(6), holds=lambda q: asked.append(q[0]) is None)
     assert space.line_free(HOME, HOME + np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
     steps_m = np.diff(np.sort(asked)) * collision.travel_m_per_rad[0]
     assert steps_m.max() <= 2.0 * CONDITION_STEP_M
 
 
 def test_a_line_that_leaves_its_condition_on_the_way_is_not_free(collision, arm):
-    space = JointSpace(collision, arm, np.zeros(6), holds=lambda q: not 0.4 < q[0] < 0.45)
+    space = JointSpace(collision, arm.joints, np.zeros(6), holds=lambda q: not 0.4 < q[0] < 0.45)
     line = HOME, HOME + np.array([1.0, 0.0, 0.0, 0.0, 0.0])
     assert [space.free(point) for point in line] == [True, True]
     assert not space.free(0.42 * line[1])
     assert not space.line_free(*line)
-    assert not space.curve_free(np.array(line))
 
 
 def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(robot, arm):
@@ -90,8 +73,8 @@ def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(robot, arm):
     q = np.zeros(6)
     contacts = {pair.links: pair.depth_m for pair in collision.colliding_pairs(q)}
     assert contacts
-    assert not JointSpace(collision, arm, q).free(HOME)
-    space = JointSpace(collision, arm, q, contacts)
+    assert not JointSpace(collision, arm.joints, q).free(HOME)
+    space = JointSpace(collision, arm.joints, q, contacts)
     assert space.free(HOME)
     up, down = HOME + np.array([0.0, -0.4, 0.0, 0.0, 0.0]), HOME + np.array([0.0, 0.05, 0.0, 0.0, 0.0])
     assert space.line_free(HOME, up)
@@ -111,7 +94,7 @@ def test_an_allowed_contact_does_not_come_again_further_on(robot, arm):
     assert overlaps_m
     assert overlaps_m == pytest.approx(collision.overlaps_m(there), abs=1e-4)
     assert not collision.in_collision(there, overlaps_m)
-    space = JointSpace(collision, arm, q, overlaps_m)
+    space = JointSpace(collision, arm.joints, q, overlaps_m)
     assert space.free(HOME)
     assert not space.free(turned)
     assert space.candidate_pairs(turned[np.newaxis], np.zeros((1, 5)), [ALL_PAIRS]) != [NO_CANDIDATES]
@@ -123,7 +106,7 @@ def test_joints_of_a_group_need_not_stand_in_a_row():
         CRANE_SRDF.replace("</robot>", '<group name="ends"><joint name="turn"/><joint name="slide"/></group></robot>'),
     )
     collision = CollisionModel(crane)
-    space = JointSpace(collision, crane.groups["ends"], np.array([0.0, 0.3, 0.0]))
+    space = JointSpace(collision, crane.groups["ends"].joints, np.array([0.0, 0.3, 0.0]))
     assert collision.joint_names == ("turn", "lift", "slide")
     assert len(space.point(np.zeros(3))) == 2
     assert space.line_free(np.array([0.0, 0.0]), np.array([1.0, 0.1]))

@@ -15,15 +15,12 @@ from planners.geometry.shapes import (
     PLATE_M,
     convex,
     enclosing,
-    link_name,
     outline,
-    placement,
     robot_shapes,
     scaled,
     solid,
-    urdf_shapes,
 )
-from planners.scene import Plane, Pose
+from planners.scene import Plane
 from robot.description import model
 from tests.helpers import robots
 from tests.helpers.resources import examples
@@ -31,11 +28,6 @@ from tests.planners.scenes import outside_m
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
 CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
-
-
-def test_few_corners_stay_as_they_are():
-    hull = enclosing(np.vstack((CUBE, 0.5 * CUBE + 0.2)))
-    assert {tuple(corner) for corner in hull.points()} == {tuple(corner) for corner in CUBE}
 
 
 @examples(20)
@@ -70,20 +62,6 @@ def shapes_of(arm):
     return pin_model, robot_shapes(arm, pin_model)
 
 
-def test_without_hulls_the_shapes_of_the_urdf_are_used():
-    pin_model, shapes = shapes_of(model.parse(CRANE_URDF, CRANE_SRDF))
-    kinds = {link_name(pin_model, shape): type(shape.geometry) for shape in shapes}
-    assert kinds == {"foot": coal.Box, "mast": coal.Cylinder, "boom": coal.Box, "rod": coal.Sphere}
-
-
-def test_outline_of_a_shape_encloses_it_in_the_frame_of_its_joint():
-    _, shapes = shapes_of(model.parse(CRANE_URDF, CRANE_SRDF))
-    boom = next(shape for shape in shapes if shape.name.startswith("boom"))
-    points = outline(boom)
-    np.testing.assert_allclose(points.min(axis=0), (0.0, -0.01, -0.01), atol=1e-9)
-    np.testing.assert_allclose(points.max(axis=0), (0.3, 0.01, 0.01), atol=1e-9)
-
-
 def test_robot_without_any_shape_is_refused():
     bare = model.parse(CRANE_URDF, CRANE_SRDF)
     bare = model.parse(kinematic_urdf(bare), CRANE_SRDF)
@@ -111,14 +89,6 @@ def test_meshes_are_found_beside_the_urdf_and_replaced_by_hulls(tmp_path, prefix
     assert len(outline(boom)) == 4
 
 
-def test_shapes_of_the_urdf_keep_all_triangles_where_they_are_asked_for(tmp_path):
-    (tmp_path / "boom.stl").write_text(_tetrahedron_stl())
-    urdf = CRANE_URDF.replace('<box size="0.3 0.02 0.02"/>', '<mesh filename="boom.stl"/>')
-    arm = model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path)
-    kinds = {shape.name: type(shape.geometry) for shape in urdf_shapes(arm, shapes_of(arm)[0])}
-    assert kinds["boom_0"] == coal.BVHModelOBBRSS
-
-
 @pytest.mark.parametrize("shape", [coal.Box(0.1, 0.2, 0.3), convex(np.random.default_rng(1).normal(size=(20, 3)))])
 def test_a_scaled_shape_grows_about_its_middle(shape):
     shape.computeLocalAABB()
@@ -143,12 +113,6 @@ def test_official_description_collides_only_where_the_hulls_do(shared_data, coll
 def _tetrahedron_stl():
     corners = [(0, 0, 0), (0.3, 0, 0), (0, 0.02, 0), (0, 0, 0.02)]
     return stl([[corners[i] for i in face] for face in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))])
-
-
-def test_quaternions_are_brought_to_length_one():
-    turned = placement(Pose((1.0, 2.0, 3.0), (0.0, 0.0, 2.0, 2.0)))
-    np.testing.assert_allclose(turned.rotation @ (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), atol=1e-12)
-    np.testing.assert_allclose(turned.translation, (1.0, 2.0, 3.0))
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 2.0, -2.0)])

@@ -14,28 +14,10 @@ from planners.geometry import surfaces
 from planners.geometry.plain_urdf import kinematic_urdf
 from robot.description.model import LinkSurface
 from tests.helpers.full_meshes import Judge
-from tests.helpers.meshes import ball
 
 # Every so manieth problem of the file: all of them are the benchmark's.
 SHARE = 4
 NEAR_CONTACTS = Path(__file__).parents[3] / "benchmarks" / "scenes" / "near_contacts.json"
-
-
-# Circles of the balls in each direction.
-AROUND = 60
-
-# Half the diagonal of the cells of the grid that files have [m].
-ACCURACY_M = 0.5 * np.sqrt(3.0) * surfaces.UNIT_M
-
-
-def test_packing_moves_no_triangle_further_than_to_the_grid() -> None:
-    vertices, triangles = ball(0.05, AROUND)
-    packed, numbers = surfaces.packed(vertices, triangles)
-    corners = surfaces.UNIT_M * packed[numbers].mean(axis=1)
-    expected = vertices[triangles].mean(axis=1)
-    area = np.linalg.norm(np.cross(*(vertices[triangles[:, k]] - vertices[triangles[:, 0]] for k in (1, 2))), axis=1)
-    for middle in expected[area > 1e-9][::7]:
-        assert np.linalg.norm(corners - middle, axis=1).min() <= ACCURACY_M
 
 
 def test_packing_drops_what_is_twice_or_has_no_extent() -> None:

@@ -20,10 +20,7 @@ from planners.ik.constraints import (
     conditions,
     goal_conditions,
 )
-from planners.ik.kinematics import (
-    GoalConditions,
-    Kinematics,
-)
+from planners.ik.kinematics import Descent, GoalConditions, Kinematics
 from planners.scene import Pose
 from robot.description import model
 from tests.helpers import robots
@@ -34,7 +31,7 @@ TIP = "gripper_frame_link"
 
 def test_points_of_two_links_that_use_the_same_frame_are_told_apart(so101):
     goals = [PositionGoal(link, (0.2, 0.1, 0.15), 0.001, (0.01, 0.0, 0.02)) for link in (TIP, "wrist_link")]
-    descents = [so101.kinematics.descent(so101.arm, goal_conditions(goal, so101.joints)) for goal in goals]
+    descents = [Descent(so101.kinematics, so101.arm, goal_conditions(goal, so101.joints)) for goal in goals]
     assert all(so101.holds(goal, descent(HOME)) for goal, descent in zip(goals, descents, strict=True))
 
 
@@ -58,7 +55,7 @@ class Bench:
         )
 
     def descend(self, goal, q):
-        return self.kinematics.descent(self.arm, goal_conditions(goal, self.joints))(q)
+        return Descent(self.kinematics, self.arm, goal_conditions(goal, self.joints))(q)
 
     def holds(self, goal, q):
         return ConditionSet(self.forward, goal_conditions(goal, self.joints).required).holds(q)
@@ -104,48 +101,12 @@ def test_the_goal_of_a_nearby_configuration_is_reached(arm_name, kind, request):
     assert reached >= 23
 
 
-def test_joints_outside_the_group_stay(so101):
-    gripper = so101.joints.names.index("gripper")
-    q = 0.4 * np.eye(6)[gripper]
-    assert so101.descend(PositionGoal(TIP, (0.2, 0.2, 0.2), 0.001), q)[gripper] == 0.4
-
-
-def test_base_does_not_fly_to_a_target_out_of_reach(so101):
-    end = so101.descend(PositionGoal(TIP, (2.0, 0.0, 0.2), 0.001), HOME)
-    so101.forward.place(end)
-    assert 0.4 < so101.forward.placement(TIP).translation[0] < 0.5
-
-
-def test_preferred_orientation_does_not_cost_the_point(so101):
-    rng = np.random.default_rng(4)
-    for q in 0.8 * so101.states(20):
-        orientation = rng.normal(size=4)
-        pose = Pose(pose_of(so101.forward, q).position_m, tuple(orientation / np.linalg.norm(orientation)))
-        goal = PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02))
-        end = so101.descend(goal, q)
-        wanted = ConditionSet(so101.forward, goal_conditions(goal, so101.joints).required)
-        assert wanted.deviation(end).position_m < 2e-4
-
-
-def test_preferred_orientation_is_as_near_as_small_motions_can_make_it(so101):
-    rng = np.random.default_rng(5)
-    for q in 0.6 * so101.states(5):
-        pose = Pose(pose_of(so101.forward, q).position_m, (0.0, 0.0, 0.0, 1.0))
-        wanted = goal_conditions(PoseGoal(TIP, pose, 0.002, (0.02, 0.02, 0.02)), so101.joints)
-        required, preferred = (ConditionSet(so101.forward, part) for part in (wanted.required, wanted.preferred))
-        end = so101.kinematics.descent(so101.arm, wanted)(q)
-        around = end + rng.uniform(-0.02, 0.02, (4000, 6))
-        around = np.clip(around, so101.joints.lower_rad, so101.joints.upper_rad)
-        best = min((preferred.deviation(near).orientation_rad for near in around if required.holds(near)), default=9.0)
-        assert preferred.deviation(end).orientation_rad <= best + 0.03
-
-
 def test_tolerances_are_used_where_the_middle_cannot_be_had(so101):
     # To the middle of the region the arm would have to turn the other way than its joint may.
     region = PositionConstraint(TIP, Pose((0.3, -0.4, 0.2)), half_size_m=(0.5, 0.7, 0.5))
     joint = JointConstraint("shoulder_pan", -0.8, 0.3, 0.3)
     wanted = GoalConditions(conditions(Constraints(joints=(joint,), positions=(region,)), so101.joints))
-    end = so101.kinematics.descent(so101.arm, wanted)(HOME)
+    end = Descent(so101.kinematics, so101.arm, wanted)(HOME)
     assert ConditionSet(so101.forward, wanted.required).holds(end)
 
 
@@ -154,7 +115,7 @@ def test_weights_decide_between_what_cannot_both_hold(so101):
         high = PositionConstraint(TIP, Pose((0.3, 0.0, 0.3)), radius_m=0.01, weight=weight)
         low = PositionConstraint(TIP, Pose((0.3, 0.0, 0.2)), radius_m=0.01)
         wanted = GoalConditions(conditions(Constraints(positions=(high, low)), so101.joints))
-        so101.forward.place(so101.kinematics.descent(so101.arm, wanted)(HOME))
+        so101.forward.place(Descent(so101.kinematics, so101.arm, wanted)(HOME))
         return so101.forward.placement(TIP).translation[2]
 
     assert heights(0.2) < heights(1.0) - 0.02 < heights(5.0) - 0.04
@@ -163,11 +124,11 @@ def test_weights_decide_between_what_cannot_both_hold(so101):
 def test_inside_is_near_and_none_where_there_is_none(so101):
     down = OrientationConstraint(TIP, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 3.2))
     wanted = GoalConditions(conditions(Constraints(orientations=(down,)), so101.joints))
-    descent = so101.kinematics.descent(so101.arm, wanted)
+    descent = Descent(so101.kinematics, so101.arm, wanted)
     near = np.array([0.0, -0.2, 0.3, 1.3, 0.2, 0.0])
     inside = descent.inside(near)
     assert ConditionSet(so101.forward, wanted.required).holds(inside)
     assert np.max(np.abs(inside - near)) < 0.5
     far = PositionConstraint(TIP, Pose((2.0, 0.0, 0.0)), radius_m=0.1)
     impossible = GoalConditions(conditions(Constraints(positions=(far,)), so101.joints))
-    assert so101.kinematics.descent(so101.arm, impossible).inside(near) is None
+    assert Descent(so101.kinematics, so101.arm, impossible).inside(near) is None

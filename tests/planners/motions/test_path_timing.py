@@ -7,17 +7,13 @@ import toppra.algorithm
 import toppra.constraint
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.interpolate import CubicSpline
 
 from planners.motions.path_timing import (
-    SAMPLE_PERIOD_S,
-    Profile,
-    SplinePath,
-    sampled,
     time_along,
     toppra_profile,
     within_limits,
 )
+from planners.motions.spline import NaturalSpline
 from planners.problem import RateLimits
 from robot.trajectory import Trajectory
 from tests.helpers.resources import examples
@@ -27,24 +23,6 @@ from tests.planners.invariants import (
     assert_well_formed,
     fine_samples,
 )
-
-POINTS = np.array([[0.0, 0.0], [0.5, 0.2], [1.0, -0.1]])
-
-
-def test_a_profile_takes_the_time_of_its_mean_rates() -> None:
-    profile = Profile(np.array([0.0, 1.0, 3.0]), np.array([0.0, 2.0, 0.0]))
-    np.testing.assert_allclose(profile.times_s, [0.0, 1.0, 3.0])
-
-
-def test_samples_begin_and_end_at_rest_in_the_ends_and_are_no_further_apart_than_a_tick() -> None:
-    path = SplinePath(np.array([0.0, 0.6, 1.3]), POINTS)
-    end = float(path.grid[-1])
-    profile = Profile(np.array([0.0, 0.5 * end, end]), np.array([0.0, 1.0, 0.0]))
-    motion = sampled(path, profile, ("a", "b"))
-    assert_well_formed(motion)
-    np.testing.assert_array_equal(motion.positions_rad[[0, -1]], POINTS[[0, -1]])
-    assert not motion.velocities_rad_s[[0, -1]].any()
-    assert np.diff(motion.time_s).max() <= SAMPLE_PERIOD_S + 0.002
 
 
 @given(st.floats(0.01, 10.0), st.floats(0.01, 10.0))
@@ -70,7 +48,7 @@ polylines = (
 
 def spline(points):
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return SplinePath(np.concatenate(([0.0], np.cumsum(lengths))), points)
+    return NaturalSpline(np.concatenate(([0.0], np.cumsum(lengths))), points)
 
 
 def least_time_s(distance, velocity, acceleration):
@@ -114,33 +92,6 @@ def test_a_straight_line_takes_the_least_time_there_is(goal):
     assert bound_s - 1e-9 <= motion.duration_s <= 1.03 * bound_s
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_some_joint_is_at_a_limit_nearly_all_the_time(seed):
-    rough = spline(np.cumsum(np.random.default_rng(seed).uniform(-0.5, 0.5, (6, 3)), axis=0))
-    path = SplinePath(at := np.linspace(0.0, rough.knots[-1], 150), rough(at))
-    profile = toppra_profile(path, LIMITS)
-    between = 0.5 * (path.grid[1:] + path.grid[:-1])
-    square = 0.5 * (profile.rate[1:] ** 2 + profile.rate[:-1] ** 2)[:, np.newaxis]
-    progress = (0.5 * np.diff(profile.rate**2) / np.diff(path.grid))[:, np.newaxis]
-    velocities = path(between, 1) * np.sqrt(square) / LIMITS.velocity_rad_s
-    accelerations = (path(between, 1) * progress + path(between, 2) * square) / LIMITS.acceleration_rad_s2
-    used = np.maximum(np.abs(velocities).max(axis=1), np.abs(accelerations).max(axis=1))
-    seconds = np.diff(profile.times_s)
-    assert seconds[used > 0.85].sum() > 0.8 * seconds.sum()
-
-
-@given(polylines)
-@examples(60)
-def test_limits_hold_at_both_ends_of_each_interval_of_the_grid(points):
-    path = spline(points)
-    profile = toppra_profile(path, LIMITS)
-    progress = (0.5 * np.diff(profile.rate**2) / np.diff(path.grid))[:, np.newaxis]
-    for end in (slice(None, -1), slice(1, None)):
-        square = profile.rate[end, np.newaxis] ** 2
-        accelerations = path(path.grid[end], 1) * progress + path(path.grid[end], 2) * square
-        assert np.abs(accelerations / LIMITS.acceleration_rad_s2).max() <= 1.0 + 1e-4
-
-
 @given(polylines, st.floats(0.05, 1.0))
 @examples(30)
 def test_a_top_rate_is_kept(points, top_rate):
@@ -149,65 +100,18 @@ def test_a_top_rate_is_kept(points, top_rate):
     assert profile.rate.max() <= top_rate * (1.0 + 1e-6)
 
 
-@pytest.mark.parametrize("distance_rad", [1e-7, 1e-6, 1e-4])
-def test_tiny_moves_are_timed(distance_rad):
-    points = np.array([[0.1, 0.2, 0.3], [0.1 + distance_rad, 0.2, 0.3]])
-    motion = time_along(spline(points), NAMES, LIMITS)
-    assert_from_rest_to_rest(motion, *points)
-    assert_keeps_rates(motion, LIMITS)
-    assert 0.0 < motion.duration_s < 0.1
-
-
-def test_a_path_that_turns_back_is_timed_and_comes_back():
-    out = np.linspace(0.0, 1.0, 6)[:, np.newaxis] * np.array([0.5, -0.3, 0.2])
-    points = np.vstack((out, out[-2::-1]))
-    motion = time_along(spline(points), NAMES, LIMITS)
-    assert_from_rest_to_rest(motion, points[0], points[0])
-    assert_keeps_rates(motion, LIMITS)
-    assert np.abs(motion.positions_rad[:, 0]).max() == pytest.approx(0.5, abs=1e-3)
-
-
-def test_progress_is_what_toppra_makes_of_another_spline():
-    path = spline(np.random.default_rng(1).uniform(-0.8, 0.8, (12, 3)))
-    points = path(path.knots)
-    constraints = [
-        toppra.constraint.JointVelocityConstraint(LIMITS.velocity_rad_s),
-        toppra.constraint.JointAccelerationConstraint(LIMITS.acceleration_rad_s2),
-    ]
-    scipys = CubicSpline(path.knots, points, bc_type="natural")
-
-    class PathOfScipy:
-        dof, path_interval = 3, path.knots[[0, -1]]
-
-        def __call__(self, at, order=0):
-            return scipys(at, order)
-
-    solver = toppra.algorithm.TOPPRA(constraints, PathOfScipy(), gridpoints=path.grid, solver_wrapper="seidel")
-    _, rate, _ = solver.compute_parameterization(0.0, 0.0)
-    assert toppra_profile(path, LIMITS).rate == pytest.approx(rate, rel=1e-4, abs=1e-4)
-
-
 @pytest.mark.parametrize("rate", [None, np.full(21, np.nan)])
 def test_a_path_that_toppra_cannot_time_has_no_timing(monkeypatch, rate):
     monkeypatch.setattr(toppra.algorithm.TOPPRA, "compute_parameterization", lambda *_: (None, rate, None))
     assert toppra_profile(spline(np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0]])), LIMITS) is None
 
 
-def test_a_motion_is_the_same_whatever_unit_progress_has():
-    points = np.random.default_rng(2).uniform(-1.0, 1.0, (6, 3))
-    path = spline(points)
-    durations_s = [
-        time_along(SplinePath(unit * path.knots, points), NAMES, LIMITS).duration_s for unit in (1e-6, 1.0, 1e6)
-    ]
-    assert durations_s == pytest.approx([durations_s[1]] * 3, rel=1e-6)
-
-
 @pytest.mark.parametrize("points", [4, 16, 64])
 def test_a_stretch_where_no_joint_moves_hardly_takes_time(points):
     moving = np.linspace(0.0, 1.0, 16)[:, np.newaxis] * np.array([1.0, 0.5, 0.0])
     standing = np.tile(moving[-1], (points, 1))
-    path = SplinePath(np.arange(16.0 + points), np.vstack((moving, standing)))
-    alone_s = time_along(SplinePath(np.arange(16.0), moving), NAMES, LIMITS).duration_s
+    path = NaturalSpline(np.arange(16.0 + points), np.vstack((moving, standing)))
+    alone_s = time_along(NaturalSpline(np.arange(16.0), moving), NAMES, LIMITS).duration_s
     motion = time_along(path, NAMES, LIMITS)
     assert_keeps_rates(motion, LIMITS)
     assert motion.duration_s < 1.5 * alone_s
@@ -220,7 +124,7 @@ ENDS = np.array([[0.0] * 3, [1.0] * 3])
 @pytest.mark.parametrize(
     ("path", "limits"),
     [
-        (SplinePath(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3))), LIMITS),
+        (NaturalSpline(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3))), LIMITS),
         (spline(np.vstack((OUT, OUT[-2::-1]))), LIMITS),
         (spline(ENDS), RateLimits(np.ones(3), np.full(3, np.nan))),
     ],
@@ -228,10 +132,3 @@ ENDS = np.array([[0.0] * 3, [1.0] * 3])
 )
 def test_a_path_without_any_timing_has_none(path, limits):
     assert toppra_profile(path, limits) is None
-
-
-def test_a_curve_of_many_points_takes_as_long_as_one_of_few():
-    short = spline(np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0]]))
-    long = SplinePath(np.linspace(0.0, short.knots[-1], 400), short(np.linspace(0.0, short.knots[-1], 400)))
-    durations_s = [time_along(path, NAMES, LIMITS).duration_s for path in (short, long)]
-    assert durations_s[1] == pytest.approx(durations_s[0], rel=0.02)

@@ -90,13 +90,6 @@ def test_a_moving_start_is_left_smoothly_and_within_the_limits(start, velocity, 
     assert_keeps_rates(curve.sampled(NAMES), LIMITS)
 
 
-def test_nearly_every_moving_start_reaches_its_goal():
-    rng = np.random.default_rng(2)
-    starts = rng.uniform(-1.0, 1.0, (200, 3, 3))
-    found = [from_moving(p, 0.9 * v * LIMITS.velocity_rad_s, goal, LIMITS) is not None for p, v, goal in starts]
-    assert np.mean(found) > 0.95
-
-
 @given(points, velocities)
 def test_braking_brings_each_joint_to_rest_within_the_limits_as_soon_as_it_can(start, velocity):
     curve = brake(start, velocity, LIMITS)
@@ -128,51 +121,6 @@ def test_ramps_join_two_states_within_the_limits(p0, v0, p1, v1):
     np.testing.assert_allclose(
         np.diff(curve.positions_rad, axis=0), mean * (TICK_S * np.diff(curve.ticks))[:, None], atol=1e-9
     )
-
-
-@given(positions, positions)
-def test_from_rest_to_rest_there_are_always_ramps(p0, p1):
-    rest = np.zeros(3)
-    ticks = int(whole_ticks(least_time_s(p0, rest, p1, rest, reduced(LIMITS))))
-    assert connect(p0, rest, p1, rest, ticks, LIMITS) is not None
-    assert connect(p0, rest, p1, rest, 3 * ticks, LIMITS) is not None
-
-
-def test_nearly_all_states_are_joined_in_the_least_time():
-    rng = np.random.default_rng(3)
-    found = []
-    for p0, p1, v0, v1 in rng.uniform(-0.9, 0.9, (500, 4, 1)):
-        limits = RateLimits(np.array([2.0]), np.array([5.0]))
-        v0, v1 = 2.0 * v0, 2.0 * v1
-        ticks = int(whole_ticks(least_time_s(p0, v0, p1, v1, reduced(limits))))
-        found.append(connect(p0, v0, p1, v1, ticks, limits) is not None)
-    # The rest would go straight from one velocity to the other and cannot take even a tick more.
-    assert np.mean(found) > 0.97
-
-
-def test_nothing_is_faster_than_the_least_time():
-    rng = np.random.default_rng(4)
-    for _ in range(300):
-        p0, p1 = rng.uniform(-1.0, 1.0, (2, 3))
-        v0, v1 = rng.uniform(-0.9, 0.9, (2, 3)) * LIMITS.velocity_rad_s
-        ticks = int(least_time_s(p0, v0, p1, v1, LIMITS) / TICK_S)
-        assert connect(p0, v0, p1, v1, int(0.98 * ticks), LIMITS) is None
-
-
-@pytest.mark.parametrize(("distance", "expected_s"), [(0.1, 2.0 * np.sqrt(0.01)), (3.0, 1.3)])
-def test_least_time_from_rest_to_rest_is_that_of_a_triangle_or_a_trapezoid(distance, expected_s):
-    limits = RateLimits(np.array([3.0]), np.array([10.0]))
-    time_s = least_time_s(np.zeros(1), np.zeros(1), np.array([distance]), np.zeros(1), limits)
-    assert time_s == pytest.approx(expected_s)
-
-
-def test_least_times_of_many_parts_come_at_once():
-    rng = np.random.default_rng(1)
-    p0, v0, p1, v1 = rng.uniform(-1.0, 1.0, (4, 9, 3))
-    together = least_time_s(p0, v0, p1, v1, LIMITS)
-    assert together.shape == (9,)
-    alone = [least_time_s(p0[i], v0[i], p1[i], v1[i], LIMITS) for i in range(9)]
-    np.testing.assert_array_equal(together, alone)
 
 
 def test_a_joint_that_would_overshoot_cannot_take_a_time_between():

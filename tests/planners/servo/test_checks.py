@@ -72,25 +72,6 @@ def test_drift_along_the_motion_is_left_and_drift_across_is_corrected():
     assert desired.anchor.pose.position_m == pytest.approx((0.005, 0.0, 0.0))
 
 
-def test_turns_are_treated_alike():
-    desired = twist_motion(TipTwist(angular_rad_s=(0.0, 0.0, 0.5)), tip(turn_rad=(0.02, 0.0, 0.1)), ORIGIN)
-    assert desired.angular_rad_s[2] == pytest.approx(0.5, abs=0.01)
-    assert desired.angular_rad_s[0] == pytest.approx(-0.02 * GAIN_PER_S, abs=0.01)
-    assert desired.linear_m_s == pytest.approx([0.0, 0.0, 0.0])
-
-
-def test_a_tip_that_is_let_go_of_is_not_called_back_along_its_motion():
-    moved = twist_motion(TipTwist((0.1, 0.0, 0.0)), tip(), None).anchor
-    desired = twist_motion(TipTwist(), tip((0.02, 0.003, 0.0)), moved)
-    assert desired.linear_m_s == pytest.approx([0.0, -0.003 * GAIN_PER_S, 0.0])
-
-
-def test_a_tip_that_is_let_go_of_is_not_turned_any_more():
-    desired = twist_motion(TipTwist(), tip(turn_rad=(0.1, 0.0, 0.0)), ORIGIN)
-    assert desired.angular_rad_s == pytest.approx([0.0, 0.0, 0.0])
-    assert desired.drift_rad == pytest.approx(0.1)
-
-
 def test_an_anchor_that_cannot_be_kept_comes_along():
     desired = twist_motion(TipTwist((0.1, 0.0, 0.0)), tip((0.0, 0.5, 0.0), (1.0, 0.0, 0.0)), ORIGIN)
     assert 0.5 - desired.anchor.pose.position_m[1] == pytest.approx(MAX_DRIFT_M)
@@ -133,33 +114,8 @@ def test_a_command_followed_in_full_has_no_warning_and_motion_against_it_counts_
     assert answer.velocity_rad_s == {"a": 0.3, "b": 0.4}
 
 
-def test_joints_at_their_limits_are_named():
-    answer = told(LIMIT_OF_B)
-    assert answer.status is ServoStatus.JOINT_BOUND
-    assert answer.message.startswith("b at the limit")
-
-
-@pytest.mark.parametrize(
-    ("achieved", "status"),
-    [
-        ((0.05, 0.0, 0.0), ServoStatus.DECELERATE_FOR_COLLISION),
-        ((0.0, 0.02, 0.0), ServoStatus.HALT_FOR_COLLISION),
-    ],
-)
-def test_things_in_the_way_are_named_with_their_distance(achieved, status):
-    answer = told(NEAR_TABLE, achieved)
-    assert answer.status is status
-    assert "hand and table (12 mm)" in answer.message
-
-
 def test_of_several_the_gravest_is_the_status_and_all_are_told():
     both = np.union1d(LIMIT_OF_B, NEAR_TABLE)
     answer = told(both, (0.0, 0.0, 0.0), singularity=ServoStatus.HALT_FOR_SINGULARITY)
     assert answer.status is ServoStatus.HALT_FOR_COLLISION
     assert all(word in answer.message for word in ("limit", "singularity", "table"))
-
-
-def test_a_turn_that_is_given_up_and_an_orientation_that_is_not_kept_are_told_with_how_much_of_it():
-    assert "10 degrees off" in told(drift_rad=np.radians(10.0)).message
-    turn = {"desired_turn_rad_s": np.array([0.0, 0.0, 0.5]), "turn_rad_s": np.array([0.0, 0.0, 0.2])}
-    assert "0.30 rad/s are given up" in told(angular=(0.0, 0.0, 0.5), **turn).message

@@ -28,24 +28,12 @@ def ask(bend, desired):
     return regularized(leg(q).jacobian, np.array(desired), LIMITS, FASTEST, lambda step: leg(q + step))
 
 
-def test_far_from_a_singularity_a_wish_is_left_alone():
-    found = ask(1.0, (0.1, 0.05, -0.02))
-    assert found.status is ServoStatus.NO_WARNING
-    assert found.linear_m_s == pytest.approx([0.1, 0.05, -0.02])
-
-
 def test_motion_towards_a_singularity_slows_down_until_it_ends():
     slowed, halted = ask(0.3, (0.1, 0.0, 0.0)), ask(0.1, (0.1, 0.0, 0.0))
     assert slowed.status is ServoStatus.DECELERATE_FOR_APPROACHING_SINGULARITY
     assert 0.0 < np.linalg.norm(slowed.linear_m_s) < 0.1
     assert halted.status is ServoStatus.HALT_FOR_SINGULARITY
     assert np.linalg.norm(halted.linear_m_s) < 0.02
-
-
-def test_motion_out_of_a_singularity_is_free():
-    found = ask(0.1, (-0.1, 0.0, 0.0))
-    assert found.status is ServoStatus.DECELERATE_FOR_LEAVING_SINGULARITY
-    assert found.linear_m_s == pytest.approx([-0.1, 0.0, 0.0])
 
 
 def test_out_of_an_exact_singularity_there_is_a_way_back_and_none_further():

@@ -151,28 +151,11 @@ async def test_a_large_scene_reaches_a_worker_whole(both_idle: PlannerPool) -> N
     assert (free.valid, blocked.valid) == (True, False)
 
 
-async def test_workers_that_died_while_idle_cost_no_goal(both_idle: PlannerPool) -> None:
-    kill_all(both_idle)
-    assert isinstance(await both_idle.ask(EASY), Plan)
-
-
 async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both_idle: PlannerPool) -> None:
     kill_all(both_idle)
     with no_descriptors_left():
         await until(lambda: sum(worker.usable for worker in both_idle._idle) == 2, 60.0)
     assert isinstance(await both_idle.ask(EASY), Plan)
-
-
-async def test_a_robot_that_no_worker_can_load_is_told() -> None:
-    broken_robot = made_of(dataclasses.replace(so101(), urdf="<robot/>"))
-    await broken_robot.start()
-    reason = await asyncio.wait_for(broken_robot.wait_until_loaded(), 60.0)
-    answer = await broken_robot.ask(EASY)
-    await broken_robot.close()
-    assert reason
-    assert broken_robot.pids == ()
-    assert isinstance(answer, PlanningFailure)
-    assert answer.message == f"planning is not available: {reason}"
 
 
 async def test_processes_that_end_at_once_are_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -299,7 +299,7 @@ async def test_a_server_that_dies_leaves_an_arm_at_rest(rig: ArmOnServos) -> Non
     # The end of the channel is all that the arm process sees of its server's death.
     rig.arm._closing = True
     child = rig.arm._process._child
-    child._link._unlink()
+    child._transport.close()
     await until(lambda: not child.running)
     pans = [data["1"][1] | data["1"][2] << 8 for data in rig.goal_writes()[-4:]]
     assert max(pans) - min(pans) <= 2

@@ -260,7 +260,7 @@ asyncio.run(main(StartedChild.forked(echo)))
     [
         ("await child.kill()", "SIGKILL"),
         ("child.send('raise')", "exit code 1"),
-        ("child._link._unlink()", "exit code 0"),
+        ("child._transport.close()", "exit code 0"),
     ],
 )
 def test_a_forked_child_is_one_like_any_other(end: str, ending: str) -> None:

@@ -7,16 +7,10 @@ from dataclasses import replace
 import pytest
 
 from robot.calibration import MAX_TICK, Calibration
-from robot.commissioning.calibrate import (
-    Swept,
-    calibrate,
-    differences,
-    needs_middle,
-)
 from robot.commissioning.scan import scan
-from robot.commissioning.sweep import Sweep
+from robot.commissioning.sweep import Sweep, Swept, calibrate, needs_middle
 from robot.errors import CalibrationError, RobotError
-from robot.hardware.feetech.calibration import read_differences, write_to_servos
+from robot.hardware.feetech.calibration import differences, read_differences, write_to_servos
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end
 from tests.helpers.emulator import SteppedEmulator
@@ -76,7 +70,7 @@ def test_a_mirrored_gripper_is_closed_at_its_higher_tick():
 
 
 def test_servos_that_hold_the_calibration_differ_in_nothing(bus):
-    assert differences(nominal_calibration(), scan(bus, IDS).servos) == []
+    assert differences(nominal_calibration(), scan(bus, IDS).registers) == []
     assert run_to_end(read_differences(bus, nominal_calibration())) == []
 
 
@@ -84,7 +78,7 @@ def test_what_the_bus_reads_differs_as_what_a_scan_has_read(bus):
     elbow = replace(nominal_calibration().joints[2], range_min=950, homing_offset=-12)
     wanted = Calibration((*nominal_calibration().joints[:2], elbow, *nominal_calibration().joints[3:]))
     found = run_to_end(read_differences(bus, wanted))
-    assert found == differences(wanted, scan(bus, IDS).servos)
+    assert found == differences(wanted, scan(bus, IDS).registers)
     assert [each.register for each in found] == [Register.MIN_ANGLE_LIMIT, Register.HOMING_OFFSET]
 
 
@@ -191,9 +185,9 @@ def test_only_what_differs_is_written_and_it_outlives_a_power_cut(start_emulator
     elbow = replace(nominal.joints[2], range_min=950, homing_offset=-12)
     wanted = Calibration((*nominal.joints[:2], elbow, *nominal.joints[3:]))
     bus = emulator.open_bus()
-    run_to_end(write_to_servos(bus, differences(wanted, scan(bus, IDS).servos)), emulator.run)
+    run_to_end(write_to_servos(bus, differences(wanted, scan(bus, IDS).registers)), emulator.run)
     emulator.command(power_cycle=[3])
-    assert differences(wanted, scan(bus, IDS).servos) == []
+    assert differences(wanted, scan(bus, IDS).registers) == []
     written = [(entry["address"], *entry["data"]) for entry in read_write_log(write_log) if entry["data"]]
     assert set(written) <= {(Register.LOCK, "3"), (Register.HOMING_OFFSET, "3"), (Register.MIN_ANGLE_LIMIT, "3")} | {
         (Register.TORQUE_ENABLE, "3")

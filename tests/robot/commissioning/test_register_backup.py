@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import pytest
 
 from robot.commissioning.register_backup import BackupFile, SavedServo, match_saved, read_backup
-from robot.commissioning.servo_registers import read_registers
+from robot.commissioning.scan import read_registers
 from robot.errors import BackupError
 from robot.hardware.feetech.registers import LAYOUT, Register
 from robot.hardware.interface import run_to_end

@@ -166,7 +166,7 @@ def test_a_calibrated_joint_is_never_offered_for_another(kit):
 def test_a_servo_without_limits_gets_them_though_its_id_is_right(kit):
     set_registers(kit.servos[0], {Register.MIN_ANGLE_LIMIT: 0, Register.MAX_ANGLE_LIMIT: 0})
     kit.plug(0)
-    assert set_up(kit, PAN).settings.angle_limits_ticks == (0, 4095)
+    assert set_up(kit, PAN).angle_limits_ticks == (0, 4095)
 
 
 def test_an_unlocked_eprom_is_locked_though_nothing_differs(kit):

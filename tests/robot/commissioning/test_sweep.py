@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.calibration import MAX_HOMING_OFFSET, MAX_TICK, TICKS_PER_TURN
+from robot.calibration import MAX_TICK, TICKS_PER_TURN
 from robot.commissioning.sweep import (
     LEAST_SWEEP_TICKS,
     MIDDLE_TICK,
@@ -17,11 +17,14 @@ from robot.commissioning.sweep import (
     place,
     place_free,
 )
+from robot.description.servo_table import MAX_HOMING_OFFSET
 from robot.errors import CalibrationError
 from tests.helpers.robots import SO101_SERVOS
 
 ELBOW = next(servo for servo in SO101_SERVOS if servo.joint == "elbow_flex")
 ROLL = next(servo for servo in SO101_SERVOS if servo.turns_freely)
+
+LARGEST_OFFSET = MAX_HOMING_OFFSET["feetech"]
 
 
 def swept(encoder_stops, offset, start_share=0.5, servo=ELBOW):
@@ -48,13 +51,13 @@ def test_a_sweep_remembers_how_far_a_joint_was_moved_also_across_the_seam():
 @given(
     st.integers(-5000, 5000),
     st.integers(LEAST_SWEEP_TICKS, WIDEST_SWEEP_TICKS),
-    st.integers(-MAX_HOMING_OFFSET, MAX_HOMING_OFFSET),
+    st.integers(-LARGEST_OFFSET, LARGEST_OFFSET),
     st.floats(0.0, 1.0),
 )
 def test_wherever_the_stops_are_the_placed_range_never_crosses_the_seam(lower_stop, width, offset, start_share):
     sweep = swept((lower_stop, lower_stop + width), offset, start_share)
     placed = place(ELBOW, sweep, offset, recentre=True)
-    assert abs(placed.homing_offset) <= MAX_HOMING_OFFSET
+    assert abs(placed.homing_offset) <= LARGEST_OFFSET
     assert 0 <= placed.range_min < placed.range_max <= MAX_TICK
     # The same stops: an encoder's position less the offset, within the turn.
     assert placed.range_max - placed.range_min == width
@@ -62,7 +65,11 @@ def test_wherever_the_stops_are_the_placed_range_never_crosses_the_seam(lower_st
     assert abs((placed.range_min + placed.range_max) / 2 - MIDDLE_TICK) <= 1
 
 
-@given(st.integers(-5000, 5000), st.integers(-MAX_HOMING_OFFSET, MAX_HOMING_OFFSET), st.floats(0.0, 1.0))
+@given(
+    st.integers(-5000, 5000),
+    st.integers(-LARGEST_OFFSET, LARGEST_OFFSET),
+    st.floats(0.0, 1.0),
+)
 @pytest.mark.parametrize(
     ("width", "reason"),
     [
@@ -80,12 +87,12 @@ def test_a_joint_that_hardly_moved_or_turned_round_is_refused_with_the_reason(
         place(ELBOW, sweep, offset, recentre=True)
 
 
-@given(st.integers(0, MAX_TICK), st.integers(-MAX_HOMING_OFFSET, MAX_HOMING_OFFSET))
+@given(st.integers(0, MAX_TICK), st.integers(-LARGEST_OFFSET, LARGEST_OFFSET))
 def test_wherever_a_free_joint_shows_its_middle_the_offset_puts_it_in_the_middle(encoder, offset):
     middle = (encoder - offset) % TICKS_PER_TURN
     placed = place_free(ROLL, middle, offset, recentre=True)
     assert abs((encoder - placed.homing_offset) % TICKS_PER_TURN - MIDDLE_TICK) <= 1
-    assert abs(placed.homing_offset) <= MAX_HOMING_OFFSET
+    assert abs(placed.homing_offset) <= LARGEST_OFFSET
     assert (placed.range_min, placed.range_max) == (0, MAX_TICK)
 
 

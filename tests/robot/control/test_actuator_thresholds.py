@@ -13,6 +13,10 @@ LIMITS = GuardLimits()
 FULL = np.array([0.8, 0.5])
 
 
+def unprotected(joints: int) -> Actuation:
+    return Actuation.unprotected(np.full(joints, 5.5), np.full(joints, 0.46))
+
+
 def assumed(**settings: float) -> ActuatorThresholds:
     """ActuatorThresholds about two equal actuators that are as the factory's but for the named settings."""
     usual = {
@@ -23,6 +27,7 @@ def assumed(**settings: float) -> ActuatorThresholds:
         "overload_current_a": 3.25,
         "stall_current_a": 2.7,
         "free_speed_rad_s": 5.5,
+        "jump_rad": 0.46,
     }
     return ActuatorThresholds.of(
         LIMITS, Actuation(**{name: np.full(2, value) for name, value in (usual | settings).items()}), FULL
@@ -30,7 +35,7 @@ def assumed(**settings: float) -> ActuatorThresholds:
 
 
 def test_servos_of_the_factory_and_actuators_without_protection_are_taken_as_the_limits_say() -> None:
-    for made in (assumed(), ActuatorThresholds.of(LIMITS, Actuation.unprotected(2), FULL)):
+    for made in (assumed(), ActuatorThresholds.of(LIMITS, unprotected(2), FULL)):
         assert made.goal_tolerance_rad == pytest.approx(LIMITS.goal_tolerance_rad)
         assert made.sustained_torque == pytest.approx(FULL)
         assert np.isinf(made.relieve_after_s).all()
@@ -71,5 +76,5 @@ def test_a_quick_protection_makes_stalls_be_told_sooner() -> None:
 
 
 def test_what_is_assumed_is_finite_where_the_controller_compares_readings() -> None:
-    made = ActuatorThresholds.of(LIMITS, Actuation.unprotected(1), np.ones(1))
+    made = ActuatorThresholds.of(LIMITS, unprotected(1), np.ones(1))
     assert all(math.isfinite(value) for value in (*made.goal_tolerance_rad, *made.stall_current_a, *made.stall_time_s))

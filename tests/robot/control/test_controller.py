@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot.control.actuator_thresholds import ActuatorThresholds
 from robot.control.checks import START_TOLERANCE_RAD
 from robot.control.controller import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, ArmController
-from robot.control.guards import Guards, Temperatures
+from robot.control.guards import Temperatures
 from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Actuation, StatusFlag
@@ -30,7 +30,7 @@ from robot.messages import (
     Stream,
 )
 from robot.trajectory import Trajectory
-from tests.helpers.arm_rig import NAMES, reading
+from tests.helpers.arm_rig import NAMES, guards, reading
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101
 
@@ -47,10 +47,9 @@ class Rig:
     ) -> None:
         self.now_s = 100.0
         full_torque = np.array([0.8] * 5 + [0.5])
-        guards = Guards(NAMES)
-        if actuation is not None:
-            guards = Guards(NAMES, thresholds=ActuatorThresholds.of(LIMITS, actuation, full_torque))
-        self.controller = ArmController(NAMES, BOUNDS, guards, full_torque, Temperatures(), simulated=simulated)
+        thresholds = None if actuation is None else ActuatorThresholds.of(LIMITS, actuation, full_torque)
+        checks = guards(thresholds=thresholds)
+        self.controller = ArmController(NAMES, BOUNDS, checks, full_torque, Temperatures(), simulated=simulated)
         self.controller.hold(np.array(hold_rad or [0.0] * 6))
         self.controller.step(reading(self.controller.goal_rad), self.now_s)
         self.goals = [self.controller.goal_rad]
@@ -361,6 +360,7 @@ LEROBOT = Actuation(
     overload_current_a=np.array([3.25] * 5 + [1.625]),
     stall_current_a=np.full(6, 2.7),
     free_speed_rad_s=np.full(6, 5.5),
+    jump_rad=np.full(6, 0.46),
 )
 PUSHING = [0, 0, 0, 0, 0, -0.45]
 

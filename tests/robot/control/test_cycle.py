@@ -5,7 +5,7 @@ import pytest
 
 from robot.control.controller import ArmController
 from robot.control.cycle import ControlCycle
-from robot.control.guards import Guards, Temperatures
+from robot.control.guards import Temperatures
 from robot.control.pacing import PERIOD_S
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import IdealConfig
@@ -13,7 +13,7 @@ from robot.hardware.ideal import IdealArm
 from robot.hardware.interface import Measured
 from robot.messages import Execute, MotionEnded, Outcome
 from robot.trajectory import Vector
-from tests.helpers.arm_rig import BOUNDS, NAMES
+from tests.helpers.arm_rig import BOUNDS, NAMES, guards
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.motions import smooth_move
 
@@ -57,7 +57,7 @@ class CycleRig:
 
     def control(self) -> ArmController:
         """Let a controller decide, which does not drive yet."""
-        self.cycle.controller = ArmController(NAMES, BOUNDS, Guards(NAMES), np.ones(6), Temperatures())
+        self.cycle.controller = ArmController(NAMES, BOUNDS, guards(), np.ones(6), Temperatures())
         return self.cycle.controller
 
     def tick(self) -> list[MotionEnded]:

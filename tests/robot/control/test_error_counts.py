@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot.control.error_counts import SAME_ERROR_S, ErrorCounts
+from robot.control.cycle import SAME_ERROR_S, ErrorCounts
 from robot.faults import Fault, FaultCode
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import Measured, StatusFlag

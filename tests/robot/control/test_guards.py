@@ -6,19 +6,15 @@ import numpy as np
 import pytest
 
 from robot.advice import ServoAlert, ServoWarning
-from robot.control.guards import (
-    JUMP_RAD,
-    LOW_VOLTAGE_TIME_S,
-    VOLTAGE_BIT_TIME_S,
-    Guards,
-)
+from robot.control.guards import LOW_VOLTAGE_TIME_S, VOLTAGE_BIT_TIME_S
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Measured, StatusFlag
 from robot.messages import GuardLimits
-from tests.helpers.arm_rig import NAMES, reading
+from tests.helpers.arm_rig import PLAIN, guards, reading
 
 GOAL = np.zeros(6)
 FULL = np.array([0.8] * 5 + [0.5])
+JUMP_RAD = float(PLAIN.jump_rad[0])
 PERIOD_S = 0.01
 LIMITS = GuardLimits()
 
@@ -29,9 +25,9 @@ def at(joint: int, value: float, else_value: float = 0.0) -> list[float]:
 
 def seconds_until(code: FaultCode, position: Any = GOAL, limits: GuardLimits = LIMITS, **readings: Any) -> float:
     """Time for which the guards tolerate a reading before this fault [s]."""
-    guards = Guards(NAMES, max_voltage_v=np.full(6, 8.0), limits=limits)
+    checked = guards(limits, np.full(6, 8.0))
     for tick in range(round(3.0 / PERIOD_S)):
-        fault = guards.check(GOAL, reading(position, **readings), FULL, tick * PERIOD_S)
+        fault = checked.check(GOAL, reading(position, **readings), FULL, tick * PERIOD_S)
         if fault is not None:
             assert fault.code is code
             return tick * PERIOD_S
@@ -39,8 +35,8 @@ def seconds_until(code: FaultCode, position: Any = GOAL, limits: GuardLimits = L
 
 
 def never(position: Any = GOAL, limits: GuardLimits = LIMITS, **readings: Any) -> bool:
-    guards = Guards(NAMES, limits=limits)
-    return all(guards.check(GOAL, reading(position, **readings), FULL, tick * PERIOD_S) is None for tick in range(300))
+    checked = guards(limits)
+    return all(checked.check(GOAL, reading(position, **readings), FULL, tick * PERIOD_S) is None for tick in range(300))
 
 
 AT_ONCE = {
@@ -57,7 +53,7 @@ def test_some_readings_are_a_fault_at_once_and_name_the_joint(code: FaultCode) -
     readings = {
         name: np.array(value, dtype=int if name == "status" else float) for name, value in AT_ONCE[code].items()
     }
-    fault = Guards(NAMES).check(GOAL, reading(GOAL, **readings), FULL, 0.0)
+    fault = guards().check(GOAL, reading(GOAL, **readings), FULL, 0.0)
     assert fault.code is code
     assert fault.joint == "elbow_flex"
     assert "elbow_flex" in fault.message
@@ -95,11 +91,11 @@ def test_a_joint_that_pushes_near_its_goal_is_not_stalled() -> None:
 
 
 def test_a_yielding_joint_may_stall_and_is_flagged() -> None:
-    guards, yielding = Guards(NAMES), np.array(at(5, 1)) > 0
+    checked, yielding = guards(), np.array(at(5, 1)) > 0
     for tick in range(50):
         measured = reading(at(5, 0.2), load=at(5, 0.5))
-        assert guards.check(GOAL, measured, FULL, tick * PERIOD_S, yielding) is None
-    assert guards.stalled.tolist() == yielding.tolist()
+        assert checked.check(GOAL, measured, FULL, tick * PERIOD_S, yielding) is None
+    assert checked.stalled.tolist() == yielding.tolist()
 
 
 def test_a_low_supply_is_tolerated_while_a_motor_starts() -> None:
@@ -127,17 +123,17 @@ def test_every_threshold_can_be_set() -> None:
 
 
 def test_an_arm_of_12_v_may_need_more() -> None:
-    guards = Guards(NAMES, max_voltage_v=np.full(6, 14.0), limits=GuardLimits(min_voltage_v=9.0))
-    faults = [guards.check(GOAL, reading(GOAL, voltage_v=8.9), FULL, tick * PERIOD_S) for tick in range(30)]
+    checked = guards(GuardLimits(min_voltage_v=9.0), np.full(6, 14.0))
+    faults = [checked.check(GOAL, reading(GOAL, voltage_v=8.9), FULL, tick * PERIOD_S) for tick in range(30)]
     fault = faults[-1]
     assert fault.code is FaultCode.VOLTAGE_LOW
     assert "has 8.9 V; it needs 9 V at least" in fault.message
 
 
 def jumped(step_rad: float, gap_s: float) -> bool:
-    guards = Guards(NAMES)
-    guards.check(GOAL, reading(GOAL), FULL, 1.0)
-    fault = guards.check(GOAL, reading(at(0, step_rad)), FULL, 1.0 + gap_s)
+    checked = guards()
+    checked.check(GOAL, reading(GOAL), FULL, 1.0)
+    fault = checked.check(GOAL, reading(at(0, step_rad)), FULL, 1.0 + gap_s)
     return fault is not None and fault.code is FaultCode.POSITION_JUMP
 
 
@@ -148,25 +144,25 @@ def test_a_joint_that_cannot_have_turned_so_far_has_jumped() -> None:
 
 
 def test_a_reading_that_grows_old_is_no_jump() -> None:
-    guards = Guards(NAMES)
-    guards.check(GOAL, reading(GOAL), FULL, 1.0)
-    assert guards.check(GOAL, reading(GOAL, age_s=0.09), FULL, 1.01) is None
+    checked = guards()
+    checked.check(GOAL, reading(GOAL), FULL, 1.0)
+    assert checked.check(GOAL, reading(GOAL, age_s=0.09), FULL, 1.01) is None
 
 
 def test_silence_of_an_arm_that_is_well_names_the_silent_joint_that_is_farthest_from_its_goal() -> None:
-    guards = Guards(NAMES)
-    assert guards.check(GOAL, reading(GOAL), FULL, 1.0) is None
+    checked = guards()
+    assert checked.check(GOAL, reading(GOAL), FULL, 1.0) is None
     silent = np.array([0.0, 0.2, 0.0, 0.2, 0.0, 0.0])
-    fault = guards.check(GOAL, reading([0.05, 0.01, 0.0, 0.02, 0.0, 0.0], age_s=silent), FULL, 1.01)
+    fault = checked.check(GOAL, reading([0.05, 0.01, 0.0, 0.02, 0.0, 0.0], age_s=silent), FULL, 1.01)
     assert (fault.code, fault.joint) == (FaultCode.SERVO_SILENT, "wrist_flex")
 
 
 def found_in_silence(age_s: list[float], measured: Measured | None = None) -> Fault | None:
     """The fault of an arm that was well whose joints then have readings of these ages."""
-    guards = Guards(NAMES)
-    assert guards.check(GOAL, reading(GOAL), FULL, 1.0) is None
+    checked = guards()
+    assert checked.check(GOAL, reading(GOAL), FULL, 1.0) is None
     measured = (measured or reading(GOAL))._replace(age_s=np.array(age_s))
-    return guards.check(GOAL, measured, FULL, 1.1)
+    return checked.check(GOAL, measured, FULL, 1.1)
 
 
 @pytest.mark.parametrize("position", [GOAL, at(1, 0.2)], ids=["at its goals", "behind its goals"])
@@ -192,9 +188,9 @@ def test_the_fault_of_a_silent_bus_has_the_time_since_any_servo_has_answered() -
 
 
 def test_a_silence_that_spreads_to_all_joints_becomes_that_of_the_bus() -> None:
-    guards, codes = Guards(NAMES), []
+    checked, codes = guards(), []
     for ages in ([0.0] * 6, at(2, 0.11), [0.12] * 6):
-        fault = guards.check(GOAL, reading(GOAL, age_s=np.array(ages)), FULL, 1.0)
+        fault = checked.check(GOAL, reading(GOAL, age_s=np.array(ages)), FULL, 1.0)
         codes.append(None if fault is None else fault.code)
     assert codes == [None, FaultCode.SERVO_SILENT, FaultCode.BUS_SILENT]
 
@@ -215,9 +211,9 @@ def test_an_arm_that_measures_neither_heat_nor_current_nor_supply_is_well() -> N
     ids=["low supply", "stall", "tracking"],
 )
 def test_one_tick_in_which_all_is_well_makes_a_condition_begin_anew(ill: Measured, bearable_s: float) -> None:
-    guards, ticks = Guards(NAMES), round(bearable_s / PERIOD_S)
+    checked, ticks = guards(), round(bearable_s / PERIOD_S)
     readings = 2 * [*(ticks - 1) * [ill], reading(GOAL)]
-    faults = [guards.check(GOAL, each, FULL, tick * PERIOD_S) for tick, each in enumerate(readings)]
+    faults = [checked.check(GOAL, each, FULL, tick * PERIOD_S) for tick, each in enumerate(readings)]
     assert faults == [None] * len(readings)
 
 
@@ -242,5 +238,5 @@ OVERLOADED = int(StatusFlag.OVERLOAD | StatusFlag.VOLTAGE)
     ids=["well", "warm", "hot", "silent", "flags"],
 )
 def test_warnings_come_before_faults(told: dict[str, float], warnings: list[tuple[ServoAlert, str]]) -> None:
-    guards = Guards(NAMES)
-    assert guards.warnings(reading(GOAL, **told), 0) == tuple(ServoWarning(*warning) for warning in warnings)
+    checked = guards()
+    assert checked.warnings(reading(GOAL, **told), 0) == tuple(ServoWarning(*warning) for warning in warnings)

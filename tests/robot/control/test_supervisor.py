@@ -9,7 +9,7 @@ import pytest
 from robot.control.cycle import ControlCycle
 from robot.control.pacing import PERIOD_S, Pacer, SimulationClock
 from robot.control.realtime import Scheduling
-from robot.control.supervisor import SILENCE_BURST, SILENCE_LINES_PER_S, Watchdog, arm_health, arm_state, disconnected
+from robot.control.supervisor import SILENCE_BURST, SILENCE_LINES_PER_S, arm_health, arm_state, disconnected
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.bus import Bus
@@ -87,15 +87,6 @@ def test_what_the_hardware_does_not_have_or_measure_is_not_in_its_health() -> No
         assert math.isnan(joint.current_a)
         assert math.isfinite(joint.position_rad)
         assert joint.warnings == ()
-
-
-def test_silence_is_tolerated_up_to_its_limit_from_the_last_message_on() -> None:
-    watchdog = Watchdog(0.5, 10.0)
-    assert not watchdog.expired(10.5)
-    assert watchdog.expired(10.51)
-    assert watchdog.silence_s(10.51) > 0.5
-    watchdog.feed(11.0)
-    assert not watchdog.expired(11.4)
 
 
 Start = Callable[..., ArmRig]

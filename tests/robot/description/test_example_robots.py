@@ -11,8 +11,6 @@ from robot.errors import DescriptionError
 
 # Of the arms, those whose files lack something, and the sentence about it.
 LACKING = {
-    "ur5": 'ur5.srdf has no <group>: add <group name="arm"><chain base_link="world" tip_link=',
-    "ur3_gripper": "ur3_gripper.srdf has no <group>",
     "z1": "z1.srdf group 'end_effector' <chain> names the link 'base', which the URDF of 'z1_description' does not",
 }
 
@@ -22,6 +20,9 @@ ARMS = {
     "xarm7": ("xarm7", 7, "link_eef"),
     "kinova": ("end_effector", 6, "j2s6s200_end_effector"),
     "pr2": ("right_arm_and_torso", 8, "r_wrist_roll_link"),
+    # Their SRDF has no group.
+    "ur5": ("arm", 6, "wrist_3_link"),
+    "ur3_gripper": ("arm", 6, "wrist_3_link"),
     "talos": ("l_arm", 7, "wrist_left_ft_tool_link"),
 }
 

@@ -110,7 +110,6 @@ BROKEN = {
     "velocity zero": (URDF.replace('velocity="3"', 'velocity="0"'), SRDF, "velocity must be above 0, not 0"),
     "two roots": (URDF.replace('<link name="a"/>', '<link name="a"/><link name="z"/>'), SRDF, "exactly one root"),
     "link missing": (URDF.replace('<link name="b"/>', ""), SRDF, "'b', which does not exist"),
-    "no group": (URDF, "<robot/>", "no <group>"),
     "no chain": (
         URDF,
         SRDF.replace('base_link="a" tip_link="c"', 'base_link="c" tip_link="a"'),
@@ -187,3 +186,10 @@ def test_the_group_of_goals_is_the_arm_else_the_first_chain() -> None:
     pair = '<group name="pair"><joint name="grip"/><joint name="press"/></group>'
     assert hand_of(pair, HAND, ARM).default_group == "arm"
     assert hand_of(pair, ARM.replace('"arm"', '"lift"')).default_group == "lift"
+
+
+def test_a_robot_without_a_group_gets_the_longest_chain_and_a_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    robot = model.parse(HAND_URDF, "<robot name='two'/>")
+    assert (robot.default_group, robot.groups["arm"].tip_link) == ("arm", "finger")
+    assert '<group name="arm">' in robot.srdf
+    assert "has no <group>: the group 'arm' is the longest chain" in caplog.text

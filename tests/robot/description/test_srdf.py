@@ -145,8 +145,10 @@ def test_links_without_default_collisions_are_checked_only_where_enabled() -> No
 
 
 BROKEN = {
-    "no group": ("", '<group name="arm"><chain base_link="base" tip_link="jaw"/></group>'),
-    "nothing moves": ('<group name="g"><joint name="l_mount"/></group>', "no <group> with a movable joint"),
+    "nothing moves": (
+        '<group name="g"><joint name="l_mount"/></group>',
+        'no <group> with a movable joint of the URDF: add <group name="arm"><chain base_link="base" tip_link="jaw"/>',
+    ),
     "unknown joint": ('<group name="g"><joint name="q"/></group>', "group 'g' <joint> names the joint 'q'"),
     "unknown link": ('<group name="g"><link name="q"/></group>', "group 'g' <link> names the link 'q'"),
     "unknown base": ('<group name="g"><chain base_link="q" tip_link="l1"/></group>', "<chain> names the link 'q'"),

@@ -15,9 +15,8 @@ import pytest
 from robot.calibration import Calibration
 from robot.description.gravity import LinkWeights
 from robot.emulator.arm import EmulatedArm, weight_of
-from robot.emulator.dynamixel_arm import emulated_dynamixel_arm
-from robot.emulator.feetech import DUTY_PERMILLE_PER_NM
-from robot.emulator.feetech_arm import build_servos, emulated_feetech_arm
+from robot.emulator.dynamixel import emulated_dynamixel_arm
+from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos, emulated_feetech_arm
 from robot.errors import PortError, StartupError
 from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
 from robot.hardware.feetech.registers import Register

@@ -6,8 +6,7 @@ import pytest
 
 from robot.emulator.control import COMMANDS_HELP, Emulation, LiveCommand, answer
 from robot.emulator.faults import Faults
-from robot.emulator.feetech import FEETECH
-from robot.emulator.feetech_arm import build_servos
+from robot.emulator.feetech import FEETECH, build_servos
 from robot.emulator.process import UsbAdapter
 from robot.emulator.servo_bus import ServoBus
 from robot.emulator.write_log import WriteLog

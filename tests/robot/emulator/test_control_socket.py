@@ -11,8 +11,7 @@ import pytest
 from robot.emulator.arm import EmulatedArm
 from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.control_socket import MAX_CONTROLLERS, CommandedPort, ControlSocket
-from robot.emulator.feetech import FeetechServo
-from robot.emulator.feetech_arm import emulated_feetech_arm
+from robot.emulator.feetech import FeetechServo, emulated_feetech_arm
 from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.interface import Measured

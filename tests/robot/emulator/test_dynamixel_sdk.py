@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pytest
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler
 
-from robot.emulator.in_process import InProcessPort
+from robot.emulator.adapter import InProcessPort
 from robot.hardware.dynamixel.registers import Register
 from tests.helpers.dynamixel import SteppedDynamixels
 

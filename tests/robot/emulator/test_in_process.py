@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.in_process import MAX_WAITING_BYTES
+from robot.emulator.adapter import MAX_WAITING_BYTES
 from robot.errors import NoReply, PortError, PortLost
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 from robot.hardware.port import LOCAL_LATENCY_S

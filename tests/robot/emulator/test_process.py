@@ -10,56 +10,12 @@ from dataclasses import fields, replace
 import pytest
 import serial
 
+from robot.emulator.adapter import InProcessPort
 from robot.emulator.control import Emulation
 from robot.emulator.faults import Faults
-from robot.emulator.in_process import InProcessPort
-from robot.emulator.process import Control, PseudoTerminal, UsbAdapter, add_options, build_bus, configure
+from robot.emulator.process import Control, UsbAdapter, add_options, build_bus, configure
 from robot.emulator.servo_bus import Reply
 from robot.hardware.feetech.registers import Register
-
-
-def test_a_terminal_passes_every_byte_unaltered():
-    with contextlib.closing(PseudoTerminal()) as terminal:
-        client = os.open(terminal.port, os.O_RDWR | os.O_NOCTTY)
-        every_byte = bytes(range(256))
-        terminal.write(every_byte)
-        assert os.read(client, 512) == every_byte
-        os.write(client, every_byte)
-        assert terminal.read() == every_byte
-        assert terminal.read() == b""
-        os.close(client)
-
-
-def test_bytes_that_are_not_read_are_lost_without_a_wait():
-    with contextlib.closing(PseudoTerminal()) as terminal:
-        for _ in range(100):
-            terminal.write(bytes(4096))
-
-
-@pytest.mark.parametrize(("set_to", "seen"), [(1_000_000, 1_000_000), (115_200, 115_200), (9600, 0)])
-def test_the_baud_rate_is_the_one_that_the_client_sets(set_to, seen):
-    with contextlib.closing(PseudoTerminal()) as terminal, serial.Serial(terminal.port, set_to):
-        assert terminal.baudrate == seen
-
-
-@pytest.mark.parametrize("left", [False, True])
-def test_a_link_leads_to_the_terminal_as_long_as_it_is_there_and_stays_if_it_was_left(tmp_path, left):
-    link = tmp_path / "arm"
-    link.symlink_to("/dev/null")
-    terminal = PseudoTerminal(link)
-    assert str(link.readlink()) == terminal.port
-    if left:
-        terminal.leave_link()
-    terminal.close()
-    assert link.is_symlink() is left
-
-
-def test_a_file_in_the_place_of_the_link_is_left_alone(tmp_path):
-    link = tmp_path / "arm"
-    link.write_text("mine")
-    with pytest.raises(FileExistsError):
-        PseudoTerminal(link)
-    assert link.read_text() == "mine"
 
 
 @pytest.fixture
@@ -73,6 +29,38 @@ def adapter(tmp_path):
 def client(adapter):
     with serial.Serial(adapter.port, 1_000_000, timeout=0) as line:
         yield line
+
+
+def test_every_byte_passes_unaltered(adapter):
+    client = os.open(adapter.port, os.O_RDWR | os.O_NOCTTY)
+    every_byte = bytes(range(256))
+    adapter.take([reply(1.0, every_byte)])
+    adapter.deliver(1.0)
+    assert os.read(client, 512) == every_byte
+    os.write(client, every_byte)
+    assert adapter.read() == every_byte
+    assert adapter.read() == b""
+    os.close(client)
+
+
+def test_bytes_that_are_not_read_are_lost_without_a_wait(adapter):
+    for at_s in range(100):
+        adapter.take([reply(at_s, bytes(4096))])
+        adapter.deliver(at_s)
+
+
+@pytest.mark.parametrize(("set_to", "seen"), [(1_000_000, 1_000_000), (115_200, 115_200), (9600, 0)])
+def test_the_baud_rate_is_the_one_that_the_client_sets(adapter, set_to, seen):
+    with serial.Serial(adapter.port, set_to):
+        assert adapter.baudrate == seen
+
+
+def test_a_file_in_the_place_of_the_link_is_left_alone(tmp_path):
+    link = tmp_path / "link"
+    link.write_text("mine")
+    with pytest.raises(FileExistsError):
+        UsbAdapter(link)
+    assert link.read_text() == "mine"
 
 
 def reply(due_s, data):

@@ -16,8 +16,7 @@ from robot.emulator.dynamixel import CRC_ERROR, INSTRUCTION_ERROR, REBOOT_S
 from robot.emulator.dynamixel import DYNAMIXEL as DYNAMIXEL_CODEC
 from robot.emulator.faults import Faults
 from robot.emulator.feetech import FEETECH as FEETECH_CODEC
-from robot.emulator.feetech import FeetechServo
-from robot.emulator.feetech_arm import build_servos
+from robot.emulator.feetech import FeetechServo, build_servos
 from robot.emulator.servo_bus import PARTIAL_PACKET_S, Instruction, InstructionParser, ServoBus, superimposed
 from robot.emulator.write_log import WriteLog
 from robot.hardware.dynamixel.packets import ALERT
@@ -115,9 +114,9 @@ def test_a_sync_read_is_answered_in_its_order_and_may_end_at_a_servo_that_is_mis
 
 @OF_BOTH_FAMILIES
 def test_a_sync_write_is_taken_by_each_servo_and_answered_by_none(family: Family, wire: Wire) -> None:
-    data = {servo: family.registers.encode(family.registers.Register.GOAL_POSITION, 2000 + servo) for servo in (1, 3)}
-    parameters = family.driver.sync_write_parameters(family.registers.Register.GOAL_POSITION, data)
-    assert wire.ask(ALL, SYNC_WRITE, bytes(parameters)) == b""
+    goal = family.registers.Register.GOAL_POSITION
+    data = b"".join(bytes([servo]) + family.registers.encode(goal, 2000 + servo) for servo in (1, 3))
+    assert wire.ask(ALL, SYNC_WRITE, family.block("GOAL_POSITION") + data) == b""
     assert wire.values("GOAL_POSITION") == [2001, 0, 2003]
 
 

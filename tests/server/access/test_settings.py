@@ -34,11 +34,6 @@ def test_a_token_in_a_wrong_place_is_not_shown(key: str) -> None:
         assert "my-secret" not in str(refused.value)
 
 
-def test_a_token_of_the_environment_is_set_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ARMBRIDGE_ACCESS__VIEW_TOKENS__SCREEN", LONG)
-    assert load(None, {}).access.view_tokens["screen"].get_secret_value() == LONG
-
-
 def test_tokens_with_spaces_are_refused() -> None:
     with pytest.raises(ValidationError, match="no spaces"):
         AccessSettings(token="correct horse battery")  # type: ignore[arg-type]
@@ -58,13 +53,3 @@ def test_settings_do_not_show_tokens() -> None:
 def test_every_limit_of_a_session_is_a_setting_with_its_default() -> None:
     assert SessionSettings().limits() == Limits()
     assert set(SessionSettings.model_fields) == {field.name for field in dataclasses.fields(Limits)}
-
-
-def test_a_limit_that_is_set_is_the_session_s(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ARMBRIDGE_SERVER__LIMITS__MAX_SUBSCRIPTIONS", "7")
-    assert load(None, {}).server.limits.limits() == Limits(max_subscriptions=7)
-
-
-def test_a_limit_out_of_range_is_refused_with_its_key() -> None:
-    with pytest.raises(ConfigurationError, match=r"server.limits.max_message_bytes: .*65536.*\(it is 10"):
-        load(None, {"server": {"limits": {"max_message_bytes": 10}}})

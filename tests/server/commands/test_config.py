@@ -53,11 +53,6 @@ def test_the_table_has_a_line_a_setting(file, capsys):
     assert "[moveit.servo]" in capsys.readouterr().out
 
 
-def test_a_wrong_setting_is_one_line_and_exit_2(capsys):
-    assert cli.main(["config", "--set", "moveit.plannr_id=PRM"]) == ExitCode.USAGE
-    assert capsys.readouterr().err == "armbridge: moveit.plannr_id: unknown; did you mean planner_id?\n"
-
-
 def section(text: str, name: str) -> configparser.SectionProxy:
     parser = configparser.RawConfigParser(strict=False, delimiters=("=",))
     parser.optionxform = str  # type: ignore[assignment,method-assign]

@@ -32,12 +32,6 @@ def parsed(*arguments):
     return parser.parse_args(arguments)
 
 
-def test_without_options_the_adapter_is_looked_for_and_no_calibration_read():
-    options = parsed()
-    assert options.serial == "auto"
-    assert read_calibration(options) is None
-
-
 def test_a_calibration_is_read_from_its_file_and_one_of_unknown_id_is_refused(tmp_path):
     save(nominal_calibration(), tmp_path / "arm.json")
     assert read_calibration(parsed("--calibration", str(tmp_path / "arm.json"))) == nominal_calibration()
@@ -160,13 +154,3 @@ def test_the_default_at_the_end_of_an_option_s_help_is_its_default():
             wrong.append(f"{command} {action.option_strings}: {action.help!r}, but {action.default!r}")
     assert checked > 20
     assert wrong == []
-
-
-def test_a_leader_without_a_port_is_said_to_be_emulated():
-    (serial,) = [
-        action
-        for command, action in options_of(cli._parser())
-        if command == "armbridge leader" and action.dest == "serial"
-    ]
-    assert serial.default is None
-    assert str(serial.help).endswith("(an emulated arm)")

@@ -8,15 +8,6 @@ import pytest
 from server import cli
 
 
-def test_plan_has_its_own_help(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["plan", "--help"])
-    assert ended.value.code == 0
-    said = capsys.readouterr().out
-    for option in ("--all", "--id", "--json", "--plot", "--urdf", "--srdf", "--time", "--optimize", "--seed"):
-        assert option in said
-
-
 def test_plan_answers_a_file_with_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     problem = {"id": "a", "start": [0.0] * 5, "goal": [0.1] * 5}
     joints = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]

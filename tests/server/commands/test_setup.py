@@ -186,6 +186,30 @@ def test_a_servo_left_plugged_in_does_not_become_the_next_one(run_setup, kit, as
     assert ids(kit) == [1, 1, 1, 1, 5, 6]
 
 
+def test_two_servos_of_one_id_are_parted_by_the_name_of_a_joint(run_setup, kit, plug, tmp_path):
+    arm_of(kit)
+    set_registers(kit.servos[3], {Register.ID: 3})
+    kit.plug(*range(6))
+    code, person = run_setup("--joint", "wrist_flex", plug=plug, confirm=agree)
+    assert "several servos with the id 3 answer at once" in person.said
+    assert (code, ids(kit)) == (ExitCode.DONE, [1, 2, 3, 4, 5, 6])
+
+
+def test_a_calibrated_servo_is_never_offered_to_another_joint_though_it_is_named_alone(run_setup, kit, plug):
+    set_registers(kit.servos[3], {Register.ID: 3, Register.MIN_ANGLE_LIMIT: 763, Register.MAX_ANGLE_LIMIT: 3332})
+    tried = []
+
+    def plug_once(joint: str) -> str:
+        tried.append(joint)
+        if len(tried) > 1:
+            raise KeyboardInterrupt
+        return plug(joint)
+
+    _, person = run_setup("--joint", "wrist_flex", plug=plug_once)
+    assert "reset it with Feetech's FD program" in person.said
+    assert "[y/N]" not in person.said
+
+
 def test_ctrl_c_in_the_middle_is_said_and_the_next_run_goes_on(run_setup, kit, plug):
     def interrupt(joint: str) -> str:
         if joint == "wrist_flex":
@@ -352,10 +376,3 @@ def test_an_arm_that_cannot_be_set_up_is_left_alone(run_setup, kit, options, cod
     assert done == code
     assert words in person.said
     assert [kit.held(place) for place in range(6)] == before
-
-
-def test_questions_that_nobody_answers_end_the_command(armbridge, emulator):
-    emulator.command(offline=[1, 2, 3, 4, 5, 6])
-    answer = armbridge("setup", "--joint", "gripper")
-    assert answer.returncode == ExitCode.FAILED
-    assert "the input ended" in answer.stderr

@@ -75,13 +75,6 @@ def test_an_input_that_ends_answers_nothing():
     os.close(read_end)
 
 
-def test_results_and_progress_go_separate_ways(capsys):
-    Terminal().tell("result")
-    Terminal().say("progress")
-    said = capsys.readouterr()
-    assert (said.out, said.err) == ("result\n", "progress\n")
-
-
 def test_a_live_table_replaces_the_last_one_and_is_for_terminals_only(capsys, monkeypatch):
     terminal = Terminal()
     terminal.show_live("1\n2")

@@ -11,7 +11,7 @@ from PIL import Image
 
 from server.cli import main
 from server.datasets import camera
-from server.datasets.camera import CameraError, NewestImage, OpenCvSource, Pixels, TestPattern, open_source, to_jpeg
+from server.datasets.camera import CameraError, NewestImage, OpenCvSource, Pixels, open_source, to_jpeg
 from tests.helpers.waiting import wait_until
 
 
@@ -41,23 +41,9 @@ def opened(jpeg: bytes) -> Image.Image:
     return Image.open(io.BytesIO(jpeg))
 
 
-def test_the_test_pattern_moves() -> None:
-    pattern = TestPattern(320)
-    first, second = pattern.read(), pattern.read()
-    assert first is not None
-    assert second is not None
-    assert first.shape == (240, 320, 3)
-    assert (first != second).any()
-
-
 @pytest.mark.parametrize(("width", "size"), [(None, (64, 48)), (32, (32, 24)), (31, (30, 22))])
 def test_an_image_is_scaled_to_a_width_and_has_even_sides(width: int | None, size: tuple[int, int]) -> None:
     assert opened(to_jpeg(np.zeros((48, 64, 3), dtype=np.uint8), width, 80)).size == size
-
-
-def test_quality_decides_on_the_size() -> None:
-    pixels = np.random.default_rng(1).integers(0, 256, size=(48, 64, 3), dtype=np.uint8)
-    assert len(to_jpeg(pixels, None, 20)) < len(to_jpeg(pixels, None, 90)) / 2
 
 
 def test_only_the_newest_image_is_kept_and_given_once() -> None:

@@ -3,21 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from server.datasets.statistics import QUANTILES, ImageStatistics, statistics_of
-
-
-def test_statistics_are_those_of_every_column() -> None:
-    values = np.random.default_rng(1).normal(size=(500, 3))
-    told = statistics_of(values)
-    assert told["count"] == [500]
-    for name, expected in {
-        "min": values.min(axis=0),
-        "max": values.max(axis=0),
-        "mean": values.mean(axis=0),
-        "std": values.std(axis=0),
-        **{name: np.quantile(values, share, axis=0) for name, share in QUANTILES.items()},
-    }.items():
-        assert told[name] == pytest.approx(expected)
+from server.datasets.statistics import QUANTILES, ImageStatistics
 
 
 def test_statistics_of_images_are_those_of_their_pixels_in_all_frames() -> None:

@@ -5,7 +5,7 @@ import contextlib
 import json
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
@@ -126,13 +126,38 @@ async def test_text_and_binary_frames_go_out_as_such(graph: Graph, url: str) -> 
         assert isinstance(await asyncio.wait_for(reading.recv(), TIMEOUT_S), bytes)
 
 
-async def test_a_client_that_asks_for_ros1_in_its_url_gets_ros1_spelling(graph: Graph, url: str) -> None:
+@pytest.mark.parametrize(
+    ("version", "query", "stamp"),
+    [
+        (2, "?ros=1", {"secs": 1, "nsecs": 2}),
+        (2, "?x=1", {"sec": 1, "nanosec": 2}),
+        (1, "?x=1", {"secs": 1, "nsecs": 2}),
+        (1, "?ros=2&x=1", {"sec": 1, "nanosec": 2}),
+    ],
+)
+async def test_clients_get_the_spelling_of_their_url_or_of_the_setting(
+    graph: Graph, version: Literal[1, 2], query: str, stamp: dict[str, int]
+) -> None:
     graph.advertise(TALKER, "/h", "std_msgs/Header", latch=True)
     graph.publish(TALKER, "/h", {"stamp": {"sec": 1, "nanosec": 2}})
-    for query, stamp in [("?ros=1", {"secs": 1, "nsecs": 2}), ("?ros=2&x=1", {"sec": 1, "nanosec": 2})]:
-        async with connect(f"{url}/{query}") as client:
-            await client.send(json.dumps({"op": "subscribe", "topic": "/h"}))
-            assert (await receive(client))["msg"]["stamp"] == stamp
+    async with (
+        listening(ServerSettings(port=0, ros_version=version), graph=graph) as listener,
+        connect(f"{listener.url}/{query}") as client,
+    ):
+        await client.send(json.dumps({"op": "subscribe", "topic": "/h"}))
+        assert (await receive(client))["msg"]["stamp"] == stamp
+
+
+async def test_the_messages_of_a_topic_are_numbered_for_ros1(graph: Graph, url: str) -> None:
+    graph.advertise(TALKER, "/joints", "sensor_msgs/JointState", latch=True)
+    graph.publish(TALKER, "/joints", {})
+    async with connect(f"{url}/?ros=1") as client:
+        await client.send(json.dumps({"op": "subscribe", "topic": "/joints"}))
+        numbers = [(await receive(client))["msg"]["header"]["seq"]]
+        for _ in range(2):
+            graph.publish(TALKER, "/joints", {})
+            numbers.append((await receive(client))["msg"]["header"]["seq"])
+    assert numbers == [1, 2, 3]
 
 
 async def test_a_call_that_runs_does_not_hold_up_what_the_client_says_next(graph: Graph, url: str) -> None:

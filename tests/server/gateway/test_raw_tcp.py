@@ -5,7 +5,7 @@ import itertools
 import json
 import socket
 import ssl
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -196,6 +196,50 @@ async def test_a_message_that_cannot_be_written_for_want_of_memory_ends_its_conn
     assert line.endswith(f"connection closed: {OUT_OF_MEMORY}")
 
 
+class TurnsOfTheLoop:
+    """Transport that notes the turn of the loop in which each frame is written."""
+
+    def __init__(self, real: Any) -> None:
+        self._real = real
+        self._turn = 0
+        self.turns: list[int] = []
+        self._count()
+
+    def _count(self) -> None:
+        self._turn += 1
+        asyncio.get_running_loop().call_soon(self._count)
+
+    def writelines(self, frames: Sequence[bytes]) -> None:
+        self.turns += [self._turn for _ in frames]
+        self._real.writelines(frames)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+
+async def test_each_message_is_a_send_of_its_own(graph: Graph, listener: Listener) -> None:
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.send(op="subscribe", topic="/t")
+        await client.receive()
+        (stream,) = streams_of(listener)
+        stream._transport = noted = TurnsOfTheLoop(stream._transport)  # type: ignore[assignment]
+        for number in range(20):
+            graph.publish(TALKER, "/t", {"data": str(number)})
+        assert [(await client.until_topic("/t"))["data"] for _ in range(20)] == [str(number) for number in range(20)]
+    assert len(set(noted.turns)) == len(noted.turns) == 20
+
+
+async def test_a_subscription_begins_with_the_newest_message_at_most(graph: Graph, listener: Listener) -> None:
+    graph.advertise(TALKER, "/recent", "std_msgs/String")
+    for number in range(5):
+        graph.publish(TALKER, "/recent", {"data": str(number)}, lifespan_s=60.0)
+    async with await RawClient.connect(port_of(listener)) as client:
+        client.send(op="subscribe", topic="/recent")
+        client.send(op="call_service", service="/trigger", id="then")
+        assert (await client.receive())["msg"] == {"data": "4"}
+        assert (await client.receive())["id"] == "then"
+
+
 async def test_what_came_before_an_error_is_carried_out(listener: Listener) -> None:
     async with await RawClient.connect(port_of(listener)) as client:
         client.write(json.dumps({"op": "call_service", "service": "/trigger", "id": "before"}).encode() + b"#")
@@ -374,7 +418,7 @@ async def test_of_refused_connections_a_flood_gets_no_answer(monkeypatch: pytest
             await asyncio.wait_for(client.reader.read(), TIMEOUT_S)
 
 
-async def test_the_system_asks_idle_clients_whether_they_are_there() -> None:
+async def test_the_system_asks_idle_clients_whether_they_are_there_and_delays_no_message() -> None:
     async with (
         serving(Graph(REGISTRY), ping_interval_s=7.0, ping_timeout_s=5.0) as listener,
         await RawClient.connect(port_of(listener)) as client,
@@ -386,6 +430,7 @@ async def test_the_system_asks_idle_clients_whether_they_are_there() -> None:
         accepted = stream._transport.get_extra_info("socket")
         options = (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_USER_TIMEOUT)
         assert accepted.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+        assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 1
         assert [accepted.getsockopt(socket.IPPROTO_TCP, option) for option in options] == [7, 2, 12_000]
 
 

@@ -14,7 +14,6 @@ from server.graph.services import Response, Services
 from tests.helpers.clock import FakeClock
 
 INTERFACES = MessageTypes(Registry.load())
-DEFAULT = {"position": 0.0, "effort": 0.0, "stalled": False, "reached_goal": False}
 
 
 class Sent:
@@ -59,10 +58,6 @@ def test_a_sender_that_left_hears_no_feedback(sent: Sent) -> None:
     sent.goal.forget_sender()
     sent.goal.feedback({})
     assert sent.feedback == []
-
-
-def test_every_goal_has_an_id_of_its_own() -> None:
-    assert len({Sent().goal.goal_id for _ in range(100)}) == 100
 
 
 REGISTRY = Registry.load()

@@ -25,19 +25,6 @@ def kept() -> LatchedMessages:
     return LatchedMessages()
 
 
-def test_the_last_latched_message_is_kept_for_ever(kept: LatchedMessages) -> None:
-    assert kept.latch(published("old")) is None
-    assert kept.latch(published("new")) is None
-    assert data_of(kept, 1e9) == ["new"]
-
-
-def test_a_latched_message_can_be_given_an_end(kept: LatchedMessages) -> None:
-    kept.latch(published("x"))
-    kept.unlatch_at("/t", 10.0)
-    assert data_of(kept, 9.9) == ["x"]
-    assert data_of(kept, 10.1) == []
-
-
 def test_latching_anew_takes_the_end_away(kept: LatchedMessages) -> None:
     kept.latch(published("x"))
     kept.unlatch_at("/t", 10.0)
@@ -135,19 +122,6 @@ class TestRoom:
         for topic, client in (("/b", FIRST), ("/c", FIRST), ("/d", SECOND), ("/e", SECOND)):
             kept.latch(published("x" * 600, topic), client)
         assert data_of(kept, 5.0, "/a") != []
-
-    def test_after_its_end_it_takes_no_room(self, kept: LatchedMessages) -> None:
-        kept.latch(published("x" * 600, "/a"))
-        kept.unlatch_at("/a", 10.0)
-        kept.give_up_old(10.1)
-        assert kept._of_server.size_bytes == 0
-        assert not kept._latched
-
-    def test_before_its_end_it_stays(self, kept: LatchedMessages) -> None:
-        kept.latch(published("x", "/a"))
-        kept.unlatch_at("/a", 10.0)
-        kept.give_up_old(9.9)
-        assert data_of(kept, 9.9, "/a") == ["x"]
 
     def test_what_is_given_up_is_off_every_account(self, kept: LatchedMessages) -> None:
         for topic in ("/a", "/b"):

@@ -77,13 +77,6 @@ def test_without_a_prefix_the_names_are_the_graphs() -> None:
     assert only.resolve("/arm/stop") == "/arm/stop"
 
 
-def test_services_stand_below_the_prefix() -> None:
-    graph, left = graph_with_left()
-    left.offer(Node("part"), "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True}, rule=STOPPING)
-    assert graph.services.provider("/left/arm/stop") is not None
-    assert graph.services.provider("/arm/stop") is None
-
-
 async def test_actions_stand_below_the_prefix_and_goals_name_them_in_full() -> None:
     graph, left = graph_with_left()
     ended: asyncio.Future[Any] = asyncio.get_running_loop().create_future()

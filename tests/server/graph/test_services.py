@@ -184,13 +184,61 @@ def test_the_calls_of_a_caller_that_leaves_end_for_their_provider(services: Serv
 # Names
 
 
-def test_the_number_of_services_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.graph.services.MAX_SERVICES", 5)
+def test_the_number_of_services_is_bounded_and_one_that_is_offered_again_is_none_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("server.graph.services.MAX_SERVICES", 2)
     services = Services(MessageTypes(REGISTRY), FakeClock().call_later)
-    for number in range(5):
-        services.offer(SERVER, f"/s{number}", SET_BOOL, lambda _: ON)
-    with pytest.raises(GraphError, match="there are 5 services"):
-        services.offer(SERVER, "/one_more", SET_BOOL, lambda _: ON)
+    for name in ("/a", "/b", "/b"):
+        services.offer(SERVER, name, SET_BOOL, lambda _: ON)
+    with pytest.raises(GraphError, match="service /c: cannot be added: there are 2 services already"):
+        services.offer(SERVER, "/c", SET_BOOL, lambda _: ON)
+
+
+def test_a_client_takes_the_place_of_a_client_whose_calls_fail(services: Services) -> None:
+    Provider(services)
+    responses = ask(services)
+    second = Provider(services)
+    assert responses == [Response(ok=False, values="Service /switch was withdrawn by its provider")]
+    assert services.provider("/switch") is second.node
+
+
+def test_nobody_takes_the_place_of_a_part_of_the_server_but_itself(services: Services) -> None:
+    services.offer(SERVER, "/switch", SET_BOOL, lambda _: ON)
+    with pytest.raises(GraphError, match="service /switch: is offered by the server itself"):
+        Provider(services)
+    services.offer(SERVER, "/switch", SET_BOOL, lambda _: {"success": False})
+    assert ask(services)[0].values["success"] is False
+
+
+def test_an_offer_is_withdrawn_by_its_own_node_only(services: Services) -> None:
+    provider = Provider(services)
+    services.withdraw(CALLER, "/switch")
+    services.withdraw(provider.node, "/nothing")
+    assert services.types() == {"/switch": "std_srvs/srv/SetBool"}
+    services.withdraw(provider.node, "/switch")
+    assert (services.types(), services.provided_by(provider.node)) == ({}, [])
+
+
+@pytest.mark.parametrize("type_name", ["std_srvs/Nothing", "std_msgs/String", "control_msgs/action/PointHead"])
+def test_a_type_that_is_none_of_a_service_is_refused_and_ends_nothing(services: Services, type_name: str) -> None:
+    provider = Provider(services)
+    responses = ask(services)
+    with pytest.raises(GraphError, match=f"service /switch: .*{type_name}"):
+        services.offer_calls(Node("other", remote=True), "/switch", type_name, lambda _call: None)
+    assert (responses, services.provider("/switch")) == ([], provider.node)
+
+
+def test_an_error_of_one_that_hears_of_the_end_keeps_it_from_no_other(
+    call: Call, responses: list[Response], caplog: pytest.LogCaptureFixture
+) -> None:
+    heard: list[Response] = []
+    call.when_ended(lambda _end: heard[1])
+    call.when_ended(heard.append)
+    call.fail("stopped")
+    call.fail("once more")
+    assert heard == responses == [Response(ok=False, values="stopped")]
+    assert "could not be told" in caplog.text
 
 
 def test_a_call_says_what_dialect_its_caller_wants_to_be_told_in(services: Services) -> None:

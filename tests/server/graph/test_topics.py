@@ -67,14 +67,6 @@ def test_a_message_that_does_not_fit_is_refused_to_its_sender_and_told_to_local_
     assert [error.path for error in listener.refusals] == ["data"]
 
 
-def test_it_can_be_told_whether_a_topic_is_latched(graph: Graph) -> None:
-    graph.advertise(TALKER, "/t", "std_msgs/String")
-    assert not graph.is_latched("/t")
-    graph.publish(TALKER, "/t", {"data": "kept"}, latch=True)
-    assert graph.is_latched("/t")
-    assert not graph.is_latched("/nothing")
-
-
 def test_a_message_that_is_only_latched_reaches_late_subscribers_alone(graph: Graph) -> None:
     early, late = Listening(), Listening()
     graph.advertise(TALKER, "/t", "std_msgs/String")
@@ -171,15 +163,6 @@ def test_a_topic_out_of_use_makes_room_without_costing_the_others_their_type(gra
     graph.advertise(TALKER, "/one_more", "std_msgs/Empty")
     assert graph.topic_type("/t1") is None
     assert graph.topic_type("/t0") is not None
-
-
-def test_topics_whose_time_is_over_are_forgotten(graph: Graph, clock: FakeClock) -> None:
-    for number in range(10):
-        graph.advertise(TALKER, f"/t{number}", "std_msgs/Empty")
-    graph.remove(TALKER)
-    clock.now_s += UNREGISTER_TIMEOUT_S * 1.1
-    graph.advertise(TALKER, "/another", "std_msgs/Empty")
-    assert list(graph._topics) == ["/another"]
 
 
 def test_clients_that_may_only_look_leave_others_room_for_topics(graph: Graph) -> None:
@@ -304,17 +287,6 @@ class TestWhatClientsLatch:
         graph.advertise(node, topic, "std_msgs/String")
         return graph.publish(node, topic, {"data": "x" * size_bytes}, latch=True)
 
-    def test_the_servers_messages_are_latched_whatever_clients_have_latched(self, graph: Graph) -> None:
-        for node in (self.FIRST, self.SECOND):
-            assert self.latch(graph, node, f"/of_{node}") is None
-        assert self.latch(graph, TALKER, "/planning_scene", 1900) is None
-        assert len(data_for_newcomer(graph, "/planning_scene")) == 1
-
-    def test_one_client_leaves_room_for_another(self, graph: Graph) -> None:
-        self.latch(graph, self.FIRST, "/a")
-        self.latch(graph, self.FIRST, "/b")
-        assert self.latch(graph, self.SECOND, "/c") is None
-
     def test_changing_names_use_nothing_up(self, graph: Graph) -> None:
         for number in range(10):
             assert self.latch(graph, self.FIRST, f"/t{number}") is None
@@ -335,17 +307,6 @@ class TestWhatClientsLatch:
         clock.now_s += UNREGISTER_TIMEOUT_S * 1.1
         graph.advertise(TALKER, "/another", "std_msgs/String")
         assert graph._latched_messages._of_server.size_bytes == 0
-
-
-def test_publishers_and_subscribers_of_a_topic_can_be_looked_up(graph: Graph) -> None:
-    listener = Listening()
-    graph.advertise(TALKER, "/t", "std_msgs/String")
-    graph.subscribe(listener.node, "/t", None, listener.subscriber)
-    assert graph.publishers("/t") == [TALKER]
-    assert graph.subscribers("/t") == [listener.node]
-    assert graph.topic_type("/t") == "std_msgs/msg/String"
-    assert graph.publishers("/nobody") == graph.subscribers("/nobody") == []
-    assert graph.topic_type("/nobody") is None
 
 
 def test_unknown_types_are_relayed_as_they_come_where_it_is_allowed(clock: FakeClock) -> None:
@@ -381,34 +342,6 @@ def test_a_former_watcher_gets_nothing(graph: Graph) -> None:
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
     graph.publish(TALKER, "/a", {})
     assert seen == []
-
-
-class TestTurnedAway:
-    """Messages whose sender may not publish them."""
-
-    @pytest.fixture
-    def seen(self, graph: Graph) -> list[Any]:
-        seen: list[Any] = []
-        promising = Subscriber(seen.append, turned_away=lambda *told: seen.append(told))
-        graph.subscribe(Node("server"), "/goal", "std_msgs/String", promising)
-        return seen
-
-    def test_a_responder_gets_the_message_its_sender_and_the_reason(self, graph: Graph, seen: list[Any]) -> None:
-        graph.turn_away(TALKER, "/goal", {"data": "home"}, "not now")
-        assert seen == [({"data": "home"}, TALKER, "not now")]
-
-    def test_one_that_cannot_be_read_is_empty(self, graph: Graph, seen: list[Any]) -> None:
-        graph.turn_away(TALKER, "/goal", {"data": 5}, "not now")
-        assert seen == [({}, TALKER, "not now")]
-
-    def test_nobody_else_hears_of_it(self, graph: Graph, seen: list[Any]) -> None:
-        listening = Listening()
-        graph.subscribe(listening.node, "/goal", None, listening.subscriber)
-        graph.turn_away(TALKER, "/goal", {"data": "home"}, "not now")
-        graph.turn_away(TALKER, "/unknown", {}, "not now")
-        assert listening.messages == []
-        assert TALKER not in graph.publishers("/goal")
-        assert len(seen) == 1
 
 
 def test_one_subscriber_alone_is_told_and_a_node_that_has_not_subscribed_is_not(graph: Graph) -> None:

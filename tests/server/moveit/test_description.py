@@ -32,7 +32,9 @@ def test_the_description_is_latched_and_kept_as_a_parameter(topic: str) -> None:
     RobotDescription(graph, ROBOT, parameters.__setitem__).open()
     (kept,) = graph.subscribe(CLIENT, topic, "std_msgs/String", Subscriber(lambda _: None))
     assert ET.fromstring(kept.msg["data"]).tag == "robot"
-    assert json.loads(parameters[topic]) == json.loads(parameters[topic[1:]]) == kept.msg["data"]
+    name = topic.removeprefix("/")
+    for parameter in (topic, name, f"/robot_state_publisher:{name}", f"/move_group:{name}"):
+        assert json.loads(parameters[parameter]) == kept.msg["data"]
 
 
 async def test_a_mesh_is_served_by_its_name_in_the_description(files: Path) -> None:

@@ -133,14 +133,6 @@ def test_a_file_that_exists_is_left_alone(tmp_path: Path) -> None:
     assert (tmp_path / "run.mcap").read_text() == "precious"
 
 
-def test_two_recordings_that_are_given_one_name_have_a_file_each(tmp_path: Path) -> None:
-    one, other = series(tmp_path / "run.mcap"), series(tmp_path / "run.mcap")
-    for written in (one, other):
-        fill(written, 1)
-    assert names(tmp_path) == ["run.mcap", "run_1.mcap"]
-    assert topics(tmp_path / "run.mcap") == topics(tmp_path / "run_1.mcap") == ["/picture"]
-
-
 def test_a_file_that_has_its_size_is_followed_by_the_next(tmp_path: Path) -> None:
     fill(series(tmp_path / "run.mcap"), 5)
     assert names(tmp_path) == ["run.mcap", "run_1.mcap", "run_2.mcap"]
@@ -194,10 +186,6 @@ def test_there_are_only_so_many_numbers(tmp_path: Path, monkeypatch: pytest.Monk
 @pytest.mark.parametrize(("number", "latched"), [(1, True), (2, False)])
 def test_the_numbers_of_older_releases_are_understood(number: int, latched: bool) -> None:
     assert is_latched({QOS_KEY: f"- history: 1\n  depth: 10\n  durability: {number}\n"}) is latched
-
-
-def test_a_channel_without_profiles_is_not_latched() -> None:
-    assert not is_latched({})
 
 
 def make_socket(path: Path) -> None:

@@ -113,13 +113,6 @@ async def test_what_is_published_before_the_file_is_opened_is_in_it(graph: Graph
     assert [each.topic for each in recorded_messages(tmp_path / "run.mcap")] == ["/a", "/a"]
 
 
-async def test_a_recorder_that_was_never_started_leaves_no_file(graph: Graph, tmp_path: Path) -> None:
-    recorder = Recorder(graph, tmp_path / "run.mcap")
-    await recorder.close()
-    assert recorder.ended
-    assert not (tmp_path / "run.mcap").exists()
-
-
 # The thread.
 
 

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 
 from server.access.authorization import unlimited
-from server.errors import ConfigurationError
 from server.graph.topics import Graph
-from server.zenoh import bridge, settings
+from server.zenoh import bridge
 from server.zenoh.bridge import FULL_REFRESH_PERIOD_S, Bridge, Discovery, Sharing, bridge_of
 from server.zenoh.rmw import Endpoint, Entity, EntityKind, LivelinessTokens
 from server.zenoh.settings import ZenohSettings
@@ -93,12 +92,6 @@ async def test_a_bridge_that_has_not_joined_yet_ends() -> None:
     running.cancel()
     await asyncio.wait([running], timeout=TIMEOUT_S)
     assert running.cancelled()
-
-
-def test_a_missing_zenoh_is_told_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(settings.importlib.util, "find_spec", lambda _name: None)
-    with pytest.raises(ConfigurationError, match="pip install"):
-        Site(free_port())
 
 
 # Sharing.
@@ -272,15 +265,6 @@ def test_several_that_do_the_same_are_one() -> None:
     assert len(found.update(first)) == len(found.update(second)) == 1
     assert len(found.update(first, alive=False)) == 1
     assert found.update(second, alive=False) == ()
-
-
-def test_nothing_new_is_told_by_the_same_object() -> None:
-    found = Found()
-    before = found.discovery.entities()
-    assert found.discovery.entities() is before
-    after = found.update(found.token())
-    assert after is not before
-    assert found.update(found.ours.entity(EntityKind.PUBLISHER, CHATTER)) is after
 
 
 def test_invented_liveliness_tokens_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:

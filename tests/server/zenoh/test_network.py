@@ -9,18 +9,16 @@ from typing import Any, cast
 import pytest
 
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.zenoh import network
 from server.zenoh.network import Declaration, NameFilter, Namespace, Network
-from server.zenoh.rmw import Endpoint, LivelinessTokens
+from server.zenoh.rmw import LivelinessTokens
 from server.zenoh.session import SessionThread
 from tests.conformance.cases import INTERFACES
 from tests.helpers.zenoh_network import REGISTRY
 
 # The network.
-
-STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
 
 @pytest.fixture
@@ -49,29 +47,9 @@ async def test_the_number_of_different_warnings_is_limited(alone: Network, caplo
     assert "further ones are not" in caplog.text
 
 
-async def test_messages_and_services_have_endpoints_with_the_hash_of_their_types(alone: Network) -> None:
-    assert alone.endpoint("/a", "std_msgs/msg/String", "msg") == Endpoint("/a", "std_msgs/msg/String", STRING_HASH)
-    service = alone.endpoint("/a", "std_srvs/srv/Trigger", "srv")
-    assert service is not None
-    assert service.type_hash.startswith("RIHS01_eeff2cd6")
-
-
 async def test_a_type_that_is_unknown_has_no_endpoint(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
     assert alone.endpoint("/a", "nobodys_msgs/msg/Thing", "msg") is None
     assert "the type nobodys_msgs/msg/Thing is unknown" in caplog.text
-
-
-async def test_types_agree_by_their_hash(alone: Network) -> None:
-    endpoints = [("std_msgs/msg/String", STRING_HASH), ("std_msgs/msg/String", "RIHS01_0"), ("nobodys_msgs/msg/A", "")]
-    assert [alone.agrees(Endpoint("/a", *each), "msg") for each in endpoints] == [True, False, False]
-
-
-async def test_parts_of_the_server_are_told_from_clients(alone: Network) -> None:
-    for node, name in ((Node("part"), "/own"), (Node("client", remote=True), "/theirs")):
-        alone.graph.advertise(node, name, "std_msgs/String")
-        alone.graph.subscribe(node, name, None, Subscriber(print))
-    assert [alone.is_own_publication(name) for name in ("/own", "/theirs")] == [True, False]
-    assert [alone.is_own_subscription(name) for name in ("/own", "/theirs")] == [True, False]
 
 
 class Jobs:

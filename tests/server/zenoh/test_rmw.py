@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import zenoh.ext
 
-from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, LivelinessTokens, gid_of, is_name
+from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, LivelinessTokens, is_name
 
 # Keys and tokens; the examples are those of ros2/rmw_zenoh, docs/design.md.
 
@@ -50,12 +50,6 @@ def test_tokens_of_rmw_zenoh_are_read() -> None:
     assert Entity.parse(ADDER) == Entity(EntityKind.SERVICE, "f9980ee0495eaafb3e38f0d19e2eae12", ADD, latched=False)
 
 
-def test_own_tokens_are_read_back() -> None:
-    for latched in (True, False):
-        token = LivelinessTokens(0, "aac3", "/arm1").entity(EntityKind.PUBLISHER, CHATTER, latched=latched)
-        assert Entity.parse(token) == Entity(EntityKind.PUBLISHER, "aac3", CHATTER, latched=latched)
-
-
 def test_tokens_of_neither_topics_nor_services_are_ignored() -> None:
     others = [
         "",
@@ -92,8 +86,3 @@ def test_octets_that_are_no_attachment_are_none() -> None:
     written = Attachment(7, 12, GID).encode()
     others = (b"", written + b"\0", written[:16] + b"\x0f" + GID)
     assert [Attachment.decode(octets) for octets in others] == [None] * 3
-
-
-def test_everybody_has_an_id_of_their_own_that_stays() -> None:
-    assert gid_of("one") == gid_of("one") != gid_of("another")
-    assert len(gid_of("one")) == GID_BYTES

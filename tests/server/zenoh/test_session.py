@@ -3,7 +3,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import queue
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -49,13 +48,6 @@ def opened() -> Iterator[SessionThread]:
     assert thread.opened.result(TIMEOUT_S)
     yield thread
     thread.close()
-
-
-def test_jobs_are_done_in_their_order_with_the_open_session(opened: SessionThread) -> None:
-    done: queue.Queue[tuple[int, bool]] = queue.Queue()
-    for number in range(3):
-        assert opened.submit(lambda session, number=number: done.put((number, session.is_closed())))
-    assert [done.get(timeout=TIMEOUT_S) for _ in range(3)] == [(0, False), (1, False), (2, False)]
 
 
 def test_a_job_that_fails_ends_no_other(opened: SessionThread, caplog: pytest.LogCaptureFixture) -> None:

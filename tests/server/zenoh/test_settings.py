@@ -80,11 +80,6 @@ def test_the_settings_become_the_configuration_of_zenoh() -> None:
     assert value(ZenohSettings(mode="peer"), "scouting/multicast/enabled") is False
 
 
-def test_a_machine_that_reads_no_responses_is_let_go_soon() -> None:
-    path = "transport/link/tx/queue/congestion_control/block/wait_before_close"
-    assert value(ZenohSettings(mode="peer"), path) == 1_000_000
-
-
 def test_a_file_of_zenoh_says_what_no_setting_says(tmp_path: Path) -> None:
     text = '{ /* ours */ connect: { endpoints: ["tls/router:7447"] }, queries_default_timeout: 1234, }'
     settings = with_file(tmp_path, text)

@@ -82,8 +82,8 @@ test("waits twice as long after each failure, and 2 s at most", () => {
 });
 
 test("the server is where the page came from, without its token", () => {
-  expect(serverUrl("http://h:9090/index.html?token=abc#token=def")).toBe("ws://h:9090/");
-  expect(serverUrl("https://h/arm/")).toBe("wss://h/arm/");
+  expect(serverUrl("http://h:9090/index.html?token=abc#token=def")).toBe("ws://h:9090/?ros=2");
+  expect(serverUrl("https://h/arm/")).toBe("wss://h/arm/?ros=2");
 });
 
 const newest = (): FakeRos => FakeRos.made.at(-1) as FakeRos;

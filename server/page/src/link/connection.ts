@@ -6,9 +6,9 @@ export class ConnectionError extends Error {
   override readonly name = "ConnectionError";
 }
 
-/** Return the WebSocket address of the server, which is that of the page. */
+/** Return the WebSocket address of the server, which is that of the page; the page reads the spelling of ROS 2. */
 export function serverUrl(page: string): string {
-  const url = new URL("./", page);
+  const url = new URL("./?ros=2", page);
   url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
   return url.href;
 }

@@ -8,7 +8,7 @@ from dynamixel_sdk import INST_READ
 from robot.emulator.dynamixel import ACCESS_ERROR, DATA_LIMIT_ERROR, DYNAMIXEL, REBOOT_S
 from robot.errors import NoReply, StartupError
 from robot.hardware.dynamixel.bus import Bus, reboot
-from robot.hardware.dynamixel.packets import block_parameters, packet
+from robot.hardware.dynamixel.packets import packet
 from robot.hardware.dynamixel.registers import Register, encode
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.bus import write_verified
@@ -47,7 +47,7 @@ def test_a_rebooted_servo_is_silent_for_a_while_and_forgets(bus: Bus, servos: St
 
 
 def test_replies_left_on_the_line_are_not_taken_for_the_next(bus: Bus, servos: SteppedDynamixels) -> None:
-    servos.port.writePort(packet(3, INST_READ, bytes(block_parameters(Register.ID, 1))))
+    servos.port.writePort(packet(3, INST_READ, bytes([Register.ID, 0, 1, 0])))
     assert bus.read(3, Register.TORQUE_ENABLE) == 0
     assert bus.counters.discarded_bytes == len(DYNAMIXEL.status_packet(3, 0, bytes([1])))
 

@@ -12,13 +12,11 @@ from robot.emulator.dynamixel import DYNAMIXEL
 from robot.emulator.servo_bus import InstructionParser
 from robot.hardware.dynamixel.packets import (
     StatusFrame,
-    block_parameters,
     instruction_packet,
     packet,
     parse_status_frames,
     status_bytes,
     stuffed_bytes,
-    sync_write_parameters,
 )
 
 
@@ -28,9 +26,9 @@ from robot.hardware.dynamixel.packets import (
     [
         (packet(1, INST_PING), "fffffd00 01 0300 01 194e"),
         (packet(254, INST_PING), "fffffd00 fe 0300 01 3142"),
-        (packet(1, INST_READ, bytes(block_parameters(132, 4))), "fffffd00 01 0700 02 84000400 1d15"),
+        (packet(1, INST_READ, bytes([132, 0, 4, 0])), "fffffd00 01 0700 02 84000400 1d15"),
         (packet(1, INST_WRITE, bytes([116, 0, 0, 2, 0, 0])), "fffffd00 01 0900 03 740000020000 ca89"),
-        (packet(254, 0x82, bytes([*block_parameters(132, 4), 1, 2])), "fffffd00 fe 0900 82 840004000102 cefa"),
+        (packet(254, 0x82, bytes([132, 0, 4, 0, 1, 2])), "fffffd00 fe 0900 82 840004000102 cefa"),
         (packet(1, 0x08), "fffffd00 01 0300 08 2f4e"),
         (DYNAMIXEL.status_packet(1, 0, bytes([0x06, 0x04, 0x26])), "fffffd00 01 0700 55 00060426 655d"),
         (DYNAMIXEL.status_packet(2, 0, (2079).to_bytes(4, "little")), "fffffd00 02 0800 55 001f080000 babe"),
@@ -124,9 +122,3 @@ STREAMS = {
 def test_only_whole_replies_of_those_who_were_asked_are_believed() -> None:
     for name, (received, believed) in STREAMS.items():
         assert set(parse_status_frames(received, (1, 2), 2)) == believed, name
-
-
-def test_a_sync_write_needs_data_of_one_length() -> None:
-    assert sync_write_parameters(116, {1: b"ab", 2: b"cd"}) == [116, 0, 2, 0, 1, *b"ab", 2, *b"cd"]
-    with pytest.raises(ValueError, match="one length"):
-        sync_write_parameters(116, {1: b"ab", 2: b"c"})

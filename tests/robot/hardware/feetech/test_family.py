@@ -51,6 +51,18 @@ def test_servos_as_lerobot_leaves_them_are_well(bus: Bus) -> None:
     assert {servo: found.warnings for servo, found in surveyed(bus).items()} == dict.fromkeys(IDS, ())
 
 
+def test_a_servo_is_as_strong_as_its_settings_and_without_a_threshold_it_is_not_protected(bus: Bus) -> None:
+    set_all(bus, LEROBOT)
+    for register in (Register.OVERLOAD_TORQUE, Register.PROTECTION_TIME, Register.PROTECTION_CURRENT):
+        bus.write(1, register, 0)
+    strength = FAMILY.actuation(CALIBRATION.joints, surveyed(bus))
+    assert strength.max_torque == pytest.approx([1.0] * 5 + [0.5])
+    assert strength.stiffness == pytest.approx([0.5] * 6)
+    assert strength.overload_torque == pytest.approx([np.inf, *[0.8] * 4, 0.25])
+    assert strength.overload_time_s == pytest.approx([np.inf, *[2.0] * 5])
+    assert strength.overload_current_a == pytest.approx([np.inf, *[3.25] * 4, 1.625])
+
+
 def test_a_setting_that_differs_from_its_profile_is_told_with_its_consequence(bus: Bus) -> None:
     set_all(bus, LEROBOT)
     bus.write(3, Register.PROTECTION_TIME, 20)

@@ -13,7 +13,6 @@ from robot.hardware.feetech.packets import (
     instruction_packet,
     parse_status_frames,
     status_bytes,
-    sync_write_parameters,
 )
 from robot.hardware.port import wire_time_s
 
@@ -133,16 +132,6 @@ def test_an_instruction_longer_than_the_sdk_sends_is_refused():
     assert len(instruction_packet(1, 3, bytes(longest))) == MAX_INSTRUCTION_BYTES
     with pytest.raises(ValueError, match=f"at most {longest} bytes"):
         instruction_packet(1, 3, bytes(longest + 1))
-
-
-def test_a_sync_write_names_each_servo_before_its_data():
-    assert sync_write_parameters(41, {1: b"\x07\x08", 3: b"\x09\x0a"}) == [41, 2, 1, 7, 8, 3, 9, 10]
-
-
-@pytest.mark.parametrize("data", [{}, {1: b"\x01", 2: b"\x01\x02"}])
-def test_a_sync_write_of_unequal_or_no_data_is_refused(data):
-    with pytest.raises(ValueError, match="one length"):
-        sync_write_parameters(41, data)
 
 
 def test_a_byte_takes_ten_microseconds_at_one_megabaud():

@@ -5,12 +5,11 @@ import pytest
 from robot.description.servo_table import ProfileSpec
 from robot.errors import DescriptionError
 from robot.hardware.feetech.profiles import FACTORY, LEROBOT, ServoProfile, meaning, nearest_profile, profile_of
-from robot.hardware.feetech.registers import Register
-from robot.hardware.feetech.settings import SETTINGS, ServoSettings
+from robot.hardware.feetech.registers import SETTINGS, Register
 
 
-def held(values: dict[Register, int]) -> ServoSettings:
-    return ServoSettings({**dict.fromkeys(SETTINGS, 0), **values})
+def held(values: dict[Register, int]) -> dict[Register, int]:
+    return {**dict.fromkeys(SETTINGS, 0), **values}
 
 
 @pytest.mark.parametrize("profile", [FACTORY, LEROBOT])

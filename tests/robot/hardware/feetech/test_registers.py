@@ -7,8 +7,11 @@ from hypothesis import strategies as st
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
     CONTROL,
+    EPROM,
     GOAL_ADDRESS,
     LAYOUT,
+    SETTINGS,
+    SETTINGS_BLOCK,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
@@ -101,3 +104,9 @@ def test_the_goal_block_fills_registers_41_to_47(goal, velocity, acceleration):
 @given(st.integers(0, 255))
 def test_every_documented_status_bit_is_named_and_no_other(status):
     assert len(status_names(status)) == (status & 0b111111).bit_count()
+
+
+def test_the_settings_are_the_registers_below_the_ram_and_identity_cannot_be_written(bus):
+    bus.write(3, Register.HOMING_OFFSET, -1234)
+    assert run(read_registers(bus, 3, SETTINGS_BLOCK)) == {register: bus.read(3, register) for register in SETTINGS}
+    assert set(SETTINGS) - set(EPROM) == {Register.FIRMWARE_MAJOR, Register.FIRMWARE_MINOR, Register.MODEL_NUMBER}

@@ -32,6 +32,13 @@ def test_registers_and_blocks_of_several_servos_are_written_and_read(family: Fam
     assert block_read(family, bus)[3] == bus.read(3, family.registers.Register.PRESENT_POSITION)
 
 
+def test_a_sync_write_of_unequal_or_no_data_is_refused(family: Family) -> None:
+    bus = family.emulator().open_bus()
+    for data in ({}, {1: b"\x01", 2: b"\x01\x02"}):
+        with pytest.raises(ValueError, match="one length"):
+            bus.sync_write(family.registers.Register.GOAL_POSITION, data)
+
+
 def test_a_servo_that_is_gone_is_named_and_the_others_still_answer(family: Family) -> None:
     emulator = family.emulator()
     bus = emulator.open_bus()

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from robot.emulator.process import PseudoTerminal
+from robot.emulator.process import UsbAdapter
 from robot.errors import PortNotFound, StartupError
 from robot.faults import FaultCode
 from robot.hardware.config import DynamixelConfig, FeetechConfig
@@ -265,20 +266,27 @@ class Adapter:
         return [info]
 
 
+@contextlib.contextmanager
+def plugged_in() -> Iterator[UsbAdapter]:
+    terminal = UsbAdapter()
+    yield terminal
+    terminal.unplug()
+
+
 def test_an_adapter_is_looked_for_each_time_that_it_is_opened(monkeypatch: pytest.MonkeyPatch, family: Family) -> None:
     monkeypatch.setattr(list_ports, "comports", Adapter.comports)
     config = FeetechConfig(family.calibration, "auto")
     source = SerialServos(family.driver, config, family.bounds, GuardLimits(), lambda: 0.0)
     with pytest.raises(PortNotFound):
         source.open()
-    with contextlib.closing(PseudoTerminal()) as terminal:
+    with plugged_in() as terminal:
         monkeypatch.setattr(Adapter, "device", terminal.port)
         with contextlib.closing(source.open()) as hardware:
             assert hardware.joint_names == tuple(joint.joint for joint in family.calibration.joints)
 
 
 def test_a_port_is_opened_with_the_baud_rate_of_its_configuration(family: Family) -> None:
-    with contextlib.closing(PseudoTerminal()) as terminal:
+    with plugged_in() as terminal:
         config = DynamixelConfig(family.calibration, terminal.port, 57_600)
         source = SerialServos(family.driver, config, family.bounds, GuardLimits(), lambda: 0.0)
         with contextlib.closing(source.open()) as hardware:

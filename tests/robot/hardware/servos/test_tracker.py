@@ -10,8 +10,9 @@ import pytest
 from robot.calibration import RAD_PER_TICK
 from robot.hardware.dynamixel.packets import ALERT
 from robot.hardware.dynamixel.registers import MOTION
-from robot.hardware.interface import FREE_SPEED_RAD_S, JUMP_RAD, StatusFlag
+from robot.hardware.interface import StatusFlag
 from robot.hardware.servos.bus import StatusFrame
+from robot.hardware.servos.family import ServoFamily
 from robot.hardware.servos.tracker import (
     ASK_ALL_EVERY,
     ASK_SILENT_EVERY,
@@ -79,7 +80,7 @@ def test_a_servo_that_answers_again_is_asked_every_time(family: Family, tracker:
     assert all(3 in answered(family, tracker) for _ in range(ASK_SILENT_EVERY))
 
 
-FAR_TICKS = round(JUMP_RAD / RAD_PER_TICK) + 200
+FAR_TICKS = round(ServoFamily.jump_rad / RAD_PER_TICK) + 200
 
 
 def replies(family: Family, ticks: int) -> dict[int, Any]:
@@ -122,7 +123,7 @@ def test_the_same_replies_again_are_readings_as_fresh_as_others(family: Family, 
 
 def test_a_joint_that_was_not_heard_for_long_may_have_turned_far(family: Family, tracker: ServoTracker) -> None:
     kept(family, tracker, replies(family, 1000), 0.0)
-    turned = 1000 + round(FREE_SPEED_RAD_S * 0.5 / RAD_PER_TICK)
+    turned = 1000 + round(5.5 * 0.5 / RAD_PER_TICK)
     assert kept(family, tracker, replies(family, turned), 0.5) == turned
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from server.moveit.servo.parameters import ServoParameters
+from server.moveit.parameters import ServoParameters
 
 
 def test_without_collision_checks_no_distance_is_kept() -> None:

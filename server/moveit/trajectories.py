@@ -16,9 +16,9 @@ from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
 from server.execution.motions import ExternalTrajectory, Positions
+from server.moveit.durations import NANOSECONDS_PER_S
+from server.moveit.error_codes import refused
 from server.moveit.poses import Message
-from server.moveit.requests.durations import NANOSECONDS_PER_S
-from server.moveit.requests.error_codes import refused
 
 # Scripts that join motions repeat the end of one as the start of the next, equal but for rounding.
 SAME_TIME_S = 1e-6
@@ -60,9 +60,6 @@ def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions
 
     Args:
         held_rad: position of every movable joint that the arm holds [rad].
-
-    Raises:
-        RefusedError: a trajectory that cannot be read, or that the arm would not play from its own start.
     """
     named = read_joint_trajectory(message, robot, held_rad)
     group = smallest_group(robot, named.joint_names)
@@ -82,11 +79,7 @@ def check_speed(message: Message, robot: RobotModel, held_rad: Positions, limit:
     """Check a trajectory_msgs/JointTrajectory against the arm's speed limit, with the tolerance that plans have.
 
     Args:
-        message: the trajectory, which :func:`external_trajectory` accepts.
         held_rad: position of every movable joint that the arm holds [rad].
-
-    Raises:
-        RefusedError: a joint would be faster.
     """
     trajectory = read_joint_trajectory(message, robot, held_rad)
     for name, speed_rad_s in zip(trajectory.joint_names, trajectory.peak_speed_rad_s.tolist(), strict=True):
@@ -112,7 +105,6 @@ def for_group(trajectory: Trajectory, group: Group, held_rad: Positions) -> Traj
     """Extend a trajectory to every joint of a group; those that it leaves out stand still.
 
     Args:
-        trajectory: the trajectory of some of the group's joints.
         held_rad: position of every movable joint that the arm holds [rad].
     """
     samples = len(trajectory.time_s)
@@ -144,9 +136,6 @@ def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mappin
 
     Args:
         start_rad: position of every movable joint at the start [rad].
-
-    Raises:
-        RefusedError: a field that cannot be used.
     """
     names, points = tuple(message["joint_names"]), message["points"]
     _check_names(names, robot)

@@ -16,8 +16,9 @@ from typing import Any
 from planners.problem import MoveItErrorCode
 from server.diagnostic_values import key_values
 from server.errors import RefusedError
-from server.execution.motions import Motion, PlannedMotion
-from server.execution.queue import Answer, GoalQueue, GoalState, Progress
+from server.execution.goal import Answer, GoalState, Progress
+from server.execution.motions import PlannedMotion
+from server.execution.queue import GoalQueue
 from server.graph import services
 from server.graph.actions import Goal
 from server.graph.list_limits import ListLimits
@@ -25,12 +26,12 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import CALLED_GOAL
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
-from server.moveit.actions.joint_trajectory_controller import cancel_with_goal, goal_status
+from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
 from server.moveit.actions.move_group import answer_of_task, plan_steps
-from server.moveit.goal_messages import GoalTranslator, suggestion
-from server.moveit.goal_topics import Confirmation, details_as_json
+from server.moveit.error_codes import invalid
+from server.moveit.goals.goal_messages import GoalTranslator, suggestion
+from server.moveit.goals.goal_topics import Confirmation, details_as_json
 from server.moveit.poses import Message
-from server.moveit.requests.error_codes import invalid
 from server.moveit.requests.planning_context import PlanningContext
 
 log = logging.getLogger("armbridge.goals")
@@ -57,16 +58,12 @@ class ReadGoal:
 
 
 class GoalCalls:
-    """The service and the action ``/moveit_goal``.
-
-    Args:
-        confirmation: decides if goals are to be confirmed.
-    """
+    """The service and the action ``/moveit_goal``."""
 
     def __init__(
         self,
         graph: LocalGraph,
-        queue: GoalQueue[Motion],
+        queue: GoalQueue,
         translator: GoalTranslator,
         confirmation: Confirmation,
         context: PlanningContext,
@@ -151,8 +148,8 @@ class GoalCalls:
             message, translate = self._goal_of(request)
             motion = translate(message, self._translator.options(request))
         except RefusedError as error:
-            number = self._queue.reject(self._name, error.failure, message)
-            end(self._result(message, Answer.of(error.failure), number))
+            rejected = self._queue.reject(self._name, error.failure, message)
+            end(self._result(message, Answer.of(error.failure), rejected.goal_id))
             return None
         for warning in motion.warnings:
             log.warning("%s: %s", self._name, warning)
@@ -179,22 +176,12 @@ class GoalCalls:
         end: Callable[[Mapping[str, Any]], None],
         report: Callable[[Progress], None] = lambda _progress: None,
     ) -> str:
-        """Queue a goal; return its id. It may end before this returns."""
-        number = ""
-        early: list[Answer] = []
-
-        def ended(answer: Answer) -> None:
-            if number:
-                end(self._result(goal.message, answer, number))
-            else:
-                early.append(answer)
-
-        number = self._queue.submit(
-            self._name, goal.motion, on_progress=report, on_answer=ended, message=goal.message, client=client
+        """Queue a goal; return its id."""
+        queued = self._queue.submit(self._name, goal.motion, on_progress=report, message=goal.message, client=client)
+        queued.answered.add_done_callback(
+            lambda answered: end(self._result(goal.message, answered.result(), queued.goal_id))
         )
-        for answer in early:
-            ended(answer)
-        return number
+        return queued.goal_id
 
     async def _planned(self, goal: ReadGoal, client: Node) -> Mapping[str, Any]:
         return self._result(goal.message, await self._plan(goal, client))

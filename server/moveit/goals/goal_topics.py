@@ -27,15 +27,16 @@ from robot.description.model import RobotModel
 from robot.trajectory import rest_to_rest_s
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, key_values
 from server.errors import RefusedError, ServiceError
+from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.motions import Motion, PlannedMotion, Positions
-from server.execution.queue import Answer, GoalQueue, GoalState, Joints, Progress, QueuedGoal
+from server.execution.motions import Joints, PlannedMotion, Positions
+from server.execution.queue import GoalQueue
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import CANCELLING, CONFIGURING, GOAL, PLANNING, STOP_EVENT, STOPPING, SWITCHING, WORKING
 from server.graph.topics import Graph, Subscriber
-from server.moveit.goal_messages import (
+from server.moveit.goals.goal_messages import (
     GROUP_TOPIC,
     GROUP_TYPE,
     JOINTS_TOPIC,
@@ -96,9 +97,6 @@ class Confirmation:
     Args:
         enabled: true if goals on ``/moveit_goal_*`` wait at the gate.
         timeout_s: limit of their wait [s].
-
-    Attributes:
-        enabled: as given; the service changes it for goals to come.
     """
 
     def __init__(self, graph: Graph, *, enabled: bool, timeout_s: float) -> None:
@@ -166,11 +164,11 @@ class GoalStatusTopics:
         self._graph.advertise(self._node, RESULT_TOPIC, "moveit_msgs/MoveItErrorCodes")
         self._graph.advertise(self._node, STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
 
-    def publish_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def publish_progress(self, goal: Goal, progress: Progress) -> None:
         """Publish the progress of a goal, whatever topic or action it came by."""
         self._publish(goal, STATUS_TOPIC, _status(goal, progress, LEVEL_OK, {}))
 
-    def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer, *, logged: bool = False) -> None:
+    def publish_answer(self, goal: Goal, answer: Answer, *, logged: bool = False) -> None:
         """Log the end of a goal, publish its final status, then the result of a goal from a topic.
 
         Args:
@@ -188,7 +186,7 @@ class GoalStatusTopics:
             source = f"{goal.source}#{goal.goal_id}"
             self._publish(goal, RESULT_TOPIC, {"val": int(answer.code), "message": status["message"], "source": source})
 
-    def _publish(self, goal: QueuedGoal[Motion], topic: str, message: Mapping[str, Any]) -> None:
+    def _publish(self, goal: Goal, topic: str, message: Mapping[str, Any]) -> None:
         # Other clients wait for the end of goals of their own.
         if goal.only_for is None:
             self._graph.publish(self._node, topic, message)
@@ -196,7 +194,7 @@ class GoalStatusTopics:
             self._graph.tell(goal.only_for, topic, message)
 
 
-def final_status(goal: QueuedGoal[Motion], answer: Answer, robot: RobotModel) -> Message:
+def final_status(goal: Goal, answer: Answer, robot: RobotModel) -> Message:
     """Return the final status of a goal, with the goal that would have worked where one was found."""
     instead = suggestion(goal.message, answer.details, robot)
     message = answer.message if instead is None else instead.added_to(answer.message)
@@ -208,7 +206,7 @@ def final_status(goal: QueuedGoal[Motion], answer: Answer, robot: RobotModel) ->
     return _status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, details)
 
 
-def _status(goal: QueuedGoal[Motion], progress: Progress, level: int, details: Mapping[str, str]) -> Message:
+def _status(goal: Goal, progress: Progress, level: int, details: Mapping[str, str]) -> Message:
     values = {
         "state": progress.state.value,
         "fraction": f"{progress.fraction:.3f}",
@@ -235,7 +233,6 @@ class GoalTopics:
     """Topics by which goals are sent, their group is chosen, and they are cancelled and stopped.
 
     Args:
-        confirmation: decides if goals are to be confirmed.
         joints: those that the topics for stops are for; None for all.
     """
 
@@ -243,7 +240,7 @@ class GoalTopics:
         self,
         graph: LocalGraph,
         node: Node,
-        queue: GoalQueue[Motion],
+        queue: GoalQueue,
         translator: GoalTranslator,
         confirmation: Confirmation,
         joints: Joints | None = None,
@@ -321,11 +318,7 @@ class GoalTopics:
 
 
 class GoalChecks:
-    """The service ``/check_goals``.
-
-    Args:
-        translator: reads goals as those of ``/moveit_goal_*``.
-    """
+    """The service ``/check_goals``."""
 
     def __init__(
         self,
@@ -402,11 +395,7 @@ def _problem(
 async def answers_in_time(
     problems: list[PlanningProblem | PlanningFailure], pool: Planners, scene: Scene
 ) -> list[IkAnswer | PlanningFailure]:
-    """Answer all goals: each gets a short check, then those without an answer share the rest of the time.
-
-    Args:
-        problems: of the goals, or the reasons why there is none.
-    """
+    """Answer all goals: each gets a short check, then those without an answer share the rest of the time."""
     until_s = time.monotonic() + max(GOAL_TIME_S * len(problems), MIN_CALL_S)
     answers = []
     for problem in problems:

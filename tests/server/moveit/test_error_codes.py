@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.moveit.requests.error_codes import (
+from server.moveit.error_codes import (
     error_code,
     failure_code,
     invalid,

@@ -18,12 +18,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from planners.problem import MoveItErrorCode
-from robot.arm_interface import ArmInterface
+from robot.arm_group import AnyArm
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
+from server.execution.goal import CancelScope
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.player import BRAKING_TIMEOUT_S
@@ -33,8 +34,8 @@ from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL
-from server.moveit.actions.joint_trajectory_controller import cancel_with_goal
-from server.moveit.requests.error_codes import invalid
+from server.moveit.actions.goal_bridge import cancel_with_goal
+from server.moveit.error_codes import invalid
 
 log = logging.getLogger("armbridge.gripper")
 
@@ -92,26 +93,12 @@ class GripperReading:
 
 
 @dataclass(frozen=True)
-class GripperClaim:
-    """Claim of the gripper for one command.
-
-    Attributes:
-        number: greater than that of every claim before.
-        epoch: stop epoch in which the command was requested.
-    """
-
-    number: int
-    epoch: int
-
-
-@dataclass(frozen=True)
 class GripperLimits:
     """Limits of a gripper's motions.
 
     Attributes:
         velocity_scaling: share of the joints' velocity limits.
         torque: share of full motor duty.
-        time: limits of time.
     """
 
     velocity_scaling: float
@@ -126,12 +113,11 @@ class Gripper:
     Args:
         joints: the joints of its fingers, one or two, which all go to the same position; their limits are kept.
         in_progress: gets its motions; None for a gripper without an arm that moves beside it.
-        clock: monotonic time of this machine [s].
     """
 
     def __init__(
         self,
-        arm: ArmInterface,
+        arm: AnyArm,
         joints: Sequence[Joint],
         limits: GripperLimits,
         in_progress: MotionsInProgress | None = None,
@@ -144,7 +130,7 @@ class Gripper:
         self._max_acceleration = limits.acceleration_scaling * min(joint.max_acceleration for joint in joints)
         self._in_progress = in_progress or MotionsInProgress()
         self._clock = clock
-        self._newest = GripperClaim(0, 0)
+        self._newest: CancelScope | None = None
         self._turn = asyncio.Lock()
         self._motion: asyncio.Future[MotionEnded] | None = None
         self._ends_s = 0.0
@@ -167,42 +153,36 @@ class Gripper:
         )
         return GripperReading(positions, velocities, efforts)
 
-    def claim(self) -> GripperClaim:
+    def claim(self) -> CancelScope:
         """Claim the gripper for the request in progress; a request that a stop has overtaken replaces no other."""
-        claim = GripperClaim(self._newest.number + 1, arrival_epoch())
+        claim = CancelScope(arrival_epoch())
         if claim.epoch >= self._arm.last_stop:
+            if self._newest is not None:
+                self._newest.cancel("a newer command has come")
             self._newest = claim
-            self._stop_motion()
         return claim
 
-    def give_up(self, claim: GripperClaim) -> None:
-        """End the motion of a claim, begun or not; do nothing when there is a newer claim."""
-        if claim == self._newest:
-            self._newest = GripperClaim(claim.number + 1, claim.epoch)
-            self._stop_motion()
-
     async def move(
-        self, claim: GripperClaim, command: GripperCommand, report: Callable[[GripperReading], None]
+        self, claim: CancelScope, command: GripperCommand, report: Callable[[GripperReading], None]
     ) -> MotionEnded:
         """Execute a command; every wait is bounded.
 
         Args:
             report: called with readings on the way.
-
-        Raises:
-            RefusedError: the arm takes no motion.
         """
         async with self._turn:
             await self._arm.until_started(ARM_START_TIMEOUT_S)
-            if claim != self._newest or claim.epoch < self._arm.last_stop:
+            if claim.reason or claim.epoch < self._arm.last_stop:
                 return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
-            return await self._play(command, report, claim.epoch)
+            return await self._play(claim, command, report)
 
     def _stop_motion(self) -> None:
         if self._motion is not None and not self._motion.done():
             self._arm.stop(self._motion)
 
-    async def _play(self, command: GripperCommand, report: Callable[[GripperReading], None], epoch: int) -> MotionEnded:
+    async def _play(
+        self, claim: CancelScope, command: GripperCommand, report: Callable[[GripperReading], None]
+    ) -> MotionEnded:
         check_ready(self._arm)
         scaling = min(self._limits.velocity_scaling, self._arm.state.pace.speed_limit)
         fastest = scaling * min(joint.max_velocity for joint in self.joints)
@@ -214,10 +194,11 @@ class Gripper:
         )
         share = min(command.max_effort / self._limits.torque, 1.0) if command.max_effort else 1.0
         self._ends_s = self._clock() + trajectory.duration_s
-        self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share, epoch=epoch)
+        self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share, epoch=claim.epoch)
         self._in_progress.add(trajectory, self._motion)
         try:
-            ended = await self._until_ended(self._motion, self._limits.time.allowed_s(trajectory.duration_s), report)
+            left_s = self._limits.time.allowed_s(trajectory.duration_s)
+            ended = await self._until_ended(claim, self._motion, left_s, report)
         finally:
             # Also after an error here no motion goes on without its goal; nothing happens when it has ended.
             self._stop_motion()
@@ -226,11 +207,19 @@ class Gripper:
         return ended
 
     async def _until_ended(
-        self, motion: asyncio.Future[MotionEnded], left_s: float, report: Callable[[GripperReading], None]
+        self,
+        claim: CancelScope,
+        motion: asyncio.Future[MotionEnded],
+        left_s: float,
+        report: Callable[[GripperReading], None],
     ) -> MotionEnded:
         arm_clock = ArmClock(self._arm, self._clock)
+        awaited: tuple[asyncio.Future[Any], ...] = (motion, claim.cancelled)
         while not motion.done() and left_s > 0.0:
-            await asyncio.wait([motion], timeout=FEEDBACK_PERIOD_S)
+            await asyncio.wait(awaited, timeout=FEEDBACK_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
+            if claim.reason and len(awaited) > 1:
+                self._stop_motion()
+                awaited = (motion,)
             progress = self._arm.progress(motion)
             left_s -= arm_clock.elapsed_s() * (1.0 if progress is None else progress.rate)
             reading = self.reading()
@@ -295,11 +284,7 @@ class ActionMessages(Protocol):
     type_name: str
 
     def command(self, message: Message) -> GripperCommand:
-        """Read a goal's command.
-
-        Raises:
-            RefusedError: it is invalid.
-        """
+        """Read a goal's command."""
 
     def result(self, reading: GripperReading, *, stalled: bool, reached: bool) -> Message:
         """Return the result message."""
@@ -384,12 +369,7 @@ class ParallelGripperCommandMessages:
 def _checked_command(
     joints: Sequence[Joint], position: float, max_effort: float, max_velocity: float, fingers: int = 1
 ) -> GripperCommand:
-    """Return a command within the limits.
-
-    Args:
-        position: as the client has it [rad or m].
-        max_velocity: of each finger [rad/s or m/s].
-    """
+    """Return a command within the limits."""
     lower, upper = max(joint.lower for joint in joints), min(joint.upper for joint in joints)
     unit = joints[0].unit
     beyond = CLAMPED_WITHIN_M if unit == "m" else CLAMPED_WITHIN_RAD
@@ -429,15 +409,13 @@ class GripperActions:
             goal.fail(str(error))
             return
         claim = self._gripper.claim()
-        cancel_with_goal(goal, lambda _reason: self._gripper.give_up(claim))
+        cancel_with_goal(goal, claim.cancel)
         task = asyncio.create_task(self._execute(goal, messages, claim, command), name="gripper")
         # The event loop keeps no task alive.
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _execute(
-        self, goal: Goal, messages: ActionMessages, claim: GripperClaim, command: GripperCommand
-    ) -> None:
+    async def _execute(self, goal: Goal, messages: ActionMessages, claim: CancelScope, command: GripperCommand) -> None:
         try:
             ended = await self._gripper.move(claim, command, lambda reading: goal.feedback(messages.feedback(reading)))
             self._finish(goal, messages, ended)

@@ -22,7 +22,6 @@ def refused(code: MoveItErrorCode, message: str, **details: Any) -> RefusedError
 
     Args:
         code: value of moveit_msgs/MoveItErrorCodes.
-        message: one sentence with field, value and limit.
     """
     return RefusedError(PlanningFailure(code, message, details))
 
@@ -33,22 +32,14 @@ def invalid(message: str, **details: Any) -> RefusedError:
 
 
 def required(found: Found | PlanningFailure) -> Found:
-    """Return an answer of the planners, or a frame's pose.
-
-    Raises:
-        RefusedError: it is a failure.
-    """
+    """Return an answer of the planners, or a frame's pose."""
     if isinstance(found, PlanningFailure):
         raise RefusedError(found)
     return found
 
 
 def error_code(code: MoveItErrorCode, message: str = "", source: str = SOURCE) -> dict[str, Any]:
-    """Write a moveit_msgs/MoveItErrorCodes.
-
-    Args:
-        message: one sentence.
-    """
+    """Write a moveit_msgs/MoveItErrorCodes."""
     return {"val": int(code), "message": message, "source": source}
 
 

@@ -12,11 +12,11 @@ from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
 from server.execution.motions import PlannedMotion, Positions
+from server.moveit.error_codes import invalid, refused
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import Message, composed, read_pose
 from server.moveit.requests.context import checked_tip, chooses_orientation, planning_group, tip_link
-from server.moveit.requests.error_codes import invalid, refused
 from server.moveit.requests.planning_context import PlanningContext
 
 NAMED_TOPIC, NAMED_TYPE = "/moveit_goal_named", "std_msgs/String"
@@ -53,11 +53,7 @@ AS_SELECTED = GoalOptions()
 
 @dataclass(frozen=True)
 class OneArm:
-    """One of several arms.
-
-    Attributes:
-        prefix: with which its joints and groups begin.
-    """
+    """One of several arms."""
 
     prefix: str
     joints: frozenset[str]
@@ -67,7 +63,6 @@ class GoalTranslator:
     """Translator of goal messages for one robot.
 
     Args:
-        planning: description, frames and positions of all arms.
         parameters: of planning; also the first group, its link, frame and tolerances of the goals.
         only: the one of several arms that the messages are for; None for all.
 
@@ -97,21 +92,13 @@ class GoalTranslator:
         return tip_link(self._robot, self.group, self._parameters)
 
     def select_group(self, name: str) -> None:
-        """Choose the planning group of goals to come; an empty name means the default.
-
-        Raises:
-            RefusedError: there is no such group.
-        """
+        """Choose the planning group of goals to come; an empty name means the default."""
         self.group = self._group(name)
         if self._only is None:
             self._states.select_group(self.group.name)
 
     def options(self, message: Message) -> GoalOptions:
-        """Read the fields of an armbridge_msgs/MoveitGoal that choose group and speed.
-
-        Raises:
-            RefusedError: there is no such group, or a scaling is not from 0 to 1.
-        """
+        """Read the fields of an armbridge_msgs/MoveitGoal that choose group and speed."""
         group = self._group(message["group"]) if message["group"] else None
         scalings = []
         for field in ("velocity_scaling", "acceleration_scaling"):
@@ -122,11 +109,7 @@ class GoalTranslator:
         return GoalOptions(group, *scalings)
 
     def named(self, message: Message, options: GoalOptions = AS_SELECTED) -> PlannedMotion:
-        """Translate a std_msgs/String with the name of a state; case and blanks do not matter.
-
-        Raises:
-            RefusedError: there is no such state, or it has no joint of the group.
-        """
+        """Translate a std_msgs/String with the name of a state; case and blanks do not matter."""
         group = options.group or self.group
         found = self._states.find(message["data"], group.name)
         if found is None:
@@ -146,9 +129,6 @@ class GoalTranslator:
 
         Unless it chooses its group, the goal is one of the smallest group that has all the named joints, whatever group
         is selected.
-
-        Raises:
-            RefusedError: names and positions do not fit, or a position is not finite.
         """
         names, positions = [self._joint(name) for name in message["name"]], message["position"]
         if len(names) != len(positions):
@@ -200,10 +180,6 @@ class GoalTranslator:
         """Translate a geometry_msgs/PoseStamped: a whole pose for six joints or more, a position for fewer.
 
         A frame that moves with the arm is resolved when the goal's turn comes.
-
-        Raises:
-            RefusedError: a number is not finite, the orientation is none although it counts, the group has no tip, or
-                there is no such frame.
         """
         frame, group = self._frame(message), options.group or self.group
         tip = checked_tip(tip_link(self._robot, group, self._parameters), group)
@@ -228,9 +204,6 @@ class GoalTranslator:
 
         Args:
             positions_rad: of the joints, for frames that move with the arm [rad].
-
-        Raises:
-            RefusedError: a number is not finite, or there is no such frame.
         """
         pose = read_pose(message["pose"], "pose")
         return composed(self._frames.resolve(self._frame(message), positions_rad), pose)
@@ -278,12 +251,7 @@ def _whole_pose(message: Message, group: Group) -> Pose:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """Goal message that would work instead of a rejected one.
-
-    Attributes:
-        msg: the message, ready to be published.
-        words: the goal in a sentence.
-    """
+    """Goal message that would work instead of a rejected one."""
 
     topic: str
     type_name: str
@@ -308,7 +276,6 @@ def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) 
 
     Args:
         message: the rejected message; empty when it could not be read.
-        details: as in `planners.problem.PlanningFailure`.
     """
     if "nearest_name" in details:
         name = details["nearest_name"]
@@ -331,11 +298,7 @@ def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) 
 
 
 def with_suggestion(message: str, details: Mapping[str, Any], robot: RobotModel) -> str:
-    """Return the sentence of a failure with the goal that would work, for clients that get no details.
-
-    Args:
-        message: the sentence.
-    """
+    """Return the sentence of a failure with the goal that would work, for clients that get no details."""
     instead = suggestion({}, details, robot)
     return message if instead is None else instead.added_to(message)
 

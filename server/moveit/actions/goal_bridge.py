@@ -1,0 +1,84 @@
+"""Bridge between actions and the goal queue: goals in, the queue's answers back as feedback and results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from server.execution.goal import Answer, GoalState, Progress
+from server.execution.motions import Motion
+from server.execution.queue import GoalPolicy, GoalQueue
+from server.graph.actions import Goal, GoalStatus
+from server.moveit.error_codes import error_code
+from server.moveit.poses import Message
+
+
+def submit_goal(
+    goal: Goal,
+    queue: GoalQueue,
+    request: Motion,
+    feedback: Callable[[Progress], Message | None],
+    result: Callable[[Answer], Message],
+) -> None:
+    """Submit the motion of a goal; it replaces the motion that the arm's group makes now.
+
+    Args:
+        feedback: makes the feedback message of some progress, None for none.
+    """
+
+    def send_feedback(progress: Progress) -> None:
+        message = feedback(progress)
+        if message is not None:
+            goal.feedback(message)
+
+    def end(answer: Answer) -> None:
+        send_feedback(Progress(GoalState.DONE, answer.message))
+        finish_goal(goal, answer, result)
+
+    queued = queue.submit(
+        goal.action,
+        request,
+        policy=GoalPolicy.PREEMPT,
+        on_progress=send_feedback,
+        on_answer=end,
+        client=goal.sender,
+    )
+    cancel_with_goal(goal, lambda reason: queue.cancel(queued.goal_id, reason))
+
+
+def cancel_with_goal(goal: Goal, cancel: Callable[[str], None]) -> None:
+    """Cancel what is done for a goal when a client asks for it, and when the goal ends in any other way.
+
+    A goal may end before its motion: its time is over, or a part of the server has failed.
+    """
+    goal.when_canceled(lambda: cancel(f"cancelled by a client of {goal.action}"))
+    goal.when_ended(lambda end: cancel(f"the goal of {goal.action} is over" + ("" if end.ok else f": {end.values}")))
+
+
+def reject_goal(
+    goal: Goal,
+    queue: GoalQueue,
+    failure: PlanningFailure,
+    result: Callable[[Answer], Message],
+) -> None:
+    """End a goal that cannot be submitted; the arm's motion continues."""
+    queue.reject(goal.action, failure)
+    finish_goal(goal, Answer.of(failure), result)
+
+
+def finish_goal(goal: Goal, answer: Answer, result: Callable[[Answer], Message]) -> None:
+    """End a goal with its result."""
+    goal.finish(goal_status(answer.code), result(answer))
+
+
+def goal_status(code: MoveItErrorCode) -> GoalStatus:
+    """Return the value of action_msgs/GoalStatus for an error code."""
+    if code is MoveItErrorCode.SUCCESS:
+        return GoalStatus.SUCCEEDED
+    return GoalStatus.CANCELED if code is MoveItErrorCode.PREEMPTED else GoalStatus.ABORTED
+
+
+def code_message(answer: Answer) -> dict[str, Any]:
+    """Write the moveit_msgs/MoveItErrorCodes of an answer."""
+    return error_code(answer.code, answer.message)

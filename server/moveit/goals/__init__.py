@@ -1,0 +1,1 @@
+"""Goals of clients that know only topics: their messages, topics and records."""

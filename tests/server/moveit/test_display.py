@@ -44,9 +44,7 @@ def graph() -> Graph:
 
 @pytest.fixture
 def display(graph: Graph) -> DisplayTopics:
-    topics = DisplayTopics(graph, ROBOT)
-    topics.open()
-    return topics
+    return DisplayTopics(graph, ROBOT)
 
 
 def listen(graph: Graph, topic: str) -> list:
@@ -90,7 +88,6 @@ class Screen:
     def __init__(self, rate_hz: float = 50.0) -> None:
         self.graph = Graph(Registry.load())
         self.topics = TransformsTopics(self.graph, ROBOT, rate_hz)
-        self.topics.open(0.0)
         self.heard: list[Any] = []
         for topic in (TRANSFORMS_TOPIC, STATIC_TRANSFORMS_TOPIC):
             before = self.graph.subscribe(

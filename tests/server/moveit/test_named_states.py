@@ -267,7 +267,7 @@ class Office:
         self.graph = Graph(Registry.load())
         self.states = NamedStates(ROBOT, "arm", {}, keep_in_memory())
         self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(nominal_calibration())), lambda _state: None)
-        NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT)).open()
+        NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT))
         self.told: list[dict[str, Any]] = []
         subscriber = Subscriber(lambda published: self.told.append(json.loads(published.msg["data"])))
         for published in self.graph.subscribe(CLIENT, NAMED_STATES_TOPIC, None, subscriber):

@@ -33,7 +33,7 @@ class Desk(ActionDesk):
         super().__init__()
         self.confirmation = Confirmation(self.graph, enabled=False, timeout_s=60.0)
         self.responses: list[Response] = []
-        GoalCalls(LocalGraph(self.graph), self.queue, translator(self.arm), self.confirmation, self.context).open()
+        GoalCalls(LocalGraph(self.graph), self.queue, translator(self.arm), self.confirmation, self.context)
 
     async def ask(self, timeout_s: float | None = None, **request: Any) -> None:
         """Call, and let everything that it sets going come to rest."""

@@ -51,7 +51,7 @@ class Desk:
         self.scene = SceneState(ROBOT)
         self.arm = FakeArm()
         reports = GoalReports(ROBOT, MoveItParameters())
-        GoalChecks(self.graph, reports, TRANSLATOR, CurrentState(self.arm, ROBOT), DirectPool(), self.scene).open()  # type: ignore[arg-type]
+        GoalChecks(self.graph, reports, TRANSLATOR, CurrentState(self.arm, ROBOT), DirectPool(), self.scene)  # type: ignore[arg-type]
 
     async def check(self, **request: Any) -> Response:
 

@@ -80,7 +80,7 @@ SERVICES = {
 def test_the_scene_has_moveits_names_and_types():
     graph = Graph(Registry.load(), call_later=FakeClock().call_later)
     state, assumed = SceneState(ROBOT), AssumedStates(ROBOT)
-    scene = SceneInterface(graph, ROBOT, state, assumed, current_state(), MoveItParameters())
+    scene = SceneInterface(graph, state, assumed, current_state(), MoveItParameters())
     assert graph.topic_types() == TOPICS
     assert graph.services.types() == SERVICES
     scene.close()
@@ -162,7 +162,7 @@ class Client:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, call_later=self.clock.call_later)
         self.node = Node("client", remote=True)
-        SceneServices(self.graph, Node("scene"), ROBOT, self.state, self.assumed, current_state())
+        SceneServices(self.graph, Node("scene"), self.state, self.assumed, current_state())
 
     def another(self):
         other = copy(self)
@@ -328,7 +328,7 @@ class Watched:
         self.clock, self.state = FakeClock(), scene_state(box("table"))
         self.graph = Graph(Registry.load(), self.clock, call_later=self.clock.call_later)
         self.monitored = MonitoredScenePublisher(
-            self.graph, Node("scene"), ROBOT, self.state, current_state(), 2.0, self.clock, self.clock.call_later
+            self.graph, self.state, current_state(), 2.0, self.clock, self.clock.call_later
         )
         self.heard = []
         self.first = self.subscribe(self.heard)

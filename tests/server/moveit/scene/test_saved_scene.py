@@ -34,7 +34,7 @@ class Run:
         self.clock, self.state = FakeClock(), SceneState(ROBOT)
         types = MessageTypes(REGISTRY, self.clock)
         self.file = SceneFile(path)
-        self.saved = SavedScene(self.file, self.state, ROBOT, types, self.clock, self.clock.call_later)
+        self.saved = SavedScene(self.file, self.state, types, self.clock, self.clock.call_later)
 
     async def __aenter__(self) -> Run:
         await self.saved.start()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -23,10 +24,12 @@ from planners.servo.question import (
 )
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
+from server.execution.monitors import CurrentState
 from server.moveit.error_codes import refused
 from server.moveit.parameters import ServoParameters
 from server.moveit.servo.servo_loop import (
     REST_S,
+    ServoListener,
     ServoSession,
     ServoSetup,
     TwistCommand,
@@ -133,10 +136,12 @@ class Rig:
         self.session = ServoSession(
             self.arm.as_arm,
             ServoSetup("arm", JOINTS, "gripper_frame_link", ServoLimits(), period_s, TIMEOUT_S, at_once),
+            cast(
+                "Any",
+                SimpleNamespace(frames=SimpleNamespace(resolve=self._resolve), current=CurrentState(self.arm, ROBOT)),
+            ),
+            ServoListener(lambda status, message: self.told.append((status, message)), self.interruptions.append),
             self._ask,
-            self._resolve,
-            lambda status, message: self.told.append((status, message)),
-            self.interruptions.append,
             self.clock,
         )
 

@@ -138,10 +138,3 @@ def test_a_machines_clock_that_is_set_neither_silences_transforms_nor_brings_mor
 def test_a_disconnected_arm_has_no_transforms(screen: Screen) -> None:
     screen.topics.take_state(ArmState(1.0, Mode.DISCONNECTED, JOINTS))
     assert len(screen.heard) == 1
-
-
-def test_transforms_without_subscribers_are_not_computed(screen: Screen) -> None:
-    screen.graph.unsubscribe(WATCHER, TRANSFORMS_TOPIC)
-    # Without its joints no transform could be worked out.
-    screen.topics.take_state(ArmState(1.0, Mode.HOLDING, (), position_rad=np.zeros(0)))
-    assert len(screen.heard) == 1

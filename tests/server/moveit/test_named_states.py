@@ -131,16 +131,6 @@ async def test_a_state_that_cannot_be_written_is_not_saved() -> None:
     assert states.find("mine") is None
 
 
-def test_states_of_another_arm_are_left_out() -> None:
-    states = Kept({"mine": BENT, "its": {"knee": 0.1}, "home": BENT})
-    assert states.saved == {"mine": BENT}
-
-
-@pytest.mark.parametrize(("name", "meant"), [("redy", "ready"), ("Hom", "home"), ("moon base", None)])
-async def test_the_nearest_name_is_found_for_a_slip(states: Kept, name: str, meant: str | None) -> None:
-    assert states.nearest_name(name) == meant
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "armbridge" / "states.json"
@@ -204,15 +194,6 @@ async def test_a_file_that_cannot_be_read_is_not_overwritten(path: Path, monkeyp
         with pytest.raises(ServiceError, match=r"cannot be kept in .*: Input/output error"):
             await states.save("yours", BENT)
     assert set(NamedStatesFile(path).load()) == {"mine"}
-
-
-def test_a_second_broken_file_leaves_the_first_as_it_is(path: Path) -> None:
-    path.parent.mkdir()
-    for content in ("{", "["):
-        path.write_text(content)
-        assert NamedStatesFile(path).load() == {}
-    assert path.with_name(f"{path.name}.broken").read_text() == "{"
-    assert path.with_name(f"{path.name}.broken.1").read_text() == "["
 
 
 BROKEN = {

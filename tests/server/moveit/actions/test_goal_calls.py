@@ -117,20 +117,9 @@ async def test_a_wrong_field_is_answered_with_its_code(
     assert words in desk.answer["message"]
 
 
-async def test_speed_and_group_are_those_of_the_request(desk: Desk) -> None:
-    await desk.ask(joints=ELBOW, group="arm", velocity_scaling=0.05, acceleration_scaling=0.7)
-    problem = desk.problem()
-    assert (problem.group, problem.velocity_scaling, problem.acceleration_scaling) == ("arm", 0.05, 0.7)
-
-
 async def test_joints_of_another_group_are_refused(desk: Desk) -> None:
     await desk.ask(group="gripper", joints=ELBOW)
     assert "no joint of group gripper is named" in desk.answer["message"]
-
-
-async def test_a_pose_is_for_the_group_of_the_request(desk: Desk) -> None:
-    await desk.ask(group="gripper", pose=POINT)
-    assert desk.problem().group == "gripper"
 
 
 async def test_a_suggestion_is_a_request_that_works(desk: Desk) -> None:

@@ -30,11 +30,8 @@ from server.moveit.scene.interface import (
     LINK_PADDING_AND_SCALING,
     MONITORED_TOPIC,
     OBJECT_COLORS,
-    OCTOMAP,
     SCENE_SETTINGS,
     TRANSFORMS,
-    WORLD_OBJECT_GEOMETRY,
-    WORLD_OBJECT_NAMES,
     MonitoredScenePublisher,
     SceneInterface,
     SceneServices,
@@ -142,13 +139,6 @@ def test_a_rejected_message_is_logged_with_its_topic(topic, caplog):
         graph.publish(Node("client"), topic, messages[topic])
     assert topic in caplog.text
     assert "'ghost'" in caplog.text
-
-
-def test_a_malformed_message_is_logged_as_well(caplog):
-    graph, _ = opened()
-    with caplog.at_level(logging.WARNING, "armbridge"), pytest.raises(MessageError):
-        graph.publish(Node("client"), "/collision_object", {"id": 5})
-    assert "/collision_object: refused" in caplog.text
 
 
 REGISTRY = Registry.load()
@@ -429,13 +419,6 @@ def test_a_field_that_is_not_requested_is_empty(field, component):
     nothing = message("PlanningScene")
     assert told(component)[field] == told(0)[field] != nothing[field]
     assert told(EVERYTHING - component)[field] == nothing[field]
-
-
-def test_objects_are_listed_by_name_or_with_their_shapes():
-    (named,), (shaped,) = (told(c)["world"]["collision_objects"] for c in (WORLD_OBJECT_NAMES, WORLD_OBJECT_GEOMETRY))
-    assert (named["id"], named["primitives"]) == ("rack", [])
-    assert (shaped["id"], shaped["header"]["frame_id"], len(shaped["primitives"])) == ("rack", "base_link", 1)
-    assert told(OCTOMAP)["world"]["collision_objects"] == []
 
 
 def test_a_scene_sent_back_as_a_diff_or_whole_changes_nothing():

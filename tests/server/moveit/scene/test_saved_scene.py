@@ -219,23 +219,6 @@ async def test_a_scene_that_is_too_large_is_told_once_and_leaves_no_older_one(
         assert run.written() is None
 
 
-async def test_a_disk_that_was_full_is_written_to_at_the_next_change(
-    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def full(_path: Path, _content: bytes) -> None:
-        raise OSError(28, "No space left on device")
-
-    async with Run(path) as run:
-        with monkeypatch.context() as patched:
-            patched.setattr(files, "replace", full)
-            run.add("a")
-            await run.pass_time(DELAY_S)
-        assert "No space left" in caplog.text
-        run.add("b")
-        await run.pass_time(DELAY_S)
-        assert run.written() == ["a", "b"]
-
-
 async def test_a_second_server_keeps_its_hands_off_the_first_ones_scene(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

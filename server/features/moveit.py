@@ -40,6 +40,8 @@ from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
 from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.services.move_group_services import offer_services
+from server.moveit.services.transform_republisher import ACTION as REPUBLISHER_ACTION
+from server.moveit.services.transform_republisher import TransformRepublisher
 from server.moveit.servo.servo_node import ServoNode
 from server.timers import call_later
 
@@ -91,6 +93,7 @@ class MoveGroup(Feature):
         robot, moveit = planning.robot, context.settings.moveit
         RobotDescription(graph, robot, context.rosapi.parameters.keep)
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
+        self._republisher = TransformRepublisher(graph, planning.frames)
         NamedStatesServices(graph, robot, goals.named_states, planning.current)
         reports, translator = GoalReports(robot, moveit), context.whole.translator
         GoalChecks(graph, reports, translator, planning.current, planning.pool, planning.scene_state)
@@ -101,6 +104,7 @@ class MoveGroup(Feature):
     def on_state(self, arm: str, state: ArmState) -> None:
         if not arm:
             self._transforms.take_state(state)
+            self._republisher.take_state(state)
 
 
 class GoalRecords(Feature):
@@ -132,7 +136,7 @@ class ArmGoals(Feature):
     def __init__(self, context: ServerContext) -> None:
         self._goals_of = {arm.name: _GoalsOfArm(arm) for arm in context.arms}
         actions = (action for each in self._goals_of.values() for action in each.actions)
-        self._actions = (*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, *actions)
+        self._actions = (*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, REPUBLISHER_ACTION, *actions)
         self._actionlib = ActionlibBridge(context.graph, time.monotonic, call_later)
 
     async def start(self) -> None:

@@ -88,7 +88,7 @@ def sources(clock: SimpleNamespace) -> Sources:
 
 def exposed(sources: Sources) -> Mapping[str, float]:
     """Every sample by its name and labels."""
-    text = Metrics(sources).expose("").text.decode()
+    text = Metrics(sources).expose("")[0].decode()
     found: dict[str, float] = {}
     for family in parse(text):
         for each in family.samples:

@@ -19,9 +19,10 @@ from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, MotionEnded
 from robot.trajectory import Trajectory
 from server.execution.executor import ExecutionContext, GoalExecutor, GoalExecutors
+from server.execution.goal import Answer, Goal
 from server.execution.monitors import CurrentState
-from server.execution.motions import Motion, PlannedMotion
-from server.execution.queue import Answer, GoalPolicy, GoalQueue, QueuedGoal
+from server.execution.motions import PlannedMotion
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.figures import percentiles, print_table
 from tests.helpers.robots import nominal_calibration, so101
@@ -72,7 +73,7 @@ class TimedArm(Arm):
 class InTurnExecutor(GoalExecutor):
     """Executor that plans every goal in its turn."""
 
-    def plan_ahead(self, request: Motion, left_s: float) -> None:
+    def plan_ahead(self, following: Goal, left_s: float) -> None:
         """Plan nothing."""
 
 
@@ -136,12 +137,12 @@ async def _round(
     all_answered = asyncio.Event()
     context = ExecutionContext(robot, pool, SceneState(robot), CurrentState(arm, robot))
 
-    def take_answer(_goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def take_answer(_goal: Goal, answer: Answer) -> None:
         answers.append(answer)
         if len(answers) == GOALS:
             all_answered.set()
 
-    queue: GoalQueue[Motion] = GoalQueue(
+    queue: GoalQueue = GoalQueue(
         GoalExecutors(arm, context, kind),
         GoalPolicy.QUEUE,
         GOALS,

@@ -83,18 +83,13 @@ class Budget:
         """Return the budget of a part of the work, which has a share of the time that is left."""
         return Budget(self._clock, share * self.left_s, self.should_stop)
 
-    @property
-    def stopped(self) -> bool:
-        """True once the request is cancelled."""
-        return self.should_stop()
-
     def used_up(self) -> bool:
         """Tell whether to stop now."""
-        return self.stopped or self.spent_s >= self._allowed_time_s
+        return self.should_stop() or self.spent_s >= self._allowed_time_s
 
     def failure(self) -> PlanningFailure:
         """Return the reason for which planning stopped; to be called once the budget is used up."""
-        if self.stopped:
+        if self.should_stop():
             return preempted(self.spent_s)
         return PlanningFailure(
             MoveItErrorCode.TIMED_OUT,

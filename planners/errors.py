@@ -1,14 +1,4 @@
-"""Errors of the planners: for a robot or a file that cannot be planned for; a goal that fails is data.
-
-* :exc:`PlannerError`
-
-  * :exc:`ShapeError`
-  * :exc:`ProblemFileError`
-  * :exc:`PlottingError`
-  * :exc:`BatchError`
-  * :exc:`StoppedError`
-  * :exc:`AssistantError`
-"""
+"""Errors of the planners: for a robot or a file that cannot be planned for; a goal that fails is data."""
 
 from __future__ import annotations
 
@@ -18,12 +8,7 @@ class PlannerError(Exception):
 
 
 class ShapeError(PlannerError):
-    """The collision shapes of a robot description cannot be used.
-
-    Attributes:
-        subject: the file, or the link whose shape it is.
-        reason: the flaw.
-    """
+    """Collision shapes that cannot be used; ``subject`` is the file, or the link whose shape it is."""
 
     def __init__(self, subject: str, reason: str) -> None:
         super().__init__(f"collision shapes of {subject!r}: {reason}")
@@ -34,10 +19,7 @@ class ShapeError(PlannerError):
 class ProblemFileError(PlannerError):
     """A file of planning problems cannot be used.
 
-    Attributes:
-        path: the file.
-        field: the field that is wrong, its parts joined by dots; empty when it is the file as such.
-        reason: the flaw.
+    ``field`` is the field that is wrong, its parts joined by dots; empty when it is the file as such.
     """
 
     def __init__(self, path: str, field: str, reason: str) -> None:

@@ -1,6 +1,6 @@
 """Goals of a motion and constraints on its path: plain data in the robot's root link, SI units.
 
-Orientations are unit quaternions x, y, z, w. This module imports none of the planning libraries.
+Orientations are unit quaternions x, y, z, w. This module imports no planning library.
 """
 
 from __future__ import annotations

@@ -41,17 +41,10 @@ LOAD_TIMEOUT_S = 30.0
 
 
 class Planners(ABC):
-    """Planners of one robot.
+    """Planners of one robot, with turns for a number of ``active`` motions and of ``questions`` at the same time.
 
-    Args:
-        active: number of motions that may be planned at the same time.
-        questions: number of questions that may be answered at the same time.
-        max_waiting: number of requests that may wait for their turn.
-        in_background: whether idle planners also plan motions that nothing waits for.
-
-    Attributes:
-        load_failure: reason for which there is no planner and probably never will be; None as long as one may come.
-        waiting_count: number of requests that wait for their turn.
+    ``load_failure`` is the reason for which there is no planner and probably never will be; None as long as one may
+    come. ``waiting_count`` requests wait for their turn.
     """
 
     def __init__(
@@ -146,8 +139,7 @@ class Planners(ABC):
     ) -> Plan | PlanningFailure | None:
         """Have a planner plan a motion that nothing waits for, in a scene.
 
-        Returns:
-            None if all planners of motions are at work, or as soon as another request needs the one that plans this.
+        None if all planners of motions are at work, or as soon as another request needs the planner of this motion.
         """
         if not self._plans_in_background or self._motion_turns.locked():
             return None

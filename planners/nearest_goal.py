@@ -1,4 +1,4 @@
-"""Goal that works, nearest to one that does not: found among free configurations, and verified by a plan.
+"""Goal that works, near a goal that does not: found among free configurations, and verified by a plan.
 
 A joint goal in collision is moved out of the contact in many directions, and the shortest way out is taken. Otherwise a
 tree of free motions is grown from the start, and the goal is moved to the nearest of its configurations.
@@ -27,10 +27,10 @@ from robot.trajectory import Vector
 # Distances of the ways out of a contact that are tried, in travel of the fastest point [m].
 DISTANCES_M = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 
-# Bisections of the way between what is free and what is not.
+# Bisections of the way between a free point and a point that is not.
 HALVINGS = 5
 
-# Ways out of a contact, beside those of single joints and the way back to the start.
+# Ways out of a contact, beside the ways of single joints and the way back to the start.
 DIRECTIONS = 32
 DIRECTIONS_SEED = 3
 
@@ -101,14 +101,10 @@ def _are_numbers(goal: JointGoal) -> bool:
 def ways_out(
     space: JointSpace, point: Vector, start: Vector, moving: Vector, should_stop: Callable[[], bool]
 ) -> list[tuple[float, Vector]]:
-    """Return free points around one that is not, nearest first, with the greatest travel to there [m].
+    """Return free points around a point in contact, nearest first, with the greatest travel to there [m].
 
-    Args:
-        space: free points.
-        point: point in contact, shape (n,) [rad].
-        start: a free point, shape (n,) [rad].
-        moving: 1 for joints that may differ from the point, else 0, shape (n,).
-        should_stop: ends the search.
+    Points have the shape (n,) [rad]; ``start`` is free, and ``moving`` is 1 for joints that may differ from the point,
+    else 0.
     """
     found: list[tuple[float, Vector]] = []
     least_m = np.inf
@@ -258,12 +254,8 @@ class _Search:
 def spread(away_m: Vector, most: int) -> list[int]:
     """Choose points that are nearer to a goal than the first is, nearest first, each a step further off than the last.
 
-    Args:
-        away_m: distances of points from the goal, shape (m,) [m].
-        most: number of points that are enough.
-
-    Returns:
-        Their indices.
+    ``away_m`` are the distances of the points from the goal, shape (m,) [m]; the indices of ``most`` points at most are
+    returned.
     """
     chosen: list[int] = []
     limit_m = (1.0 - LEAST_GAIN) * float(away_m[0])

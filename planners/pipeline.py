@@ -149,7 +149,7 @@ class Planner:
         motion = find_motion(self._task(problem, start_q, goals, budget.should_stop), budget)
         if isinstance(motion, PlanningFailure):
             return motion
-        if budget.stopped:
+        if budget.should_stop():
             return budget.failure()
         method = motion.method if motion.trajectory.duration_s > 0.0 else NOTHING_TO_DO
         reached = goals[motion.goal]

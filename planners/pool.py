@@ -80,16 +80,10 @@ def allowed_time_s(request: Request) -> float:
 
 
 class PlannerPool(Planners):
-    """Planner processes for one robot.
+    """Planner processes for one robot: some for motions, and as many warm spares as there may be questions.
 
-    Args:
-        robot: the arm to plan for.
-        active: number of motions that may be planned at the same time. More processes are kept as warm spares; while
-            they are spare they answer questions, which so never wait for motions.
-        memory_limit_bytes: limit of each process's data [bytes].
-        questions: number of questions that may be answered at the same time, and of the spares.
-        max_waiting: number of requests that may wait for their turn.
-        racing: whether idle workers join long searches, as many as there are cores for.
+    Spares answer questions, which so never wait for motions. Each process has a limit of its data [bytes]. With
+    ``racing`` idle workers join long searches, as many as there are cores for.
     """
 
     def __init__(
@@ -178,7 +172,7 @@ class PlannerPool(Planners):
         return PlanningFailure(MoveItErrorCode.FAILURE, f"planning is not available: {reason}")
 
     async def _take_worker(self, scene: Scene) -> WorkerProcess | None:
-        """Wait for an idle worker, also for one that a race gives back."""
+        """Wait for an idle worker, which may be a worker that a race gives back."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(LOAD_TIMEOUT_S):
                 while True:
@@ -190,7 +184,7 @@ class PlannerPool(Planners):
         return None
 
     def _take_idle(self, scene: Scene) -> WorkerProcess | None:
-        """Take an idle worker, of several one that has the scene; one that died a moment ago does not count."""
+        """Take an idle worker that has not died, preferably a worker that has the scene."""
         self._idle = [worker for worker in self._idle if worker.usable]
         if not self._idle:
             return None

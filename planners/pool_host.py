@@ -44,15 +44,9 @@ READ_BYTES = 64 << 10
 
 
 class PlannerHost:
-    """Host of one pool of planners.
+    """Host of one pool of planners that a number of ``servers`` share.
 
-    Args:
-        robot: the arm to plan for.
-        address: path of the Unix socket; every user who can open it is trusted, so its folder is the user's alone.
-        servers: number of servers that share the planners.
-        active: number of motions that may be planned at the same time.
-        questions: number of questions that may be answered at the same time.
-        memory_limit_bytes: limit of each process's data [bytes].
+    Every user who can open the Unix socket at ``address`` is trusted, so its folder is the user's alone.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """Requests to a planner and its answers: plain data that crosses process boundaries.
 
-Goals are defined in :mod:`planners.goals`, scenes in :mod:`planners.scene`. This module imports none of the planning
-libraries, so the server can describe problems without loading them.
+Goals are defined in :mod:`planners.goals`, scenes in :mod:`planners.scene`. This module imports no planning
+library, so the server can describe problems without loading them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Planning scene: objects around the robot and attached to it, as plain data that crosses process boundaries.
 
 Poses are in the robot's root link unless stated otherwise, in metres, orientations as unit quaternions x, y, z, w.
-This module imports none of the planning libraries.
+This module imports no planning library.
 """
 
 from __future__ import annotations

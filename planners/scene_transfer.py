@@ -1,6 +1,6 @@
 """Transfer of a scene to another process: the scene without its objects, then the objects in parts.
 
-A scene is sent once: both ends know it by its version. One that is given up half-way is sent from its beginning.
+A scene is sent once: both ends know it by its version. A scene that is given up half-way is sent from its beginning.
 """
 
 from __future__ import annotations
@@ -19,14 +19,10 @@ PART_BYTES = 1 << 20
 
 
 class SceneSender:
-    """Scenes on their way to one receiver.
+    """Scenes on their way to one receiver; ``complete`` tells if all of the last scene was sent.
 
-    Args:
-        send: sends a message; ValueError for one that is too large.
-        pause: awaited before each part, so that the event loop has its turns.
-
-    Attributes:
-        complete: whether all of the last scene was sent.
+    ``send`` sends a message, with a ValueError for a message that is too large; ``pause`` is awaited before each part,
+    so that the event loop has its turns.
     """
 
     def __init__(self, send: Callable[[object], None], pause: Callable[[], Awaitable[None]]) -> None:

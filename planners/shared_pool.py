@@ -26,12 +26,9 @@ ANSWER_TIMEOUT_S = ROUNDS * LONGEST_PLANNING_S
 
 
 class SharedPlanners(Planners):
-    """Connection to a host of planners: one motion and one question at a time go there.
+    """Connection to a host of planners, at its socket: one motion and one question at a time go there.
 
     Nothing is planned in the background: requests of other servers would have to wait.
-
-    Args:
-        address: path of the host's socket.
     """
 
     def __init__(self, address: Path) -> None:

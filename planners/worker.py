@@ -74,27 +74,6 @@ class Mailbox:
         return self._channel.closed or Cancel(number) in self._messages
 
 
-class LongSearch:
-    """Reports of a problem that takes longer than most, again each time that its time has doubled.
-
-    The time that the problem asks to be shortened for does not count. The clock is read on construction and at each
-    check, and ``report`` is called with the time that is spent on the problem [s].
-    """
-
-    def __init__(self, clock: Callable[[], float], problem: PlanningProblem, report: Callable[[float], None]) -> None:
-        self._clock = clock
-        self._began_s = clock()
-        self._next_s = problem.optimization_time_s + HARD_AFTER_S
-        self._report = report
-
-    def check(self) -> None:
-        """Report if it is time to."""
-        spent_s = self._clock() - self._began_s
-        if spent_s >= self._next_s:
-            self._next_s = 2.0 * spent_s
-            self._report(spent_s)
-
-
 class Worker:
     """Serves one server; ``make_planner`` loads a robot and gets the clock of allowed times."""
 
@@ -146,14 +125,21 @@ class Worker:
             return PlanningFailure(MoveItErrorCode.CRASH, f"the planner failed: {type(error).__name__}: {error}")
 
     def _poll(self, number: int, request: Request) -> Callable[[], bool]:
-        """Return the function by which a planner checks all the time if its request is cancelled."""
+        """Return the function by which a planner checks all the time if its request is cancelled.
+
+        For a problem that takes longer than most it also reports that, again each time that its time has doubled. The
+        time that the problem asks to be shortened for does not count.
+        """
         if not isinstance(request, PlanningProblem):
             return lambda: self._mailbox.withdrawn(number)
-        send = self._channel.send
-        search = LongSearch(self._clock, request, lambda spent_s: send(StillSearching(number, spent_s)))
+        began_s, next_s = self._clock(), request.optimization_time_s + HARD_AFTER_S
 
         def poll() -> bool:
-            search.check()
+            nonlocal next_s
+            spent_s = self._clock() - began_s
+            if spent_s >= next_s:
+                next_s = 2.0 * spent_s
+                self._channel.send(StillSearching(number, spent_s))
             return self._mailbox.withdrawn(number)
 
         return poll
@@ -198,7 +184,7 @@ def _go_first_when_memory_is_short() -> None:
     try:
         Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
     except OSError as error:
-        log.debug("oom_score_adj stays as it is: %s", error)
+        log.debug("oom_score_adj cannot be set: %s", error)
 
 
 def main(make_planner: MakePlanner) -> None:

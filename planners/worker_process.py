@@ -75,16 +75,10 @@ def ignore(_spent_s: float) -> None:
 
 
 class WorkerProcess:
-    """A planner process.
+    """A planner process; it is ``loaded`` once it has ever been ready for requests.
 
-    Args:
-        robot: the arm to plan for.
-        memory_limit_bytes: limit of its data [bytes].
-        on_loaded: called once, with None when it is ready for requests, or with the reason for which it never will be.
-        on_exit: called once when the process is gone.
-
-    Attributes:
-        loaded: whether it has ever been ready for requests.
+    ``on_loaded`` is called once, with None when it is ready for requests, or with the reason for which it never will
+    be; ``on_exit`` once when the process is gone.
     """
 
     def __init__(
@@ -138,12 +132,8 @@ class WorkerProcess:
         """Send a request, after the scene unless the process has it, and wait for the answer.
 
         The wait has no end of its own; the caller that gives it up must :meth:`cancel` or :meth:`kill`. A process that
-        dies, or sends no answer to the request, answers CRASH.
-
-        Args:
-            request: the request.
-            scene: its scene.
-            on_hard: called when a problem takes longer than most, and again each time that this has doubled.
+        dies, or sends no answer to the request, answers CRASH. ``on_hard`` is called when a problem takes longer than
+        most, and again each time that this has doubled.
         """
         self._number += 1
         self._on_hard = on_hard
@@ -209,12 +199,7 @@ class WorkerProcess:
 async def timeout_after(allowed_s: float, run_delay_s: Callable[[], float | None]) -> AsyncIterator[None]:
     """Cancel the body as :func:`asyncio.timeout` does, but not for the time that a process waits for a core.
 
-    Args:
-        allowed_s: time to the deadline if the process never waits, by the event loop's clock [s].
-        run_delay_s: reads for how long the process has waited for a core; see :class:`planners.budget.Deadline`.
-
-    Raises:
-        TimeoutError: the deadline has passed.
+    ``allowed_s`` is the time to the deadline by the event loop's clock if the process never waits [s].
     """
     loop = asyncio.get_running_loop()
     deadline = Deadline(allowed_s, run_delay_s, loop.time)

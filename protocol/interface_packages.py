@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import get_args
@@ -45,6 +45,13 @@ MAX_NESTING = 32
 
 _KINDS: tuple[Kind, ...] = get_args(Kind)
 
+# Folders of a kind's files: CMakeLists.txt may name any, as tf2_web_republisher's names `services`.
+_FOLDERS: Mapping[Kind, tuple[str, ...]] = {
+    "msg": ("msg", "msgs", "messages"),
+    "srv": ("srv", "srvs", "services"),
+    "action": ("action", "actions"),
+}
+
 # Tools leave folders with one of these files alone (colcon, catkin, ament).
 _IGNORE_MARKERS = frozenset(("COLCON_IGNORE", "CATKIN_IGNORE", "AMENT_IGNORE"))
 
@@ -59,6 +66,7 @@ class UserInterfaces:
         packages: names of the packages.
         kept: names of types that differ from the packaged ones, which stay, for the program itself uses them.
         replaced: names of types that take the place of packaged ones.
+        unread: interface files in folders of packages that are not read.
     """
 
     ros2: Table
@@ -66,6 +74,7 @@ class UserInterfaces:
     packages: tuple[str, ...] = ()
     kept: tuple[str, ...] = ()
     replaced: tuple[str, ...] = ()
+    unread: tuple[Path, ...] = ()
 
     def registry(self) -> Registry:
         """Return the packaged types and these."""
@@ -113,7 +122,7 @@ def read_packages(folders: Sequence[Path], own_packages: Collection[str] = ()) -
             problems += _Sizes(chosen).problems(files[generation])
     if problems:
         raise InterfaceFilesError(problems)
-    return merged
+    return replace(merged, unread=tuple(path for package in packages for path in _unread_files(package.folder)))
 
 
 class _PackageReader:
@@ -164,7 +173,7 @@ class _PackageReader:
             return
         if not _IGNORE_MARKERS.isdisjoint(names):
             return
-        if "package.xml" in names or any(kind in names and _interface_files(folder, kind) for kind in _KINDS):
+        if "package.xml" in names or any(_interface_files(folder, kind) for kind in _KINDS):
             yield folder
         elif depth:
             for name in names:
@@ -222,7 +231,14 @@ class _PackageReader:
 
 def _interface_files(folder: Path, kind: Kind) -> list[Path]:
     """Return the files of a kind; of those that builds install beside them, none."""
-    return sorted(path for path in (folder / kind).glob(f"*.{kind}") if path.is_file())
+    return sorted(path for name in _FOLDERS[kind] for path in (folder / name).glob(f"*.{kind}") if path.is_file())
+
+
+def _unread_files(folder: Path) -> list[Path]:
+    """Return the interface files of a package in folders that are not read."""
+    read = {name for names in _FOLDERS.values() for name in names}
+    files = (path for kind in _KINDS for path in folder.glob(f"*/*.{kind}"))
+    return sorted(path for path in files if path.parent.name not in read and path.is_file())
 
 
 def _generation(manifest: ET.Element) -> Generation | None:

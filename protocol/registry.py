@@ -117,8 +117,13 @@ _MEMBERS = {member.title(): member for member in ("request", "response", "goal",
 # Ending of the type of an action's feedback topic, and the type of a goal's id in it.
 _FEEDBACK_MESSAGE, _UUID = "_FeedbackMessage", "unique_identifier_msgs/msg/UUID"
 
-# Types of ROS 1 that ROS 2 has by another name, each the same type to the server.
-_RENAMED = {"rosgraph_msgs/msg/Log": "rcl_interfaces/msg/Log"}
+# Types that have another name in ROS 1 or in a port to ROS 2, each the same type to the server.
+_RENAMED = {
+    "rosgraph_msgs/msg/Log": "rcl_interfaces/msg/Log",
+    # roslib 2's, and that of its versions before.
+    "tf2_web_republisher_interfaces/action/TFSubscription": "tf2_web_republisher/action/TFSubscription",
+    "tf2_web_republisher_msgs/action/TFSubscription": "tf2_web_republisher/action/TFSubscription",
+}
 
 # How ROS 2 calls the two primitives of ROS 1 that it has no primitives for.
 _ROS2_NAMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}

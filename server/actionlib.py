@@ -23,7 +23,7 @@ from server.timers import CallLater
 
 GoalId: TypeAlias = Mapping[str, Any]
 
-# actionlib's status_list_timeout: for so long the status of a goal that has ended is still told.
+# actionlib's status_list_timeout: time for which the status of an ended goal is still published [s].
 ENDED_KEPT_S = 5.0
 
 # Far more than anybody waits for; further goals are rejected.
@@ -33,7 +33,7 @@ ZERO = Stamp(0, 0)
 
 
 class Status(IntEnum):
-    """Values of actionlib_msgs/GoalStatus that are told here."""
+    """Values of actionlib_msgs/GoalStatus that are published here."""
 
     PENDING = 0
     ACTIVE = 1
@@ -83,7 +83,7 @@ class TrackedGoals:
         """Take a goal on.
 
         Args:
-            goal_id: as its client gave it; without an id it gets one, without a stamp that of now.
+            goal_id: as its client gave it; without an id it gets one, without a stamp the present time.
 
         Returns:
             The goal; None when its id is known already.
@@ -119,7 +119,7 @@ class TrackedGoals:
     def to_cancel(self, goal_id: GoalId) -> list[str]:
         """Return the goals that a message on the topic ``cancel`` selects.
 
-        All of them when it says nothing; else that of its id, and all that are no younger than its stamp.
+        All of them when it has neither id nor stamp; else the goal of its id, and all goals no younger than its stamp.
         """
         stamp, name = _stamp(goal_id), goal_id["id"]
         everything = not name and stamp == ZERO

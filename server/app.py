@@ -54,7 +54,7 @@ from server.zenoh.bridge import bridge_of
 
 log = logging.getLogger("armbridge")
 
-# Longest stop of all parts together, but for the arm's end [s].
+# Longest stop of all parts together, without the arm's end [s].
 STOP_TOTAL_S = 2.6
 
 # More than the arm's handle gives its process [s].
@@ -93,7 +93,7 @@ def serve(settings: Settings, arm_process: StartedChild | None = None, inherited
 
 @dataclass(frozen=True)
 class NewStart:
-    """Start of the server in place of one that has ended: the arm was calibrated."""
+    """Start of the server after its predecessor has ended: the arm was calibrated."""
 
     settings: Settings
     recalibrated: Recalibrated
@@ -163,7 +163,7 @@ class App:
             # Restored before anybody can see it, and written when nobody can change it any more.
             PlanningScene(context),
             ArmControl(context),
-            # The port before the processes: none of them, and no arm, is needed when it is taken.
+            # The port before the processes: when the port is taken, no process and no arm is needed.
             self._clients,
             Part("planners", self._pool.start, self._pool.close, 0.4),
             # It has its own limits, by its own clock: a simulated arm is slow where the machine is busy.
@@ -176,7 +176,7 @@ class App:
             # Clients are answered from here on; goals that they send wait for the arm.
             Part("connections", self._clients.listener.open),
             Part("the arm's first state", self._wait_for_arm),
-            # Loaded meanwhile; whoever is told that the server is ready need not wait for them.
+            # Loaded meanwhile: a client of a ready server need not wait for them.
             Part("the planners' first plans", self._wait_for_planners),
             *parkings.last_clients,
             BackgroundTask("memory", self._memory.run),

@@ -244,7 +244,7 @@ class GoalSettings(SettingsSection):
     # The goals behind it wait as long.
     confirm_timeout_s: float = Field(default=120.0, ge=1.0, le=3600.0)
     """a goal that is not confirmed within this time is answered TIMED_OUT [s]."""
-    # Whoever pauses a motion to look at something is back by then.
+    # A person who pauses a motion to look at something is back by then.
     max_paused_s: float = Field(default=600.0, ge=1.0, le=86_400.0)
     """a goal that was paused or going back for longer, all times together, is given up [s]."""
     # The arm process plays half an hour of points at 100 Hz; an action's goal is over after an hour.

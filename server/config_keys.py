@@ -99,7 +99,7 @@ def every_setting(model: type[BaseModel]) -> Iterator[Setting]:
 def nearest(key: str, known: Sequence[str]) -> str:
     """The known key that was probably meant; empty when none is like it."""
     name = _name(key)
-    # The right name in the wrong section, or in none, tells more than the section does.
+    # The right name in a wrong section, or without one, is a better hint than the section.
     same_name = [each for each in known if _name(each) == name]
     found = difflib.get_close_matches(key, same_name or known, n=1, cutoff=0.0 if same_name else LIKENESS)
     if found:

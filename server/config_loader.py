@@ -1,4 +1,4 @@
-"""Reads the settings from a TOML file, the environment and the command line, and tells who has set which."""
+"""Reads the settings from a TOML file, the environment and the command line, and notes the source of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is installed: the program's version, and the page that is built into it."""
+"""Version of the installed program, and of the page that is built into it."""
 
 from __future__ import annotations
 

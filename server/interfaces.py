@@ -1,4 +1,4 @@
-"""Message types of the server: those that it ships with and those of the user's packages."""
+"""Message types of the server: packaged ones and types of the user's packages."""
 
 from __future__ import annotations
 
@@ -38,18 +38,19 @@ OWN_PACKAGES = frozenset(
         "std_msgs",
         "std_srvs",
         "tf2_msgs",
+        "tf2_web_republisher",
         "trajectory_msgs",
         "unique_identifier_msgs",
         "visualization_msgs",
     )
 )
 
-# Names that a line of the log tells; the rest are counted.
+# Names in a line of the log; the rest are counted.
 MAX_NAMES_TOLD = 10
 
 
 def load_registry(folders: Sequence[Path]) -> Registry:
-    """Return the packaged types and those of the user's packages.
+    """Return the packaged types and the types of the user's packages.
 
     Raises:
         ConfigurationError: something in them cannot be used, with everything that cannot.
@@ -66,6 +67,9 @@ def load_registry(folders: Sequence[Path]) -> Registry:
     packages, count = interfaces.packages, len(interfaces.ros1) + len(interfaces.ros2)
     added = count - len(interfaces.replaced)
     log.info("interfaces of %d packages read: %s; %d types added", len(packages), _told(packages), added)
+    if interfaces.unread:
+        unread = _told([str(path) for path in interfaces.unread])
+        log.warning("interface files in folders that are not read: %s", unread)
     if interfaces.replaced:
         log.info("%d types replace armbridge's: %s", len(interfaces.replaced), _told(interfaces.replaced))
     if interfaces.kept:

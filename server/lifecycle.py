@@ -35,7 +35,7 @@ async def nothing() -> None:
 
 @dataclass(frozen=True)
 class Part:
-    """A step of the start, with its counterpart of the stop; the attributes are those of :class:`Feature`."""
+    """A step of the start, with its counterpart of the stop; its attributes are explained in :class:`Feature`."""
 
     name: str
     start: Callable[[], Awaitable[None]] = nothing
@@ -47,7 +47,7 @@ class Part:
 class Feature:
     """One capability of the server: complete when constructed, started once and stopped once.
 
-    A method that a feature does not have does nothing. Features with the states of arms get those of each by its name;
+    A method that a feature does not have does nothing. Features with the states of arms get each arm's by its name;
     the empty name stands for the only arm, or for all arms together.
 
     Attributes:
@@ -164,7 +164,7 @@ def on_debug_signal() -> None:
 
 
 def toggle_debug() -> None:
-    """Set the log's level to debug, or back to that of the settings."""
+    """Set the log's level to debug, or back to the settings' level."""
     debug = logging.getLogger(OUR_LOGGER).level != logging.DEBUG
     logs.change(LoggerLevel(OUR_LOGGER, logging.DEBUG if debug else logging.NOTSET))
     log.warning("SIGUSR1: the log's level is %s", "debug now" if debug else "again what the settings say")
@@ -200,8 +200,8 @@ async def stop_in_reverse(
     """Stop each part, the last one first, whatever becomes of those before it.
 
     Args:
-        total_s: longest time of all stops together, but for those beyond the total [s].
-        hurry: set by whoever will not wait; each part then has HURRIED_S.
+        total_s: longest time of all stops together, without the stops beyond the total [s].
+        hurry: set when the user will not wait; each part then has HURRIED_S.
     """
     hurry = hurry or asyncio.Event()
     until_s = clock() + total_s

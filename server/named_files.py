@@ -12,10 +12,10 @@ from typing import TypeVar
 from robot import files
 from server.errors import ServiceError
 
-# File names have up to 255 bytes, of which a letter takes up to four.
+# File names have up to 255 bytes; a letter takes up to four.
 MAX_NAME_LENGTH = 50
 
-# The name is that of the file too: no separators of paths, and no dot in front.
+# The name is the file's name too: no separators of paths, and no dot in front.
 _NAME = re.compile(r"\w[\w .()+-]*")
 
 # A memory card that takes longer is at its end.
@@ -44,7 +44,7 @@ class NamedFiles:
         """Return the file of a name.
 
         Raises:
-            ServiceError: the name cannot be that of a file; `field` names it.
+            ServiceError: the name cannot be a file's name; `field` names it.
         """
         if len(name) > MAX_NAME_LENGTH or _NAME.fullmatch(name) is None or name != name.strip():
             limits = f"must be 1 to {MAX_NAME_LENGTH} letters, digits, blanks or any of _ . ( ) + -, a letter first"

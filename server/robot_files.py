@@ -44,7 +44,7 @@ class RobotFiles:
         return find_file(self._robot.mesh_directory, self._package, name)
 
     def read(self, name: str) -> bytes:
-        """Read a file; argument and errors are those of :meth:`find`."""
+        """Read a file; argument and errors as for :meth:`find`."""
         return _read(self.find(name), name)
 
     @cached_property
@@ -54,7 +54,7 @@ class RobotFiles:
         root = ET.fromstring(self._robot.urdf)  # noqa: S314 - the user's own file, already parsed
         for name in {mesh.get("filename", "") for mesh in root.iter("mesh")}:
             if name.startswith(_PACKAGE):
-                # What is only seen may be missing: the start has told of it.
+                # Visual meshes may be missing: the start has logged them.
                 with contextlib.suppress(DescriptionError):
                     found = find_mesh(name, self._robot.mesh_directory, self._robot.package_directories)
                     folders[name.rpartition("/")[0]] = found.parent
@@ -81,7 +81,7 @@ def find_file(directory: Path | None, package: str, name: str) -> Path:
     """Find one of the robot's files.
 
     Args:
-        directory: that of the URDF; nothing outside it is served.
+        directory: folder of the URDF; nothing outside it is served.
         package: the name in package URLs; the directory's own name does as well, as it does for the planners.
         name: a ``package://`` URL, or a path within the directory.
 
@@ -113,7 +113,7 @@ def _checked(directory: Path, inner: str, name: str, url: str) -> Path:
 
 
 def read_file(directory: Path | None, package: str, name: str) -> bytes:
-    """Read one of the robot's files; arguments and errors are those of :func:`find_file`."""
+    """Read one of the robot's files; arguments and errors as for :func:`find_file`."""
     return _read(find_file(directory, package, name), name)
 
 
@@ -125,7 +125,7 @@ def _read(path: Path, name: str) -> bytes:
 
 
 def _hidden(path: Path) -> bool:
-    """Return true if a file or a folder above it is hidden, as those of programs in a user's home."""
+    """Return True if a file or a folder above it is hidden, as programs' folders in a user's home are."""
     return any(part.startswith(".") for part in path.parts)
 
 

@@ -39,7 +39,7 @@ MEMBERS: tuple[tuple[str, Kind, tuple[str, ...]], ...] = (
     ("action", "action", ("Goal", "Result", "Feedback")),
 )
 
-# Of all texts in one response: those of 4000 types of average length, or of 380 of the longest. Without a limit, a
+# Of all texts in one response: 4000 types of average length, or 380 of the longest. Without a limit, a
 # client that advertises thousands of topics would make every response expensive for everybody.
 MAX_TEXTS_CHARACTERS = 4 << 20
 

@@ -215,7 +215,7 @@ class _Import:
         unchecked = unchecked_pairs(contacts, options.samples, options.seed, tell)
         never = sum(pair.reason == NEVER for pair in unchecked)
         total = len(contacts.pairs) + len(contacts.adjacent)
-        self._say(f"pairs of links: {total}, of which {len(unchecked)} need no check ({never} never touch)")
+        self._say(f"pairs of links: {total}, {len(unchecked)} of them need no check ({never} never touch)")
         middle = 0.5 * (contacts.lower + contacts.upper)
         zero = np.where((contacts.lower <= 0.0) & (contacts.upper >= 0.0), 0.0, middle)
         home, free = free_state(contacts, unchecked, (zero, middle), HOME_TRIES, options.seed)

@@ -1,8 +1,7 @@
 """Surfaces of an arm's links, from the meshes of its URDF.
 
-Written by ``python -m planners.assistant.link_surfaces URDF SRDF FILE``.
-
-The file is what ``robot.surfaces`` of a ``robot.toml`` names: the surface of a link tells what is inside it.
+Written by ``python -m planners.assistant.link_surfaces URDF SRDF FILE``, for ``robot.surfaces`` of a ``robot.toml``:
+the surface of a link decides if a point is inside it.
 """
 
 from __future__ import annotations

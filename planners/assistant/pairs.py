@@ -10,7 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from planners.geometry.contacts import CONTACT_M, GJK_TOLERANCE, Parts, nearer_than
+from planners.geometry.contacts import CONTACT_M, GJK_TOLERANCE, PartPair, Parts
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.shapes import enclosing
 from robot.description.model import RobotModel
@@ -85,7 +85,7 @@ class SelfContacts:
         at_first, at_second = (coal.Transform3s(at[link].rotation, at[link].translation) for link in pair)
         if not coal.collide(self._hulls[first], at_first, self._hulls[second], at_second, request, result):
             return False
-        return nearer_than(self._parts[first], at[first], self._parts[second], at[second], 0.0)
+        return PartPair(self._parts[first], at[first], self._parts[second], at[second]).nearer_than(0.0)
 
 
 def unchecked_pairs(
@@ -117,7 +117,7 @@ def unchecked_pairs(
 def free_state(
     contacts: SelfContacts, unchecked: Sequence[UncheckedPair], states: Sequence[Vector], tries: int, seed: int
 ) -> tuple[Vector, bool]:
-    """Return the first of some states in which nothing touches, else the drawn one that is nearest to the first.
+    """Return the first of some states in which nothing touches, else the free state nearest to the first of some draws.
 
     Without states the first free one of ``tries`` drawn states is returned. Where no state is free, the first of all is
     returned with false.

@@ -1,6 +1,6 @@
 """Picture of a robot's meshes beside their convex parts, from two sides.
 
-Surfaces are drawn as many points, the nearest of which a pixel shows: time and memory do not depend on the triangles.
+Surfaces are drawn as many points, and a pixel shows the nearest: time and memory do not depend on the triangles.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ def _source(mesh: ET.Element, shape: ET.Element, urdf_path: Path, packages: Sequ
 
 
 def _free_name(source: Path, taken: set[str]) -> str:
-    """Return a name in the folder of meshes: that of the file, with its folder's in front where that is taken."""
+    """Return a name in the folder of meshes: the file's, with its folder's in front where that is taken."""
     name, number = source.name, 1
     if name in taken:
         name = f"{source.parent.name}_{source.name}"

@@ -69,12 +69,10 @@ class Deviation:
 
 
 class ConvexPart:
-    """Hull of points, shape (n, 3), n >= 1 [m]; of flat ones, a thin plate around them.
+    """Hull of points, shape (n, 3), n >= 1 [m]; of flat points, a thin plate around them.
 
-    Attributes:
-        vertices_m: corners of the hull, shape (k, 3) [m].
-        surface: its triangles.
-        planes: shape (f, 4): unit normal outwards and offset; a point p is inside where normal . p + offset <= 0.
+    It has the corners ``vertices_m``, shape (k, 3) [m], and the ``planes`` of its faces, shape (f, 4): unit normal
+    outwards and offset; a point p is inside where normal . p + offset <= 0.
     """
 
     def __init__(self, points_m: Vector) -> None:
@@ -98,7 +96,7 @@ class ConvexPart:
         """Return the part between planes across unit vectors, shape (d, 3): larger, with fewer corners."""
         middle = self.vertices_m.mean(axis=0)
         size = np.maximum(np.ptp(self.vertices_m, axis=0), PLATE_M)
-        # Directions that are spread evenly suit a body as long as it is wide, so it is seen in its own proportions.
+        # Evenly spread directions suit a body as wide as long, so the body is seen in its own proportions.
         seen = (self.vertices_m - middle) / size
         heights = (seen @ directions.T).max(axis=0)
         solid = HalfspaceIntersection(np.column_stack((directions, -heights)), np.zeros(3))

@@ -297,36 +297,28 @@ class TipCurve:
 def tip_curve(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> TipCurve:
     """Return the curve through two or more followed points, with further ones where it would leave path or limits."""
     for _ in range(REFINEMENTS):
-        measured = _measured(followed, path, tracker)
-        off = np.flatnonzero(measured.off_m.reshape(-1, MEASURED_PER_SPAN).max(axis=1) > CHORD_M)
-        places = measured.curve(_along_m(followed, LIMIT_CHECKS_PER_SPAN))
+        curve, off_m, turned_rad = _measured(followed, path, tracker)
+        off = np.flatnonzero(off_m.reshape(-1, MEASURED_PER_SPAN).max(axis=1) > CHORD_M)
+        places = curve(_along_m(followed, LIMIT_CHECKS_PER_SPAN))
         outside = np.flatnonzero(tracker.outside(places).any(axis=1).reshape(-1, LIMIT_CHECKS_PER_SPAN).any(axis=1))
         spans = np.union1d(off, outside)
         if not len(spans):
             break
         followed = _halved(followed, spans, path, tracker)
     else:
-        measured = _measured(followed, path, tracker)
-    return TipCurve(followed, measured.curve, Deviation(float(measured.off_m.max()), measured.turned_rad))
+        curve, off_m, turned_rad = _measured(followed, path, tracker)
+    return TipCurve(followed, curve, Deviation(float(off_m.max()), turned_rad))
 
 
-@dataclass(frozen=True)
-class _Measured:
-    """A curve, the tip's distances from the path on it, shape (m,), and its greatest angle from the path's."""
-
-    curve: NaturalSpline
-    off_m: Vector
-    turned_rad: float
-
-
-def _measured(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> _Measured:
+def _measured(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> tuple[NaturalSpline, Vector, float]:
+    """Return the curve, the tip's distances from the path on it, shape (m,) [m], and its greatest angle [rad]."""
     curve = NaturalSpline(followed.along_m, followed.points)
     along_m = _along_m(followed, MEASURED_PER_SPAN)
     desired = [path.at(length_m) for length_m in along_m]
     poses = [tracker.pose(point) for point in curve(along_m)]
     turned_rad = max(apart_rad(*pair) for pair in zip(desired, poses, strict=True))
     places_m, line_m = (np.array([pose.translation for pose in part]) for part in (poses, desired))
-    return _Measured(curve, _distances_m(places_m, line_m), turned_rad)
+    return curve, _distances_m(places_m, line_m), turned_rad
 
 
 def _along_m(followed: FollowedPath, per_span: int) -> Vector:

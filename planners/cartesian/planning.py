@@ -89,7 +89,7 @@ class _Task:
     constraints: ConditionSet
 
     def plan(self, start: Vector, budget: Budget) -> CartesianPlan | PlanningFailure:
-        """Follow the path, and shorten it until the rest is certified."""
+        """Follow the path, and shorten it until it is certified."""
         followed = PathFollower(self.problem, self.tracker, self.path, self._flaw, budget.used_up).from_point(start)
         names = self.tracker.joint_names
         while not budget.used_up() and len(followed.points) > 1:

@@ -26,7 +26,7 @@ SMOOTH_TURN_RAD = 1e-3
 # Points nearer to each other do not tell an arc's plane.
 SHORTEST_CHORD_M = 1e-5
 
-# Flatter arcs lose digits, and no arm tells them from lines.
+# Flatter arcs lose digits, and no arm can show that they are not lines.
 LARGEST_RADIUS_M = 100.0
 
 # Following takes some 0.3 ms a point, 3 s in all.

@@ -1,7 +1,7 @@
 """Planning problems in files, in the format ``so101-plan-bench/1``: one scene, limits, and motions to plan in it.
 
-``docs/planning.md`` describes the fields. ``null`` stands for a number that is not finite. Sizes and names are taken as
-they are; the collision model decides whether a scene can be used. This module imports none of the planning libraries.
+``docs/planning.md`` describes the fields. ``null`` stands for a number that is not finite. Sizes and names are taken
+unchecked; the collision model decides whether a scene can be used. This module imports no planning library.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ class Contact:
 def certify(space: JointSpace, trajectory: Trajectory) -> Contact | None:
     """Return the first contact on a motion, also between its samples, as :meth:`Trajectory.sample` joins them.
 
-    None certifies the motion: no point of it is in contact, or by at most half of :data:`FINEST_STEP_M`. The joints of
-    the motion are those of the space, in the same order.
+    None certifies the motion: no point of it is in contact, or by at most half of :data:`FINEST_STEP_M`. The motion has
+    the joints of the space, in the same order.
     """
     time_s = _first_contact_s(space, trajectory)
     # Hulls are wider than links: overlaps of hulls only are checked again by parts. Each turn adds a pair.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -12,13 +12,9 @@ from numpy.typing import NDArray
 
 from planners.geometry.contacts import (
     Broadphase,
+    PartPair,
     Parts,
     RobotParts,
-    deeper_than,
-    encloses,
-    nearer_than,
-    nearest,
-    overlap_m,
     parts_of,
 )
 from planners.geometry.kinematics import JointMap, Reach, approach
@@ -260,14 +256,15 @@ class CollisionModel:
         deepest: dict[frozenset[str], CollidingPair] = {}
         for index in self._broadphase.touching(q):
             first, second = (self._bodies[i].name for i in self._pairs[index])
-            pair = CollidingPair(first, second, max(0.0, -self._broadphase.distance_m(index)))
+            nearest = self._broadphase.nearest(index)
+            depth_m = max(0.0, float(self._apart_m[index]) - nearest.distance_m)
+            pair = CollidingPair(first, second, depth_m, _point(nearest.middle_m), _point(nearest.normal))
             known = deepest.get(pair.links)
             if known is not None and known.depth_m >= pair.depth_m:
                 continue
             if (refined is None or pair.links in refined) and self._apart(index, 0.0):
                 continue
-            point_m, normal = map(_point, self._broadphase.contact(index))
-            deepest[pair.links] = replace(pair, point_m=point_m, normal=normal)
+            deepest[pair.links] = pair
         return sorted(deepest.values(), key=lambda pair: -pair.depth_m)
 
     def overlaps_m(self, q: Vector) -> dict[frozenset[str], float]:
@@ -346,7 +343,7 @@ class CollisionModel:
             if -self._broadphase.distance_m(pair) <= depth_m:
                 return True
             by_parts = self._has_convex_parts(pair)
-            if by_parts and not deeper_than(*self._parts_of_pair(pair), depth_m - float(self._apart_m[pair])):
+            if by_parts and not self._parts_of_pair(pair).deeper_than(depth_m - float(self._apart_m[pair])):
                 return True
         return names in refined and self._apart(pair, margin_m)
 
@@ -355,15 +352,15 @@ class CollisionModel:
         by_hulls_m = -self._broadphase.distance_m(pair)
         if by_hulls_m <= 0.0 or not self._has_convex_parts(pair):
             return by_hulls_m
-        # What overlaps is within both.
-        return min(by_hulls_m, overlap_m(*self._parts_of_pair(pair)) + float(self._apart_m[pair]))
+        # The overlap is within both.
+        return min(by_hulls_m, float(self._apart_m[pair]) - self._parts_of_pair(pair).nearest().distance_m)
 
     def _nearest(self, pair: int) -> Nearest:
         """Return the nearest points of a pair's shapes; by their parts where only their hulls may be in the way."""
         by_hulls = self._broadphase.nearest(pair)
         if by_hulls.distance_m > HULL_EXCESS_M or not self._has_convex_parts(pair):
             return by_hulls
-        return nearest(*self._parts_of_pair(pair))
+        return self._parts_of_pair(pair).nearest()
 
     def _near_pair(self, pair: int, nearest: Nearest) -> NearPair:
         first, second = (self._bodies[i] for i in self._pairs[pair])
@@ -379,12 +376,14 @@ class CollisionModel:
         """Return true if parts of a pair are known and further apart than a margin [m], none inside the other body."""
         if not self._has_parts(pair):
             return False
-        first, second = self._parts_of_pair(pair)[:2], self._parts_of_pair(pair)[2:]
-        if nearer_than(*first, *second, margin_m + float(self._apart_m[pair])):
+        parts = self._parts_of_pair(pair)
+        if parts.nearer_than(margin_m + float(self._apart_m[pair])):
             return False
         # Parts are not everywhere inside a link, and triangles nowhere. An object of triangles is a shell like a room.
         first_is_link, second_is_link = (self._bodies[index].is_link for index in self._pairs[pair])
-        return not (first_is_link and encloses(*first, *second)) and not (second_is_link and encloses(*second, *first))
+        return not (
+            (first_is_link and parts.first_encloses_second()) or (second_is_link and parts.second_encloses_first())
+        )
 
     def _has_parts(self, pair: int) -> bool:
         return self._parts.available and not self._names[pair] & self._scaled
@@ -392,9 +391,9 @@ class CollisionModel:
     def _has_convex_parts(self, pair: int) -> bool:
         return self._parts.convex and not self._names[pair] & self._scaled
 
-    def _parts_of_pair(self, pair: int) -> tuple[Parts, pin.SE3, Parts, pin.SE3]:
+    def _parts_of_pair(self, pair: int) -> PartPair:
         first, second = self._pairs[pair].tolist()
-        return *self._parts_of_body(first), *self._parts_of_body(second)
+        return PartPair(*self._parts_of_body(first), *self._parts_of_body(second))
 
     def _parts_of_body(self, index: int) -> tuple[Parts, pin.SE3]:
         body = self._bodies[index]

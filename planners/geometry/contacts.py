@@ -32,7 +32,7 @@ from robot.trajectory import Vector
 GJK_TOLERANCE = 1e-9
 
 # With a margin of exactly 0 coal calls one in a thousand pairs free that overlap by centimetres and whose faces are
-# parallel, as those of an arm in its zero position and of boxes are; with any other margin 0 of 27 000.
+# parallel, as on an arm in its zero position beside boxes; with any other margin 0 of 27 000.
 CONTACT_M = 1e-6
 
 # Finds the pairs whose boxes overlap. With each box compared to each other a check of 7 to 14 shapes takes 0.45 to 0.5
@@ -74,8 +74,8 @@ class Broadphase:
         # Made at the first use: only servoing needs them, and a large scene has many.
         self._bounding_spheres: BoundingSpheres | None = None
         self._margins_m = np.zeros((len(shapes), len(shapes)))
-        # Managers keep references to the models. They take margins over on update only, so there is one for what is
-        # near. A check that ends with the first contact leaves a result behind, so it has one of its own as well.
+        # Managers keep references to the models. They take margins over on update only, so there is one for near
+        # pairs. A check that ends with the first contact leaves a result behind, so it has one of its own as well.
         self._any, self._contact, self._near = (self._geometry.createData() for _ in range(3))
         pin.forwardKinematics(model, self._data, pin.neutral(model))
         self._any_contact, self._contacts, self._vicinity = map(self._manager, (self._any, self._contact, self._near))
@@ -152,15 +152,6 @@ class Broadphase:
         self.place(q)
         pin.computeJointJacobians(self._model, self._data, self._positions(q))
 
-    def contact(self, pair: int) -> tuple[Vector, Vector]:
-        """Return a pair's contact point and the direction in which the second shape would give, each shape (3,) [m].
-
-        Both belong to the last :meth:`distance_m` of the pair.
-        """
-        found = self._contact.distanceResults[pair]
-        middle_m: Vector = 0.5 * (found.getNearestPoint1() + found.getNearestPoint2())
-        return middle_m, np.array(found.normal)
-
     def placement(self, joint: int) -> pin.SE3:
         """Return the pose of a joint in the root link's frame."""
         return self._data.oMi[joint]
@@ -233,6 +224,12 @@ class Parts:
         meshes = [(shape, place) for shape, place in self._placed() if isinstance(shape, coal.BVHModelBase)]
         return surfaces.of_meshes(meshes) if meshes else None
 
+    def encloses(self, other: Parts, between: pin.SE3) -> bool:
+        """Return true if a body of other parts, the pose of whose joint is ``between``, is inside the surface."""
+        if self.surface is None:
+            return False
+        return self.surface.encloses(other.points_m @ between.rotation.T + between.translation)
+
     def _placed(self) -> Iterator[tuple[coal.CollisionGeometry, pin.SE3]]:
         return zip(self.shapes, (self.places[place] for place in self.place_of), strict=True)
 
@@ -299,85 +296,81 @@ def _by_link(model: pin.Model, shapes: Iterable[pin.GeometryObject]) -> dict[str
     return {name: parts_of(found) for name, found in links.items()}
 
 
-def nearer_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, margin_m: float) -> bool:
-    """Return true if parts come nearer to each other than a margin [m]; at a margin of 0, if they touch.
+class PartPair:
+    """Parts of two bodies, each with the pose of the joint that carries it."""
 
-    Each is in the frame of the joint that carries it, with the pose of that joint.
-    """
-    request, result = coal.CollisionRequest(), coal.CollisionResult()
-    request.gjk_tolerance = GJK_TOLERANCE
-    request.security_margin = CONTACT_M + margin_m
-    between = at_first.actInv(at_second)
-    placed = _Placed(first, second, between)
-    for i, j in boxes.near_pairs(first.boxes, second.boxes, between, request.security_margin).tolist():
-        result.clear()
-        if coal.collide(*placed.pair(i, j), request, result):
-            return True
-    return False
-
-
-def encloses(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> bool:
-    """Return true if a body of the second parts is inside the surface of the first, where the two do not touch."""
-    if first.surface is None:
-        return False
-    between = at_first.actInv(at_second)
-    return first.surface.encloses(second.points_m @ between.rotation.T + between.translation)
-
-
-def deeper_than(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3, depth_m: float) -> bool:
-    """Return true if convex parts overlap deeper than a depth [m]; below 0, if they are less than that apart."""
-    if depth_m < 0.0:
-        return nearer_than(first, at_first, second, at_second, -depth_m)
-    request, result = coal.DistanceRequest(), coal.DistanceResult()
-    request.gjk_tolerance = GJK_TOLERANCE
-    between = at_first.actInv(at_second)
-    placed = _Placed(first, second, between)
-    for i, j in boxes.near_pairs(first.boxes, second.boxes, between, -depth_m).tolist():
-        result.clear()
-        if -coal.distance(*placed.pair(i, j), request, result) > depth_m:
-            return True
-    return False
-
-
-def overlap_m(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> float:
-    """Return the overlap of convex parts, their distance if negative [m]."""
-    return -nearest(first, at_first, second, at_second).distance_m
-
-
-def nearest(first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> Nearest:
-    """Return the nearest or deepest points of convex parts, in the root link's frame."""
-    request, result = coal.DistanceRequest(), coal.DistanceResult()
-    request.gjk_tolerance = GJK_TOLERANCE
-    between = at_first.actInv(at_second)
-    placed = _Placed(first, second, between)
-    bounds_m = boxes.least_distance_m(first.boxes, second.boxes, between).ravel()
-    found = Nearest(np.inf, np.zeros(3), np.zeros(3))
-    for index in np.argsort(bounds_m):
-        if bounds_m[index] >= found.distance_m:
-            break
-        result.clear()
-        distance_m = coal.distance(*placed.pair(*divmod(index, len(second.shapes))), request, result)
-        if distance_m < found.distance_m:
-            # Copied: the result's own arrays change with the next pair.
-            found = Nearest(distance_m, np.array(result.getNearestPoint1()), np.array(result.normal))
-    return found.transformed(at_first)
-
-
-class _Placed:
-    """Parts of two joints as coal takes them, in the frame of the first joint, in which ``between`` is the second."""
-
-    def __init__(self, first: Parts, second: Parts, between: pin.SE3) -> None:
-        self._first, self._second = first, second
+    def __init__(self, first: Parts, at_first: pin.SE3, second: Parts, at_second: pin.SE3) -> None:
+        self._first, self._second, self._at_first = first, second, at_first
+        # All that follows is in the frame of the first joint.
+        self._between = between = at_first.actInv(at_second)
         self._first_places = [_transform(place) for place in first.places]
         self._second_places = [_transform(between * place) for place in second.places]
 
-    def pair(
+    def nearer_than(self, margin_m: float) -> bool:
+        """Return true if parts come nearer to each other than a margin [m]; at a margin of 0, if they touch."""
+        request, result = coal.CollisionRequest(), coal.CollisionResult()
+        request.gjk_tolerance = GJK_TOLERANCE
+        request.security_margin = CONTACT_M + margin_m
+        for i, j in self._near_pairs(request.security_margin):
+            result.clear()
+            if coal.collide(*self._placed(i, j), request, result):
+                return True
+        return False
+
+    def deeper_than(self, depth_m: float) -> bool:
+        """Return true if convex parts overlap deeper than a depth [m]; below 0, if they are less than that apart."""
+        if depth_m < 0.0:
+            return self.nearer_than(-depth_m)
+        request, result = _distance_request()
+        for i, j in self._near_pairs(-depth_m):
+            result.clear()
+            if -coal.distance(*self._placed(i, j), request, result) > depth_m:
+                return True
+        return False
+
+    def nearest(self) -> Nearest:
+        """Return the nearest or deepest points of convex parts, in the root link's frame."""
+        request, result = _distance_request()
+        bounds_m = boxes.least_distance_m(self._first.boxes, self._second.boxes, self._between).ravel()
+        found = Nearest(np.inf, np.zeros(3), np.zeros(3))
+        for index in np.argsort(bounds_m):
+            if bounds_m[index] >= found.distance_m:
+                break
+            result.clear()
+            placed = self._placed(*divmod(int(index), len(self._second.shapes)))
+            distance_m = coal.distance(*placed, request, result)
+            if distance_m < found.distance_m:
+                # Copied: the result's own arrays change with the next pair.
+                found = Nearest(distance_m, np.array(result.getNearestPoint1()), np.array(result.normal))
+        return found.transformed(self._at_first)
+
+    def first_encloses_second(self) -> bool:
+        """Return true if a body of the second is inside the surface of the first, where the two do not touch."""
+        return self._first.encloses(self._second, self._between)
+
+    def second_encloses_first(self) -> bool:
+        """As :meth:`first_encloses_second`, the other way round."""
+        return self._second.encloses(self._first, self._between.inverse())
+
+    def _near_pairs(self, margin_m: float) -> list[list[int]]:
+        pairs: list[list[int]] = boxes.near_pairs(
+            self._first.boxes, self._second.boxes, self._between, margin_m
+        ).tolist()
+        return pairs
+
+    def _placed(
         self, i: int, j: int
     ) -> tuple[coal.CollisionGeometry, coal.Transform3s, coal.CollisionGeometry, coal.Transform3s]:
-        """Return one part of each with its place."""
+        """Return one part of each with its place, as coal takes them."""
         first, second = self._first, self._second
         at_first, at_second = self._first_places[first.place_of[i]], self._second_places[second.place_of[j]]
         return first.shapes[i], at_first, second.shapes[j], at_second
+
+
+def _distance_request() -> tuple[coal.DistanceRequest, coal.DistanceResult]:
+    request = coal.DistanceRequest()
+    request.gjk_tolerance = GJK_TOLERANCE
+    return request, coal.DistanceResult()
 
 
 def _transform(place: pin.SE3) -> coal.Transform3s:

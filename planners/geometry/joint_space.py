@@ -88,7 +88,12 @@ class JointSpace:
     def candidate_pairs(
         self, points: Vector, joint_travel: Vector, among: Sequence[CandidatePairs]
     ) -> list[CandidatePairs]:
-        """Return pairs that may touch, and the condition; see :class:`planners.geometry.sweep.CollisionChecker`."""
+        """Return the pairs that can touch, and the condition, over a range of the joints around each point.
+
+        Points and the greatest ``joint_travel`` from each have the shape (m, n) [rad]. For each point ``among`` has the
+        candidate pairs of a range that contains this one; no others are checked. A range without candidate pairs is
+        free.
+        """
         self.checks += len(points)
         configurations, travel = np.tile(self._q, (len(points), 1)), np.zeros((len(points), len(self._q)))
         configurations[:, self._columns] = points
@@ -107,7 +112,7 @@ class JointSpace:
         return found
 
     def touches_any(self, point: Vector, among: CandidatePairs) -> bool:
-        """Tell whether any candidate touches at a point; see :class:`planners.geometry.sweep.CollisionChecker`."""
+        """Tell whether any candidate pair of a range touches at a point of the range."""
         if among is ALL_PAIRS:
             return not self.free(point)
         self.checks += 1

@@ -20,6 +20,12 @@ class Nearest:
     point_m: Vector  # a point of the first one there, shape (3,) [m]
     normal: Vector  # unit vector from the first to the second, shape (3,)
 
+    @property
+    def middle_m(self) -> Vector:
+        """Point half-way between the two, shape (3,) [m]."""
+        middle_m: Vector = self.point_m + 0.5 * self.distance_m * self.normal
+        return middle_m
+
     def transformed(self, place: pin.SE3) -> Nearest:
         """Return the same points in the frame in which ``place`` is the present frame."""
         return Nearest(self.distance_m, place.rotation @ self.point_m + place.translation, place.rotation @ self.normal)

@@ -58,7 +58,7 @@ def enclosing(points: Vector) -> coal.Convex:
         corners = np.asarray(hull.points())
         if len(corners) <= MAX_CORNERS:
             return hull
-    # Evenly spread directions suit a body as long as it is wide, so it is seen in its own proportions. Corners of the
+    # Evenly spread directions suit a body as wide as long, so the body is seen in its own proportions. Corners of the
     # solid {x : d . x <= h} are, from a point in it, the faces of the hull of d / h.
     middle, size = corners.mean(axis=0), np.ptp(corners, axis=0)
     directions = evenly_spread(DIRECTIONS)

@@ -7,17 +7,19 @@ computed: a check with a margin costs as much as one without, and most pieces ar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot.trajectory import Vector
 
+if TYPE_CHECKING:
+    from planners.geometry.joint_space import JointSpace
+
 Indices = NDArray[np.int64]
 
-# Pairs that can touch within a range, by the checker's indices; ALL_PAIRS before the first check.
+# Pairs that can touch within a range, by their indices; ALL_PAIRS before the first check.
 CandidatePairs = tuple[int, ...] | None
 ALL_PAIRS: None = None
 NO_CANDIDATES: CandidatePairs = ()
@@ -33,34 +35,6 @@ EARLIEST_STEP_M = 0.01
 
 # Curves this close to a line are one: what they carry moves by less than a thousandth of the finest step.
 STRAIGHT_RAD = 1e-8
-
-
-class CollisionChecker(Protocol):
-    """Collision checks of points, shape (n,) [rad], as a sweep needs them."""
-
-    @property
-    def travel_m_per_rad(self) -> Vector:
-        """The most that anything moves per motion of each joint, shape (n,)."""
-        ...
-
-    def free(self, point: Vector) -> bool:
-        """Tell whether nothing touches at a point."""
-        ...
-
-    def candidate_pairs(
-        self, points: Vector, joint_travel: Vector, among: Sequence[CandidatePairs]
-    ) -> list[CandidatePairs]:
-        """Return the pairs that can touch over a range of the joints around each point.
-
-        Points and the greatest ``joint_travel`` from each have the shape (m, n) [rad]. For each point ``among`` has the
-        candidate pairs of a range that contains this one; no others are checked. A range without candidate pairs is
-        free.
-        """
-        ...
-
-    def touches_any(self, point: Vector, among: CandidatePairs) -> bool:
-        """Tell whether any candidate pair of a range touches at a point of the range, shape (n,)."""
-        ...
 
 
 class Cubics:
@@ -100,25 +74,12 @@ class Cubics:
         return _Ranges(self.coefficients, bounds, np.zeros(1, dtype=np.int64))
 
 
-class Spans(Protocol):
-    """Ranges of a curve that do not overlap, and a point in each.
-
-    Points lie ``at`` places and ranges ``start`` at places in pieces of the curve from its start, shape (m,) each;
-    joints may be ``joint_travel`` away from the ``points`` in the range, shape (m, n) each [rad].
-    """
-
-    at: Vector
-    start: Vector
-    points: Vector
-    joint_travel: Vector
-
-    def halves(self, of: Indices) -> tuple[Spans, Indices]:
-        """Some of them cut in two; and for each of the new ones the index of the old one."""
-        ...
-
-
 class _Ranges:
-    """Pieces in a row, a power of two of them, by the pieces' bounds for each power."""
+    """Ranges of a curve, each of a power of two of its pieces, by the pieces' bounds for each power.
+
+    Ranges begin at ``start`` and have their ``points``, shape (m, n) [rad], ``at`` places in pieces of the curve.
+    Joints may be ``joint_travel`` away from the points within the range, shape (m, n) [rad].
+    """
 
     def __init__(self, coefficients: Vector, bounds: list[tuple[Vector, Vector]], index: Indices) -> None:
         self._coefficients, self._bounds, self._index = coefficients, bounds, index
@@ -131,6 +92,7 @@ class _Ranges:
         self.joint_travel = np.maximum(upper - self.points, self.points - lower)
 
     def halves(self, of: Indices) -> tuple[Spans, Indices]:
+        """Cut some of them in two; return also for each half the index of the whole."""
         index = np.concatenate((2 * self._index[of], 2 * self._index[of] + 1))
         there = index * (self._size // 2) < len(self._coefficients)
         index, parents = index[there], np.concatenate((of, of))[there]
@@ -140,7 +102,7 @@ class _Ranges:
 
 
 class _Parts:
-    """Parts of single pieces, each as long as the others, by their Bernstein coefficients, shape (m, 4, n)."""
+    """Ranges within single pieces, each as long as the others, by their Bernstein coefficients, shape (m, 4, n)."""
 
     def __init__(self, coefficients: Vector, start: Vector, length: float) -> None:
         self._coefficients, self._length = coefficients, length
@@ -159,35 +121,36 @@ class _Parts:
         return _Parts(halves, np.concatenate((start, start + length)), length), np.concatenate((of, of))
 
 
-def line_is_free(checker: CollisionChecker, start: Vector, end: Vector, step_m: float) -> bool:
+Spans = _Ranges | _Parts
+
+
+def line_is_free(space: JointSpace, start: Vector, end: Vector, step_m: float) -> bool:
     """Return true if nothing touches on a straight line whose first point is taken to be free.
 
     On pieces along which nothing moves more than ``step_m`` only the ends are checked [m]. All pieces of a line are
     alike, so this takes half the time of :func:`first_contact`, and most motions are lines.
     """
-    if not checker.free(end):
+    if not space.free(end):
         return False
     joint_travel = 0.5 * np.abs(end - start)
-    travel_m = float(joint_travel @ checker.travel_m_per_rad)
+    travel_m = float(joint_travel @ space.travel_m_per_rad)
     at, half = np.array([0.5]), 0.5
     candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
     while len(at) and 2.0 * travel_m > step_m:
         points = start + at[:, np.newaxis] * (end - start)
         # Something is near the widest pieces nearly always: these keep their candidate pairs.
         if travel_m <= WIDEST_MARGIN_M:
-            candidate_pairs = checker.candidate_pairs(points, np.tile(joint_travel, (len(at), 1)), candidate_pairs)
+            candidate_pairs = space.candidate_pairs(points, np.tile(joint_travel, (len(at), 1)), candidate_pairs)
             unsure = [i for i, candidates in enumerate(candidate_pairs) if candidates != NO_CANDIDATES]
             at, points, candidate_pairs = at[unsure], points[unsure], [candidate_pairs[i] for i in unsure]
-        if any(
-            checker.touches_any(point, candidates) for point, candidates in zip(points, candidate_pairs, strict=True)
-        ):
+        if any(space.touches_any(point, candidates) for point, candidates in zip(points, candidate_pairs, strict=True)):
             return False
         half, joint_travel, travel_m = 0.5 * half, 0.5 * joint_travel, 0.5 * travel_m
         at, candidate_pairs = np.concatenate((at - half, at + half)), candidate_pairs + candidate_pairs
     return True
 
 
-def first_contact(checker: CollisionChecker, curve: Cubics, step_m: float) -> float | None:
+def first_contact(space: JointSpace, curve: Cubics, step_m: float) -> float | None:
     """Find the first contact on a curve, coarse to fine, in pieces from the start; the ends are taken to be free.
 
     Pieces along which nothing moves more than ``step_m`` are not halved any more [m].
@@ -196,18 +159,18 @@ def first_contact(checker: CollisionChecker, curve: Cubics, step_m: float) -> fl
     spans = curve.spans()
     candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
     while len(spans.at):
-        travel_m = spans.joint_travel @ checker.travel_m_per_rad
+        travel_m = spans.joint_travel @ space.travel_m_per_rad
         least_m = step_m if found is None else max(step_m, EARLIEST_STEP_M)
         checked = (2.0 * travel_m > least_m) & (spans.start < (np.inf if found is None else found))
         # Something is near the widest spans nearly always: these keep their candidate pairs.
         narrow = np.flatnonzero(checked & (travel_m <= WIDEST_MARGIN_M))
         among = [candidate_pairs[i] for i in narrow]
-        left = checker.candidate_pairs(spans.points[narrow], spans.joint_travel[narrow], among)
+        left = space.candidate_pairs(spans.points[narrow], spans.joint_travel[narrow], among)
         for i, candidates in zip(narrow, left, strict=True):
             candidate_pairs[i] = candidates
         unsure = [i for i in np.flatnonzero(checked) if candidate_pairs[i] != NO_CANDIDATES]
         for i in unsure:
-            if (found is None or spans.at[i] < found) and checker.touches_any(spans.points[i], candidate_pairs[i]):
+            if (found is None or spans.at[i] < found) and space.touches_any(spans.points[i], candidate_pairs[i]):
                 found = float(spans.at[i])
         spans, parents = spans.halves(np.array(unsure, dtype=np.int64))
         candidate_pairs = [candidate_pairs[i] for i in parents]

@@ -1,1 +1,1 @@
-"""Inverse kinematics: from goals to configurations by placo, and from velocities of frames to those of joints."""
+"""Inverse kinematics: from goals to configurations by placo, and from velocities of frames to joint velocities."""

@@ -1,8 +1,8 @@
-"""Differential inverse kinematics: from desired velocities to those of the joints, or from errors to a step of them.
+"""Differential inverse kinematics: from desired velocities to joint velocities, or from errors to a step of the joints.
 
-The words are those of pink: a task is what shall move, a limit bounds how fast joints move, and a barrier how fast a
-distance shrinks. Tasks of lower priority use the directions that those of higher priority leave free (Siciliano &
-Slotine, "A general framework for managing multiple tasks in highly redundant robotic systems", 1991).
+The words are pink's: a task is a desired motion, a limit bounds how fast joints move, and a barrier how fast a distance
+shrinks. Tasks of lower priority use the directions that tasks of higher priority leave free (Siciliano & Slotine, "A
+general framework for managing multiple tasks in highly redundant robotic systems", 1991).
 
 The least-squares problems with inequalities are solved by the primal active-set method: Nocedal and Wright, Numerical
 Optimization, 2nd edition, algorithm 16.3.
@@ -30,7 +30,7 @@ NONE_ACTIVE = np.array([], dtype=np.intp)
 
 @dataclass(frozen=True)
 class Task:
-    """A velocity that is linear in those of the joints, and its desired value."""
+    """A velocity that is linear in the velocities of the joints, and its desired value."""
 
     jacobian: Vector  # shape (m, n)
     velocity: Vector  # the desired value, shape (m,)
@@ -61,12 +61,9 @@ def barrier(distances: Vector, gradients: Vector, max_change: Vector, period: fl
     Faverjon and Tournassoud, "A local based approach for path planning of manipulators with a high number of degrees of
     freedom", 1987, with the distance in which the joints come to rest.
 
-    Args:
-        distances: shape (k,); below 0 they may grow only.
-        gradients: by the joints, shape (k, n).
-        max_change: change of each joint's velocity in a period that braking may count on, shape (n,).
-        period: time that passes before a velocity has its effect [s].
-        gain: greatest speed by distance [1/s].
+    Distances have the shape (k,), and below 0 they may grow only; gradients by the joints (k, n). Braking may count on
+    ``max_change`` of each joint's velocity in a ``period``, shape (n,), after which a velocity has its effect [s].
+    ``gain`` is the greatest speed by distance [1/s].
     """
     room = np.maximum(distances, 0.0)
     # With v' = v - change the way to rest is v * period + v^2 / (2 a): solved for v.
@@ -93,17 +90,11 @@ def solve(
     before: Vector | None = None,
     free: Vector | None = None,
 ) -> tuple[Vector, NDArray[np.intp]]:
-    """Return the velocities of the joints that meet tasks of one priority best, and the active inequalities.
+    """Return the velocities of the joints that meet tasks of one priority best, and the indices of active limits.
 
-    Args:
-        tasks: the tasks.
-        damping: weight of the velocities themselves, or of their change; above 0.
-        limit: inequalities to keep.
-        before: velocities that tasks of higher priority need, shape (n,); they keep the inequalities.
-        free: directions in which these may be changed, in columns, shape (n, f); None for all.
-
-    Returns:
-        Velocities of shape (n,), and indices of rows of the limit.
+    ``damping`` is the weight of the velocities themselves, or of their change, above 0. Tasks of higher priority need
+    the velocities ``before``, which keep the limit and may be changed in the directions ``free``, in columns, shape (n,
+    f); None for all.
     """
     matrix, desired = tasks[0].cost * tasks[0].jacobian, tasks[0].cost * tasks[0].velocity
     for task in tasks[1:]:

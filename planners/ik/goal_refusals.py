@@ -33,10 +33,10 @@ def start_violates(violations: Sequence[Violation]) -> PlanningFailure:
 
 
 def none_of(failures: Sequence[PlanningFailure]) -> PlanningFailure:
-    """Return the failure of several alternatives: the message is that of the first, all are in the details."""
+    """Return the failure of several alternatives: the message of the first, and all of them in the details."""
     first = failures[0]
     others = [{"code": int(failure.code), "message": failure.message} for failure in failures]
-    message = f"none of {len(failures)} alternatives can be had; the first: {first.message}"
+    message = f"no alternative of {len(failures)} can be reached; the first: {first.message}"
     return PlanningFailure(first.code, message, {**first.details, "alternatives": others})
 
 
@@ -45,16 +45,13 @@ def out_of_reach(
 ) -> PlanningFailure:
     """Return the failure of a goal that no configuration meets.
 
-    Args:
-        goal: the goal.
-        nearest_m: position of the link in the configuration that comes nearest, shape (3,) [m].
-        nearest: the deviation there.
-        violations: conditions that do not hold there.
+    ``nearest_m`` is the position of the link in the configuration that comes nearest, shape (3,) [m]; ``nearest`` is
+    the deviation there, and ``violations`` are the conditions that do not hold there.
     """
     if isinstance(goal, ConstraintGoal):
         return _violated(
             MoveItErrorCode.NO_IK_SOLUTION,
-            "no configuration meets all constraints; in the one that comes nearest",
+            "no configuration meets all constraints; in the nearest one",
             violations,
         )
     point = [round(float(value), 4) for value in nearest_m]
@@ -67,7 +64,7 @@ def out_of_reach(
         sentence += f" {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away"
     else:
         sentence = f"reaches {in_words(goal.position_m)} m, but not in the orientation asked for:"
-        sentence += f" the nearest one that it can have there is {degrees:.1f}° off"
+        sentence += f" the nearest one there is {degrees:.1f}° off"
     return PlanningFailure(
         MoveItErrorCode.NO_IK_SOLUTION, f"{goal.link!r} {sentence}", {**details, "tolerance_m": goal.tolerance_m}
     )

@@ -107,7 +107,7 @@ class DescentResults:
         self.begin()
 
     def begin(self, patience: int = HOPELESS_RESTARTS) -> None:
-        """Begin a series of descents, of which ``patience`` may be fruitless as long as there is no solution."""
+        """Begin a series of descents; ``patience`` of them may be fruitless as long as there is no solution."""
         self._fruitless, self._patience = 0, patience
 
     def enough(self, wanted: int) -> bool:

@@ -54,7 +54,7 @@ MOST_REGULARIZATION = 1e-3
 # Convergence takes 5-10 steps within reach and up to 40 at its edge.
 MAX_STEPS = 60
 
-# A descent that has not come nearer by this share in so many steps has arrived at its nearest point.
+# A descent that has not come nearer by this share within a number of steps has arrived at its nearest point.
 LEAST_GAIN = 0.005
 PATIENCE = 5
 

@@ -222,12 +222,9 @@ def line(start: Vector, goal: Vector, limits: RateLimits) -> Curve:
 
 
 def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
-    """Stop in each point of a polyline.
+    """Stop in each point of a polyline, shape (m, n), m >= 1 [rad]; points that repeat their predecessor count once.
 
-    Args:
-        points: shape (m, n), m >= 1 [rad]; points that repeat their predecessor count once.
-        limits: limits to keep.
-        wait_ticks: time to wait in each point between the first and the last.
+    The joints wait for ``wait_ticks`` in each point between the first and the last.
     """
     points = _distinct(points)
     curves = [line(start, goal, limits) for start, goal in pairwise(points)]

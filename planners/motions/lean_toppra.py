@@ -17,7 +17,7 @@ _UNUSED = ("scipy", "scipy.interpolate", "scipy.sparse", "matplotlib", "matplotl
 
 
 class _Unused(ModuleType):
-    """Module of which any name can be imported, and nothing used."""
+    """Module that any name can be imported from, and nothing used."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)

@@ -47,7 +47,7 @@ from planners.motions.via_point import via_point
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
 
-# Parts drawn at once: one numpy call tells the time that each would save, and the best is tried first.
+# Parts drawn at once: one numpy call gives the time that each would save, and the best is tried first.
 PARTS_A_ROUND = 32
 
 # Parts of these that are tried before others are drawn: the rest saves too little to be worth a check.
@@ -91,7 +91,7 @@ class MotionTask:
     start_velocity: Vector  # shape (n,), within the limits [rad/s]
     goals: Sequence[Vector]  # free points, the soonest first
     seed: int = 0  # same task and seed, same motion
-    attempts: int = 5  # number of searched motions, at most, of which the shortest is taken
+    attempts: int = 5  # number of searched motions, at most; the shortest is taken
     planner_id: str = ""  # the search, as planners.problem.planner_name knows it
     # Time to search for shorter motions, as the amount of work that nominally takes it [s].
     optimization_time_s: float = 0.0
@@ -212,7 +212,7 @@ class _Searching:
         self._searches = count()
         self._finer = self._blocked_paths = 0
         self._lead = lead
-        # Where none of the quickest via points is free, others hardly ever are.
+        # Where no via point of the quickest is free, others hardly ever are.
         self._try_via_points = self._name == RRT_CONNECT
         self._enough_checks: int | None = None
 
@@ -222,7 +222,7 @@ class _Searching:
             found = sorted(self._found(), key=lambda each: each[1].duration_ticks)
             for method, curve in found:
                 # The best motion is still of use after the deadline, but not once the request is cancelled.
-                trajectory = None if self._budget.stopped else _certified(self._task, curve)
+                trajectory = None if self._budget.should_stop() else _certified(self._task, curve)
                 if trajectory is not None:
                     return Motion(trajectory, method, self._goal_at_end_of(curve))
             if found:

@@ -1,6 +1,6 @@
 """Collision-free polylines: OMPL's searches with shortcuts from vertex to vertex, and their effort.
 
-Where so few configurations meet a condition that a search would draw none of them, two trees grow towards each other in
+Where a search would hardly ever draw a configuration that meets a condition, two trees grow towards each other in
 short steps, each projected onto the condition, after Berenson et al., "Manipulation planning on constraint manifolds",
 2009. The effort of a search is counted in checks, which is the same on every machine.
 """
@@ -133,7 +133,7 @@ class Query:
 
     space: JointSpace  # where to search
     start: Vector  # free point, shape (n,)
-    goals: Sequence[Vector]  # free points, any one of which will do
+    goals: Sequence[Vector]  # free points to choose from
     step_m: float  # greatest travel of a point of the robot from one check to the next [m]
 
 

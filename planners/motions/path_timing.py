@@ -141,7 +141,7 @@ class _ScaledPath:
     """A path for toppra, with numbers of about 1, which its tolerances are made for.
 
     Its parameter goes from 0 to 1, and its acceleration limits are 1 in units of ``joint_units_rad``. Its last column
-    is progress itself, so that limits of the progress rate are those of a joint.
+    is progress itself, so that its rate is limited as a joint is.
     """
 
     path: NaturalSpline
@@ -190,7 +190,7 @@ def time_along(
 ) -> Trajectory | None:
     """Return the fastest motion along a path from rest to rest, whose interpolation keeps the limits as well.
 
-    Its samples are at most 10 ms apart. None where :func:`toppra_profile` has none, or one that takes too long.
+    Its samples are at most 10 ms apart. None where :func:`toppra_profile` has none, or a profile that takes too long.
     """
     profile = toppra_profile(path, limits, top_rate)
     if profile is None or profile.times_s[-1] > MAX_DURATION_S:

@@ -17,7 +17,7 @@ from robot.trajectory import Vector
 # Points drawn at once, and compared in one numpy call.
 POINTS = 1024
 
-# Checks after which a tree finds a path sooner: none of the quick via points is free then as a rule.
+# Checks after which a tree finds a path sooner: no quick via point is free then as a rule.
 MOST_CHECKS = 100
 
 

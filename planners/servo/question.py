@@ -1,6 +1,6 @@
 """Requests of MoveIt Servo for joint velocities, many times a second, and their answers: plain data.
 
-All of it is in the robot's root link and in SI units. This module imports none of the planning libraries.
+All of it is in the robot's root link and in SI units. This module imports no planning library.
 """
 
 from __future__ import annotations

@@ -52,14 +52,10 @@ def regularized(
     max_velocity: Vector,
     predict: Callable[[Vector], PredictedTip],
 ) -> RegularizedMotion:
-    """Remove the part of a desired velocity that leads into a singularity.
+    """Remove the part of a desired velocity of the tip, shape (3,) [m/s], that leads into a singularity.
 
-    Args:
-        jacobian: of the tip's position, shape (3, n), n at least 3 [m/rad].
-        linear_m_s: the desired velocity, shape (3,) [m/s].
-        limits: condition numbers from which motion is slowed.
-        max_velocity: of the joints, shape (n,) [rad/s].
-        predict: returns the tip after a motion of the joints, shape (n,) [rad].
+    The Jacobian of the tip's position has the shape (3, n), n at least 3 [m/rad]; ``predict`` returns the tip after a
+    motion of the joints, shape (n,) [rad].
     """
     left, values, right = np.linalg.svd(jacobian)
     free = np.ascontiguousarray(right[3:].T)

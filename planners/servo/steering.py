@@ -1,7 +1,7 @@
 """Servoing: from a commanded twist or joint velocity to joint velocities, many times a second.
 
 First the joint velocities are found that give the tip its linear velocity within all limits; then, among those that
-leave it as it is, the ones that turn the tip best. The outcome is reported as moveit_msgs/ServoStatus, and in words.
+keep it, the ones that turn the tip best. The outcome is reported as moveit_msgs/ServoStatus, and in words.
 """
 
 from __future__ import annotations
@@ -252,7 +252,7 @@ def _command_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[Plann
             known = robot.groups[question.group].joints
             for name in command.velocity_rad_s:
                 if name not in known:
-                    yield invalid_goal(f"joint {name!r} is none of group {question.group!r}: {', '.join(known)}")
+                    yield invalid_goal(f"joint {name!r} is not of group {question.group!r}: {', '.join(known)}")
             values = list(command.velocity_rad_s.values())
         case TipTwist():
             values = [*command.linear_m_s, *command.angular_rad_s]

@@ -1,4 +1,4 @@
-"""Barriers on joint velocities while servoing: joints stay within their limits, and apart from what is near.
+"""Barriers on joint velocities while servoing: joints stay within their limits, and apart from obstacles.
 
 The speed of approach shrinks with the distance; motion along obstacles and away from them is free.
 """
@@ -50,11 +50,8 @@ class VelocityBounds(Limit):
 def watched_m(travel_m_per_rad: Vector, velocity_rad_s: Vector, max_change: Vector, period_s: float) -> float:
     """Return the distance up to which obstacles must be known, so that the joints still brake before them [m].
 
-    Args:
-        travel_m_per_rad: greatest travel of a point of the arm by each joint, shape (n,) [m/rad].
-        velocity_rad_s: present velocities of the joints, shape (n,) [rad/s].
-        max_change: greatest change of a velocity in a period, shape (n,) [rad/s].
-        period_s: time between two answers [s].
+    All of the joints have the shape (n,): the greatest travel of a point by each, the present velocities, and the
+    greatest change of a velocity in a period.
     """
     fastest = np.abs(velocity_rad_s) + max_change
     braking = BRAKING_SHARE * max_change / period_s
@@ -72,17 +69,10 @@ def velocity_bounds(
     max_change: Vector,
     period_s: float,
 ) -> VelocityBounds:
-    """Return the velocity bounds at a configuration.
+    """Return the velocity bounds of the joints that may move, at positions within limits, shape (n,) each [rad].
 
-    Args:
-        q: positions of the joints that may move, shape (n,) [rad].
-        lower: their lower limits, shape (n,) [rad].
-        upper: their upper limits, shape (n,) [rad].
-        columns: places of these joints in the gradients of pairs.
-        pairs: pairs near each other.
-        limits: the distances to keep.
-        max_change: greatest change of a velocity in a period, shape (n,) [rad/s].
-        period_s: time between two answers; an answer has its effect a period later [s].
+    ``columns`` are the places of these joints in the gradients of pairs, and ``max_change`` is the greatest change of a
+    velocity in a period, shape (n,) [rad/s], after which an answer has its effect.
     """
     kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
     watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
@@ -95,18 +85,12 @@ def velocity_bounds(
 
 
 def within_reach(wanted: Vector, reach: Vector, limit: Limit) -> Vector:
-    """Return the change of velocities nearest to a wanted one that the joints can make, within inequalities.
+    """Return the nearest change of velocities to a wanted change that the joints can make, within inequalities.
 
-    Where the inequalities cannot all be met in one step, the joints come as near to that as they can: each inequality
-    may be exceeded, at a cost (an exact penalty would need no less than the greatest multiplier).
-
-    Args:
-        wanted: change that the joints can make, shape (n,) [rad/s].
-        reach: greatest change of each joint, shape (n,) [rad/s].
-        limit: of the change; bounds are below 0 where the present velocity exceeds its bound.
-
-    Returns:
-        Shape (n,) [rad/s].
+    Changes have the shape (n,) [rad/s], ``reach`` is the greatest of each joint, and bounds are below 0 where the
+    present velocity exceeds its bound. Where the inequalities cannot all be met in one step, the joints come as near to
+    that as they can: each inequality may be exceeded, at a cost (an exact penalty would need no less than the greatest
+    multiplier).
     """
     rows, left = limit.rows, limit.bounds
     if (rows @ wanted <= left + ROUNDING).all():

@@ -50,7 +50,7 @@ class Tokens:
     """
 
     def __init__(self, tokens: dict[str, Identity], anonymous: Identity | None) -> None:
-        # By digest: all have one length, so that comparing tells nothing of a token's.
+        # By digest: all have one length, so that a comparison shows nothing about a token's length.
         self._tokens = [(_digest(token), token, identity) for token, identity in tokens.items()]
         self.any = bool(tokens)
         self.anonymous = anonymous
@@ -141,7 +141,7 @@ class AuthThrottle:
         key = client_key(address)
         wrong, until_s = self._known(key)
         wrong.add(hash(shown))
-        # From the last one that is heard on, the whole time is waited.
+        # The whole wait begins again with each further token.
         if len(wrong) == 1 or len(wrong) >= MAX_WRONG:
             until_s = self._clock() + WINDOW_S
         self._wrong[key] = wrong, until_s

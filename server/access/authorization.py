@@ -78,8 +78,9 @@ def rule_of_topic(name: str, graph: Graph) -> Rule:
         return GOAL
     if name.endswith(ACTIONLIB_GOAL):
         return rule_of_action(name.removesuffix(ACTIONLIB_GOAL), graph)
-    if name.endswith(ACTIONLIB_CANCEL) and rule_of_action(name.removesuffix(ACTIONLIB_CANCEL), graph).drives:
-        return CANCELLING
+    if name.endswith(ACTIONLIB_CANCEL):
+        rule = rule_of_action(name.removesuffix(ACTIONLIB_CANCEL), graph)
+        return CANCELLING if rule.drives else rule
     return WORKING
 
 
@@ -148,7 +149,7 @@ class Authorizer:
         return topic in self._settled
 
     def refusal(self, operation: Operation) -> str | None:
-        """Return the reason why an operation is refused, None when it is not; one that drives takes control."""
+        """Return the reason for a refusal, or None; an operation that drives takes control."""
         match operation:
             case Publish():
                 known = operation.topic in self._settled
@@ -207,7 +208,7 @@ class Authorizer:
         return self._name_refusal(rule, "service", name) or self._drive(rule, name, arguments)
 
     def _rule_of_publishing(self, name: str) -> Rule:
-        """Return the rule of a topic, that of any other topic for one that would stop nothing.
+        """Return the rule of a topic; a topic that would stop nothing has the rule of any other topic.
 
         A topic that stops exists, with its type: else a client that may only look could make topics, of any type.
         """

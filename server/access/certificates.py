@@ -35,10 +35,10 @@ from server.errors import ConfigurationError
 VALID_DAYS = 397
 AUTHORITY_VALID_DAYS = 3650
 
-# A certificate with less time left is made anew.
+# A certificate with less time left is replaced.
 RENEW_DAYS = 30
 
-# Clocks of phones differ from the server's; what is valid from now on would not be valid yet.
+# Clocks of phones differ from the server's; a certificate that begins now would not be valid there yet.
 _CLOCK_MARGIN = timedelta(hours=1)
 
 # Each name costs some bytes in every handshake.
@@ -57,7 +57,7 @@ class CertificateFiles:
 
     @property
     def authority(self) -> Path:
-        """Certificate of the authority, in PEM; the one that phones are to trust."""
+        """Certificate of the authority, in PEM; phones are to trust it."""
         return self.directory / "armbridge-authority.crt"
 
     @property
@@ -67,7 +67,7 @@ class CertificateFiles:
 
     @property
     def certificate(self) -> Path:
-        """Certificate of the server, followed by that of the authority."""
+        """Certificate of the server, followed by the authority's."""
         return self.directory / "server.pem"
 
     @property
@@ -101,7 +101,7 @@ class _Pair:
 
 
 def ensure_certificate(files: CertificateFiles, names: Iterable[str], now: datetime | None = None) -> Outcome:
-    """Make the server's certificate, and the authority before it; leave alone what is still good.
+    """Make the server's certificate, and the authority before it; leave good ones alone.
 
     Raises:
         ConfigurationError: a name is no host name and no address, or the files cannot be used.

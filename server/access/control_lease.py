@@ -28,7 +28,7 @@ RESERVED_S = 3.0
 TOPIC = "/arm/control"
 TAKE_SERVICE = "/arm/take_control"
 
-# Tells a client its own name, by which it finds itself on the topic.
+# Answers with the client's own name, by which it finds itself on the topic.
 WHO_SERVICE = "/arm/who_am_i"
 
 # Period of the check for an idle holder, and of the messages while there is a holder [s].

@@ -22,7 +22,7 @@ log = logging.getLogger("armbridge.access")
 SERVICE = "/armbridge/issue_one_time_token"
 SERVICE_TYPE = "armbridge_msgs/srv/IssueOneTimeToken"
 
-# Time to take a phone in hand and scan a code.
+# Time to take a phone and scan a code.
 VALID_FOR_S = 120.0
 
 # Tokens that wait for their connection; beyond it the oldest is revoked, as of a page that shows a new code.
@@ -48,7 +48,7 @@ class _Issued:
 
 
 class OneTimeTokens:
-    """One-time tokens that wait for their connection, and those of connections that are open."""
+    """One-time tokens that wait for their connection, and tokens of open connections."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -78,7 +78,7 @@ class OneTimeTokens:
         return token
 
     def use(self, presented: str) -> Identity | None:
-        """Return the identity that a token gives to a connection, once; None for one that gives none."""
+        """Return the identity that a token gives to a connection, once; None for an unknown or used token."""
         found = self._find(presented)
         if found is None or found.used:
             return None
@@ -109,7 +109,7 @@ class OneTimeTokens:
 
 
 class OneTimeTokenService:
-    """Service that issues one-time tokens, and tells where other machines find the page.
+    """Service that issues one-time tokens, with the addresses of the page for other machines.
 
     Args:
         tokens: the server's tokens; without any, nobody needs a token.

@@ -13,7 +13,7 @@ REMEMBERED = 1024
 
 
 class RateLimiter:
-    """Token bucket: so many at once, and so many in the long run.
+    """Token bucket: a burst at once, and a rate in the long run.
 
     Args:
         per_s: rate in the long run [1/s]; 0 for no more than the burst, ever.

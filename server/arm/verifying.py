@@ -17,7 +17,7 @@ from robot.messages import ArmHealth, ArmState, Mode, Order
 from server.arm.commissioning import Dialogue, ProcedureFailed
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
-from server.execution.queue import Answer
+from server.execution.goal import Goal
 
 # Share of the velocity and acceleration limits: a hand can be pulled away.
 SLOWLY = 0.1
@@ -37,8 +37,8 @@ P_GAIN = "P_GAIN"
 # Ends of a goal that somebody or the arm has stopped: no other pose is tried then.
 STOPPED = frozenset({MoveItErrorCode.PREEMPTED, MoveItErrorCode.CONTROL_FAILED})
 
-# Starts a motion to joint positions [rad] at a share of the limits; returns its number and its answer to come.
-GoTo = Callable[[Mapping[str, float], float], tuple[str, "asyncio.Future[Answer]"]]
+# Queues a goal for joint positions [rad] at a share of the limits.
+GoTo = Callable[[Mapping[str, float], float], Goal]
 
 
 @dataclass
@@ -69,7 +69,7 @@ class VerificationProcedure:
         self._joints = tuple(dict.fromkeys(joint for pose in self._poses for joint in pose.candidates[0]))
         self._gains: dict[str, int] = {}
         self._readings: _Readings | None = None
-        self._goal = ""
+        self._goal: Goal | None = None
         self._droops: dict[str, Droop] = {}
         self._seen: list[tuple[str, frozenset[str]]] = []
 
@@ -97,7 +97,7 @@ class VerificationProcedure:
 
     def take_state(self, state: ArmState, dialogue: Dialogue) -> None:
         """Take readings while they are wanted; end the procedure when the arm cannot hold."""
-        if self._goal and (state.mode is Mode.FAULT or state.position_rad is None):
+        if self._goal is not None and (state.mode is Mode.FAULT or state.position_rad is None):
             dialogue.fail(f"the arm has a fault: {state.fault or state.reason}")
         readings = self._readings
         if readings is None or state.position_rad is None or state.goal_rad is None or state.load is None:
@@ -117,8 +117,8 @@ class VerificationProcedure:
 
     def close(self) -> None:
         """Stop the motion in progress, if there is one."""
-        if self._goal:
-            self._cancel(self._goal, "the verification has ended")
+        if self._goal is not None:
+            self._cancel(self._goal.goal_id, "the verification has ended")
 
     async def _enable(self, dialogue: Dialogue) -> None:
         if self._arm.state.torque_enabled and self._arm.state.mode is Mode.HOLDING:
@@ -134,11 +134,11 @@ class VerificationProcedure:
         reasons: list[str] = []
         for candidate in pose.candidates:
             try:
-                self._goal, answered = self._go_to(candidate, SLOWLY)
+                self._goal = self._go_to(candidate, SLOWLY)
             except RefusedError as error:
                 raise ProcedureFailed(f"{pose.name} cannot be reached: {error.failure.message}") from error
-            answer = await dialogue.until(answered, MOTION_TIMEOUT_S)
-            self._goal = ""
+            answer = await dialogue.until(self._goal.answered, MOTION_TIMEOUT_S)
+            self._goal = None
             if answer.code is MoveItErrorCode.SUCCESS:
                 return
             reasons.append(answer.message)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import uvloop
 
-# The last two are loaded ahead for the arms' processes, each of which would load what its hardware needs for itself.
+# The last two are loaded ahead for the arms' processes, which would each load their hardware's modules.
 import robot.control.loop
 import robot.emulator.feetech
 import robot.hardware.ideal
@@ -150,7 +150,7 @@ def _make_folders(folder: Path, students: Sequence[Student]) -> None:
 
 
 class _Readiness:
-    """Tells once when all servers are ready."""
+    """Logs once when all servers are ready."""
 
     def __init__(self, students: Sequence[Student], host: str, file: Path, *, tls: bool) -> None:
         self._waited = list(students)

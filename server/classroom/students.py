@@ -68,7 +68,7 @@ def places(count: int, first_port: int, folder: Path, host: str) -> list[Student
         first_port: port of the first one, the others follow; 0 takes free ones.
 
     Raises:
-        ConfigurationError: there are not so many ports.
+        ConfigurationError: there are not enough ports.
         StartError: the list cannot be read.
     """
     if first_port and (last_port := first_port + count - 1) > MAX_PORT:

@@ -121,8 +121,8 @@ def supervise(members: Sequence[Member], check: Callable[[], None]) -> None:
 
 def _told_to_end() -> bool:
     """Wait for a signal, for a while; return True when it asks for the end."""
-    told = signal.sigtimedwait(SIGNALS, CHECK_S)
-    return told is not None and told.si_signo != signal.SIGCHLD
+    received = signal.sigtimedwait(SIGNALS, CHECK_S)
+    return received is not None and received.si_signo != signal.SIGCHLD
 
 
 def _end(members: Iterable[Member]) -> None:

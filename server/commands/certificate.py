@@ -29,7 +29,7 @@ Android:
   3. Choose the file. Chrome trusts it from then on.
 Compare the fingerprint that the phone shows (SHA-256):
   {fingerprint}
-Keep {authority_key} to yourself: whoever has it can
+Keep {authority_key} to yourself: anybody who has it can
 pretend to be any website to these phones. Remove the authority from a phone that is no longer used."""
 
 

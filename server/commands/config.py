@@ -65,8 +65,8 @@ def _as_table(values: list[tuple[Setting, Any, str]]) -> str:
     return table(("setting", "value", "unit", "source"), rows)
 
 
-# The arm process brakes, relaxes if it is to, and ends within 5.5 s of the server's death; one that parks the arm takes
-# up to 15 s more, and is waited for as long as it runs. Then it may be killed.
+# The arm process brakes, relaxes if it is to, and ends within 5.5 s of the server's death; to park the arm takes up to
+# 15 s more, and is waited for. Then it may be killed.
 _AFTER_DEATH_S = 6
 _PARKING_S = 15
 
@@ -100,7 +100,7 @@ RestartSec=2
 RestartPreventExitStatus={usage}
 WatchdogSec=20
 TimeoutStartSec=60
-# The server gets SIGTERM and ends its children in order; what is left after the timeout is killed.
+# The server gets SIGTERM and ends its children in order; processes that remain after the timeout are killed.
 KillMode=mixed
 TimeoutStopSec=30
 

@@ -1,4 +1,4 @@
-"""Options that commands share: those of the arm's bus, and those that change settings."""
+"""Options that commands share: for the arm's bus, and for settings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ Run: TypeAlias = Callable[[argparse.Namespace, Terminal], ExitCode]
 def add_command(
     subparsers: Subparsers, name: str, run: Run, summary: str, description: str, **more: Any
 ) -> argparse.ArgumentParser:
-    """Add a command to those of a parser; its help ends with the meaning of exit codes."""
+    """Add a command to a parser; its help ends with the meaning of exit codes."""
     parser = subparsers.add_parser(name, help=summary, description=description, **{"epilog": EXIT_CODES, **more})
     parser.set_defaults(run=run)
     return parser
@@ -107,10 +107,11 @@ def add_calibration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
 
 
-def add_interfaces(parser: argparse.ArgumentParser) -> None:
+def add_interfaces(parser: argparse.ArgumentParser, dest: str = "interfaces") -> None:
     """Describe ``--interfaces``."""
     parser.add_argument(
         "--interfaces",
+        dest=dest,
         type=Path,
         action="append",
         metavar="FOLDER",
@@ -118,11 +119,12 @@ def add_interfaces(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROBOT) -> None:
+def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROBOT, dest: str = "robot") -> None:
     """Describe ``--robot``."""
     names = ", ".join(robot_folder.built_in_names())
     parser.add_argument(
         "--robot",
+        dest=dest,
         metavar="NAME_OR_FOLDER",
         default=default,
         help=f"the arm: a built-in one ({names}), or the folder of its robot.toml ({DEFAULT_ROBOT})",
@@ -176,52 +178,77 @@ def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
     return ExitCode.FAILED
 
 
-# Option -> its section and key in the settings.
-_KEYS = {
-    "host": ("server", "host"),
-    "port": ("server", "port"),
-    "tcp_port": ("server", "tcp_port"),
-    "log_level": ("server", "log_level"),
-    "interfaces": ("server", "interfaces"),
-    "serial": ("arm", "serial"),
-    "robot": ("arm", "robot"),
-    "calibration": ("arm", "calibration"),
-    "insecure": ("access", "insecure"),
-    "urdf": ("arm", "urdf"),
-    "srdf": ("arm", "srdf"),
-    "package_path": ("arm", "package_path"),
-    "record": ("recording", "file"),
-    "record_limit_mb": ("recording", "limit_mb"),
-}
+# An option that overrides a setting is kept under the setting's key, as in ``server.port``.
+
+
+def add_server_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the options of a command that serves clients."""
+    parser.add_argument("--host", dest="server.host", metavar="HOST", help="address to listen on (127.0.0.1)")
+    parser.add_argument(
+        "--port", dest="server.port", type=int, metavar="PORT", help="TCP port (9090); 0 takes a free one"
+    )
+    parser.add_argument(
+        "--insecure",
+        dest="access.insecure",
+        action="store_true",
+        default=None,
+        help="serve an address that others can reach without tokens: everybody there may do everything",
+    )
+    add_interfaces(parser, "server.interfaces")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="settings in TOML; options given here override them"
+    )
 
 
 def add_setting_options(parser: argparse.ArgumentParser) -> None:
     """Describe the options of a command that needs the settings."""
-    parser.add_argument("--host", help="address to listen on (127.0.0.1)")
-    parser.add_argument("--port", type=int, help="TCP port (9090); 0 takes a free one")
+    add_server_options(parser)
     parser.add_argument(
         "--tcp-port",
+        dest="server.tcp_port",
         type=int,
         metavar="PORT",
         help="one more port, for rosbridge over raw TCP (none); 0 takes a free one",
     )
     parser.add_argument(
-        "--insecure",
-        action="store_true",
-        default=None,
-        help="serve an address that others can reach without tokens: everybody there may move the arm",
-    )
-    _add_arm_options(parser)
-    add_interfaces(parser)
-    parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record every message to this file")
-    parser.add_argument(
-        "--record-limit-mb", type=int, metavar="MB", help="begin the next file when one has so many megabytes"
+        "--log-level",
+        dest="server.log_level",
+        choices=("debug", "info", "warning", "error"),
+        help="least level of the log (info)",
     )
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="settings in TOML; options given here override them"
+        "--serial",
+        dest="arm.serial",
+        metavar="PORT",
+        help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
+    )
+    add_robot(parser, None, "arm.robot")
+    parser.add_argument("--calibration", dest="arm.calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
+    parser.add_argument(
+        "--urdf",
+        dest="arm.urdf",
+        type=Path,
+        metavar="FILE",
+        help="a URDF in place of the robot's; without --robot, --serial and --calibration its arm is an ideal one",
+    )
+    parser.add_argument("--srdf", dest="arm.srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
+    parser.add_argument(
+        "--package-path",
+        dest="arm.package_path",
+        type=Path,
+        action="append",
+        metavar="FOLDER",
+        help="where the packages of package:// are looked for, ahead of ROS_PACKAGE_PATH; may be repeated",
     )
     parser.add_argument(
-        "--log-level", choices=("debug", "info", "warning", "error"), help="least level of the log (info)"
+        "--record", dest="recording.file", type=Path, metavar="FILE.mcap", help="record every message to this file"
+    )
+    parser.add_argument(
+        "--record-limit-mb",
+        dest="recording.limit_mb",
+        type=int,
+        metavar="MB",
+        help="size in megabytes from which on the next file is begun",
     )
     parser.add_argument(
         "--set",
@@ -230,30 +257,6 @@ def add_setting_options(parser: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE",
         dest="assignments",
         help="any setting, as in --set goals.capacity=4; may be repeated (armbridge config lists them)",
-    )
-
-
-def _add_arm_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--serial",
-        metavar="PORT",
-        help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
-    )
-    add_robot(parser, default=None)
-    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
-    parser.add_argument(
-        "--urdf",
-        type=Path,
-        metavar="FILE",
-        help="a URDF in place of the robot's; without --robot, --serial and --calibration its arm is an ideal one",
-    )
-    parser.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
-    parser.add_argument(
-        "--package-path",
-        type=Path,
-        action="append",
-        metavar="FOLDER",
-        help="where the packages of package:// are looked for, ahead of ROS_PACKAGE_PATH; may be repeated",
     )
 
 
@@ -276,18 +279,19 @@ def configure_logs(settings: Settings) -> None:
 def overrides(options: argparse.Namespace) -> dict[str, Any]:
     """The settings that options override, by section and key."""
     values: dict[str, Any] = {}
-    for text in options.assignments:
+    given = vars(options)
+    for text in given.get("assignments", ()):
         key, equals, value = text.partition("=")
         if not equals:
             raise ConfigurationError(f"--set {_key(text)}: must be KEY=VALUE, as in --set server.port=9191")
         _put(values, key.strip().split("."), _value(key, value.strip()))
-    for option, path in _KEYS.items():
-        if (chosen := getattr(options, option)) is not None:
-            _put(values, path, chosen)
+    for key, chosen in given.items():
+        if "." in key and chosen is not None:
+            _put(values, key.split("."), chosen)
     return values
 
 
-def _put(values: dict[str, Any], path: tuple[str, ...] | list[str], value: Any) -> None:
+def _put(values: dict[str, Any], path: list[str], value: Any) -> None:
     *sections, name = path
     for section in sections:
         inner = values.setdefault(section, {})

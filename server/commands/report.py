@@ -124,7 +124,7 @@ def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dic
 
 
 def _secrets(settings: Settings) -> Iterator[str]:
-    """Yield the tokens in settings and environment, also those of settings that contradict each other."""
+    """Yield the tokens in settings and environment, even if the settings contradict each other."""
     access = settings.access
     tables = access.admin_tokens, access.operate_tokens, access.view_tokens
     for token in (access.token, *(token for table in tables for token in table.values())):
@@ -167,7 +167,7 @@ def _add_bus(report: Report, settings: Settings, terminal: Terminal) -> None:
 
 
 def _registers(bus: Bus, servo_id: int) -> dict[str, int | None]:
-    """Read all registers of a servo by name; None for one that it does not tell."""
+    """Read all registers of a servo by name; None for a register that it does not answer for."""
     values: dict[str, int | None] = {}
     for register in Register:
         values[register.name] = None

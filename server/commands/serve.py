@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 from pathlib import Path
-from typing import Any
 
 from robot.emulator import control
 from robot.emulator.process import add_options
@@ -13,7 +12,7 @@ from robot.emulator.process import run as run_emulator
 from server.commands.options import (
     Subparsers,
     add_command,
-    add_interfaces,
+    add_server_options,
     add_setting_options,
     configure_logs,
     number,
@@ -54,7 +53,6 @@ def _serve(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
     return ExitCode.DONE
 
 
-MAX_PORT = 65_535
 MIN_RATE, MAX_RATE = 0.01, 100.0
 MAX_DELAY_S = 3600.0
 
@@ -67,16 +65,11 @@ def add_replay_parser(subparsers: Subparsers) -> None:
         _replay,
         "publish a recording again, without an arm",
         "Publish what was recorded with serve --record, or another MCAP file of ROS 2 messages, to any"
-        " rosbridge client, as it was timed. There is no arm and no planner: goals are not answered.",
+        " rosbridge client, as it was timed. There is no arm and no planner: goals are not answered. Of the settings,"
+        " [server] and [access] count.",
     )
     parser.add_argument("recording", type=Path, metavar="FILE.mcap", help="the recording")
-    parser.add_argument("--host", help="address to listen on (127.0.0.1)")
-    parser.add_argument("--port", type=number(int, 0, MAX_PORT), help="TCP port (9090); 0: a free one")
-    parser.add_argument("--insecure", action="store_true", help="serve an address that others can reach without tokens")
-    add_interfaces(parser)
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="settings in TOML, of which [server] and [access] count"
-    )
+    add_server_options(parser)
     parser.add_argument(
         "--rate",
         type=number(float, MIN_RATE, MAX_RATE),
@@ -96,20 +89,14 @@ def add_replay_parser(subparsers: Subparsers) -> None:
 
 def _replay(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.config_loader import load
     from server.recording.replay import ReplayOptions, replay
 
-    settings = load(options.config, _overrides(options))
+    settings, _ = read_settings(options)
     configure_logs(settings)
     replay(
         ReplayOptions(options.recording, settings.server, settings.access, options.rate, options.delay, options.loop)
     )
     return ExitCode.DONE
-
-
-def _overrides(options: argparse.Namespace) -> dict[str, Any]:
-    place = {name: value for name in ("host", "port", "interfaces") if (value := getattr(options, name)) is not None}
-    return {"server": place, "access": {"insecure": True} if options.insecure else {}}
 
 
 SCRIPTS = """\

@@ -94,7 +94,7 @@ def _set_up(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 @dataclass(frozen=True)
 class _Work:
-    """Servo of a joint, and what is to be written to it."""
+    """Servo of a joint, and the registers to be written to it."""
 
     joint: str
     servo: FoundServo
@@ -167,7 +167,7 @@ class _Visit:
         return self._end()
 
     def _present(self) -> dict[int, FoundServo]:
-        """Return the servos that answer, by id; none when they cannot be told apart."""
+        """Return the servos that answer, by id; empty when several have one id."""
         try:
             found = look(self._line, BAUDRATE, {joint.servo_id for joint in self._arm})
         except (StartupError, NoReply) as error:

@@ -15,7 +15,7 @@ YES = frozenset({"y", "yes"})
 
 READ_BYTES = 4096
 
-# Cursor up by so many lines, and clear to the end of the screen (ECMA-48).
+# Cursor up by a number of lines, and clear to the end of the screen (ECMA-48).
 _REDRAW = "\x1b[{lines}A\x1b[J"
 
 

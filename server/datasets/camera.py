@@ -25,7 +25,7 @@ _BARS = np.array(
     dtype=np.uint8,
 )
 
-# The square crosses the picture in so many images.
+# Number of images in which the square crosses the picture.
 _SQUARE_STEPS = 60
 _SQUARE_SHARE = 8
 
@@ -54,7 +54,7 @@ class ImageSource(Protocol):
     """Something that gives images.
 
     Attributes:
-        paced: True if it gives them at its own rate, False if whoever reads has to wait between them.
+        paced: True if it gives them at its own rate, False if the reader has to wait between them.
         finite: True if it ends of itself, as a file does.
     """
 
@@ -161,7 +161,7 @@ def to_jpeg(pixels: Pixels, width: int | None, quality: int) -> bytes:
 
 
 class NewestImage:
-    """Thread that reads a camera and keeps its newest image alone: whoever is late gets no old ones.
+    """Thread that reads a camera and keeps its newest image alone: a late reader gets no old ones.
 
     Args:
         period_s: time between two images of a source that is not paced [s].

@@ -28,7 +28,7 @@ LOOK_PERIOD_S = 1.0
 
 FIRST_DELAY_S, LAST_DELAY_S = 0.5, 10.0
 
-# Answers of the server are complaints, each told once.
+# Answers of the server are complaints, each printed once.
 MAX_COMPLAINTS = 20
 
 # What a server answers to a client that only publishes is short.
@@ -59,7 +59,7 @@ class Connection(Protocol):
         """Send a frame."""
 
     async def ping(self) -> Awaitable[float]:
-        """Send a ping; what is returned waits for its pong."""
+        """Send a ping; the returned future waits for its pong."""
 
 
 class CameraClient:
@@ -156,7 +156,7 @@ class CameraClient:
 
 
 def _wake(loop: asyncio.AbstractEventLoop, event: asyncio.Event) -> None:
-    """Set an event of a loop from another thread; one that has ended needs it no more."""
+    """Set an event of a loop from another thread, unless the loop has ended."""
     with contextlib.suppress(RuntimeError):
         loop.call_soon_threadsafe(event.set)
 

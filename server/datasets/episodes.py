@@ -47,7 +47,7 @@ def parse_mark(text: str) -> Mark:
     """Read a mark.
 
     Raises:
-        ValueError: it is none of these, or the task is too long.
+        ValueError: it is no such mark, or the task is too long.
     """
     kind, _, rest = text.strip().partition(" ")
     task = " ".join(rest.split())

@@ -139,7 +139,7 @@ def _told(source: _Source) -> str:
 
 
 def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, problems: list[str]) -> _Source:
-    """Return a recording with its episodes; what is left out is added to the problems."""
+    """Return a recording with its episodes; omissions are added to the problems."""
     path = samples.path
     states_s, states = series(samples.joints[STATE_TOPIC], joints)
     if not states_s.size:
@@ -214,8 +214,8 @@ def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: 
         return frames
     missing = [name for name in joints if is_gripper(name) and name not in samples.limits]
     if missing:
-        told = f"the range of {', '.join(missing)}, as on /arm/joint_limits, which was not recorded"
-        raise ExportError(f"{samples.path}: --units lerobot needs {told}")
+        needed = f"the range of {', '.join(missing)}, as on /arm/joint_limits, which was not recorded"
+        raise ExportError(f"{samples.path}: --units lerobot needs {needed}")
     states = in_lerobot_units(frames.states, joints, samples.limits)
     return replace(frames, states=states, actions=in_lerobot_units(frames.actions, joints, samples.limits))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from server.datasets.episodes import Episode
 from server.datasets.samples import Positions, Times
 
-# 25 periods of the states: what is missing for longer is no jitter of a network, and nobody knows what was there.
+# 25 periods of the states: a longer gap is no jitter of a network, and nobody knows what happened in it.
 MAX_GAP_S = 0.5
 
 # One frame has no motion.
@@ -115,7 +115,7 @@ def is_gripper(joint: str) -> bool:
 def in_lerobot_units(
     positions: Positions, joints: Sequence[str], limits: Mapping[str, tuple[float, float]]
 ) -> Positions:
-    """Return positions in degrees, and those of grippers in percent of their range.
+    """Return positions in degrees, and positions of grippers in percent of their range.
 
     Args:
         positions: shape (n, joints) [rad].

@@ -1,6 +1,6 @@
 """Files of a LeRobotDataset v3.0: frames in Parquet, metadata of episodes and tasks, statistics and ``info.json``.
 
-The format is that of lerobot's ``LeRobotDataset`` with the codebase version v3.0 (huggingface/lerobot,
+The format is lerobot's ``LeRobotDataset`` with the codebase version v3.0 (huggingface/lerobot,
 ``src/lerobot/datasets``: ``dataset_metadata.py``, ``dataset_writer.py``, ``utils.py``). All episodes are in one file of
 each kind; readers find them by the indices and times in ``meta/episodes``.
 """

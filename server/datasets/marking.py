@@ -70,7 +70,7 @@ class EpisodeServices:
         self._observe(wanted=self._marks.open is not None and self._recording())
 
     def _observe(self, *, wanted: bool) -> None:
-        """Subscribe to what is published for subscribers alone, or no longer; the recording has it then."""
+        """Subscribe, or no longer, to topics that are published for subscribers alone: the recording then has them."""
         for topic in self._graph.subscribed_by(self._observer):
             self._graph.unsubscribe(self._observer, topic)
         if not wanted:

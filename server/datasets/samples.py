@@ -154,7 +154,7 @@ def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
         stamp_s: stamps [s]; 0 for none.
 
     Returns:
-        Times [s], those of recording where there are no stamps that could be used.
+        Times [s]; the times of recording where there are no usable stamps.
     """
     logged, stamped = np.asarray(log_s, dtype=np.float64), np.asarray(stamp_s, dtype=np.float64)
     if not logged.size or np.any(stamped == 0.0):
@@ -167,10 +167,10 @@ def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
 
 
 def merged(topics: Sequence[Sequence[JointSample]]) -> list[JointSample]:
-    """Return the messages of several topics as those of one, each with the last known position of every joint.
+    """Return the messages of several topics as one sequence, each with the last known position of every joint.
 
     Args:
-        topics: messages of each, in the order of the recording; those of one stamp are of one moment.
+        topics: messages of each, in the order of the recording; messages with one stamp are of one moment.
     """
     known: dict[str, float] = {}
     result: list[JointSample] = []

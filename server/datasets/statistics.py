@@ -57,7 +57,7 @@ class ImageStatistics:
         self._histogram += other._histogram
 
     def result(self) -> Statistics:
-        """Return the statistics of values 0 to 1, each of shape (3, 1, 1), as lerobot has those of images."""
+        """Return the statistics of values 0 to 1, each of shape (3, 1, 1), as lerobot has statistics of images."""
         levels = np.arange(LEVELS) / (LEVELS - 1)
         pixels = self._histogram.sum(axis=1, keepdims=True)
         shares = self._histogram / pixels

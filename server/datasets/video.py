@@ -79,7 +79,7 @@ class VideoWriter:
             image: shape (height, width, 3).
 
         Raises:
-            VideoError: it has another size than the first one, or one that H.264 cannot have.
+            VideoError: it has another size than the first one, or a size that H.264 cannot have.
         """
         height, width = image.shape[:2]
         if not self.frames:

@@ -25,6 +25,7 @@ from robot.messages import ArmState, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.failures import FailedGoals, with_nearest_goal
+from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.monitors import (
     ARM_START_TIMEOUT_S,
     CurrentState,
@@ -36,7 +37,8 @@ from server.execution.monitors import (
 from server.execution.motions import (
     START_TOLERANCE_RAD,
     ExternalTrajectory,
-    Motion,
+    Joints,
+    Performed,
     PlannedMotion,
     PlannedSequence,
     Positions,
@@ -46,7 +48,6 @@ from server.execution.motions import (
 from server.execution.motions_in_progress import MotionInProgress, MotionsInProgress, meeting_question
 from server.execution.planned_ahead import PlannedAhead
 from server.execution.player import BRAKING_TIMEOUT_S, CheckedMotion, Player
-from server.execution.queue import Answer, GoalState, Joints, Performed, Progress
 from server.execution.time_limits import TimeLimits
 
 log = logging.getLogger("armbridge.execution")
@@ -150,82 +151,63 @@ class GoalExecutor:
         self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
         self._player = Player(arm, self._robot, self._scene_monitor, self._time_limits, in_progress, self._clock)
-        self._work: asyncio.Task[Any] | None = None
-        self._cancel_reason = ""
-        # Stop epoch in which the active goal was requested.
-        self._epoch = 0
+        self._goal: Goal | None = None
         self._ahead = PlannedAhead(context.pool)
         # Where the joints of the active goal will be at its end [rad]; None before its motion is known.
         self._end_rad: Positions | None = None
 
     # Methods for the queue.
 
-    async def run(self, request: Motion, report: Callable[[Progress], None], epoch: int) -> Answer:
-        """Plan and play a motion; every wait is bounded, and every way out is an answer."""
-        self._epoch = epoch
+    async def run(self, goal: Goal) -> Answer:
+        """Plan and play the motion of a goal; every wait is bounded, and every way out is an answer."""
+        self._goal = goal
+        goal.cancelled.add_done_callback(lambda _reason: self._ahead.cancel())
         try:
-            answer = await self._perform(request, report)
+            if isinstance(goal.motion, PlannedMotion):
+                answer = await self._plan_and_play(goal, goal.motion)
+            elif goal.motion is not None:
+                answer = await _answered(self._play_external(goal, goal.motion))
+            else:
+                raise AssertionError("a rejected goal was queued")
             if answer.code is not MoveItErrorCode.SUCCESS:
                 # The arm is not where the next goal was planned from, or something has happened to it.
                 self._ahead.cancel()
             return answer
         finally:
-            # At the end, not at the beginning: a goal may be cancelled after its turn has come, before this runs.
-            self._cancel_reason = ""
-            self._end_rad = None
+            self._goal = self._end_rad = None
 
-    def plan_ahead(self, request: Motion, left_s: float) -> None:
-        """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is not known.
+    def plan_ahead(self, following: Goal, left_s: float) -> None:
+        """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is unknown.
 
         Args:
+            following: a goal of the same joints.
             left_s: time left of the motion in progress [s].
         """
         held_rad = self._current.positions_rad()
-        # Beside motions of other joints it is not known where those are when the goal's turn comes.
-        if self._end_rad is None or held_rad is None or self._cancel_reason or self._in_progress.beside(request.joints):
+        if self._goal is None or self._goal.reason or self._end_rad is None or held_rad is None:
             return
-        self._ahead.begin(request, held_rad, self._end_rad, self._scene.scene, left_s)
+        # Beside motions of other joints it is not known where those are when the goal's turn comes.
+        if following.motion is not None and not self._in_progress.beside(following.joints):
+            self._ahead.begin(following.motion, held_rad, self._end_rad, self._scene.scene, left_s)
 
-    def forget(self, request: Motion) -> None:
-        """Drop what was planned in advance of a goal whose turn will not come."""
-        self._ahead.forget(request)
-
-    def cancel(self, reason: str) -> None:
-        """Cancel the active goal."""
-        self._cancel_work(reason)
-        self._player.stop(reason)
-
-    def preempt(self, reason: str) -> None:
-        """End the active goal for one that follows at once, which may replace its motion without a stop."""
-        self._cancel_work(reason)
-        self._player.preempt(reason)
-
-    def _cancel_work(self, reason: str) -> None:
-        self._cancel_reason = reason
-        self._ahead.cancel()
-        if self._work is not None:
-            self._work.cancel()
+    def forget(self, goal: Goal) -> None:
+        """Drop the plan that was made in advance for a goal whose turn will not come."""
+        if goal.motion is not None:
+            self._ahead.forget(goal.motion)
 
     # Attempts: from a motion to an answer.
 
-    async def _perform(self, request: Motion, report: Callable[[Progress], None]) -> Answer:
-        match request:
-            case ExternalTrajectory():
-                return await _answered(self._play_external(request, report))
-            case PlannedMotion():
-                return await self._plan_and_play(request, report)
-
-    async def _plan_and_play(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
-        answer = await self._replace_outgoing(request, report) or await _answered(self._attempt(request, report))
+    async def _plan_and_play(self, goal: Goal, request: PlannedMotion) -> Answer:
+        answer = await self._replace_outgoing(goal, request) or await _answered(self._attempt(goal, request))
         for _ in range(request.attempts - 1):
-            if self._cancel_reason or answer.code not in REPLANNED:
+            if goal.reason or answer.code not in REPLANNED:
                 break
-            report(Progress(GoalState.PLANNING, f"planning anew: {answer.message}"))
-            await self._unless_cancelled(asyncio.sleep(request.delay_s))
-            answer = await _answered(self._attempt(request, report))
+            goal.report(Progress(GoalState.PLANNING, f"planning anew: {answer.message}"))
+            await goal.unless_cancelled(asyncio.sleep(request.delay_s))
+            answer = await _answered(self._attempt(goal, request))
         return answer
 
-    async def _replace_outgoing(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer | None:
+    async def _replace_outgoing(self, goal: Goal, request: PlannedMotion) -> Answer | None:
         """Replace the motion of a preempted goal without a stop; None where that is impossible."""
         outgoing = self._player.outgoing
         if outgoing is None or outgoing.splice_point is None or outgoing.ended.done():
@@ -242,76 +224,73 @@ class GoalExecutor:
             return None
         if not isinstance(problem, PlanningProblem) or problem.group != outgoing.motion.group:
             return None
-        report(Progress(GoalState.PLANNING, "; ".join(("planning in motion", *request.warnings))))
+        goal.report(Progress(GoalState.PLANNING, "; ".join(("planning in motion", *request.warnings))))
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
         ask = functools.partial(self._pool.ask, moving, scene)
-        plan = await self._unless_cancelled(_in_time(ask, outgoing.until_s - self._clock()))
+        plan = await goal.unless_cancelled(_in_time(ask, outgoing.until_s - self._clock()))
         if not isinstance(plan, Plan) or plan.trajectory.duration_s > self._time_limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
         planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)
         self._show_soon(planned)
         self._end_rad = planned.end_rad
-        report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
+        goal.report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
         # A scene that has changed since the lead was found free is checked on the way.
         version = scene.version if scene.version == outgoing.motion.scene_version else UNCHECKED
         checked = CheckedMotion(problem.group, whole.trajectory, version, planned.summary)
-        answer = await self._player.play(checked, report, self._questions(checked), self._epoch, point.from_s)
+        answer = await self._player.play(goal, checked, self._questions(checked), from_s=point.from_s)
         executed = self.recorder.finish(whole.trajectory.joint_names)
         if answer.details.get("outcome") == Outcome.REFUSED.value:
             return None
         return replace(answer, performed=replace(planned.performed, executed=executed))
 
-    async def _attempt(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
+    async def _attempt(self, goal: Goal, request: PlannedMotion) -> Answer:
         try:
-            return await self._plan_and_play_once(request, report)
+            return await self._plan_and_play_once(goal, request)
         finally:
             self._in_progress.withdraw(request.joints)
 
-    async def _plan_and_play_once(self, request: PlannedMotion, report: Callable[[Progress], None]) -> Answer:
-        await self._until_ready(request.joints)
-        report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
+    async def _plan_and_play_once(self, goal: Goal, request: PlannedMotion) -> Answer:
+        await self._until_ready(goal)
+        goal.report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
         version = self._scene.scene.version
-        planned = await self._plan(request)
+        planned = await self._plan(goal, request)
         if planned.failure is not None:
             return Answer.of(planned.failure, planned.performed)
         self._time_limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
         self._show_soon(planned)
-        discarded = await self._confirmed(planned, report) if request.confirm else None
-        return discarded or await self._play(planned, version, report)
+        discarded = await self._confirmed(goal, planned) if request.confirm else None
+        return discarded or await self._play(goal, planned, version)
 
-    async def _play_external(self, request: ExternalTrajectory, report: Callable[[Progress], None]) -> Answer:
-        await self._until_ready(request.joints)
+    async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
+        await self._until_ready(goal)
         held_rad = self._held_rad()
         motion = request.trajectory(held_rad)
         self._time_limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         planned = PlannedSequence(Performed(held_rad, (motion,)))
         self._show_soon(planned)
-        return await self._play(planned, UNCHECKED, report)
+        return await self._play(goal, planned, UNCHECKED)
 
     # Steps of an attempt.
 
-    async def _until_ready(self, joints: Joints) -> None:
+    async def _until_ready(self, goal: Goal) -> None:
         """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal."""
         await self._player.stop_outgoing()
-        await self._stop_preempted(joints)
+        # Motions of preempted goals of other groups with some of the same joints.
+        preempted = [motion.ended for motion in self._in_progress.of(goal.joints)]
+        for ended in preempted:
+            self._arm.stop(ended)
+        await self._arm.wait(preempted, BRAKING_TIMEOUT_S)
         # A goal that comes while the server starts waits for the arm.
-        await self._unless_cancelled(self._arm.until_started(ARM_START_TIMEOUT_S))
-        self._check_not_cancelled("before the motion began")
+        await goal.unless_cancelled(self._arm.until_started(ARM_START_TIMEOUT_S))
+        goal.check("before the motion began")
         check_ready(self._arm)
         if not await self._arm.end_streams(STREAMS_TIMEOUT_S):
             message = f"the arm is being steered and did not come to rest within {STREAMS_TIMEOUT_S:g} s"
             raise RefusedError(PlanningFailure(MoveItErrorCode.CONTROL_FAILED, message))
 
-    async def _stop_preempted(self, joints: Joints) -> None:
-        """Brake the motions of preempted goals of other groups with some of the same joints, and wait for their end."""
-        preempted = [motion.ended for motion in self._in_progress.of(joints)]
-        for ended in preempted:
-            self._arm.stop(ended)
-        await self._arm.wait(preempted, BRAKING_TIMEOUT_S)
-
-    async def _plan(self, request: PlannedMotion) -> PlannedSequence:
+    async def _plan(self, goal: Goal, request: PlannedMotion) -> PlannedSequence:
         """Plan from where the arm holds, and anew when it was moved meanwhile.
 
         Other groups may be moving: they are planned for at the end of their motions.
@@ -319,17 +298,19 @@ class GoalExecutor:
         found = planned = None
         for _ in range(MAX_STARTS):
             self._in_progress.withdraw(request.joints)
-            found = await self._unless_cancelled(self._plan_in_turn(request))
+            found = await goal.unless_cancelled(self._plan_in_turn(request))
             if found is None:
                 break
             planned, scene = found
             if planned.failure is not None:
                 await self._save(planned, scene)
-                return await self._with_alternative(planned, planned.failure, scene)
+                explaining = with_nearest_goal(planned.failure, planned.problem, scene, self._pool)
+                return replace(planned, failure=await goal.unless_cancelled(explaining) or planned.failure)
             if not self._moved_since(planned.performed.start_rad, request.joints):
                 break
         if found is None or planned is None:
-            raise _preempted(f"{self._cancel_reason} while planning")
+            goal.check("while planning")
+            raise AssertionError("a plan is missing")
         return planned
 
     async def _plan_in_turn(self, request: PlannedMotion) -> tuple[PlannedSequence, Scene]:
@@ -342,12 +323,6 @@ class GoalExecutor:
                 self._in_progress.announce(request.joints, planned.end_rad)
             return planned, scene
 
-    async def _with_alternative(
-        self, planned: PlannedSequence, failure: PlanningFailure, scene: Scene
-    ) -> PlannedSequence:
-        added = await self._unless_cancelled(with_nearest_goal(failure, planned.problem, scene, self._pool))
-        return planned if added is None else replace(planned, failure=added)
-
     async def _save(self, planned: PlannedSequence, scene: Scene) -> None:
         problem, failure = planned.problem, planned.failure
         if self._failed_goals is None or failure is None or not isinstance(problem, PlanningProblem):
@@ -359,33 +334,32 @@ class GoalExecutor:
         """Show a plan when the arm has it: to write one down for viewers takes milliseconds."""
         asyncio.get_running_loop().call_soon(self._show, planned.performed)
 
-    async def _confirmed(self, planned: PlannedSequence, report: Callable[[Progress], None]) -> Answer | None:
+    async def _confirmed(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
         """Wait for the confirmation of a plan; return None when it is given, or the goal was cancelled."""
         if self._confirm is None:
             return None
-        report(Progress(GoalState.PLANNED, f"{planned.summary}; waits to be confirmed", 0.0, planned.duration_s))
-        answer = await self._unless_cancelled(self._confirm())
+        goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; waits to be confirmed", 0.0, planned.duration_s))
+        answer = await goal.unless_cancelled(self._confirm())
         return None if answer is None else replace(answer, performed=planned.performed)
 
-    async def _play(self, planned: PlannedSequence, version: int, report: Callable[[Progress], None]) -> Answer:
+    async def _play(self, goal: Goal, planned: PlannedSequence, version: int) -> Answer:
         """Play the motions one after the other."""
         motions = planned.performed.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
         self._end_rad = planned.end_rad
-        report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
+        goal.report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
         to_come_s = planned.duration_s
         for motion in motions:
             to_come_s -= motion.duration_s
             if motion.duration_s > 0.0 and answer.code is MoveItErrorCode.SUCCESS:
-                playing = self._play_one(motion, planned, version, _with_more_to_come(report, to_come_s))
-                answer = await _answered(playing)
+                answer = await _answered(self._play_one(goal, motion, planned, version, to_come_s))
         executed = self.recorder.finish(motions[0].joint_names if motions else ())
         message = "; ".join((answer.message, *planned.notes))
         return replace(answer, message=message, performed=replace(planned.performed, executed=executed))
 
     async def _play_one(
-        self, motion: Trajectory, planned: PlannedSequence, version: int, report: Callable[[Progress], None]
+        self, goal: Goal, motion: Trajectory, planned: PlannedSequence, version: int, to_come_s: float
     ) -> Answer:
         """Play one of the motions, as soon as it can touch no motion of another group."""
         joints = frozenset(motion.joint_names)
@@ -397,14 +371,14 @@ class GoalExecutor:
             checked = CheckedMotion(_group_of(self._robot, whole), whole, present_version, planned.summary)
             if whole is not motion or present_version != version or self._moved_since(assumed_rad, joints):
                 question = checked.question(0.0, self._expected_rad(joints))
-                await self._unless_cancelled(self._scene_monitor.check(functools.partial(tuple, (question,))))
-            in_the_way = await self._unless_cancelled(self._first_meeting(whole, beside))
-            self._check_not_cancelled("before the motion began")
+                await goal.unless_cancelled(self._scene_monitor.check(functools.partial(tuple, (question,))))
+            in_the_way = await goal.unless_cancelled(self._first_meeting(whole, beside))
+            goal.check("before the motion began")
             if in_the_way is not None:
-                report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
-                await self._unless_cancelled(_until_done(in_the_way.ended))
+                goal.report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
+                await goal.unless_cancelled(_until_done(in_the_way.ended))
             elif all(one in beside for one in self._in_progress.beside(joints)):
-                return await self._player.play(checked, report, self._questions(checked), self._epoch)
+                return await self._player.play(goal, checked, self._questions(checked), to_come_s=to_come_s)
 
     async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:
         """Return the first of some motions in progress that a motion may touch; None if there is none."""
@@ -431,7 +405,7 @@ class GoalExecutor:
 
         return questions
 
-    # Positions, and the end of the active goal.
+    # Positions.
 
     def _held_rad(self) -> dict[str, float]:
         """Return the positions that the arm holds, not those it droops to: a motion then starts without a step."""
@@ -451,23 +425,6 @@ class GoalExecutor:
         now_rad = self._expected_rad(joints)
         return any(abs(value - now_rad[name]) > START_TOLERANCE_RAD for name, value in before_rad.items())
 
-    def _check_not_cancelled(self, phase: str) -> None:
-        if self._cancel_reason:
-            raise _preempted(f"{self._cancel_reason} {phase}")
-
-    async def _unless_cancelled(self, work: Coroutine[Any, Any, Result]) -> Result | None:
-        """Wait for some work; return None when the goal is cancelled before or meanwhile."""
-        if self._cancel_reason:
-            work.close()
-            return None
-        self._work = asyncio.create_task(work, name="active goal")
-        try:
-            await asyncio.wait([self._work])
-        finally:
-            # Reached with the work still going on only when the server itself is being ended.
-            self._work.cancel()
-        return None if self._work.cancelled() else self._work.result()
-
 
 async def _answered(attempt: Awaitable[Answer]) -> Answer:
     """Return the answer of an attempt; a refusal on the way is the answer as well."""
@@ -481,21 +438,12 @@ async def _until_done(ended: asyncio.Future[MotionEnded]) -> None:
     await asyncio.wait([ended])
 
 
-def _with_more_to_come(report: Callable[[Progress], None], to_come_s: float) -> Callable[[Progress], None]:
-    """Return the report of one motion of a sequence, whose time left is that of the sequence."""
-    return lambda progress: report(replace(progress, remaining_s=progress.remaining_s + to_come_s))
-
-
 async def _in_time(work: Callable[[], Awaitable[Result]], limit_s: float) -> Result | None:
     """Return the result of some work, None when it takes longer than the limit [s]; it begins when this is awaited."""
     try:
         return await asyncio.wait_for(work(), limit_s)
     except TimeoutError:
         return None
-
-
-def _preempted(message: str) -> RefusedError:
-    return RefusedError(PlanningFailure(MoveItErrorCode.PREEMPTED, message))
 
 
 def _group_of(robot: RobotModel, motion: Trajectory) -> str:
@@ -513,11 +461,7 @@ class GoalExecutors:
         self.in_progress = MotionsInProgress()
         self._executors: dict[Joints, GoalExecutor] = {}
 
-    def joints_of(self, request: Motion) -> Joints:
-        """Return the joints that a motion moves."""
-        return request.joints
-
-    def runner(self, joints: Joints) -> GoalExecutor:
+    def executor(self, joints: Joints) -> GoalExecutor:
         """Return the executor of motions of some joints."""
         if joints not in self._executors:
             self._executors[joints] = self._kind(self._arm.part(joints), self._context, self.in_progress)
@@ -527,7 +471,7 @@ class GoalExecutors:
         """Return the stop epoch of the last stop of the arms that have some joints."""
         return self._arm.part(joints).last_stop
 
-    def stop(self, _reason: str, joints: Iterable[str] | None = None) -> None:
+    def stop(self, joints: Iterable[str] | None = None) -> None:
         """Stop the arms that have some joints, even when no goal is known, so that nothing keeps them moving."""
         stopped = self._arm if joints is None else self._arm.part(frozenset(joints))
         stopped.stop()

@@ -28,7 +28,9 @@ from robot.description.model import RobotModel
 from robot.messages import MotionProgress, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
-from server.execution.queue import Joints, Performed
+
+# Names of joints.
+Joints: TypeAlias = frozenset[str]
 
 # Position of every movable joint [rad].
 Positions: TypeAlias = Mapping[str, float]
@@ -75,6 +77,22 @@ class ExternalTrajectory:
 
 
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory
+
+
+@dataclass(frozen=True)
+class Performed:
+    """Motions planned and executed for a goal.
+
+    Attributes:
+        start_rad: position of every movable joint at the start of the first motion [rad].
+        executed: the path of the arm by its readings; None when it did not move.
+        planning_time_s: time spent on planning [s].
+    """
+
+    start_rad: Mapping[str, float]
+    planned: tuple[Trajectory, ...] = ()
+    executed: Trajectory | None = None
+    planning_time_s: float = 0.0
 
 
 class AskPlanner(Protocol):

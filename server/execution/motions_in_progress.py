@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from planners.problem import ConcurrencyQuestion
 from robot.messages import MotionEnded
 from robot.trajectory import Trajectory
-from server.execution.queue import Joints
+from server.execution.motions import Joints
 
 
 @dataclass(frozen=True)

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from planners.problem import MoveItErrorCode, PlanningFailure, RecheckQuestion
+from planners.problem import MoveItErrorCode, RecheckQuestion
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
 from robot.trajectory import Trajectory
+from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
 from server.execution.motions import HORIZON_S, SENDING_S, STATE_AGE_S, Positions, SplicePoint, splice_point_of
 from server.execution.motions_in_progress import MotionsInProgress
-from server.execution.queue import Answer, GoalState, Progress
 from server.execution.time_limits import ArmClock, ExecutionDeadline, TimeLimits
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.
@@ -103,56 +103,47 @@ class Player:
         self._motion: asyncio.Future[MotionEnded] | None = None
         self._began_s = self._began_by_arm_s = 0.0
         self._end: Answer | None = None
-        self._preempted: asyncio.Future[None] | None = None
         self.outgoing: OutgoingMotion | None = None
 
     async def play(
         self,
+        goal: Goal,
         motion: CheckedMotion,
-        report: Callable[[Progress], None],
         questions: Callable[[float], Questions],
-        epoch: int,
+        *,
         from_s: float | None = None,
+        to_come_s: float = 0.0,
     ) -> Answer:
-        """Play a motion to its end; every wait is bounded.
+        """Play a motion of a goal to its end; every wait is bounded.
+
+        Where the goal is cancelled the motion brakes along its path. Where another goal replaces it, the motion goes on
+        for a moment, and brakes unless the other motion has taken its place by then.
 
         Args:
-            report: called with its progress.
             questions: asks planners if the motion is free from a time of it on [s].
             from_s: time on the outgoing motion at which this one begins, to replace it [s]; None to begin at rest.
+            to_come_s: duration of the goal's motions after this one [s].
         """
         self._end = None
-        self._preempted = asyncio.get_running_loop().create_future()
         self._began_s, self._began_by_arm_s = self._clock(), self._arm.clock_s
-        if self.outgoing is None or from_s is None:
-            ended = self._arm.execute(motion.trajectory, epoch=epoch)
-        else:
-            ended = self._arm.execute(motion.trajectory, continues=(self.outgoing.ended, from_s), epoch=epoch)
+        outgoing = self.outgoing
+        continues = None if outgoing is None or from_s is None else (outgoing.ended, from_s)
+        ended = self._arm.execute(motion.trajectory, continues=continues, epoch=goal.epoch)
         self._motion = ended
         self._in_progress.add(motion.trajectory, ended)
         self._scene_monitor.start(
-            motion.scene_version, lambda: questions(self._played_s(motion, ended)), self._on_contact
+            motion.scene_version,
+            lambda: questions(self._played_s(motion, ended)),
+            lambda contact: self._brake(Answer.of(contact)),
         )
         try:
-            return await self._until_ended(ended, self._preempted, motion, report)
+            return await self._until_ended(goal, ended, motion, to_come_s)
         finally:
             self._scene_monitor.stop()
-            # The goal is over, and so is its motion, also after an error here; one that is handed over has its own end.
-            if not ended.done() and not self._handed_over:
+            # The goal is over, and so is its motion, also after an error here; an outgoing motion has its own end.
+            if not ended.done() and (self.outgoing is None or self.outgoing.ended is not ended):
                 self._arm.stop(ended)
             self._motion = None
-
-    def stop(self, reason: str) -> None:
-        """Brake the motion along its path; do nothing when there is none."""
-        self._brake(Answer(MoveItErrorCode.PREEMPTED, reason))
-        if self.outgoing is not None:
-            self._arm.stop(self.outgoing.ended)
-
-    def preempt(self, reason: str) -> None:
-        """End :meth:`play` but not the motion, which is braked unless another soon replaces it."""
-        if self._preempted is not None and not self._preempted.done() and self._end is None:
-            self._end = Answer(MoveItErrorCode.PREEMPTED, reason)
-            self._preempted.set_result(None)
 
     async def stop_outgoing(self) -> None:
         """Brake the outgoing motion, and wait for its end."""
@@ -160,9 +151,6 @@ class Player:
         if outgoing is not None and not outgoing.ended.done():
             self._arm.stop(outgoing.ended)
             await self._arm.wait((outgoing.ended,), BRAKING_TIMEOUT_S)
-
-    def _on_contact(self, contact: PlanningFailure) -> None:
-        self._brake(Answer.of(contact))
 
     def _brake(self, end: Answer) -> None:
         if self._motion is not None:
@@ -182,31 +170,27 @@ class Player:
         passed_s = min(self._clock() - self._began_s, self._arm.clock_s - self._began_by_arm_s)
         return passed_s < STATE_AGE_S
 
-    @property
-    def _handed_over(self) -> bool:
-        """True when the present motion is the outgoing one."""
-        return self.outgoing is not None and self.outgoing.ended is self._motion
-
     async def _until_ended(
-        self,
-        ended: asyncio.Future[MotionEnded],
-        preempted: asyncio.Future[None],
-        motion: CheckedMotion,
-        report: Callable[[Progress], None],
+        self, goal: Goal, ended: asyncio.Future[MotionEnded], motion: CheckedMotion, to_come_s: float
     ) -> Answer:
         deadline = ExecutionDeadline(motion.trajectory.duration_s, self._time_limits)
         arm_clock = ArmClock(self._arm, self._clock)
-        ends: tuple[asyncio.Future[Any], ...] = (ended, preempted)
+        awaited: tuple[asyncio.Future[Any], ...] = (ended, goal.cancelled)
         while not ended.done() and deadline.exceeded is None:
-            await asyncio.wait(ends, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
-            if preempted.done() and not ended.done():
-                return self._hand_over(motion, ended)
+            await asyncio.wait(awaited, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
+            if goal.reason and not ended.done():
+                if goal.replaced and self._end is None:
+                    return self._hand_over(goal, motion, ended)
+                if len(awaited) > 1:
+                    self._brake(Answer(MoveItErrorCode.PREEMPTED, goal.reason))
+                    awaited = (ended,)
             progress, pace = self._arm.progress(ended), self._arm.state.pace
             # A motion that the speed limit slows down uses its time up as slowly.
             pace = pace if progress is None else replace(pace, speed_factor=min(pace.speed_factor, progress.rate))
             deadline.pass_time(arm_clock.elapsed_s(), pace)
             if not ended.done() and progress is not None:
-                report(Progress(GoalState.EXECUTING, motion.summary, progress.fraction, progress.remaining_s))
+                left_s = progress.remaining_s + to_come_s
+                goal.report(Progress(GoalState.EXECUTING, motion.summary, progress.fraction, left_s))
         if not ended.done():
             lag = _greatest_lag(self._arm.state, motion.trajectory.joint_names, self._robot)
             self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{deadline.exceeded}; {lag}"))
@@ -215,15 +199,13 @@ class Player:
             return Answer(CODE_OF_OUTCOME[Outcome.PROCESS_LOST], f"{deadline.exceeded}, and does not brake either")
         return self._answer(ended.result())
 
-    def _hand_over(self, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
-        if self._end is None:
-            raise AssertionError("a motion is preempted without a reason")
+    def _hand_over(self, goal: Goal, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
         progress = None if self._just_begun else self._arm.progress(ended)
         point = splice_point_of(motion.trajectory, progress, self._arm.state.pace, self._arm.state_age_s)
         self.outgoing = OutgoingMotion(motion, ended, point, self._clock() + HORIZON_S - SENDING_S)
         # Braked then, whatever becomes of the other motion; one that has been replaced by then is not concerned.
         asyncio.get_running_loop().call_later(HORIZON_S, self._arm.stop, ended)
-        return self._end
+        return Answer(MoveItErrorCode.PREEMPTED, goal.reason)
 
     def _answer(self, ended: MotionEnded) -> Answer:
         if ended.outcome is not Outcome.STOPPED:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import time
 from collections.abc import Sequence
@@ -20,9 +19,10 @@ from server.arm.arms import ServedArm
 from server.config import Settings
 from server.execution.executor import ExecutionContext, GoalExecutors
 from server.execution.failures import FailedGoals
+from server.execution.goal import Answer, Goal, Progress
 from server.execution.monitors import CurrentState
-from server.execution.motions import Motion, Positions
-from server.execution.queue import Answer, GoalQueue, Progress, QueuedGoal, RunningGoal
+from server.execution.motions import Positions
+from server.execution.queue import GoalQueue, RunningGoal
 from server.execution.time_limits import TimeLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
@@ -44,10 +44,10 @@ from server.rosapi import RosApi
 class GoalListener(Protocol):
     """Feature that takes the news of goals."""
 
-    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
         """Take the progress of a goal."""
 
-    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         """Take the answer to a goal."""
 
 
@@ -75,7 +75,7 @@ class Goals:
             self.confirmation.wait,
         )
         self.executors = GoalExecutors(arm, execution)
-        self.queue: GoalQueue[Motion] = GoalQueue(
+        self.queue: GoalQueue = GoalQueue(
             self.executors, goals.policy, goals.capacity, self._on_progress, self._on_answer
         )
         file = NamedStatesFile(goals.named_states_file or default_path("named_states", robot, os.environ))
@@ -84,11 +84,11 @@ class Goals:
         self.counters = GoalCounters()
         self.listeners: list[GoalListener] = []
 
-    def _on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def _on_progress(self, goal: Goal, progress: Progress) -> None:
         for listener in self.listeners:
             listener.on_progress(goal, progress)
 
-    def _on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def _on_answer(self, goal: Goal, answer: Answer) -> None:
         self.counters.count(goal.source, answer)
         for listener in self.listeners:
             listener.on_answer(goal, answer)
@@ -159,24 +159,19 @@ class ArmContext:
         """End the goals that move the arm, the active one and all that wait, and every motion of it."""
         self.goals.queue.stop(reason, self.only_joints)
 
-    def go_to(self, positions_rad: Positions, scaling: float) -> tuple[str, asyncio.Future[Answer]]:
+    def go_to(self, positions_rad: Positions, scaling: float) -> Goal:
         """Queue a goal for joints of the arm.
 
         Args:
             positions_rad: joint -> position [rad].
             scaling: share of the velocity and acceleration limits.
 
-        Returns:
-            Its number, and its answer to come.
-
         Raises:
             RefusedError: there is no such joint.
         """
         message = {"name": list(positions_rad), "position": list(positions_rad.values())}
         motion = self.translator.joints(message, GoalOptions(None, scaling, scaling))
-        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-        number = self.goals.queue.submit("the server", motion, on_answer=answered.set_result, message=message)
-        return number, answered
+        return self.goals.queue.submit("the server", motion, message=message)
 
 
 @dataclass(frozen=True, eq=False)

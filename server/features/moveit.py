@@ -12,8 +12,7 @@ from planners.servo.question import ACCELERATION_SHARE, APPROACH_PER_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
-from server.execution.motions import Motion
-from server.execution.queue import Answer, Progress, QueuedGoal
+from server.execution.goal import Answer, Goal, Progress
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
 from server.moveit.actions.goal_calls import GoalCalls
@@ -41,6 +40,8 @@ from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
 from server.moveit.scene.saved_scene import SavedScene, SceneFile
 from server.moveit.services.move_group_services import offer_services
+from server.moveit.services.transform_republisher import ACTION as REPUBLISHER_ACTION
+from server.moveit.services.transform_republisher import TransformRepublisher
 from server.moveit.servo.servo_node import ServoNode
 from server.timers import call_later
 
@@ -93,6 +94,7 @@ class MoveGroup(Feature):
         self._graph, self._planning, self._confirmation = graph, planning, goals.confirmation
         self._description = RobotDescription(graph, robot, context.rosapi.parameters.keep)
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
+        self._republisher = TransformRepublisher(graph, planning.frames)
         self._named_states = NamedStatesServices(graph, robot, goals.named_states, planning.current)
         reports, translator = GoalReports(robot, moveit), context.whole.translator
         self._checks = GoalChecks(graph, reports, translator, planning.current, planning.pool, planning.scene_state)
@@ -111,6 +113,7 @@ class MoveGroup(Feature):
     def on_state(self, arm: str, state: ArmState) -> None:
         if not arm:
             self._transforms.take_state(state)
+            self._republisher.take_state(state)
 
 
 class GoalRecords(Feature):
@@ -127,11 +130,11 @@ class GoalRecords(Feature):
     async def start(self) -> None:
         self._history.open()
 
-    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
         """Note in which scene the goal is planned."""
         self._history.take_progress(goal, progress)
 
-    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         """Keep the record, and show the contacts."""
         self._display.contacts_of(answer.details)
         self._history.take_answer(goal, answer, final_status(goal, answer, self._robot))
@@ -145,7 +148,7 @@ class ArmGoals(Feature):
     def __init__(self, context: ServerContext) -> None:
         self._goals_of = {arm.name: _GoalsOfArm(arm) for arm in context.arms}
         actions = (action for each in self._goals_of.values() for action in each.actions)
-        self._actions = (*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, *actions)
+        self._actions = (*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, REPUBLISHER_ACTION, *actions)
         self._actionlib = ActionlibBridge(context.graph, time.monotonic, call_later)
 
     async def start(self) -> None:
@@ -194,16 +197,16 @@ class _GoalsOfArm:
         for publisher in self._controller_states:
             publisher.take_state(state)
 
-    def on_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
         if self._is_here(goal):
             self._status.publish_progress(goal, progress)
 
-    def on_answer(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         if self._is_here(goal):
             # All goals are logged once, as goals of the whole.
             self._status.publish_answer(goal, answer, logged=bool(self._arm.name))
 
-    def _is_here(self, goal: QueuedGoal[Motion]) -> bool:
+    def _is_here(self, goal: Goal) -> bool:
         """Return True for a goal that moves the arm, or was sent to it and refused."""
         arm = self._arm
         return not arm.name or bool(goal.joints & arm.joints) or goal.source.startswith(arm.graph.resolve("/"))

@@ -24,8 +24,8 @@ from server.arrival import arrival_epoch
 from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.monitors import CurrentState
-from server.execution.motions import Motion, PlannedMotion, Positions
-from server.execution.queue import Answer, GoalPolicy, GoalQueue
+from server.execution.motions import PlannedMotion, Positions
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import SWITCHING
@@ -156,18 +156,11 @@ class Parking:
 
     async def _park(self, source: str, pose: RestPose, epoch: int) -> CommandDone:
         joints = frozenset(self._robot.groups[pose.group].joints)
-        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-
-        def take(answer: Answer) -> None:
-            if not answered.done():
-                answered.set_result(answer)
-
         # Motions outside the queue, as of the gripper, end too before the way is planned.
         await self._arm.rest(REST_TIMEOUT_S)
         motion = PlannedMotion((self._problem,), joints)
-        self._queue.submit(source, motion, policy=GoalPolicy.QUEUE, on_answer=take, epoch=epoch)
-        # The queue answers every goal.
-        answer = await answered
+        goal = self._queue.submit(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch)
+        answer = await goal.answered
         if answer.code is not MoveItErrorCode.SUCCESS:
             log.warning("%s: the arm is not parked: %s", source, answer.message)
             return CommandDone(0, done=False, message=f"the arm is not parked: {answer.message}")
@@ -294,7 +287,7 @@ class LastClient:
         arm: Arm,
         settings: ArmSettings,
         drivers: Collection[object],
-        queue: GoalQueue[Motion],
+        queue: GoalQueue,
         parking: Parking,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:

@@ -1,6 +1,6 @@
 """Topics of each action, as ROS 2 has them: ``<action>/_action/status`` and ``<action>/_action/feedback``.
 
-The node that offers the action publishes them. The status topic is latched; it tells of goals that are worked on, and
+The node that offers the action publishes them. The status topic is latched; it has the goals that are worked on, and
 of ended ones for a while (rcl_action, action_server.c). Feedback is published while somebody listens.
 """
 
@@ -27,16 +27,16 @@ STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 # action_msgs/GoalStatus, of goals that have not ended.
 EXECUTING, CANCELING = 2, 3
 
-# rcl_action's default result_timeout: for so long an ended goal is still told.
+# rcl_action's default result_timeout: time for which the status of an ended goal is still published [s].
 ENDED_KEPT_S = 10.0
 
-# Far more than anybody waits for; of more goals the newest are told, so that a flood of goals costs little each.
-MAX_TOLD = 100
+# Far more than anybody waits for; of more goals the newest are published, so that a flood of goals costs little each.
+MAX_PUBLISHED = 100
 
 
 @dataclass(slots=True)
-class _Told:
-    """A goal as the status topic tells it.
+class _TrackedStatus:
+    """A goal on the status topic.
 
     Attributes:
         ended_s: when it ended [s], None while it has not.
@@ -54,11 +54,11 @@ class ActionTopics:
         self._topics = topics
         self._clock = clock
         # By action, the oldest goal first.
-        self._told: dict[str, dict[Goal, _Told]] = {}
+        self._goals: dict[str, dict[Goal, _TrackedStatus]] = {}
 
     def open(self, node: Node, action: str, type_name: str) -> None:
         """Advertise the topics of an action that is offered from now on."""
-        self._told[action] = {}
+        self._goals[action] = {}
         feedback_type = f"{type_name}_FeedbackMessage"
         try:
             self._topics.advertise(node, action + STATUS, STATUS_TYPE, latch=True)
@@ -71,7 +71,7 @@ class ActionTopics:
 
     def close(self, node: Node, action: str) -> None:
         """Withdraw the topics of an action whose goals have all ended."""
-        self._told.pop(action, None)
+        self._goals.pop(action, None)
         self._topics.unadvertise(node, action + STATUS)
         self._topics.unadvertise(node, action + FEEDBACK)
 
@@ -79,11 +79,11 @@ class ActionTopics:
         """Tell of a goal that its provider is just getting, until it ends."""
         goal_id = {"uuid": b64encode(goal.goal_id).decode()}
         stamp = self._topics.message_types.now().as_message()
-        told = _Told({"goal_id": goal_id, "stamp": stamp})
-        self._told[goal.action][goal] = told
+        tracked = _TrackedStatus({"goal_id": goal_id, "stamp": stamp})
+        self._goals[goal.action][goal] = tracked
 
         def tell(status: int, ended_s: float | None = None) -> None:
-            told.status, told.ended_s = status, ended_s
+            tracked.status, tracked.ended_s = status, ended_s
             self._publish_status(node, goal.action)
 
         def tell_feedback(values: Mapping[str, Any]) -> None:
@@ -94,7 +94,7 @@ class ActionTopics:
         def tell_end(status: int) -> None:
             if status == GoalStatus.UNKNOWN:
                 # Never taken on, which in ROS has no status.
-                self._told.get(goal.action, {}).pop(goal, None)
+                self._goals.get(goal.action, {}).pop(goal, None)
             tell(status, self._clock())
 
         tell(EXECUTING)
@@ -103,11 +103,11 @@ class ActionTopics:
         goal.when_ended(lambda result: tell_end(int(result.status)))
 
     def _publish_status(self, node: Node, action: str) -> None:
-        told = self._told.get(action)
-        if told is None or not self._is_open(node, action + STATUS, STATUS_TYPE):
+        goals = self._goals.get(action)
+        if goals is None or not self._is_open(node, action + STATUS, STATUS_TYPE):
             return
-        self._forget_ended(told)
-        newest = list(told.values())[-MAX_TOLD:]
+        self._forget_ended(goals)
+        newest = list(goals.values())[-MAX_PUBLISHED:]
         statuses = [{"goal_info": each.goal_info, "status": each.status} for each in newest]
         self._topics.publish(node, action + STATUS, {"status_list": statuses}, as_it_is=True)
 
@@ -115,9 +115,9 @@ class ActionTopics:
         """Return True for a topic of the node's action; a client that offers one may have made its own of this name."""
         return self._topics.topic_type(topic) == type_name and node in self._topics.publishers(topic)
 
-    def _forget_ended(self, told: dict[Goal, _Told]) -> None:
+    def _forget_ended(self, goals: dict[Goal, _TrackedStatus]) -> None:
         """Drop the goals that ended long ago, and the first of too many."""
-        ended = {goal: each.ended_s for goal, each in told.items() if each.ended_s is not None}
+        ended = {goal: each.ended_s for goal, each in goals.items() if each.ended_s is not None}
         for place, (goal, ended_s) in enumerate(ended.items()):
-            if ended_s <= self._clock() - ENDED_KEPT_S or place < len(ended) - MAX_TOLD:
-                del told[goal]
+            if ended_s <= self._clock() - ENDED_KEPT_S or place < len(ended) - MAX_PUBLISHED:
+                del goals[goal]

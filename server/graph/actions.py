@@ -101,7 +101,7 @@ class Goal(PendingRequest[Result]):
         """End the goal with a result message; what it leaves out gets its default.
 
         Raises:
-            MessageError: the values do not fit the action's type; the sender has been told that the goal failed.
+            MessageError: the values do not fit the action's type; the goal has failed, and its sender knows.
         """
         try:
             completed = self._message_types.complete(f"{self.type_name}_Result", values)
@@ -157,6 +157,7 @@ class ActionProvider(Provider):
 
     start: Callable[[Goal], None]
     check_lists: CheckLists | None = None
+    max_goal_s: float = MAX_GOAL_S
     goals: dict[str, Goal] = field(default_factory=dict)
 
 
@@ -188,13 +189,15 @@ class Actions(Providers[ActionProvider]):
         limits: ListLimits | None = None,
         *,
         rule: Rule | None = None,
+        max_goal_s: float = MAX_GOAL_S,
     ) -> None:
         """Offer an action; a client takes the place of a client that offered it before.
 
         Args:
             start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
-                `Goal.when_canceled` tells when somebody wants it ended, `Goal.when_ended` when it has ended.
-            rule: requirements of the senders of goals; None for those of a client's action.
+                `Goal.when_canceled` calls back when somebody wants it ended, `Goal.when_ended` when it has ended.
+            rule: requirements of the senders of goals; None for the rule of a client's action.
+            max_goal_s: time after which a goal fails [s].
 
         Raises:
             GraphError: the type is unknown, or the name is taken by a part of the server.
@@ -204,7 +207,7 @@ class Actions(Providers[ActionProvider]):
         if limits is not None:
             check_lists = limits.check(self._message_types.registry, f"{canonical}_Goal")
             self._message_types.compile_later(*(f"{canonical}_{part}" for part in ("Goal", "Feedback", "Result")))
-        offer = ActionProvider(node, name, canonical, start, check_lists)
+        offer = ActionProvider(node, name, canonical, start, check_lists, max_goal_s)
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
@@ -213,7 +216,7 @@ class Actions(Providers[ActionProvider]):
             self._topics.open(node, name, canonical)
 
     def remove(self, node: Node) -> None:
-        """Forget a node that has left: its actions end; goals that it has sent are not told any more.
+        """Forget a node that has left: its actions end; it hears no more of goals that it has sent.
 
         They go on, as in ROS, unless the node takes them along.
         """
@@ -271,7 +274,8 @@ class Actions(Providers[ActionProvider]):
         goal_id = b64encode(goal.goal_id).decode()
         offer.goals[goal_id] = goal
         self._sent.add(goal.sender, goal)
-        timer = self._call_later(MAX_GOAL_S, lambda: goal.fail(f"Action {goal.action} took more than {MAX_GOAL_S:g} s"))
+        limit_s = offer.max_goal_s
+        timer = self._call_later(limit_s, lambda: goal.fail(f"Action {goal.action} took more than {limit_s:g} s"))
 
         def forget(_result: Result) -> None:
             timer.cancel()

@@ -50,14 +50,14 @@ class TypedNames:
     """Names in use of one kind, such as topics, each with its type.
 
     Attributes:
-        revision: number of changes; what is made of the names holds for as long as it stays the same.
+        revision: number of changes; lists made of the names are valid for as long as it stays the same.
     """
 
     def __init__(self) -> None:
         self.revision = 0
         # By dialect, name and spelling of the type in that dialect.
         self._types: dict[Dialect, dict[str, str]] = {"ros2": {}, "ros1": {}}
-        # Every spelling of a type can be converted to that of ROS 1.
+        # Every spelling of a type can be converted to ROS 1's.
         self._by_type: Index[str, str] = Index()
 
     def __len__(self) -> int:

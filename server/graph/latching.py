@@ -156,7 +156,7 @@ class LatchedMessages:
         self._give_up_recent(now)
 
     def _give_up_recent(self, now: float) -> None:
-        """Drop what is too old; over the limit, the oldest message of the topic that has been quiet for longest."""
+        """Drop old messages; over the limit, the oldest message of the topic that has been quiet for longest."""
         self._next_look_s = now + GIVE_UP_EVERY_S
         while self._recent:
             topic, recent = next(iter(self._recent.items()))

@@ -42,7 +42,7 @@ class ListLimits:
 
         def check(message: object) -> None:
             value = message.value if isinstance(message, ReceivedMessage) else message
-            # One that was completed in the background comes again.
+            # A message that was completed in the background comes again.
             if isinstance(message, ReceivedMessage) and message.checked:
                 return
             by_name = dict(zip(names, value, strict=False)) if isinstance(value, list) else value
@@ -55,7 +55,7 @@ class ListLimits:
 
 @dataclass(frozen=True, eq=False)
 class _Member:
-    """A field with lists in it, or one that is a list itself.
+    """A field that is a list, or has lists in it.
 
     Attributes:
         max_elements: limit of a list; None if only its values are counted.

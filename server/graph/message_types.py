@@ -23,8 +23,8 @@ VALUES_AT_ONCE = 4_000
 BYTES_AT_ONCE = 32_768
 ROS1_BYTES_AT_ONCE = 8_192
 
-# An element of a list may be sent as `{}` and stand for hundreds of values. A message may have so many, and one for
-# each byte that came.
+# An element of a list may be sent as `{}` and stand for hundreds of values. A message may have this
+# number, and one more for each byte that came.
 FREE_VALUES = 20_000
 
 
@@ -95,7 +95,7 @@ class PostponedError(Exception):
 
 
 class MessageTypes:
-    """Types and messages, of whoever publishes or calls."""
+    """Types and messages of publishers and callers."""
 
     def __init__(
         self,
@@ -217,5 +217,5 @@ class MessageTypes:
             names = [field.name for field in self.registry.message(type_name).fields]
         except InterfaceError:
             raise MessageError(f"{type_name} as an object", describe(arguments)) from None
-        # rosbridge_library drops what is beyond the fields, and so do callers who rely on it.
+        # rosbridge_library drops arguments beyond the fields, and callers rely on it.
         return dict(zip(names, arguments, strict=False))

@@ -31,7 +31,7 @@ class Node:
 
     @property
     def only_looks(self) -> bool:
-        """True for a client that may only look, and for one that has yet to say who it is."""
+        """True for a client that may only look, and for a client without an identity yet."""
         return self.identity is None or self.identity.role < Role.OPERATE
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ from fnmatch import translate
 
 
 class Role(IntEnum):
-    """Rights of a client; each role has those of the ones before it.
+    """Rights of a client; each role includes the roles before it.
 
     VIEW reads, plans and stops; OPERATE moves the arm and changes the scene; ADMIN configures.
     """

@@ -41,7 +41,9 @@ class PendingRequest(Generic[End]):
         for callback in self._when_ended:
             try:
                 callback(end)
-            except Exception:  # whoever hears of it first must not keep it from the others, of whom one stops the arm
+            except (
+                Exception
+            ):  # an error of one listener must not keep the end from the others, of which one stops the arm
                 log.exception("the end of a request could not be told to everybody")
 
 
@@ -81,7 +83,7 @@ class Providers(Generic[AnyProvider]):
 
     @property
     def revision(self) -> int:
-        """Number of changes in what is offered."""
+        """Number of changes of the offers."""
         return self.names.revision
 
     def types(self) -> dict[str, str]:
@@ -89,7 +91,7 @@ class Providers(Generic[AnyProvider]):
         return self.names.types()
 
     def type_of(self, name: str) -> str | None:
-        """Return the canonical type of what is offered under a name; None when nothing is."""
+        """Return the canonical type of the offer under a name; None without one."""
         return self.names.type_of(name)
 
     def provider(self, name: str) -> Node | None:

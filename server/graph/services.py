@@ -83,7 +83,7 @@ class Call(PendingRequest[Response]):
             reason: as in `Response`.
 
         Raises:
-            MessageError: the values do not fit the service's type; the caller has been told that the call failed.
+            MessageError: the values do not fit the service's type; the call has failed, and its caller knows.
         """
         try:
             completed = self._message_types.complete(f"{self.type_name}_Response", values)
@@ -95,7 +95,7 @@ class Call(PendingRequest[Response]):
     def succeed_as_it_is(self, response: Mapping[str, Any], reason: str = "") -> None:
         """Answer with a response message that is complete and valid already.
 
-        For a large one of the server's own, of which most has been told before. Nobody may change it from here on.
+        For a large response of the server's own, most of which has been sent before. Nobody may change it from here on.
         """
         self._end(Response(ok=True, values=response, reason=reason))
 
@@ -190,7 +190,7 @@ class Services(Providers[ServiceProvider]):
         Args:
             function: gets the complete request and returns the response, at once or when awaited. It raises
                 ServiceError with the reason when it cannot.
-            rule: requirements of its callers; None for those of a client's service.
+            rule: requirements of its callers; None for the rule of a client's service.
 
         Raises:
             GraphError: the type is unknown, or the name is taken by another part of the server.

@@ -40,7 +40,7 @@ log = logging.getLogger("armbridge.graph")
 # Far more than any robot has; keeps a client that invents topics from growing the server.
 MAX_TOPICS = 10_000
 
-# Clients that may only look make topics when they subscribe to what is not there yet. They cannot fill the table, or
+# Clients that may only look make topics when they subscribe to new names. They cannot fill the table, or
 # others could make none.
 MAX_TOPICS_FOR_VIEWERS = MAX_TOPICS // 2
 
@@ -53,7 +53,7 @@ MAX_TOPICS_OF_PUBLISHER = 2_000
 LIKENESS = 0.8
 MAX_COMPARED_CHARACTERS = 100
 
-# A comparison takes up to a millisecond, twenty times as long as to refuse an operation: so many at once, and so many
+# A comparison takes up to a millisecond, twenty times as long as to refuse an operation: a number at once, and a number
 # in a second in the long run, for all clients together.
 COMPARISONS_AT_ONCE = 20
 COMPARISONS_PER_S = 2.0
@@ -78,8 +78,8 @@ class Subscriber:
         refused: called with the error when somebody publishes what the topic's type does not allow.
         turned_away: called with a message, empty when it cannot be read, whose sender may not publish it, with the
             sender, and with a sentence that says why.
-        check_lists: checks the lists of a message before it is completed, whoever publishes it; None for any.
-        rule: requirements of publishing, where a part of the server subscribes; None for those of a client's topic.
+        check_lists: checks the lists of a message of any publisher before it is completed; None for any lists.
+        rule: requirements of publishing, where a part of the server subscribes; None for the rule of a client's topic.
     """
 
     deliver: Callable[[PublishedMessage], None]
@@ -107,7 +107,7 @@ class Topic:
         return bool(self.publishers or self.subscribers)
 
     def keeps(self, node: Node) -> bool:
-        """Tell whether the node's messages are latched; a client's do not replace those of the server itself."""
+        """Return True if the node's messages are latched; a client's do not replace the server's."""
         return node in self.latching and (not node.remote or all(each.remote for each in self.latching))
 
 
@@ -115,7 +115,7 @@ class Graph:
     """All topics, services and actions.
 
     Args:
-        unregister_timeout_s: for how long a topic that nobody uses keeps its type, and what is latched there [s].
+        unregister_timeout_s: time for which a topic that nobody uses keeps its type and its latched message [s].
 
     Attributes:
         rules: rules of publishing on the topics that local parts subscribe to, by name.
@@ -141,7 +141,7 @@ class Graph:
         self._unregister_timeout_s = unregister_timeout_s
         self.topic_names = TypedNames()
         self._topics: dict[str, Topic] = {}
-        # Those that nobody uses, the one that has been unused for longest first.
+        # Topics that nobody uses, the longest unused first.
         self._unused: OrderedDict[str, Topic] = OrderedDict()
         self._publications: Index[Node, str] = Index()
         self._subscriptions: Index[Node, str] = Index()
@@ -240,7 +240,7 @@ class Graph:
             last_latching = topic.latching == {node}
             topic.latching.discard(node)
             if last_latching:
-                # As the type, what is latched outlives a socket that is only closed to be opened anew.
+                # Type and latched message outlive a socket that is closed only to be opened again.
                 self._latched_messages.unlatch_at(name, self._clock() + self._unregister_timeout_s)
             self._left(topic)
 
@@ -301,7 +301,7 @@ class Graph:
 
         Raises:
             GraphError: nobody has said what type the topic has, or the client publishes on too many.
-            MessageError: the message does not fit the type; the topic's local subscribers are told as well.
+            MessageError: the message does not fit the type; the topic's local subscribers get the error as well.
         """
         topic = self._topic(name)
         if node.remote and node not in topic.publishers:
@@ -335,7 +335,7 @@ class Graph:
     def strict_reader(self, node: Node, name: str) -> PublicationReader | None:
         """Return what reads a node's frames on a topic for :meth:`relay`; None where they take the general way.
 
-        What is returned holds until the `revision` changes; what is latched takes the general way.
+        The function is valid until the `revision` changes; latched messages take the general way.
         """
         topic = self._topics.get(name)
         if topic is None or node not in topic.publishers or topic.latching:
@@ -403,7 +403,7 @@ class Graph:
     def latch(self, name: str, message: object, *, as_it_is: bool = False) -> None:
         """Keep a message for who subscribes later, and deliver it to nobody now.
 
-        For topics that tell those who listen of changes alone; otherwise latch what is published.
+        For topics on which subscribers get changes alone; otherwise latch the published message.
         """
         topic, received = self._topic(name), self.message_types.now()
         completed: Any = message if as_it_is else self.message_types.complete(topic.type_name, message, received)

@@ -13,12 +13,13 @@ import json
 import logging
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from enum import Enum
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,6 @@ from numpy.typing import NDArray
 from robot.files import FileSeries
 from robot.messages import ArmHealth, ArmState, Mode
 from server.monitoring.log_ring import LogRing
-from server.monitoring.sample_ring import SampleRing
 
 log = logging.getLogger("armbridge.monitoring")
 
@@ -34,12 +34,12 @@ PREFIX = "fault-"
 
 WINDOW_S = 60.0
 
-# The minute at this rate, and its last seconds at that of the states, of which there are 100 a second at most.
+# The minute at this rate, and its last seconds at the rate of the states, which come 100 times a second at most.
 SLOW_PERIOD_S = 0.1
 SLOW_SAMPLES = round(WINDOW_S / SLOW_PERIOD_S)
 FAST_SAMPLES = 500
 
-# A client that causes and resets faults without end must not wear out a memory card; the next file tells of this one.
+# A client that causes and resets faults without end must not wear out a memory card; the next file logs this fault.
 LEAST_INTERVAL_S = 10.0
 
 # A disk that takes longer keeps the file to itself.
@@ -49,16 +49,8 @@ WRITING_TIMEOUT_S = 5.0
 _QUANTITIES = ("position_rad", "goal_rad", "load", "current_a")
 
 
-class Samples(NamedTuple):
-    """States of the joints.
-
-    Attributes:
-        time_s: shape (samples,) [s], negative before the fault.
-        values: shape (samples, quantities, joints).
-    """
-
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
+# Time [s], and the quantities of all joints, shape (quantities, joints).
+Sample = tuple[float, NDArray[np.float64]]
 
 
 class StateTrace:
@@ -66,36 +58,30 @@ class StateTrace:
 
     def __init__(self) -> None:
         self._names: tuple[str, ...] = ()
-        self._clear(())
-
-    def _clear(self, names: tuple[str, ...]) -> None:
-        columns = len(_QUANTITIES) * len(names)
-        self._names = names
-        self._slow, self._fast = SampleRing(SLOW_SAMPLES, columns), SampleRing(FAST_SAMPLES, columns)
-        self._slow_s = -np.inf
+        self._slow: deque[Sample] = deque(maxlen=SLOW_SAMPLES)
+        self._fast: deque[Sample] = deque(maxlen=FAST_SAMPLES)
 
     def add(self, state: ArmState) -> None:
         """Keep a state; one without positions has nothing to keep."""
         arrays = (state.position_rad, state.goal_rad, state.load, state.current_a)
-        present = [array for array in arrays if array is not None]
-        if len(present) < len(arrays):
+        if len(present := [array for array in arrays if array is not None]) < len(arrays):
             return
         if state.joint_names != self._names:
-            self._clear(state.joint_names)
-        values, at_s = np.concatenate(present), state.clock_s
-        self._fast.add(at_s, values)
+            self._names = state.joint_names
+            self._slow.clear()
+            self._fast.clear()
+        sample = state.clock_s, np.array(present)
+        self._fast.append(sample)
         # The clock of a process that has started again may be behind.
-        if not 0.0 <= at_s - self._slow_s < SLOW_PERIOD_S:
-            self._slow_s = at_s
-            self._slow.add(at_s, values)
+        if not self._slow or not 0.0 <= state.clock_s - self._slow[-1][0] < SLOW_PERIOD_S:
+            self._slow.append(sample)
 
-    def minute(self, end_s: float) -> Samples:
-        """Return the samples of the minute before a time of the arm's clock [s], oldest first."""
-        fast_s, fast = self._fast.since(end_s - WINDOW_S)
-        slow_s, slow = self._slow.since(end_s - WINDOW_S)
-        before = slow_s < fast_s[0] if len(fast_s) else np.ones(len(slow_s), dtype=bool)
-        times_s, values = np.concatenate((slow_s[before], fast_s)), np.concatenate((slow[before], fast))
-        return Samples(times_s - end_s, values.reshape(len(times_s), len(_QUANTITIES), len(self._names)))
+    def minute(self, end_s: float) -> list[Sample]:
+        """Return the samples of the minute before a time of the arm's clock [s], oldest first, with the time to it."""
+        fast = [sample for sample in self._fast if sample[0] >= end_s - WINDOW_S]
+        fast_from_s = fast[0][0] if fast else math.inf
+        slow = [sample for sample in self._slow if end_s - WINDOW_S <= sample[0] < fast_from_s]
+        return [(at_s - end_s, values) for at_s, values in slow + fast]
 
 
 class FaultFiles:
@@ -133,7 +119,7 @@ class FaultFiles:
         self._health = health
 
     def take_state(self, state: ArmState) -> None:
-        """Keep a state; begin to write a file when it tells of a new fault."""
+        """Keep a state; begin to write a file when it has a new fault."""
         if self._files is None:
             return
         before, self._state = self._state, state
@@ -166,7 +152,7 @@ class FaultFiles:
 
         # In a thread, as it takes some milliseconds.
         def content(_stem: str) -> bytes:
-            lines = itertools.chain(map(_plain, head), _state_lines(samples))
+            lines = map(_plain, itertools.chain(head, map(_state_line, samples)))
             return "".join(f"{json.dumps(line, allow_nan=False)}\n" for line in lines).encode()
 
         try:
@@ -197,11 +183,10 @@ class FaultFiles:
             yield {"kind": "log", **fields, "process": line.process, "logger": line.logger, "text": line.text}
 
 
-def _state_lines(samples: Samples) -> Iterator[dict[str, Any]]:
-    measured = samples.values.round(4).astype(object)
-    measured[np.isnan(samples.values)] = None
-    for at_s, values in zip(samples.time_s.round(3).tolist(), measured.tolist(), strict=True):
-        yield {"kind": "state", "time_s": at_s, **dict(zip(_QUANTITIES, values, strict=True))}
+def _state_line(sample: Sample) -> dict[str, Any]:
+    at_s, values = sample
+    quantities = zip(_QUANTITIES, values.round(4).tolist(), strict=True)
+    return {"kind": "state", "time_s": round(at_s, 3), **dict(quantities)}
 
 
 def _plain(value: Any) -> Any:

@@ -8,7 +8,7 @@ from prometheus_client import Counter, Histogram
 from prometheus_client.core import Metric
 from prometheus_client.registry import Collector
 
-from server.execution.queue import Answer
+from server.execution.goal import Answer
 
 # Upper bounds of buckets [s]. A goal with many constraints takes seconds to plan; most take milliseconds.
 PLANNING_TIME_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)

@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from robot.messages import ArmHealth, Mode
 from server.gateway.connection import Traffic
@@ -39,7 +39,7 @@ class Sources:
     traffic: Traffic | None = None
     refused_connections: Callable[[], Mapping[str, int]] | None = None
     goal_counters: GoalCounters | None = None
-    queue: GoalQueue[Any] | None = None
+    queue: GoalQueue | None = None
     arm: AnyArm | None = None
     arm_health: ArmHealth | None = None
     planners: Planners | None = None

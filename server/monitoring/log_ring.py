@@ -1,4 +1,4 @@
-"""The last lines of the log of all processes, and the service ``/armbridge/last_log_lines`` that tells them."""
+"""The last lines of the log of all processes, and the service ``/armbridge/last_log_lines`` that returns them."""
 
 from __future__ import annotations
 

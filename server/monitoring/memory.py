@@ -40,8 +40,8 @@ CHECK_PERIOD_S = 1.0
 # Resident memory above that after the start from which on a trim is worth while.
 EXCESS_BYTES = 16 << 20
 
-# A trim takes 0.2 ms a megabyte that it gives back, and until it is done nobody else gets memory. After one that gave
-# back less than the gain, the next comes later, and ever later.
+# A trim takes 0.2 ms a megabyte that it gives back, and until it is done nobody else gets memory. After a trim with
+# less than this gain, the next comes later, and ever later.
 GAIN_BYTES = 1 << 20
 FIRST_TRIM_S = 5.0
 LONGEST_TRIM_S = 300.0

@@ -1,6 +1,6 @@
 """Monitor of the server: HTTP routes for health and metrics, and a watch on its event loop that systemd hears of.
 
-Metrics are those of Prometheus: counters, and values read from the server's parts and processes at a scrape.
+Metrics are Prometheus': counters, and values read from the server's parts and processes at a scrape.
 """
 
 from __future__ import annotations
@@ -15,16 +15,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from http import HTTPStatus
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from prometheus_client import (
-    CollectorRegistry,
-    Gauge,
-    Histogram,
-    Info,
-    ProcessCollector,
-    disable_created_metrics,
-)
+from prometheus_client import CollectorRegistry, Gauge, Histogram, Info, ProcessCollector, disable_created_metrics
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
@@ -36,11 +29,7 @@ from robot.messages import ArmHealth, JointHealth, Mode
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse, Route
 from server.monitoring.goal_counters import GoalCounters
-from server.monitoring.health import (
-    Health,
-    Sources,
-    check_health,
-)
+from server.monitoring.health import Health, Sources, check_health
 from server.monitoring.systemd import SystemdNotifier
 
 if TYPE_CHECKING:
@@ -75,25 +64,17 @@ _SERVO_METRICS: tuple[tuple[str, str, Callable[[JointHealth], float]], ...] = (
     ("armbridge_servo_reply_age_seconds", "Time since a servo's last good reply.", lambda servo: servo.age_s),
 )
 
-Source = TypeVar("Source")
-
 # Everything is counted from the server's start, whose time is a metric of its own.
 disable_created_metrics()
 
 
-class Exposition(NamedTuple):
-    """Text of a scrape, and its media type."""
-
-    text: bytes
-    media_type: str
-
-
-class Metrics:
-    """All metrics of the server."""
+class Metrics(Collector):
+    """All metrics of the server: its parts are read at each scrape; between scrapes they only count."""
 
     def __init__(self, sources: Sources) -> None:
+        self._sources = sources
         self.registry = CollectorRegistry(auto_describe=False)
-        self.registry.register(SourcesCollector(sources))
+        self.registry.register(self)
         self.loop_lag_s = Histogram(
             "armbridge_event_loop_lag_seconds",
             "Time by which the event loop woke up too late.",
@@ -105,21 +86,14 @@ class Metrics:
         build = Info("armbridge_build", "Version of armbridge and of Python.", registry=self.registry)
         build.info({"version": metadata.version("armbridge"), "python": platform.python_version()})
 
-    def expose(self, accept: str) -> Exposition:
-        """Return the metrics of this moment.
+    def expose(self, accept: str) -> tuple[bytes, str]:
+        """Return the metrics of this moment, and their media type.
 
         Args:
             accept: the request's header Accept; empty for the text format of Prometheus.
         """
         encode, media_type = choose_encoder(accept)
-        return Exposition(encode(self.registry), media_type)
-
-
-class SourcesCollector(Collector):
-    """Reads the parts of the server at each scrape; between scrapes they only count."""
-
-    def __init__(self, sources: Sources) -> None:
-        self._sources = sources
+        return encode(self.registry), media_type
 
     def collect(self) -> Iterator[Metric]:
         """Yield the metrics of all parts that have been started."""
@@ -127,20 +101,21 @@ class SourcesCollector(Collector):
         health = check_health(sources)
         yield GaugeMetricFamily("armbridge_live", "Whether the server does what it can.", int(health.live))
         yield GaugeMetricFamily("armbridge_ready", "Whether /readyz answers 200.", int(health.ready))
-        yield from _metrics_of(sources.traffic, client_metrics)
-        yield from _metrics_of(sources.refused_connections, refusal_metrics)
-        yield from _metrics_of(sources.zenoh, zenoh_metrics)
-        yield from _metrics_of(sources.goal_counters, GoalCounters.collect)
-        yield from _metrics_of(sources.queue, queue_metrics)
-        yield from _metrics_of(sources.planners, planner_metrics)
-        yield from _metrics_of(sources.recorder, recording_metrics)
-        yield from () if sources.arm is None else arm_metrics(sources.arm)
-        yield from _metrics_of(_fresh(sources.arm_health), arm_health_metrics)
+        parts: tuple[tuple[Any, Callable[[Any], Iterator[Metric]]], ...] = (
+            (sources.traffic, client_metrics),
+            (sources.refused_connections, refusal_metrics),
+            (sources.zenoh, zenoh_metrics),
+            (sources.goal_counters, GoalCounters.collect),
+            (sources.queue, queue_metrics),
+            (sources.planners, planner_metrics),
+            (sources.recorder, recording_metrics),
+            (sources.arm, arm_metrics),
+            (_fresh(sources.arm_health), arm_health_metrics),
+        )
+        for part, metrics in parts:
+            if part is not None:
+                yield from metrics(part)
         yield from process_metrics({"server": os.getpid(), **sources.children()})
-
-
-def _metrics_of(source: Source | None, metrics: Callable[[Source], Iterator[Metric]]) -> Iterator[Metric]:
-    return iter(()) if source is None else metrics(source)
 
 
 def _fresh(health: ArmHealth | None) -> ArmHealth | None:
@@ -148,6 +123,20 @@ def _fresh(health: ArmHealth | None) -> ArmHealth | None:
     if health is None or (time.monotonic() - health.monotonic_s) * health.real_time_factor > ARM_HEALTH_STALE_S:
         return None
     return health
+
+
+def _by_label(
+    family: type[CounterMetricFamily | GaugeMetricFamily],
+    name: str,
+    meaning: str,
+    label: str,
+    values: Iterable[tuple[str, float]],
+) -> Metric:
+    """Return a metric with a value for each value of a label."""
+    made = family(name, meaning, labels=(label,))
+    for of_label, value in values:
+        made.add_metric((of_label,), value)
+    return made
 
 
 # Clients and other machines.
@@ -180,12 +169,9 @@ def client_metrics(traffic: Traffic) -> Iterator[Metric]:
 
 def refusal_metrics(refused_connections: Callable[[], Mapping[str, int]]) -> Iterator[Metric]:
     """Yield the refused connections by reason."""
-    family = CounterMetricFamily(
-        "armbridge_refused_connections", "Connections and requests that were not let in, by why.", labels=("reason",)
-    )
-    for reason, count in refused_connections().items():
-        family.add_metric((reason,), count)
-    yield family
+    meaning = "Connections and requests that were not let in, by why."
+    refused = refused_connections().items()
+    yield _by_label(CounterMetricFamily, "armbridge_refused_connections", meaning, "reason", refused)
 
 
 def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
@@ -198,7 +184,7 @@ def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
 # Goals, planners, the recording.
 
 
-def queue_metrics(queue: GoalQueue[Any]) -> Iterator[Metric]:
+def queue_metrics(queue: GoalQueue) -> Iterator[Metric]:
     """Yield the metrics of goals that are not answered yet."""
     yield GaugeMetricFamily("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
     yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on.", queue.active_count)
@@ -227,13 +213,13 @@ def recording_metrics(recorder: Recorder) -> Iterator[Metric]:
 
 def arm_metrics(arm: AnyArm) -> Iterator[Metric]:
     """Yield the metrics of the arm's state."""
-    mode = GaugeMetricFamily("armbridge_arm_mode", "1 for what the arm is doing, 0 for all else.", labels=("mode",))
-    for each in Mode:
-        mode.add_metric((each.value,), int(arm.state.mode is each))
-    fault = GaugeMetricFamily("armbridge_arm_fault", "1 for the fault of the arm, 0 for others.", labels=("code",))
-    for code in FaultCode:
-        fault.add_metric((code.value,), int(arm.state.fault is not None and arm.state.fault.code is code))
-    yield from (mode, fault)
+    state, present = arm.state, arm.state.fault and arm.state.fault.code
+    modes = ((each.value, int(state.mode is each)) for each in Mode)
+    faults = ((each.value, int(present is each)) for each in FaultCode)
+    meaning = "1 for what the arm is doing, 0 for all else."
+    yield _by_label(GaugeMetricFamily, "armbridge_arm_mode", meaning, "mode", modes)
+    meaning = "1 for the fault of the arm, 0 for others."
+    yield _by_label(GaugeMetricFamily, "armbridge_arm_fault", meaning, "code", faults)
     yield GaugeMetricFamily("armbridge_arm_state_age_seconds", "Time since the last state came.", arm.state_age_s)
 
 
@@ -252,17 +238,12 @@ def arm_health_metrics(health: ArmHealth) -> Iterator[Metric]:
         health.real_time_factor,
     )
     for name, meaning, value_of in _SERVO_METRICS:
-        family = GaugeMetricFamily(name, meaning, labels=("joint",))
-        for joint in health.joints:
-            if not math.isnan(value := value_of(joint)):
-                family.add_metric((joint.joint,), value)
-        yield family
-    silent = CounterMetricFamily(
-        "armbridge_servo_silent_cycles", "Cycles in which a servo did not answer.", labels=("joint",)
-    )
-    for joint in health.joints:
-        silent.add_metric((joint.joint,), joint.silent_cycles)
-    yield silent
+        values = ((joint.joint, value_of(joint)) for joint in health.joints)
+        measured = ((joint, value) for joint, value in values if not math.isnan(value))
+        yield _by_label(GaugeMetricFamily, name, meaning, "joint", measured)
+    silent = ((joint.joint, joint.silent_cycles) for joint in health.joints)
+    meaning = "Cycles in which a servo did not answer."
+    yield _by_label(CounterMetricFamily, "armbridge_servo_silent_cycles", meaning, "joint", silent)
 
 
 def _bus_metrics(bus: BusCounters) -> Iterator[Metric]:
@@ -277,10 +258,8 @@ def _bus_metrics(bus: BusCounters) -> Iterator[Metric]:
 
 
 def _statistics(name: str, meaning: str, values_s: tuple[float, float, float]) -> Metric:
-    family = GaugeMetricFamily(name, f"{meaning} Over the last second.", labels=("statistic",))
-    for statistic, value_s in zip(STATISTICS, values_s, strict=True):
-        family.add_metric((statistic,), value_s)
-    return family
+    values = zip(STATISTICS, values_s, strict=True)
+    return _by_label(GaugeMetricFamily, name, f"{meaning} Over the last second.", "statistic", values)
 
 
 # Processes.
@@ -292,8 +271,9 @@ def process_metrics(processes: Mapping[str, int]) -> Iterator[Metric]:
     families: dict[str, Metric] = {}
     for name, pid in processes.items():
         for found in _collect_process(pid):
-            family = families.setdefault(found.name, Metric(found.name, found.documentation, found.type))
-            family.samples += [sample._replace(labels={"process": name}) for sample in found.samples]
+            if found.name in PROCESS_METRICS:
+                family = families.setdefault(found.name, Metric(found.name, found.documentation, found.type))
+                family.samples += [sample._replace(labels={"process": name}) for sample in found.samples]
         # ProcessCollector does not count them.
         with contextlib.suppress(OSError):
             threads.add_metric((name,), sum(1 for _ in Path(f"/proc/{pid}/task").iterdir()))
@@ -301,8 +281,7 @@ def process_metrics(processes: Mapping[str, int]) -> Iterator[Metric]:
 
 
 def _collect_process(pid: int) -> Iterable[Metric]:
-    collector = ProcessCollector(namespace="armbridge", pid=lambda: pid, registry=None)
-    return (metric for metric in collector.collect() if metric.name in PROCESS_METRICS)
+    return ProcessCollector(namespace="armbridge", pid=lambda: pid, registry=None).collect()
 
 
 # Often enough to notice anything that blocks the loop, seldom enough to cost nothing.
@@ -365,8 +344,8 @@ class Monitor:
         return health.response(good=health.live)
 
     async def _on_metrics(self, request: Request) -> HttpResponse:
-        exposition = self._metrics.expose(", ".join(request.headers.get_all("Accept")))
-        return HttpResponse.of_data(HTTPStatus.OK, exposition.text, exposition.media_type)
+        text, media_type = self._metrics.expose(", ".join(request.headers.get_all("Accept")))
+        return HttpResponse.of_data(HTTPStatus.OK, text, media_type)
 
 
 class EventLoopMonitor:

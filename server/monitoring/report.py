@@ -30,7 +30,7 @@ LEAST_SECRET_CHARACTERS = 8
 MAX_FAULT_BYTES = 10_000_000
 MAX_FAULT_FILES = 20
 
-# Of a file that is taken as it is; a robot.toml has a few kilobytes.
+# Of a file that is copied; a robot.toml has a few kilobytes.
 MAX_FILE_BYTES = 1_000_000
 
 README = "README.txt"
@@ -115,7 +115,7 @@ class Report:
 
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Note what goes wrong within the context: a report about what is broken is made of what is not."""
+        """Note errors within the context: the rest of the report goes on."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 - any library may fail on the machine that is reported
@@ -199,7 +199,7 @@ def _distribution() -> str:
 
 
 def _groups() -> list[str]:
-    """Return the names of the user's groups, one of which may open serial ports."""
+    """Return the names of the user's groups; one may open serial ports."""
     import grp
 
     found = []

@@ -311,7 +311,7 @@ def _set_levels(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _level(name: str) -> int:
-    """Return the level that holds for a logger; 0 for one that is not the server's."""
+    """Return the level that holds for a logger; 0 for a logger of others."""
     return logging.getLogger(name).getEffectiveLevel() if _exists(name) else 0
 
 

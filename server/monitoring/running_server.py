@@ -43,7 +43,7 @@ class RunningServer:
         self.address = f"[{host}]:{server.port}" if ":" in host else f"{host}:{server.port}"
         self._context: ssl.SSLContext | None = None
         if server.tls_certificate is not None:
-            # Its certificate may be of another name than that of the address; it is the one that it uses itself.
+            # Its certificate may have another name than the address; it is the one in the server's own settings.
             self._context = ssl.create_default_context(cafile=str(server.tls_certificate))
             self._context.check_hostname = False
         self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
@@ -51,7 +51,7 @@ class RunningServer:
         self.runs = self.health is not None
 
     def add_to(self, report: Report) -> set[Path]:
-        """Add what the server tells.
+        """Add the server's answers.
 
         Returns:
             Directory of its files about faults, if it names one.

@@ -18,7 +18,6 @@ from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
-from server.monitoring.sample_ring import SampleRing
 
 SERVICE = "/arm/servo_history"
 SERVICE_TYPE = "armbridge_msgs/srv/GetServoHistory"
@@ -48,7 +47,8 @@ class ServoHistory:
 
     def __init__(self, graph: Graph, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._samples: dict[str, SampleRing] = {}
+        # Time and quantities of each sample, by joint.
+        self._samples: dict[str, deque[tuple[float, ...]]] = {}
         self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._state: ArmState | None = None
         # Warnings of each joint by alert and register, and its errors.
@@ -75,10 +75,8 @@ class ServoHistory:
         """Keep the samples of a report, and its events."""
         now_s = self._clock()
         for joint in health.joints:
-            if joint.joint not in self._samples:
-                self._samples[joint.joint] = SampleRing(MAX_SAMPLES, len(QUANTITIES))
-            values = tuple(getattr(joint, quantity) for quantity in QUANTITIES)
-            self._samples[joint.joint].add(now_s, values)
+            samples = self._samples.setdefault(joint.joint, deque(maxlen=MAX_SAMPLES))
+            samples.append((now_s, *(getattr(joint, quantity) for quantity in QUANTITIES)))
             self._compare_warnings(joint)
             self._compare_errors(joint)
 
@@ -94,7 +92,7 @@ class ServoHistory:
     def _compare_errors(self, joint: JointHealth) -> None:
         before = self._errors.get(joint.joint, {})
         for kind, count in joint.errors.items():
-            # Opened anew, the hardware counts from zero.
+            # Opened again, the hardware counts from zero.
             if count > before.get(kind, 0):
                 self._add(joint.joint, f"error {kind}, {count} since the servo was connected")
         self._errors[joint.joint] = joint.errors
@@ -104,15 +102,15 @@ class ServoHistory:
 
     def _serve(self, request: dict[str, Any]) -> dict[str, Any]:
         joint = request["joint"]
-        samples = self._samples.get(joint)
-        if samples is None:
+        if joint not in self._samples:
             return _response(message=self._refusal(joint))
         now_s = self._clock()
-        at_s, values = samples.since(now_s - WINDOW_S)
+        samples = [each for each in self._samples[joint] if each[0] >= now_s - WINDOW_S]
+        at_s, *values = np.array(samples).reshape(len(samples), 1 + len(QUANTITIES)).T
         columns = {
-            # An ideal arm measures none of these.
+            # An ideal arm measures nothing of this kind.
             quantity: [] if np.isnan(column).all() else column.round(4).tolist()
-            for quantity, column in zip(QUANTITIES, values.T, strict=True)
+            for quantity, column in zip(QUANTITIES, values, strict=True)
         }
         events = [
             f"{now_s - event.at_s:.0f} s ago: {event.sentence}"

@@ -9,12 +9,12 @@ from protocol.messages import Stamp
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.messages import ArmState
-from robot.trajectory import Trajectory, Vector
+from robot.trajectory import Trajectory
 from server.execution.monitors import state_message
-from server.execution.queue import Performed
+from server.execution.motions import Performed
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.moveit.poses import Message, pose_of
+from server.moveit.poses import Message, pose_of, write_transform
 from server.moveit.trajectories import to_message
 
 PATH_TOPIC = "/display_planned_path"
@@ -171,16 +171,7 @@ class TransformsTopics:
                 {
                     "header": {"stamp": stamp, "frame_id": parent},
                     "child_frame_id": link,
-                    "transform": _transform(transform_link_to_parent),
+                    "transform": write_transform(pose_of(transform_link_to_parent)),
                 }
             )
         return {"transforms": transforms}
-
-
-def _transform(transform: Vector) -> dict[str, Any]:
-    """Return the geometry_msgs/Transform of a matrix, shape (4, 4) [m]."""
-    pose = pose_of(transform)
-    return {
-        "translation": dict(zip("xyz", pose.position_m, strict=True)),
-        "rotation": dict(zip("xyzw", pose.orientation, strict=True)),
-    }

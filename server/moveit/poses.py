@@ -38,6 +38,14 @@ def write_pose(pose: Pose) -> dict[str, Any]:
     }
 
 
+def write_transform(pose: Pose) -> dict[str, Any]:
+    """Return the geometry_msgs/Transform of a pose."""
+    return {
+        "translation": dict(zip("xyz", pose.position_m, strict=True)),
+        "rotation": dict(zip("xyzw", pose.orientation, strict=True)),
+    }
+
+
 def matrix_of(pose: Pose) -> Vector:
     """Return the transform from the pose's frame to the one it is given in, shape (4, 4) [m]."""
     x, y, z, w = pose.orientation

@@ -156,7 +156,7 @@ class McapFile:
 
 
 class FileSeries:
-    """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, none of which existed before.
+    """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, all of them new.
 
     All methods, and the constructor, may raise OSError.
 
@@ -203,7 +203,7 @@ class FileSeries:
         self._file.end(facts)
 
     def abandon(self) -> None:
-        """Close the file as it is, after an error."""
+        """Close the file without its end, after an error."""
         # Buffered data meet the same error again.
         with contextlib.suppress(OSError):
             self._stream.close()
@@ -247,5 +247,5 @@ def channel_metadata(latched: bool) -> dict[str, str]:
 
 
 def is_latched(metadata: Mapping[str, str]) -> bool:
-    """Return True if a channel's metadata are those of a latched topic."""
+    """Return True if a channel's metadata say that its topic is latched."""
     return _LATCHED.search(metadata.get(QOS_KEY, "")) is not None

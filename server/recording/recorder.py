@@ -33,7 +33,7 @@ POLL_PERIOD_S = 0.05
 # A process that is killed loses at most so much of the recording.
 FLUSH_PERIOD_S = 1.0
 
-# Both threads share one interpreter: after so many messages, some 20 us each, the event loop gets it for a moment.
+# Both threads share one interpreter: after this number of messages, some 20 us each, the event loop gets it.
 MESSAGES_AT_A_TIME = 10
 PAUSE_S = 0.0002
 

@@ -309,7 +309,7 @@ class Player:
         self.unreadable = 0
 
     def advertise(self, topics: Iterable[RecordedTopic]) -> None:
-        """Advertise the recorded topics; one that cannot be advertised is logged and left out."""
+        """Advertise the recorded topics; a topic that cannot be advertised is logged and left out."""
         for recorded in topics:
             if self._is_published_here(recorded.topic):
                 log.info("%s is left out: the replaying server has its own", recorded.topic)

@@ -15,8 +15,9 @@ from planners.problem import MoveItErrorCode
 from robot.description.model import RobotModel
 from robot.description.srdf import Group
 from server.errors import RefusedError, ServiceError
-from server.execution.motions import Motion, PlannedMotion, Positions, Step
-from server.execution.queue import Answer, GoalQueue, Progress
+from server.execution.goal import Answer, Progress
+from server.execution.motions import PlannedMotion, Positions, Step
+from server.execution.queue import GoalQueue
 from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.permissions import GOAL
@@ -67,7 +68,7 @@ class ReplayAction:
         graph: Graph,
         robot: RobotModel,
         motions: MotionFiles,
-        queue: GoalQueue[Motion],
+        queue: GoalQueue,
         problems: ProblemBuilder,
     ) -> None:
         self._graph = graph

@@ -16,10 +16,11 @@ from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
+from server.execution.goal import Answer, CancelScope, Goal
 from server.execution.monitors import check_ready
-from server.execution.motions import Motion, Positions
-from server.execution.queue import Answer, GoalQueue
-from server.moveit.actions.gripper import Gripper, GripperClaim, GripperCommand
+from server.execution.motions import Positions
+from server.execution.queue import GoalQueue
+from server.moveit.actions.gripper import Gripper, GripperCommand
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import LATE, ServoSession, ServoSetup
 from server.teleop.following import STALE_S, Act, Following, Observed, Phase, TrackingLimits, tracking_velocities
@@ -40,8 +41,8 @@ GRIPPER_STEP_RAD = 0.02
 # States are published as often as people read them [s].
 SHOWN_EVERY_S = 0.2
 
-# Queues a goal for joints: returns its number and its answer to come; raises RefusedError.
-GoTo: TypeAlias = Callable[[Positions, float], tuple[str, "asyncio.Future[Answer]"]]
+# Queues a goal for joints; raises RefusedError.
+GoTo: TypeAlias = Callable[[Positions, float], Goal]
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class FollowingContext:
     """
 
     planning: PlanningContext
-    queue: GoalQueue[Motion]
+    queue: GoalQueue
     go_to: GoTo
     clock: Callable[[], float] = time.monotonic
 
@@ -141,9 +142,9 @@ class FollowingSession:
         self._epoch = arrival_epoch()
         self._interrupted = ""
         self._warning = ""
-        self._ramp: tuple[str, asyncio.Future[Answer]] | None = None
+        self._ramp: Goal | None = None
         self._gripper: asyncio.Task[None] | None = None
-        self._gripper_claim: GripperClaim | None = None
+        self._gripper_claim: CancelScope | None = None
         self._gripper_target_rad: float | None = None
         self._read_at_s = clock()
         self._latency_s = self._lag_rad = 0.0
@@ -240,21 +241,21 @@ class FollowingSession:
             self.following.take_ramp_end("")
             return
         try:
-            number, answered = self._ramp = self._go_to(steered, RAMP_SCALING)
+            ramp = self._ramp = self._go_to(steered, RAMP_SCALING)
         except RefusedError as error:
             self.following.take_ramp_end(str(error))
             return
 
         def take(answer: asyncio.Future[Answer]) -> None:
             # A ramp that was given up tells nothing on the one after it.
-            if self._ramp is not None and self._ramp[0] == number:
+            if self._ramp is ramp:
                 self._ramp = None
                 reached = answer.result().code is MoveItErrorCode.SUCCESS
                 self.following.take_ramp_end("" if reached else answer.result().message)
                 # A following that has ended makes no further step that would show it.
                 self._tell()
 
-        answered.add_done_callback(take)
+        ramp.answered.add_done_callback(take)
 
     def _follow(self, now_s: float) -> None:
         pose = self._samples.pose(now_s)
@@ -293,7 +294,7 @@ class FollowingSession:
         claim = self._gripper_claim = gripper.claim()
         self._gripper = asyncio.create_task(self._move(gripper, claim, target_rad), name="the gripper's following")
 
-    async def _move(self, gripper: Gripper, claim: GripperClaim, target_rad: float) -> None:
+    async def _move(self, gripper: Gripper, claim: CancelScope, target_rad: float) -> None:
         # A refusal is one of the whole arm, which the next tick finds.
         with contextlib.suppress(RefusedError):
             await gripper.move(claim, GripperCommand(target_rad), lambda _reading: None)
@@ -301,10 +302,10 @@ class FollowingSession:
     def _brake(self) -> None:
         self._servo.release()
         if self._ramp is not None:
-            (number, _), self._ramp = self._ramp, None
-            self._queue.cancel(number, self.following.message)
-        if self._follower.gripper is not None and self._gripper_claim is not None:
-            self._follower.gripper.give_up(self._gripper_claim)
+            ramp, self._ramp = self._ramp, None
+            self._queue.cancel(ramp.goal_id, self.following.message)
+        if self._gripper_claim is not None:
+            self._gripper_claim.cancel(self.following.message)
         self._gripper_target_rad = None
         self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""
 

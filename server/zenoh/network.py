@@ -45,11 +45,11 @@ MAX_SHARED = 1_000
 
 
 class NameFilter:
-    """Patterns of names, one of which must match.
+    """Patterns of names; a shared name matches one of them.
 
     Args:
         patterns: ``*`` stands for any text, also with slashes in it, as in the globs of ``access``.
-        always: tells further names that match, whatever the patterns are.
+        always: returns True for further names that match, whatever the patterns are.
     """
 
     def __init__(self, patterns: Iterable[str], always: Callable[[str], bool] = lambda _name: False) -> None:

@@ -53,7 +53,7 @@ class SessionThread:
         open_session: opens the session; repeated as long as it raises ``zenoh.ZError``.
 
     Attributes:
-        opened: the session's id, as soon as it is open.
+        opened: the session's id, once it is open.
     """
 
     def __init__(self, open_session: Callable[[], zenoh.Session]) -> None:

@@ -58,7 +58,7 @@ class ZenohSettings(SettingsSection):
     """zenoh's own configuration, JSON5, for options without a setting here, such as certificates; the settings above
     override it. None for zenoh's defaults.
     """
-    # DDS has room for so many, and zenoh follows it.
+    # DDS has room for this number, and zenoh follows it.
     domain_id: int = Field(default=0, ge=0, le=232)
     """ROS_DOMAIN_ID; other domains are neither seen nor heard."""
     namespace: str = ""

@@ -76,7 +76,7 @@ class OutgoingTopic:
         yield session.liveliness().declare_token(self._token)
 
     def _send(self, _session: zenoh.Session) -> None:
-        # First, so that later messages are submitted anew.
+        # First, so that later messages are submitted again.
         self._submitted = False
         for _ in range(len(self._waiting)):
             published = self._waiting.popleft()
@@ -126,7 +126,7 @@ class OutgoingTopics:
         return found
 
     def _warn_of(self, name: str) -> None:
-        """Warn that a topic does not go out, unless it is one that this server itself publishes or takes."""
+        """Warn that a topic does not go out, unless this server itself publishes it or subscribes to it."""
         network = self._network
         if is_name(name) and not (network.is_own_publication(name) or network.is_own_subscription(name)):
             network.warn(f"{name} of a client does not go to other machines; zenoh.publish does not list it")
@@ -155,7 +155,7 @@ class IncomingTopic:
     """Topic of other machines that this server subscribes to.
 
     Attributes:
-        waiting: messages that come after one that a thread decodes, in order; the newest.
+        waiting: messages that come while a thread decodes an earlier one, in order; the newest.
 
     Raises:
         GraphError: this server has a topic of that name and another type.

@@ -198,5 +198,19 @@ if (ROSLIB.Action) {
   });
 }
 
+// As ros3djs shows a robot. Each on a connection of its own: the first makes its connection one of ROS 1.
+for (const client of ["TFClient", "ROS2TFClient"]) {
+  if (!ROSLIB[client]) continue;
+  const viewer = await connect();
+  await step(client, (resolve) => {
+    const transforms = new ROSLIB[client]({ ros: viewer, fixedFrame: "base_link" });
+    transforms.subscribe("gripper_link", resolve);
+  });
+}
+
+await step("URDF of a node", (resolve) => {
+  new ROSLIB.Param({ ros, name: "/robot_state_publisher:robot_description" }).get(resolve);
+});
+
 console.log(JSON.stringify(answers));
 process.exit(0);

@@ -135,6 +135,19 @@ def test_an_action_of_one_client_is_run_by_another(answers: Heard) -> None:
     assert answers["action"]["feedback"]["position"] == 0.25
 
 
+@pytest.mark.parametrize("client", ["TFClient", "ROS2TFClient"])
+def test_a_viewer_hears_where_a_link_is(of_javascript: Heard, client: str) -> None:
+    if client not in of_javascript:
+        pytest.skip("only roslib 2 has ROS2TFClient")
+    transform = of_javascript[client]
+    assert transform["translation"]["z"] > 0.05
+    assert sum(value**2 for value in transform["rotation"].values()) == pytest.approx(1.0)
+
+
+def test_the_robots_description_is_a_parameter_of_its_node(of_javascript: Heard) -> None:
+    assert "<robot" in of_javascript["URDF of a node"]
+
+
 @pytest.mark.parametrize("name", ["fibonacci", "fibonacci of ROS 2"])
 def test_the_action_of_the_examples_is_run(answers: Heard, name: str) -> None:
     if name not in answers:

@@ -1,4 +1,4 @@
-"""Runner of goals whose ends a test chooses."""
+"""Executor of goals whose ends a test chooses."""
 
 from __future__ import annotations
 
@@ -7,46 +7,43 @@ from collections.abc import Callable, Iterable
 from typing import Any, Self
 
 from planners.problem import MoveItErrorCode
-from server.execution.queue import Answer, Progress
+from server.execution.goal import Answer, Goal, Progress
 
 THERE = Answer(MoveItErrorCode.SUCCESS, "the arm is there")
 
 
 class GoalRunner:
-    """Runs one goal at a time, until a test or a cancel ends it.
+    """Executes one goal at a time, until a test or a cancel ends it.
 
     Attributes:
-        asked: the goals, oldest first.
-        stopped: reasons of stops of all motion.
-        ahead: goals to plan in advance, with the time left of the motion before [s].
-        forgotten: goals whose turn will not come.
+        asked: motions of the goals, oldest first.
+        stopped: joints of each stop of all motion; None for all.
+        ahead: motions to plan in advance, with the time left of the motion before [s].
+        forgotten: motions of goals whose turn will not come.
         report: tells of the progress of the active goal.
     """
 
-    def __init__(self, *joints: str) -> None:
-        self._joints = frozenset(joints)
+    def __init__(self) -> None:
         self.asked: list[Any] = []
-        self.stopped: list[str] = []
+        self.stopped: list[Any] = []
         self.ahead: list[tuple[object, float]] = []
         self.forgotten: list[object] = []
         self.report: Callable[[Progress], None] = lambda _progress: None
         self._end: asyncio.Future[Answer] | None = None
 
-    # What the queue calls.
+    # Called by the queue.
 
     def last_stop(self, _joints: frozenset[str]) -> int:
         return 0
 
-    def joints_of(self, _request: object) -> frozenset[str]:
-        return self._joints
-
-    def runner(self, _joints: frozenset[str]) -> Self:
+    def executor(self, _joints: frozenset[str]) -> Self:
         return self
 
-    async def run(self, request: Any, report: Callable[[Progress], None], epoch: int) -> Answer:
-        self.asked.append(request)
-        self.report = report
+    async def run(self, goal: Goal) -> Answer:
+        self.asked.append(goal.motion)
+        self.report = goal.report
         self._end = asyncio.get_running_loop().create_future()
+        goal.cancelled.add_done_callback(lambda _reason: (self.preempt if goal.replaced else self.cancel)(goal.reason))
         return await self._end
 
     def cancel(self, reason: str) -> None:
@@ -55,17 +52,16 @@ class GoalRunner:
     def preempt(self, reason: str) -> None:
         self.cancel(reason)
 
-    def plan_ahead(self, request: object, left_s: float) -> None:
-        self.ahead.append((request, left_s))
+    def plan_ahead(self, following: Goal, left_s: float) -> None:
+        self.ahead.append((following.motion, left_s))
 
-    def forget(self, request: object) -> None:
-        self.forgotten.append(request)
+    def forget(self, goal: Goal) -> None:
+        self.forgotten.append(goal.motion)
 
-    def stop(self, reason: str, _joints: Iterable[str] | None = None) -> None:
-        self.stopped.append(reason)
-        self.cancel(reason)
+    def stop(self, joints: Iterable[str] | None = None) -> None:
+        self.stopped.append(joints)
 
-    # What a test calls.
+    # Called by a test.
 
     def finish(self, answer: Answer = THERE) -> None:
         if self._end is not None and not self._end.done():

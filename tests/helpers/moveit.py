@@ -19,9 +19,10 @@ from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import RefusedError
+from server.execution import goal as execution
+from server.execution.goal import Answer
 from server.execution.monitors import CurrentState
-from server.execution.motions import Motion
-from server.execution.queue import Answer, GoalPolicy, GoalQueue, QueuedGoal
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.graph.actions import Goal, Result
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -292,15 +293,15 @@ class ActionDesk(ServiceRig, GoalRunner):
 
     def __init__(self) -> None:
         ServiceRig.__init__(self)
-        GoalRunner.__init__(self, *JOINTS)
+        GoalRunner.__init__(self)
         self.refused: list[str] = []
-        self.queue: GoalQueue[Motion] = GoalQueue(self, GoalPolicy.QUEUE, 4, lambda _goal, _news: None, self._answered)
+        self.queue: GoalQueue = GoalQueue(self, GoalPolicy.QUEUE, 4, lambda _goal, _news: None, self._answered)
         self.queue.start()
         self.feedback: list[dict[str, Any]] = []
         self.results: list[Result] = []
 
-    def _answered(self, goal: QueuedGoal[Motion], answer: Answer) -> None:
-        if goal.request is None:
+    def _answered(self, goal: execution.Goal, answer: Answer) -> None:
+        if goal.motion is None:
             self.refused.append(answer.message)
 
     async def send(self, action: str, **goal: Any) -> Goal | None:

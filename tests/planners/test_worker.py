@@ -24,9 +24,8 @@ from planners.messages import (
     LoadRobot,
     MoreObjects,
     NewScene,
-    StillSearching,
 )
-from planners.problem import Answer, MoveItErrorCode, PlanningFailure, PlanningProblem, Request, StateAnswer
+from planners.problem import Answer, MoveItErrorCode, PlanningFailure, Request, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
 from robot.channel import Channel
 from robot.description.model import RobotModel
@@ -77,23 +76,7 @@ def test_allowed_time_is_processor_time_where_the_kernel_counts_waits_for_a_core
     assert worker.allowed_time_clock() is clock
 
 
-def reports(problem: PlanningProblem, *checked_after_s: float) -> list[float]:
-    """What is reported of a problem that is worked on for so long, checked at these times [s]."""
-    clock, reported = FakeClock(), list[float]()
-    search = worker.LongSearch(clock, problem, reported.append)
-    for after_s in checked_after_s:
-        clock.now_s = 100.0 + after_s
-        search.check()
-    return reported
-
-
 AT_ONCE = dataclasses.replace(EASY, optimization_time_s=0.0)
-
-
-def test_a_problem_that_takes_longer_than_most_is_reported_each_time_that_its_time_has_doubled() -> None:
-    assert reports(AT_ONCE, 0.0, 0.9 * worker.HARD_AFTER_S) == []
-    assert reports(dataclasses.replace(EASY, optimization_time_s=2.0), 1.9) == []
-    assert reports(AT_ONCE, 1.0, 1.9, 2.5, 4.9, 5.1) == pytest.approx([1.0, 2.5, 5.1])
 
 
 class Planning:
@@ -236,17 +219,30 @@ def test_a_request_is_cancelled_by_its_number_or_by_the_server_s_end(server: Ser
     assert told == [False, False, True, True]
 
 
-def test_a_problem_that_proves_hard_is_reported_and_a_question_never(
-    server: Server, planning: Planning, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("request_", "checked_s", "reported_s"),
+    [
+        (AT_ONCE, (0.0, 0.9 * worker.HARD_AFTER_S), []),
+        (AT_ONCE, (1.0, 1.9, 2.5, 4.9, 5.1), [1.0, 2.5, 5.1]),
+        (dataclasses.replace(EASY, optimization_time_s=2.0), (1.9, 2.1), [2.1]),
+        (STATE, (1.0, 2.0), []),
+    ],
+    ids=["as fast as most", "hard", "asks to be shortened", "a question"],
+)
+def test_a_problem_that_takes_longer_than_most_is_reported_each_time_that_its_time_has_doubled(
+    server: Server, planning: Planning, monkeypatch: pytest.MonkeyPatch, request_, checked_s, reported_s
 ) -> None:
     clock = FakeClock()
     monkeypatch.setattr(server.worker, "_clock", clock)
 
     def take_long(_request: Request, should_stop: Callable[[], bool]) -> Answer:
-        clock.advance(1.0)
-        should_stop()
+        began_s = clock.now_s
+        for at_s in checked_s:
+            clock.now_s = began_s + at_s
+            should_stop()
         return SOUND
 
     planning.works = take_long
-    assert server.sends(Ask(1, AT_ONCE)) == [StillSearching(1, 1.0), Answered(1, SOUND)]
-    assert server.sends(Ask(2, STATE)) == [Answered(2, SOUND)]
+    *reports, answered = server.sends(Ask(1, request_))
+    assert [report.spent_s for report in reports] == pytest.approx(reported_s)
+    assert answered == Answered(1, SOUND)

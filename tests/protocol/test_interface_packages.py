@@ -55,6 +55,14 @@ def test_a_package_is_read_with_messages_services_and_actions(tmp_path: Path) ->
     assert registry.knows("std_msgs/String")
 
 
+def test_files_are_read_from_folders_by_other_usual_names_and_the_rest_is_named(tmp_path: Path) -> None:
+    files = ("messages/A.msg", "int32 a"), ("services/B.srv", "---\n"), ("actions/C.action", "---\n---\n")
+    folder = package(tmp_path / "my_msgs", *files, ("more/D.msg", "int32 a"))
+    interfaces = read_packages([folder])
+    assert list(interfaces.ros2) == ["my_msgs/msg/A", "my_msgs/srv/B", "my_msgs/action/C"]
+    assert interfaces.unread == (folder / "more" / "D.msg",)
+
+
 def test_the_name_is_that_of_package_xml_else_that_of_the_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -27,7 +27,7 @@ def test_the_tables_hold_every_interface_of_the_reference(read, name):
 def test_the_ros1_table_adds_seven_messages_for_each_action():
     table = registry.read_ros1()
     actions = [name for name, definition in table.items() if definition["kind"] == "action"]
-    assert len(actions) == 19
+    assert len(actions) == 20
     for action in actions:
         package, _, name = action.split("/")
         for suffix in ("Goal", "Result", "Feedback", "ActionGoal", "ActionResult", "ActionFeedback", "Action"):

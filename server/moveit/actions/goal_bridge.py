@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
+from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import Motion
-from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.graph.actions import Goal, GoalStatus
 from server.moveit.error_codes import error_code
 from server.moveit.poses import Message
@@ -15,7 +16,7 @@ from server.moveit.poses import Message
 
 def submit_goal(
     goal: Goal,
-    queue: GoalQueue[Motion],
+    queue: GoalQueue,
     request: Motion,
     feedback: Callable[[Progress], Message | None],
     result: Callable[[Answer], Message],
@@ -35,7 +36,7 @@ def submit_goal(
         send_feedback(Progress(GoalState.DONE, answer.message))
         finish_goal(goal, answer, result)
 
-    number = queue.submit(
+    queued = queue.submit(
         goal.action,
         request,
         policy=GoalPolicy.PREEMPT,
@@ -43,7 +44,7 @@ def submit_goal(
         on_answer=end,
         client=goal.sender,
     )
-    cancel_with_goal(goal, lambda reason: queue.cancel(number, reason))
+    cancel_with_goal(goal, lambda reason: queue.cancel(queued.goal_id, reason))
 
 
 def cancel_with_goal(goal: Goal, cancel: Callable[[str], None]) -> None:
@@ -57,7 +58,7 @@ def cancel_with_goal(goal: Goal, cancel: Callable[[str], None]) -> None:
 
 def reject_goal(
     goal: Goal,
-    queue: GoalQueue[Motion],
+    queue: GoalQueue,
     failure: PlanningFailure,
     result: Callable[[Answer], Message],
 ) -> None:

@@ -16,8 +16,9 @@ from typing import Any
 from planners.problem import MoveItErrorCode
 from server.diagnostic_values import key_values
 from server.errors import RefusedError
-from server.execution.motions import Motion, PlannedMotion
-from server.execution.queue import Answer, GoalQueue, GoalState, Progress
+from server.execution.goal import Answer, GoalState, Progress
+from server.execution.motions import PlannedMotion
+from server.execution.queue import GoalQueue
 from server.graph import services
 from server.graph.actions import Goal
 from server.graph.list_limits import ListLimits
@@ -62,7 +63,7 @@ class GoalCalls:
     def __init__(
         self,
         graph: LocalGraph,
-        queue: GoalQueue[Motion],
+        queue: GoalQueue,
         translator: GoalTranslator,
         confirmation: Confirmation,
         context: PlanningContext,
@@ -147,8 +148,8 @@ class GoalCalls:
             message, translate = self._goal_of(request)
             motion = translate(message, self._translator.options(request))
         except RefusedError as error:
-            number = self._queue.reject(self._name, error.failure, message)
-            end(self._result(message, Answer.of(error.failure), number))
+            rejected = self._queue.reject(self._name, error.failure, message)
+            end(self._result(message, Answer.of(error.failure), rejected.goal_id))
             return None
         for warning in motion.warnings:
             log.warning("%s: %s", self._name, warning)
@@ -175,22 +176,12 @@ class GoalCalls:
         end: Callable[[Mapping[str, Any]], None],
         report: Callable[[Progress], None] = lambda _progress: None,
     ) -> str:
-        """Queue a goal; return its id. It may end before this returns."""
-        number = ""
-        early: list[Answer] = []
-
-        def ended(answer: Answer) -> None:
-            if number:
-                end(self._result(goal.message, answer, number))
-            else:
-                early.append(answer)
-
-        number = self._queue.submit(
-            self._name, goal.motion, on_progress=report, on_answer=ended, message=goal.message, client=client
+        """Queue a goal; return its id."""
+        queued = self._queue.submit(self._name, goal.motion, on_progress=report, message=goal.message, client=client)
+        queued.answered.add_done_callback(
+            lambda answered: end(self._result(goal.message, answered.result(), queued.goal_id))
         )
-        for answer in early:
-            ended(answer)
-        return number
+        return queued.goal_id
 
     async def _planned(self, goal: ReadGoal, client: Node) -> Mapping[str, Any]:
         return self._result(goal.message, await self._plan(goal, client))

@@ -24,6 +24,7 @@ from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
+from server.execution.goal import CancelScope
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.player import BRAKING_TIMEOUT_S
@@ -92,14 +93,6 @@ class GripperReading:
 
 
 @dataclass(frozen=True)
-class GripperClaim:
-    """Claim of the gripper for one command."""
-
-    number: int
-    epoch: int
-
-
-@dataclass(frozen=True)
 class GripperLimits:
     """Limits of a gripper's motions.
 
@@ -137,7 +130,7 @@ class Gripper:
         self._max_acceleration = limits.acceleration_scaling * min(joint.max_acceleration for joint in joints)
         self._in_progress = in_progress or MotionsInProgress()
         self._clock = clock
-        self._newest = GripperClaim(0, 0)
+        self._newest: CancelScope | None = None
         self._turn = asyncio.Lock()
         self._motion: asyncio.Future[MotionEnded] | None = None
         self._ends_s = 0.0
@@ -160,22 +153,17 @@ class Gripper:
         )
         return GripperReading(positions, velocities, efforts)
 
-    def claim(self) -> GripperClaim:
+    def claim(self) -> CancelScope:
         """Claim the gripper for the request in progress; a request that a stop has overtaken replaces no other."""
-        claim = GripperClaim(self._newest.number + 1, arrival_epoch())
+        claim = CancelScope(arrival_epoch())
         if claim.epoch >= self._arm.last_stop:
+            if self._newest is not None:
+                self._newest.cancel("a newer command has come")
             self._newest = claim
-            self._stop_motion()
         return claim
 
-    def give_up(self, claim: GripperClaim) -> None:
-        """End the motion of a claim, begun or not; do nothing when there is a newer claim."""
-        if claim == self._newest:
-            self._newest = GripperClaim(claim.number + 1, claim.epoch)
-            self._stop_motion()
-
     async def move(
-        self, claim: GripperClaim, command: GripperCommand, report: Callable[[GripperReading], None]
+        self, claim: CancelScope, command: GripperCommand, report: Callable[[GripperReading], None]
     ) -> MotionEnded:
         """Execute a command; every wait is bounded.
 
@@ -184,15 +172,17 @@ class Gripper:
         """
         async with self._turn:
             await self._arm.until_started(ARM_START_TIMEOUT_S)
-            if claim != self._newest or claim.epoch < self._arm.last_stop:
+            if claim.reason or claim.epoch < self._arm.last_stop:
                 return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
-            return await self._play(command, report, claim.epoch)
+            return await self._play(claim, command, report)
 
     def _stop_motion(self) -> None:
         if self._motion is not None and not self._motion.done():
             self._arm.stop(self._motion)
 
-    async def _play(self, command: GripperCommand, report: Callable[[GripperReading], None], epoch: int) -> MotionEnded:
+    async def _play(
+        self, claim: CancelScope, command: GripperCommand, report: Callable[[GripperReading], None]
+    ) -> MotionEnded:
         check_ready(self._arm)
         scaling = min(self._limits.velocity_scaling, self._arm.state.pace.speed_limit)
         fastest = scaling * min(joint.max_velocity for joint in self.joints)
@@ -204,10 +194,11 @@ class Gripper:
         )
         share = min(command.max_effort / self._limits.torque, 1.0) if command.max_effort else 1.0
         self._ends_s = self._clock() + trajectory.duration_s
-        self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share, epoch=epoch)
+        self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share, epoch=claim.epoch)
         self._in_progress.add(trajectory, self._motion)
         try:
-            ended = await self._until_ended(self._motion, self._limits.time.allowed_s(trajectory.duration_s), report)
+            left_s = self._limits.time.allowed_s(trajectory.duration_s)
+            ended = await self._until_ended(claim, self._motion, left_s, report)
         finally:
             # Also after an error here no motion goes on without its goal; nothing happens when it has ended.
             self._stop_motion()
@@ -216,11 +207,19 @@ class Gripper:
         return ended
 
     async def _until_ended(
-        self, motion: asyncio.Future[MotionEnded], left_s: float, report: Callable[[GripperReading], None]
+        self,
+        claim: CancelScope,
+        motion: asyncio.Future[MotionEnded],
+        left_s: float,
+        report: Callable[[GripperReading], None],
     ) -> MotionEnded:
         arm_clock = ArmClock(self._arm, self._clock)
+        awaited: tuple[asyncio.Future[Any], ...] = (motion, claim.cancelled)
         while not motion.done() and left_s > 0.0:
-            await asyncio.wait([motion], timeout=FEEDBACK_PERIOD_S)
+            await asyncio.wait(awaited, timeout=FEEDBACK_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
+            if claim.reason and len(awaited) > 1:
+                self._stop_motion()
+                awaited = (motion,)
             progress = self._arm.progress(motion)
             left_s -= arm_clock.elapsed_s() * (1.0 if progress is None else progress.rate)
             reading = self.reading()
@@ -410,15 +409,13 @@ class GripperActions:
             goal.fail(str(error))
             return
         claim = self._gripper.claim()
-        cancel_with_goal(goal, lambda _reason: self._gripper.give_up(claim))
+        cancel_with_goal(goal, claim.cancel)
         task = asyncio.create_task(self._execute(goal, messages, claim, command), name="gripper")
         # The event loop keeps no task alive.
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _execute(
-        self, goal: Goal, messages: ActionMessages, claim: GripperClaim, command: GripperCommand
-    ) -> None:
+    async def _execute(self, goal: Goal, messages: ActionMessages, claim: CancelScope, command: GripperCommand) -> None:
         try:
             ended = await self._gripper.move(claim, command, lambda reading: goal.feedback(messages.feedback(reading)))
             self._finish(goal, messages, ended)

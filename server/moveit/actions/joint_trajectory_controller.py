@@ -22,8 +22,9 @@ from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Vector
 from server.errors import RefusedError
-from server.execution.motions import Motion, Positions
-from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.execution.goal import Answer, GoalState, Progress
+from server.execution.motions import Positions
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.local_graph import LocalGraph
@@ -90,7 +91,7 @@ class TrajectoryContext:
     """Context of trajectories that clients bring."""
 
     planning: PlanningContext
-    queue: GoalQueue[Motion]
+    queue: GoalQueue
     time_limits: TimeLimits
 
     def check_speed(self, trajectory: Message, joint_names: Sequence[str], present_rad: Positions | None) -> None:
@@ -163,7 +164,7 @@ class JointTrajectoryController:
             if feedback is not None:
                 goal.feedback(feedback)
 
-        number = self._queue.submit(
+        queued = self._queue.submit(
             goal.action,
             external_motion(goal.request["trajectory"], self._robot),
             policy=GoalPolicy.PREEMPT,
@@ -171,6 +172,7 @@ class JointTrajectoryController:
             on_answer=lambda answer: trajectory_goal.take_answer(answer, self._arm.state),
             client=goal.sender,
         )
+        number = queued.goal_id
         self._goals[number] = trajectory_goal
         goal.when_ended(lambda _result: self._goals.pop(number, None))
         cancel_with_goal(goal, functools.partial(self._queue.cancel, number))

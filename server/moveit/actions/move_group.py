@@ -16,9 +16,10 @@ from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.failures import with_nearest_goal
+from server.execution.goal import Answer, GoalState, Progress
 from server.execution.monitors import state_message
-from server.execution.motions import Motion, PlannedMotion, Positions, Step, plan_sequence
-from server.execution.queue import Answer, GoalQueue, GoalState, Progress
+from server.execution.motions import PlannedMotion, Positions, Step, plan_sequence
+from server.execution.queue import GoalQueue
 from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.permissions import GOAL, PLANNING_GOAL
@@ -172,7 +173,7 @@ SEQUENCE = PlanningAction(
 class PlanningActions:
     """MoveGroup and MoveGroupSequence."""
 
-    def __init__(self, graph: Graph, context: PlanningContext, queue: GoalQueue[Motion]) -> None:
+    def __init__(self, graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:
         self._graph = graph
         self._context = context
         self._queue = queue

@@ -15,8 +15,8 @@ from planners.scene import Scene
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
+from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.motions import Motion, PlannedMotion
-from server.execution.queue import Answer, GoalState, Progress, QueuedGoal
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
@@ -79,7 +79,7 @@ class GoalHistory:
         self._graph.services.offer(node, HISTORY_SERVICE, HISTORY_TYPE, self._history, rule=LOOKING)
         self._graph.services.offer(node, RECORD_SERVICE, RECORD_TYPE, self._record, rule=LOOKING)
 
-    def take_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def take_progress(self, goal: Goal, progress: Progress) -> None:
         """Note the scene of a goal that is being planned, and the summary of its plan."""
         if progress.state is GoalState.PLANNING:
             self._planned_in[goal.goal_id] = self._scene()
@@ -87,7 +87,7 @@ class GoalHistory:
             # The first of them has the plan's methods and times; later ones may say that the motion is paused.
             self._summaries.setdefault(goal.goal_id, progress.message)
 
-    def take_answer(self, goal: QueuedGoal[Motion], answer: Answer, status: Message) -> None:
+    def take_answer(self, goal: Goal, answer: Answer, status: Message) -> None:
         """Keep the record of a goal; one whose answer is for one client alone is left out."""
         scene = self._planned_in.pop(goal.goal_id, None) or self._scene()
         summary = self._summaries.pop(goal.goal_id, "")
@@ -102,7 +102,7 @@ class GoalHistory:
             summary,
             0.0 if performed is None else performed.planning_time_s,
             PlanningFailure(answer.code, answer.message),
-            *_problem(goal.request, answer, scene),
+            *_problem(goal.motion, answer, scene),
         )
         while len(self._records) > MAX_GOALS:
             self._records.popitem(last=False)

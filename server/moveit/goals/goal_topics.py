@@ -27,9 +27,10 @@ from robot.description.model import RobotModel
 from robot.trajectory import rest_to_rest_s
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, key_values
 from server.errors import RefusedError, ServiceError
+from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.motions import Motion, PlannedMotion, Positions
-from server.execution.queue import Answer, GoalQueue, GoalState, Joints, Progress, QueuedGoal
+from server.execution.motions import Joints, PlannedMotion, Positions
+from server.execution.queue import GoalQueue
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
@@ -163,11 +164,11 @@ class GoalStatusTopics:
         self._graph.advertise(self._node, RESULT_TOPIC, "moveit_msgs/MoveItErrorCodes")
         self._graph.advertise(self._node, STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
 
-    def publish_progress(self, goal: QueuedGoal[Motion], progress: Progress) -> None:
+    def publish_progress(self, goal: Goal, progress: Progress) -> None:
         """Publish the progress of a goal, whatever topic or action it came by."""
         self._publish(goal, STATUS_TOPIC, _status(goal, progress, LEVEL_OK, {}))
 
-    def publish_answer(self, goal: QueuedGoal[Motion], answer: Answer, *, logged: bool = False) -> None:
+    def publish_answer(self, goal: Goal, answer: Answer, *, logged: bool = False) -> None:
         """Log the end of a goal, publish its final status, then the result of a goal from a topic.
 
         Args:
@@ -185,7 +186,7 @@ class GoalStatusTopics:
             source = f"{goal.source}#{goal.goal_id}"
             self._publish(goal, RESULT_TOPIC, {"val": int(answer.code), "message": status["message"], "source": source})
 
-    def _publish(self, goal: QueuedGoal[Motion], topic: str, message: Mapping[str, Any]) -> None:
+    def _publish(self, goal: Goal, topic: str, message: Mapping[str, Any]) -> None:
         # Other clients wait for the end of goals of their own.
         if goal.only_for is None:
             self._graph.publish(self._node, topic, message)
@@ -193,7 +194,7 @@ class GoalStatusTopics:
             self._graph.tell(goal.only_for, topic, message)
 
 
-def final_status(goal: QueuedGoal[Motion], answer: Answer, robot: RobotModel) -> Message:
+def final_status(goal: Goal, answer: Answer, robot: RobotModel) -> Message:
     """Return the final status of a goal, with the goal that would have worked where one was found."""
     instead = suggestion(goal.message, answer.details, robot)
     message = answer.message if instead is None else instead.added_to(answer.message)
@@ -205,7 +206,7 @@ def final_status(goal: QueuedGoal[Motion], answer: Answer, robot: RobotModel) ->
     return _status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, details)
 
 
-def _status(goal: QueuedGoal[Motion], progress: Progress, level: int, details: Mapping[str, str]) -> Message:
+def _status(goal: Goal, progress: Progress, level: int, details: Mapping[str, str]) -> Message:
     values = {
         "state": progress.state.value,
         "fraction": f"{progress.fraction:.3f}",
@@ -239,7 +240,7 @@ class GoalTopics:
         self,
         graph: LocalGraph,
         node: Node,
-        queue: GoalQueue[Motion],
+        queue: GoalQueue,
         translator: GoalTranslator,
         confirmation: Confirmation,
         joints: Joints | None = None,

@@ -39,8 +39,7 @@ from planners.scene import Point, Pose
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 from server.errors import RefusedError
-from server.execution.motions import Positions, Step
-from server.execution.queue import Joints
+from server.execution.motions import Joints, Positions, Step
 from server.moveit.durations import read_seconds
 from server.moveit.error_codes import invalid, refused
 from server.moveit.parameters import (

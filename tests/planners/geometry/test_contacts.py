@@ -9,7 +9,7 @@ import pytest
 
 from planners.geometry import contacts
 from planners.geometry.collision import CollisionModel, PairFilter, link_bodies, object_bodies
-from planners.geometry.contacts import Broadphase, nearer_than, overlap_m, parts_of
+from planners.geometry.contacts import Broadphase, PartPair, parts_of
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import convex, robot_shapes, urdf_shapes
@@ -138,22 +138,15 @@ def test_parts_are_nearer_than_a_margin_when_any_two_of_them_are(margin_m):
             for one in first
             for other in second
         )
-        near = nearer_than(parts_of(first), at_first, parts_of(second), at_second, margin_m)
+        pair = PartPair(parts_of(first), at_first, parts_of(second), at_second)
+        near = pair.nearer_than(margin_m)
         verdicts.add(near)
         if abs(nearest_m - margin_m) > 1e-5:
             assert near == (nearest_m < margin_m)
-        assert overlap_m(parts_of(first), at_first, parts_of(second), at_second) == pytest.approx(-nearest_m, abs=1e-5)
+        assert pair.nearest().distance_m == pytest.approx(nearest_m, abs=1e-5)
+        for depth_m in (-0.05, 0.0, 0.02):
+            assert abs(nearest_m + depth_m) < 1e-5 or pair.deeper_than(depth_m) == (nearest_m < -depth_m)
     assert verdicts == {True, False}
-
-
-def test_solid_parts_overlap_as_deep_as_the_deepest_two():
-    cubes = parts_of([_box(0.1, 0.1, 0.1, at_x=0.0), _box(0.1, 0.1, 0.1, at_x=0.003)])
-    post = parts_of([_box(0.02, 0.02, 0.5, at_x=0.0)])
-    for inside_m in (0.001, 0.004):
-        at_post = pin.SE3(np.eye(3), np.array([0.063 - inside_m, 0.0, 0.0]))
-        assert overlap_m(cubes, pin.SE3.Identity(), post, at_post) == pytest.approx(inside_m, abs=1e-5)
-    beside = pin.SE3(np.eye(3), np.array([0.07, 0.0, 0.0]))
-    assert overlap_m(cubes, pin.SE3.Identity(), post, beside) <= 0.0
 
 
 def test_parts_are_there_before_they_are_needed(robot, monkeypatch):
@@ -204,10 +197,6 @@ def _on_surface(mesh, rng, count):
     for index in rng.integers(mesh.num_tris, size=count):
         triangle = mesh.tri_indices(int(index))
         yield rng.dirichlet((1.0, 1.0, 1.0)) @ vertices[[triangle[0], triangle[1], triangle[2]]]
-
-
-def _box(*size_m, at_x):
-    return pin.GeometryObject("box", 0, pin.SE3(np.eye(3), np.array([at_x, 0.0, 0.0])), coal.Box(*size_m))
 
 
 def with_part(crane):

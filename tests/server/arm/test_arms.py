@@ -104,13 +104,6 @@ def test_an_arm_that_falls_silent_holds_nobody_up() -> None:
     assert len(told(arrivals)) >= 98
 
 
-def test_an_arm_that_speaks_again_is_waited_for_again() -> None:
-    silent = [(name, tick * PERIOD_S) for tick in range(10) for name in ("a", "b")]
-    back = [(name, tick * PERIOD_S + number * 0.001) for tick in range(10, 20) for number, name in enumerate(ARMS)]
-    gaps = np.diff(told(silent + back)[-6:])
-    assert gaps == pytest.approx(np.full(5, PERIOD_S), abs=1e-6)
-
-
 def test_bursts_of_a_busy_machine_are_told_once() -> None:
     arrivals = [(name, burst * 0.1) for burst in range(20) for name in ARMS for _ in range(5)]
     assert len(told(arrivals)) <= 2 * 20

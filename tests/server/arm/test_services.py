@@ -7,7 +7,7 @@ import pytest
 
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from robot.messages import MIN_SPEED_LIMIT, ChangePace
+from robot.messages import ChangePace
 from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, STEP_BACK, ArmPace
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
@@ -136,13 +136,6 @@ async def test_without_a_motion_there_is_nothing_to_pause(desk: Desk, service: s
     assert not answer["success"]
     assert "holding" in answer["message"]
     assert desk.arm.changes == []
-
-
-@pytest.mark.parametrize("limit", [MIN_SPEED_LIMIT, 0.25, 1.0])
-async def test_a_speed_limit_is_passed_on(desk: Desk, limit: float) -> None:
-    answer = desk.call(SPEED_LIMIT, speed_limit=limit)
-    assert answer == {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
-    assert desk.arm.changes == [ChangePace(speed_limit=limit)]
 
 
 @pytest.mark.parametrize("limit", [0.0, 0.009, -0.5, 1.01, float("nan"), float("inf")])

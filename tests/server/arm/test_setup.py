@@ -30,11 +30,6 @@ from server.moveit.parameters import MoveItParameters
 from tests.helpers import dynamixel, robots
 from tests.helpers.robots import nominal_calibration, so101
 
-
-def test_the_default_parameters_fit_the_builtin_arm() -> None:
-    check_parameters(MoveItParameters(), so101())
-
-
 WRONG = {
     "group": (MoveItParameters(group_name="leg"), r"moveit\.group_name.*'leg'.*arm, gripper"),
     "link": (MoveItParameters(end_effector_link="toe"), r"moveit\.end_effector_link.*'toe'.*gripper_frame_link"),
@@ -60,16 +55,6 @@ def calibrated(folder: Path) -> Path:
     """A calibration file."""
     save(nominal_calibration(), folder / "calibration.json")
     return folder / "calibration.json"
-
-
-def test_another_description_is_read_within_the_calibration(tmp_path: Path) -> None:
-    builtin = so101()
-    files = described(tmp_path, builtin.urdf.replace('lower="-1.91986"', 'lower="-0.5"'), builtin.srdf)
-    read = Description.read(ArmSettings(**files, calibration=calibrated(tmp_path)))
-    assert read.robot.joints["shoulder_pan"].lower == -0.5
-    assert read.robot.mesh_directory == tmp_path
-    assert read.calibration is not None
-    assert read.calibration.joints[1:] == nominal_calibration().joints[1:]
 
 
 @pytest.mark.parametrize("on_servos", ["serial", "calibration"])
@@ -159,13 +144,6 @@ def test_an_option_that_emulated_dynamixel_servos_do_not_have_is_refused(name: s
 def test_emulated_dynamixel_servos_have_one_state_only() -> None:
     with pytest.raises(ConfigurationError, match=r"emulator\.population: .* so that 'kit' cannot be used"):
         hardware_of(arm=ArmSettings(robot="koch_v1_1"), emulator=EmulatorSettings(population="kit"))
-
-
-def test_the_state_of_emulated_servos_is_a_setting() -> None:
-    emulated = hardware_of(emulator=EmulatorSettings(population="lerobot"))
-    assert isinstance(emulated, EmulatedConfig)
-    assert emulated.population == "lerobot"
-    assert emulated.resumed({}, driven=True).population == "lerobot"
 
 
 def test_every_population_can_be_set() -> None:

@@ -12,8 +12,6 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 
-YEAR_S = 365.25 * 86_400.0
-
 
 @pytest.fixture
 def heard() -> tuple[JointStates, list[Any]]:
@@ -39,17 +37,6 @@ def test_a_state_is_published_with_the_time_of_its_reading(heard: tuple[JointSta
             "effort": pytest.approx([0.3, -0.6]),
         }
     ]
-
-
-@pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 20 * YEAR_S, -20 * YEAR_S])
-def test_states_are_published_while_the_machines_clock_jumps(
-    heard: tuple[JointStates, list[Any]], jump_s: float
-) -> None:
-    states, messages = heard
-    now_s, values = 1.8e9, np.zeros(1)
-    for stamp_s in (now_s, now_s + jump_s, now_s + 0.01):
-        states.publish(ArmState(stamp_s, Mode.HOLDING, ("a",), position_rad=values, velocity_rad_s=values, load=values))
-    assert len(messages) == 3
 
 
 def test_an_arm_that_is_not_there_has_no_joint_states(heard: tuple[JointStates, list[Any]]) -> None:

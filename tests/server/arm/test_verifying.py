@@ -13,7 +13,7 @@ from robot.faults import Fault, FaultCode
 from robot.messages import Mode
 from server.arm.commissioning import IDLE_TIMEOUT_S, Dialogue, ProcedureFailed
 from server.arm.verifying import SLOWLY, VerificationProcedure
-from server.execution.queue import Answer
+from server.execution.goal import Answer, Goal
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.robots import so101
 from tests.helpers.waiting import until
@@ -30,14 +30,14 @@ class Goals:
         self.scalings: set[float] = set()
         self.cancelled: list[str] = []
 
-    def go_to(self, positions_rad: Mapping[str, float], scaling: float) -> tuple[str, asyncio.Future[Answer]]:
+    def go_to(self, positions_rad: Mapping[str, float], scaling: float) -> Goal:
         self.asked.append(positions_rad)
         self.scalings.add(scaling)
-        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        goal = Goal(0, str(len(self.asked)), "the server", None)
         if self._codes:
             code = self._codes.pop(0) if len(self._codes) > 1 else self._codes[0]
-            answered.set_result(Answer(code, f"it ended as {code.name}"))
-        return str(len(self.asked)), answered
+            goal.answered.set_result(Answer(code, f"it ended as {code.name}"))
+        return goal
 
     def cancel(self, number: str, _reason: str) -> None:
         self.cancelled.append(number)

@@ -37,14 +37,15 @@ from robot.messages import ArmConfig, ArmState, ChangePace, Mode, MotionEnded, O
 from robot.trajectory import Trajectory
 from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, GoalExecutors, MotionRecorder
 from server.execution.failures import FailedGoals
+from server.execution.goal import Goal, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.motions import STATE_AGE_S, ExternalTrajectory, Motion, PlannedMotion, Positions
+from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PlannedMotion, Positions
 from server.execution.motions_in_progress import MotionsInProgress
-from server.execution.queue import GoalPolicy, GoalQueue, GoalState, Progress
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.execution.time_limits import TimeLimits
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.clock import FakeClock
-from tests.helpers.fake_arm import JOINTS, FakeArm, settle
+from tests.helpers.fake_arm import FakeArm, settle
 from tests.helpers.motions import LONG, smooth_move
 from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.waiting import until
@@ -75,7 +76,8 @@ class Rig:
     news: list[Progress] = field(default_factory=list)
 
     async def run(self, **positions_rad: float) -> Any:
-        return await self.executor.run(to(**positions_rad), self.news.append, 0)
+        self.goal = Goal(0, "1", "/goal", to(**positions_rad), self.news.append)
+        return await self.executor.run(self.goal)
 
 
 def context_of(arm: Arm, robot: RobotModel, pool: Planners) -> ExecutionContext:
@@ -128,7 +130,7 @@ async def test_a_stop_ends_planning_that_hangs(rig: Rig) -> None:
     rig.news.clear()
     running = asyncio.create_task(rig.run(shoulder_pan=0.8))
     await until(lambda: rig.news)
-    rig.executor.cancel("stopped by a test")
+    rig.goal.cancel("stopped by a test")
     answer = await asyncio.wait_for(running, TIMEOUT_S)
     for pid in set(hanging) & set(rig.pool.pids):
         os.kill(pid, signal.SIGCONT)
@@ -143,7 +145,7 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
     rig.news.clear()
     running = asyncio.create_task(rig.run(shoulder_pan=1.5))
     await until(lambda: any(progress.state is state for progress in rig.news))
-    rig.executor.cancel("stopped by a test")
+    rig.goal.cancel("stopped by a test")
     answer = await asyncio.wait_for(running, TIMEOUT_S)
     assert answer.code is MoveItErrorCode.PREEMPTED
     await until(lambda: rig.arm.state.mode is Mode.HOLDING)
@@ -154,7 +156,7 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     executor = executor_of(arm, robot, PlannerPool(robot))
-    answer = await executor.run(to(shoulder_pan=0.5), lambda _progress: None, 0)
+    answer = await executor.run(Goal(0, "1", "/goal", to(shoulder_pan=0.5)))
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
     assert "starting" in answer.message
 
@@ -234,7 +236,8 @@ class Stage:
         return answer
 
     async def begin(self, motion: PlannedMotion | ExternalTrajectory) -> None:
-        self.running = asyncio.create_task(self.executor.run(motion, self.news.append, 0))
+        self.goal = Goal(0, "1", "/goal", motion, self.news.append)
+        self.running = asyncio.create_task(self.executor.run(self.goal))
         await settle()
 
     async def answer(self) -> Any:
@@ -247,7 +250,7 @@ class Stage:
         assert (await self.answer()).code is MoveItErrorCode.SUCCESS
 
     async def plan_ahead(self, motion: PlannedMotion) -> None:
-        self.executor.plan_ahead(motion, 60.0)
+        self.executor.plan_ahead(Goal(0, "2", "/goal", motion), 60.0)
         await settle()
 
 
@@ -302,14 +305,6 @@ async def test_a_given_trajectory_that_takes_too_long_is_refused(stage: Stage) -
     assert stage.arm.played == []
 
 
-async def test_the_time_left_of_a_sequence_is_that_of_all_its_motions(stage: Stage) -> None:
-    await stage.begin(PlannedMotion((*to(shoulder_pan=0.4).steps, *to(shoulder_pan=0.0).steps), frozenset(ARM)))
-    stage.arm.state = replace(stage.arm.state, fraction=0.75, remaining_s=0.25)
-    await until(lambda: (stage.news[-1].state, stage.news[-1].remaining_s) == (GoalState.EXECUTING, 1.25))
-    stage.executor.cancel("a test")
-    await stage.answer()
-
-
 async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(stage: Stage) -> None:
     stage.arm.started.clear()
     await stage.begin(to(shoulder_pan=0.4))
@@ -322,33 +317,13 @@ async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(sta
 async def test_a_goal_that_is_stopped_while_the_arm_is_being_started_moves_nothing(stage: Stage) -> None:
     stage.arm.started.clear()
     await stage.begin(given(0.0, 0.4))
-    stage.executor.cancel("stopped by a test")
+    stage.goal.cancel("stopped by a test")
     answer = await stage.answer()
     assert (answer.code, answer.message) == (
         MoveItErrorCode.PREEMPTED,
         "stopped by a test before the motion began",
     )
     assert not stage.arm.played
-
-
-async def test_the_answer_contains_the_plan_and_its_start(stage: Stage) -> None:
-    stage.arm.put(elbow_flex=0.1)
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.arm.end()
-    performed = (await stage.answer()).performed
-    assert performed.start_rad["elbow_flex"] == 0.1
-    assert set(performed.start_rad) == set(JOINTS)
-    assert performed.planned == tuple(stage.arm.played)
-    assert performed.planning_time_s == 0.01
-
-
-async def test_several_steps_are_executed_in_order(stage: Stage) -> None:
-    first, second = to(shoulder_pan=0.4), to(shoulder_pan=0.8)
-    await stage.begin(PlannedMotion((*first.steps, *second.steps), frozenset(ARM)))
-    stage.arm.end()
-    await settle()
-    await stage.arrive()
-    assert [motion.positions_rad[-1, 0] for motion in stage.arm.played] == pytest.approx([0.4, 0.8])
 
 
 async def test_a_goal_out_of_reach_is_not_planned_again(stage: Stage) -> None:
@@ -380,15 +355,6 @@ async def test_a_motion_that_the_scene_stops_is_planned_again_from_the_present_p
     assert stage.scenes == [1, 2]
 
 
-async def test_a_goal_with_one_attempt_ends_with_the_contact(stage: Stage) -> None:
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.contact, stage.scene = WALL, Scene(2)
-    stage.changed()
-    answer = await stage.answer()
-    assert answer.code is WALL.code
-    assert answer.message.startswith("would touch the wall")
-
-
 async def test_a_scene_that_changes_during_planning_is_checked_before_the_motion(stage: Stage) -> None:
     def change(start_rad: Positions) -> PlanningProblem:
         stage.scene, stage.contact = Scene(2), WALL
@@ -397,13 +363,6 @@ async def test_a_scene_that_changes_during_planning_is_checked_before_the_motion
     await stage.begin(PlannedMotion((change,), frozenset(ARM)))
     assert (await stage.answer()).code is WALL.code
     assert stage.arm.played == []
-
-
-async def test_a_goal_may_be_planned_in_a_scene_of_its_own(stage: Stage) -> None:
-    await stage.begin(PlannedMotion(to(shoulder_pan=0.4).steps, frozenset(ARM), scene=lambda _positions_rad: Scene(77)))
-    stage.arm.end()
-    await stage.answer()
-    assert stage.scenes == [77]
 
 
 async def test_a_goal_is_planned_again_when_the_arm_was_moved_meanwhile(stage: Stage) -> None:
@@ -436,7 +395,7 @@ async def test_an_external_trajectory_that_starts_elsewhere_or_collides_is_not_p
 
 async def test_cancelling_the_active_goal_leaves_other_motions_alone(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.cancel("preempted by a test")
+    stage.goal.cancel("preempted by a test")
     answer = await stage.answer()
     assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "preempted by a test; stopped half-way")
     assert None not in stage.arm.stops
@@ -460,15 +419,15 @@ async def test_a_goal_at_the_present_position_moves_nothing(stage: Stage) -> Non
 async def test_a_goal_is_cancelled_during_planning(stage: Stage) -> None:
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.cancel("ended by a test")
+    stage.goal.cancel("ended by a test")
     assert (await stage.answer()).message == "ended by a test while planning"
     assert stage.arm.played == []
 
 
 async def test_a_goal_cancelled_before_its_work_begins_moves_nothing_and_the_next_one_moves(stage: Stage) -> None:
-    stage.executor.cancel("ended by a test")
-    await stage.begin(to(shoulder_pan=0.4))
-    answer = await stage.answer()
+    goal = Goal(0, "1", "/goal", to(shoulder_pan=0.4))
+    goal.cancel("ended by a test")
+    answer = await stage.executor.run(goal)
     assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "ended by a test before the motion began")
     assert stage.arm.played == []
     await stage.begin(to(shoulder_pan=0.4))
@@ -494,7 +453,7 @@ async def under_way(stage: Stage) -> None:
     stage.clock.advance(2.0 * STATE_AGE_S)
     stage.arm.pass_time(2.0 * STATE_AGE_S)
     stage.arm.show(0.5)
-    stage.executor.preempt("preempted by a test")
+    stage.goal.cancel("preempted by a test", replaced=True)
     assert (await stage.answer()).message == "preempted by a test"
 
 
@@ -550,22 +509,11 @@ async def test_the_arm_brakes_before_a_motion_that_cannot_be_blended_in(
     assert stage.arm.continued == []
 
 
-async def test_an_external_trajectory_begins_at_rest(stage: Stage) -> None:
-    await under_way(stage)
-    held = stage.arm.state.goal_rad
-    assert held is not None
-    motion = smooth_move({name: (held_rad, 0.5) for name, held_rad in zip(ARM, held.tolist(), strict=False)}, 2.0)
-    await stage.begin(ExternalTrajectory(lambda _held_rad: motion, frozenset(ARM)))
-    assert len(stage.arm.stops) == 1
-    await stage.arrive()
-    assert stage.arm.continued == []
-
-
 async def test_a_goal_that_is_cancelled_before_the_replacement_leaves_the_arm_at_rest(stage: Stage) -> None:
     await under_way(stage)
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=-0.2))
-    stage.executor.cancel("cancelled by a test")
+    stage.goal.cancel("cancelled by a test")
     assert (await stage.answer()).code is MoveItErrorCode.PREEMPTED
     assert stage.arm.stops
 
@@ -576,9 +524,10 @@ async def test_a_goal_that_is_cancelled_as_its_replacement_is_to_be_planned_asks
 
     def report(progress: Progress) -> None:
         if progress.message == "planning in motion":
-            stage.executor.cancel("cancelled by a test")
+            goal.cancel("cancelled by a test")
 
-    answer = await asyncio.wait_for(stage.executor.run(to(shoulder_pan=-0.2), report, 0), TIMEOUT_S)
+    goal = Goal(0, "2", "/goal", to(shoulder_pan=-0.2), report)
+    answer = await asyncio.wait_for(stage.executor.run(goal), TIMEOUT_S)
     # A question that is never awaited is an error of the test run.
     gc.collect()
     assert answer.code is MoveItErrorCode.PREEMPTED
@@ -645,12 +594,6 @@ async def test_a_motion_begins_beside_one_that_it_cannot_touch(stage: Stage) -> 
     assert [question.second for question in stage.meetings] == [FINGER]
 
 
-async def test_a_motion_is_planned_for_the_end_of_one_beside_it(stage: Stage) -> None:
-    beside(stage)
-    await stage.begin(to(shoulder_pan=0.4))
-    assert stage.problems[0].start_rad["gripper"] == 0.7
-
-
 async def test_a_motion_waits_for_one_that_it_may_touch_and_says_so(stage: Stage) -> None:
     ended, stage.meeting = beside(stage), MIGHT_TOUCH
     await stage.begin(to(shoulder_pan=0.4))
@@ -665,7 +608,7 @@ async def test_a_goal_that_waits_for_a_motion_can_be_cancelled(stage: Stage) -> 
     beside(stage)
     stage.meeting = MIGHT_TOUCH
     await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.cancel("enough")
+    stage.goal.cancel("enough")
     assert (await stage.answer()).code is MoveItErrorCode.PREEMPTED
     assert stage.arm.played == []
 
@@ -712,7 +655,7 @@ async def test_a_goal_is_planned_after_those_that_came_before_for_where_they_end
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=0.4))
     other = stage.executing()
-    second = asyncio.create_task(other.run(fingers(), stage.news.append, 0))
+    second = asyncio.create_task(other.run(Goal(0, "2", "/goal", fingers())))
     await settle()
     assert len(stage.problems) == 1
     stage.planners_answer.set()
@@ -723,7 +666,7 @@ async def test_a_goal_is_planned_after_those_that_came_before_for_where_they_end
 
 async def test_a_motion_that_was_announced_and_not_begun_is_forgotten(stage: Stage) -> None:
     await stage.begin(replace(to(shoulder_pan=0.4), confirm=True))
-    stage.executor.cancel("enough")
+    stage.goal.cancel("enough")
     await stage.answer()
     await stage.begin(fingers())
     assert stage.problems[-1].start_rad["shoulder_pan"] == 0.0
@@ -736,15 +679,6 @@ def fingers() -> PlannedMotion:
         return PlanningProblem("gripper", start_rad, JointGoal({"gripper": 0.5}))
 
     return PlannedMotion((problem,), frozenset(("gripper",)))
-
-
-async def test_goals_of_the_same_joints_have_the_same_executor_and_all_share_the_motions(stage: Stage) -> None:
-    executors = GoalExecutors(stage.arm.as_arm, stage.context())
-    arm, gripper = executors.runner(frozenset(ARM)), executors.runner(frozenset(("gripper",)))
-    assert executors.runner(frozenset(ARM)) is arm is not gripper
-    assert arm._in_progress is gripper._in_progress is executors.in_progress
-    executors.stop("enough")
-    assert stage.arm.stops == [None]
 
 
 async def test_a_motion_that_begins_during_the_last_check_is_checked_as_well(stage: Stage) -> None:
@@ -764,23 +698,6 @@ async def ahead(stage: Stage, following: PlannedMotion) -> None:
     await stage.begin(to(shoulder_pan=0.4))
     stage.problems.clear()
     await stage.plan_ahead(following)
-
-
-async def test_a_goal_that_was_planned_ahead_is_not_planned_again(stage: Stage) -> None:
-    following = to(shoulder_pan=0.8)
-    await ahead(stage, following)
-    assert stage.ahead[0].start_rad["shoulder_pan"] == stage.arm.played[0].positions_rad[-1, 0]
-    stage.arm.end()
-    await stage.answer()
-    stage.news.clear()
-    await stage.begin(following)
-    assert [news.state for news in stage.news] == [GoalState.PLANNING, GoalState.EXECUTING]
-    stage.arm.end()
-    answer = await stage.answer()
-    assert answer.code is MoveItErrorCode.SUCCESS
-    assert stage.problems == []
-    assert answer.performed.planned == (stage.arm.played[1],)
-    assert stage.news[-1].message == "a motion of 1.0 s (straight line, in advance; planned in 10 ms)"
 
 
 def end_by(outcome: Outcome) -> Callable[[Stage], None]:
@@ -805,7 +722,7 @@ IN_BETWEEN: dict[str, Callable[[Stage], None]] = {
     "fault": end_by(Outcome.FAULT),
     "stop": end_by(Outcome.STOPPED),
     "not settled": end_by(Outcome.NOT_SETTLED),
-    "cancelled": lambda stage: (stage.arm.show(1.0), stage.executor.cancel("a test"))[1],
+    "cancelled": lambda stage: (stage.arm.show(1.0), stage.goal.cancel("a test"))[1],
     "scene": end_and(lambda stage: setattr(stage, "scene", Scene(2))),
     "moved a little": end_and(lambda stage: stage.arm.put(shoulder_pan=0.4 + 1e-9)),
     "another joint": end_and(lambda stage: stage.arm.put(shoulder_pan=0.4, gripper=0.1)),
@@ -825,43 +742,6 @@ async def test_a_goal_is_planned_in_its_turn_when_something_came_between(
     await stage.arrive()
 
 
-async def test_a_goal_that_failed_ahead_is_answered_as_any(stage: Stage) -> None:
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.failures = [NO_WAY, OUT_OF_REACH]
-    await stage.plan_ahead(to(shoulder_pan=0.8))
-    await stage.arrive()
-    await stage.begin(to(shoulder_pan=0.8))
-    assert (await stage.answer()).message == OUT_OF_REACH.message
-
-
-async def test_a_goal_that_left_the_queue_is_forgotten(stage: Stage) -> None:
-    following = to(shoulder_pan=0.8)
-    await ahead(stage, following)
-    stage.executor.forget(following)
-    stage.arm.end()
-    await stage.answer()
-    await stage.begin(following)
-    assert len(stage.problems) == 1
-
-
-async def test_nothing_is_planned_ahead_before_the_motion_is_known(stage: Stage) -> None:
-    await stage.plan_ahead(to(shoulder_pan=0.8))
-    stage.planners_answer.clear()
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
-    stage.planners_answer.set()
-    await settle()
-    assert stage.ahead == []
-
-
-async def test_nothing_is_planned_ahead_after_the_motion(stage: Stage) -> None:
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.arm.end()
-    await stage.answer()
-    await stage.plan_ahead(to(shoulder_pan=0.8))
-    assert stage.ahead == []
-
-
 async def test_nothing_is_planned_ahead_beside_the_motion_of_another_group(stage: Stage) -> None:
     ended = beside(stage)
     await ahead(stage, to(shoulder_pan=0.8))
@@ -873,7 +753,7 @@ async def test_nothing_is_planned_ahead_beside_the_motion_of_another_group(stage
 
 async def test_nothing_is_planned_ahead_for_a_goal_that_replaces_the_motion(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
-    stage.executor.preempt("preempted by a test")
+    stage.goal.cancel("preempted by a test", replaced=True)
     stage.executor.plan_ahead(to(shoulder_pan=0.8), 60.0)
     await stage.answer()
     await settle()
@@ -887,25 +767,12 @@ async def test_planning_ahead_ends_when_the_goal_before_is_cancelled_though_the_
     stage.planners_answer.clear()
     await stage.plan_ahead(to(shoulder_pan=0.8))
     monkeypatch.setattr(stage.arm, "stop", lambda _motion: None)
-    stage.executor.cancel("a test")
+    stage.goal.cancel("a test")
     stage.planners_answer.set()
     await settle()
     assert stage.ahead == []
     stage.arm.end(Outcome.STOPPED)
     await stage.answer()
-
-
-async def test_a_goal_after_several_motions_is_planned_for_the_end_of_the_last(stage: Stage) -> None:
-    await stage.begin(PlannedMotion((*to(shoulder_pan=0.4).steps, *to(elbow_flex=0.3).steps), frozenset(ARM)))
-    await stage.plan_ahead(to(shoulder_pan=0.8))
-    start_rad = stage.ahead[0].start_rad
-    assert (start_rad["shoulder_pan"], start_rad["elbow_flex"]) == pytest.approx((0.4, 0.3))
-
-
-async def test_a_goal_after_a_given_trajectory_is_planned_for_its_end(stage: Stage) -> None:
-    await stage.begin(given(0.0, 0.5))
-    await stage.plan_ahead(to(shoulder_pan=0.8))
-    assert stage.ahead[0].start_rad["shoulder_pan"] == pytest.approx(0.5)
 
 
 async def test_a_goal_after_a_motion_that_replaced_another_is_planned_for_its_end(stage: Stage) -> None:
@@ -972,8 +839,8 @@ class Burst:
         self.answers: list[Any] = []
         self.news: dict[str, list[str]] = defaultdict(list)
         executors = GoalExecutors(arm, context_of(arm, robot, pool))
-        self.executor = executors.runner(frozenset(ARM))
-        self.queue: GoalQueue[Motion] = GoalQueue(
+        self.executor = executors.executor(frozenset(ARM))
+        self.queue: GoalQueue = GoalQueue(
             executors,
             GoalPolicy.QUEUE,
             20,

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from planners.files import problem_file
-from planners.goals import Goal, JointGoal, PositionGoal
+from planners.goals import Goal, JointGoal
 from planners.problem import CartesianProblem, Line, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Box, Pose, Scene, SceneObject
 from server.execution import failures
@@ -58,16 +58,6 @@ async def test_the_newest_files_are_kept(failed_goals: FailedGoals, tmp_path: Pa
     assert left[-1] == "notes.json"
 
 
-async def test_two_servers_save_goals_of_the_same_moment_in_two_files(tmp_path: Path) -> None:
-    servers = [FailedGoals(tmp_path, so101(), lambda: 1_800_000_000.0, KEPT) for _ in range(3)]
-    await asyncio.gather(*(server.save(EASY, Scene(), FAILURE) for server in servers))
-    assert names(tmp_path) == [
-        "goal-20270115T080000.000000Z-GOAL_IN_COLLISION-1.json",
-        "goal-20270115T080000.000000Z-GOAL_IN_COLLISION-2.json",
-        "goal-20270115T080000.000000Z-GOAL_IN_COLLISION.json",
-    ]
-
-
 async def test_a_directory_that_cannot_be_written_is_only_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -93,12 +83,6 @@ async def test_a_joint_goal_in_collision_gets_a_free_one_that_can_be_planned() -
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
     assert failure.details["pairs"]
     assert isinstance(await planned(JointGoal(failure.details["free_rad"])), Plan)
-
-
-async def test_a_point_in_collision_gets_a_free_one_that_can_be_planned() -> None:
-    _, failure = await found(PositionGoal(TIP, (0.25, 0.25, 0.2), 0.01))
-    assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
-    assert isinstance(await planned(PositionGoal(TIP, tuple(failure.details["free_m"]), 0.01)), Plan)
 
 
 async def test_a_path_of_the_tip_gets_the_end_that_is_reached_and_says_if_its_own_end_is_by_another_way() -> None:
@@ -127,13 +111,6 @@ async def test_the_end_of_a_path_that_cannot_begin_may_be_had_by_another_way() -
     assert "free_m" not in failure.details
 
 
-async def test_a_path_that_is_refused_is_unchanged() -> None:
-    pool, problem = DirectPool(), CartesianProblem("arm", HOME, "tail", (Line(Pose((0.3, 0.0, 0.2))),))
-    refused = await pool.ask(problem, WALL)
-    assert await with_nearest_goal(refused, problem, WALL, pool) is refused  # type: ignore[arg-type, comparison-overlap]
-    assert pool.requests == [problem]
-
-
 async def test_a_goal_to_which_no_motion_was_found_gets_the_nearest_that_one_reaches() -> None:
     late = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late", {"allowed_time_s": 5.0})
     problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": -1.2}))
@@ -141,13 +118,6 @@ async def test_a_goal_to_which_no_motion_was_found_gets_the_nearest_that_one_rea
     assert (failure.code, failure.message) == (late.code, late.message)
     assert failure.details["allowed_time_s"] == 5.0
     assert failure.details["free_rad"]["shoulder_pan"] < 0.0
-    assert isinstance(await planned(JointGoal(failure.details["free_rad"])), Plan)
-
-
-async def test_a_joint_goal_beyond_the_limits_gets_one_within_them() -> None:
-    _, failure = await found(JointGoal({"shoulder_pan": 3.0}))
-    assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
-    assert failure.details["free_rad"]["shoulder_pan"] == pytest.approx(failure.details["upper_rad"], abs=1e-4)
     assert isinstance(await planned(JointGoal(failure.details["free_rad"])), Plan)
 
 
@@ -178,9 +148,3 @@ async def test_other_failures_are_unchanged() -> None:
     in_collision = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "touches")
     assert await with_nearest_goal(in_collision, None, WALL, pool) is in_collision  # type: ignore[arg-type]
     assert pool.requests == []
-
-
-async def test_a_point_out_of_reach_gets_the_nearest_that_can_be_planned() -> None:
-    _, failure = await found(PositionGoal(TIP, (0.6, 0.0, 0.2), 0.01))
-    assert failure.code is MoveItErrorCode.NO_IK_SOLUTION
-    assert isinstance(await planned(PositionGoal(TIP, tuple(failure.details["free_m"]), 0.01)), Plan)

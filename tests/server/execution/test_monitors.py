@@ -11,12 +11,10 @@ import pytest
 from planners.interface import Planners
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
-from protocol.messages import Stamp, complete
-from protocol.registry import Registry
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
 from server.errors import RefusedError
-from server.execution.monitors import CurrentState, SceneMonitor, check_ready, state_message
+from server.execution.monitors import CurrentState, SceneMonitor, check_ready
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import settle
 from tests.helpers.motions import smooth_move
@@ -59,20 +57,9 @@ def test_positions_are_those_that_the_arm_holds_and_not_those_it_droops_to():
     assert state.positions_rad() == {"shoulder_pan": 0.3, "gripper": 0.4}
 
 
-def test_positions_of_a_relaxed_arm_are_measured():
-    assert current(position_rad=np.array([0.1, 0.2])).positions_rad() == {"shoulder_pan": 0.1, "gripper": 0.2}
-
-
 def test_a_disconnected_arm_has_no_positions_and_a_message_without_joints():
     assert current().positions_rad() is None
     assert current().message()["joint_state"]["name"] == []
-
-
-@pytest.mark.parametrize("positions_rad", [{}, {"shoulder_pan": 0.3}])
-def test_the_message_is_complete_as_it_is(positions_rad):
-    message = state_message(positions_rad, ROBOT.root_link, 12.5)
-    assert complete(Registry.load(), "moveit_msgs/RobotState", message, Stamp(0, 0)) == message
-    assert message["joint_state"]["header"] == {"stamp": {"sec": 12, "nanosec": 500_000_000}, "frame_id": "base_link"}
 
 
 @dataclass
@@ -91,11 +78,6 @@ def test_an_arm_that_is_not_ready_names_reason_and_remedy(state: ArmState, code:
     assert refused.value.failure.code is code
 
 
-@pytest.mark.parametrize("mode", [Mode.HOLDING, Mode.MOVING])
-def test_an_arm_that_holds_or_moves_takes_motions(mode: Mode) -> None:
-    check_ready(Read(ArmState(0.0, mode, (), goal_rad=GOAL)))
-
-
 HOLDING = ArmState(0.0, Mode.HOLDING, (), goal_rad=GOAL)
 
 
@@ -104,10 +86,6 @@ def test_an_old_state_refuses_motions(age_s: float, max_age_s: float) -> None:
     refused = rejection(check_ready, Read(HOLDING, age_s, max_age_s))
     assert refused.code is MoveItErrorCode.ROBOT_STATE_STALE
     assert refused.message == f"the last state of the arm is {age_s:.1f} s old (limit {max_age_s:g} s)"
-
-
-def test_a_starved_simulated_arm_takes_motions() -> None:
-    check_ready(Read(HOLDING, 4.5, SIMULATED_MAX_AGE_S))
 
 
 QUESTION = RecheckQuestion("arm", smooth_move({"a": (0.0, 1.0)}, 1.0), {}, 0.0)
@@ -150,12 +128,6 @@ def watching(place: Place) -> SceneMonitor:
 @pytest.fixture
 def place() -> Place:
     return Place()
-
-
-async def test_an_unchanged_scene_is_not_checked(place: Place) -> None:
-    watching(place)
-    await settle()
-    assert place.looked == []
 
 
 async def test_a_change_in_the_way_is_reported_once(place: Place) -> None:
@@ -222,28 +194,6 @@ TOO_LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "the planner did not answe
 def watching_patiently(place: StarvedPlace) -> None:
     monitor = SceneMonitor(place, place, 5.0, place.clock)  # type: ignore[arg-type]
     monitor.start(1, lambda: (QUESTION,), place.contacts.append)
-
-
-async def test_starved_planners_are_asked_again() -> None:
-    place = StarvedPlace(starved_s=4.5)
-    watching_patiently(place)
-    place.change()
-    await settle()
-    assert (place.looked, place.contacts) == ([2, 2, 2], [])
-
-
-@pytest.mark.parametrize(
-    ("answer", "contacts"), [(RecheckAnswer(None), 0), (PlanningFailure(MoveItErrorCode.CRASH, "the planner died"), 1)]
-)
-async def test_planners_that_answer_in_time_are_asked_once(
-    answer: RecheckAnswer | PlanningFailure, contacts: int
-) -> None:
-    place = StarvedPlace(starved_s=0.0)
-    place.answer = answer
-    watching_patiently(place)
-    place.change()
-    await settle()
-    assert (place.looked, len(place.contacts)) == ([2], contacts)
 
 
 async def test_planners_that_are_silent_for_longer_than_the_arm_may_be_stop_the_motion() -> None:

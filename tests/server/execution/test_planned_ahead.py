@@ -94,13 +94,6 @@ async def desk() -> Desk:
     return Desk()
 
 
-async def test_the_problem_that_was_planned_ahead_is_answered_by_the_plan(desk: Desk) -> None:
-    await desk.begin(goal())
-    plan = await desk.ask(problem_from(START))
-    assert (plan.method, plan.trajectory.duration_s) == ("straight line, in advance", 1.0)
-    assert desk.planners.asked == []
-
-
 OTHER: dict[str, tuple[Problem, Scene]] = {
     "another start": (problem_from({**START, "shoulder_pan": np.nextafter(0.2, 1.0)}), SCENE),
     "another joint elsewhere": (problem_from({**START, "gripper": 1e-9}), SCENE),
@@ -119,46 +112,11 @@ async def test_any_other_problem_is_planned_in_its_turn(desk: Desk, problem: Pro
     assert desk.planners.asked == [problem]
 
 
-async def test_a_plan_is_used_once(desk: Desk) -> None:
-    await desk.begin(goal())
-    await desk.ask(problem_from(START))
-    assert (await desk.ask(problem_from(START))).method == "planned in its turn"
-
-
-async def test_a_goal_whose_plan_is_not_ready_in_its_turn_is_planned_then(desk: Desk) -> None:
-    desk.planners.ready = 0
-    await desk.begin(goal())
-    assert (await desk.ask(problem_from(START))).method == "planned in its turn"
-    await settle()
-    assert desk.planners.given_up == 1
-
-
-async def test_a_goal_is_planned_ahead_once(desk: Desk) -> None:
-    request = goal()
-    for _ in range(3):
-        await desk.begin(request)
-    assert len(desk.planners.background) == 1
-
-
 async def test_a_goal_is_planned_ahead_anew_when_the_scene_has_changed(desk: Desk) -> None:
     request = goal()
     await desk.begin(request)
     await desk.begin(request, Scene(2))
     assert (await desk.ask(problem_from(START), Scene(2))).method == "straight line, in advance"
-
-
-async def test_a_goal_is_planned_ahead_anew_when_the_motion_before_it_ends_elsewhere(desk: Desk) -> None:
-    request = goal()
-    await desk.begin(request)
-    await desk.begin(request, shoulder_lift=0.3)
-    assert [problem.start_rad["shoulder_lift"] for problem in desk.planners.background] == [0.2, 0.3]
-
-
-async def test_only_one_goal_is_planned_ahead_at_a_time(desk: Desk) -> None:
-    desk.planners.ready = 0
-    for _ in range(20):
-        await desk.begin(goal())
-        assert len(desk.planners.background) - desk.planners.given_up == 1
 
 
 async def test_a_plan_that_is_cancelled_is_given_up_and_not_used(desk: Desk) -> None:
@@ -168,13 +126,6 @@ async def test_a_plan_that_is_cancelled_is_given_up_and_not_used(desk: Desk) -> 
     desk.planners.ready = 1
     await settle()
     assert desk.planners.given_up == 1
-    assert (await desk.ask(problem_from(START))).method == "planned in its turn"
-
-
-async def test_the_plan_of_a_goal_that_left_the_queue_is_dropped(desk: Desk) -> None:
-    request = goal()
-    await desk.begin(request)
-    desk.ahead.forget(request)
     assert (await desk.ask(problem_from(START))).method == "planned in its turn"
 
 
@@ -266,12 +217,6 @@ async def test_no_more_than_a_share_of_the_time_left_is_spent(desk: Desk) -> Non
     desk.planners.answers = [plan_of(3.0, "RRTConnect")]
     await desk.begin(goal(), left_s=0.2)
     assert desk.planners.background[-1].optimization_time_s <= OPTIMIZATION_SHARE * 0.2
-
-
-async def test_no_time_is_spent_when_none_is_left(desk: Desk) -> None:
-    desk.planners.answers = [plan_of(3.0, "RRTConnect")]
-    await desk.begin(goal(), left_s=0.0)
-    assert len(desk.planners.background) == 1
 
 
 AS_THEY_ARE: dict[str, tuple[PlanningProblem, str]] = {

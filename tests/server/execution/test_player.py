@@ -12,10 +12,10 @@ from planners.scene import EMPTY_SCENE
 from robot.messages import Outcome, Pace, PlaybackDirection
 from server.execution import player
 from server.execution import player as player_module
+from server.execution.goal import Answer, Goal, Progress
 from server.execution.monitors import Questions
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.player import CODE_OF_OUTCOME, CheckedMotion, Player
-from server.execution.queue import Answer, Progress
 from server.execution.time_limits import TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, FakeArm, StubbornArm, settle
@@ -59,6 +59,7 @@ class Stage:
         self.clock = FakeClock()
         self.player = Player(self.arm, so101(), self.scene_monitor, LIMITS, MotionsInProgress(), self.clock)  # type: ignore[arg-type]
         self.news: list[Progress] = []
+        self.goal = self.next_goal()
         self.running: asyncio.Task[Answer] | None = None
 
     def pass_time(self, seconds: float) -> None:
@@ -66,8 +67,11 @@ class Stage:
         self.clock.advance(seconds)
         self.arm.pass_time(seconds)
 
+    def next_goal(self) -> Goal:
+        return Goal(0, "1", "/goal", None, self.news.append)
+
     async def begin(self) -> None:
-        self.running = asyncio.create_task(self.player.play(MOTION, self.news.append, questions, 0))
+        self.running = asyncio.create_task(self.player.play(self.goal, MOTION, questions))
         await settle()
 
     async def answer(self) -> Answer:
@@ -90,18 +94,13 @@ async def test_every_outcome_has_its_code_and_message(stage: Stage, outcome: Out
     assert not stage.scene_monitor.monitoring
 
 
-async def test_the_answer_after_a_stop_names_its_reason(stage: Stage) -> None:
-    stage.player.stop("a test")
-    assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "a test; stopped half-way")
-
-
 async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
     stage = Stage()
 
     def broken(_progress: Progress) -> None:
         raise ValueError("a bug")
 
-    stage.running = asyncio.create_task(stage.player.play(MOTION, broken, questions, 0))
+    stage.running = asyncio.create_task(stage.player.play(Goal(0, "1", "/goal", None, broken), MOTION, questions))
     await settle()
     motion = stage.arm.played[-1]
     assert motion is MOTION.trajectory
@@ -114,18 +113,10 @@ async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
 
 async def test_a_contact_on_the_way_stops_the_motion_with_its_code_and_details(stage: Stage) -> None:
     stage.scene_monitor.found(CONTACT)
-    stage.player.stop("too late")
+    stage.goal.cancel("too late")
     answer = await stage.answer()
     assert (answer.code, answer.details) == (CONTACT.code, CONTACT.details)
     assert answer.message == "would touch the wall; stopped half-way"
-
-
-async def test_only_the_active_motion_is_stopped(stage: Stage) -> None:
-    stage.player.stop("a test")
-    await stage.answer()
-    assert stage.arm.stops != [None]
-    stage.player.stop("nothing moves any more")
-    assert len(stage.arm.stops) == 1
 
 
 async def test_the_scene_monitor_asks_about_the_rest_of_the_motion(stage: Stage) -> None:
@@ -174,45 +165,14 @@ async def test_a_starved_arm_has_all_its_time_by_its_own_clock(stubborn: Stage) 
     assert (await stubborn.answer()).code is MoveItErrorCode.SUCCESS
 
 
-async def test_a_motion_that_overruns_by_the_arms_clock_is_given_up(stubborn: Stage) -> None:
-    stubborn.pass_time(1.1 * ALLOWED_S)
-    await asyncio.sleep(LOOKS_S)
-    assert len(stubborn.arm.stops) == 1
-    stubborn.arm.end(Outcome.STOPPED, "stopped half-way")
-    assert (await stubborn.answer()).code is MoveItErrorCode.TIMED_OUT
-
-
-async def test_an_arm_that_brakes_within_the_time_of_its_own_clock_is_waited_for(stubborn: Stage) -> None:
-    stubborn.pass_time(1.1 * ALLOWED_S)
-    await asyncio.sleep(LOOKS_S)
-    stubborn.clock.advance(1000.0)
-    stubborn.arm.pass_time(0.9 * BRAKING_S)
-    await asyncio.sleep(LOOKS_S)
-    assert stubborn.running is not None
-    assert not stubborn.running.done()
-    stubborn.arm.pass_time(0.2 * BRAKING_S)
-    answer = await stubborn.answer()
-    assert (answer.code, "does not brake either" in answer.message) == (MoveItErrorCode.COMMUNICATION_FAILURE, True)
-
-
 async def test_a_server_that_stood_still_does_not_count_what_passed_before_the_motion(stubborn: Stage) -> None:
     stubborn.arm.pass_time(1.1 * ALLOWED_S)
     await asyncio.sleep(LOOKS_S)
     assert stubborn.arm.stops == []
 
 
-async def test_a_server_that_stood_still_gives_the_arm_its_time_to_brake(stubborn: Stage) -> None:
-    stubborn.pass_time(1.1 * ALLOWED_S)
-    await asyncio.sleep(0.2 * BRAKING_S)
-    stubborn.arm.pass_time(2.0 * BRAKING_S)
-    await asyncio.sleep(0.2 * BRAKING_S)
-    stubborn.arm.end(Outcome.STOPPED, "stopped half-way")
-    answer = await stubborn.answer()
-    assert (answer.code, "stopped half-way" in answer.message) == (MoveItErrorCode.TIMED_OUT, True)
-
-
 async def test_the_end_of_an_outgoing_motion_is_awaited_by_the_arms_clock(stubborn: Stage) -> None:
-    stubborn.player.preempt("preempted by a test")
+    stubborn.goal.cancel("preempted by a test", replaced=True)
     await stubborn.answer()
     resting = asyncio.create_task(stubborn.player.stop_outgoing())
     await asyncio.sleep(LOOKS_S)
@@ -241,11 +201,6 @@ class Worn:
     exceeded = "the arm did not end the motion"
 
 
-async def test_just_after_the_start_the_state_may_be_of_the_motion_before(stage: Stage) -> None:
-    stage.arm.state = replace(stage.arm.state, fraction=0.25)
-    assert stage.scene_monitor.questions()[0].from_s == 0.0
-
-
 @pytest.mark.parametrize(("machine_s", "arm_s"), [(1.0, 0.05), (0.05, 1.0)])
 async def test_with_a_starved_arm_or_server_the_state_may_be_of_the_motion_before_for_longer(
     stage: Stage, machine_s: float, arm_s: float
@@ -259,14 +214,14 @@ async def test_with_a_starved_arm_or_server_the_state_may_be_of_the_motion_befor
 async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.show(0.4)
-    stage.player.preempt("preempted by a test")
+    stage.goal.cancel("preempted by a test", replaced=True)
     assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "preempted by a test")
     outgoing = stage.player.outgoing
     assert outgoing is not None
     assert outgoing.splice_point is not None
     assert stage.arm.stops == []
     stage.running = asyncio.create_task(
-        stage.player.play(MOTION, stage.news.append, questions, 0, outgoing.splice_point.from_s)
+        stage.player.play(stage.next_goal(), MOTION, questions, from_s=outgoing.splice_point.from_s)
     )
     await settle()
     assert stage.arm.continued == [outgoing.splice_point.from_s]
@@ -274,13 +229,13 @@ async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage
 
 
 async def test_an_outgoing_motion_is_braked_when_none_replaces_it(stage: Stage) -> None:
-    stage.player.preempt("preempted by a test")
+    stage.goal.cancel("preempted by a test", replaced=True)
     await stage.answer()
     await until(lambda: stage.arm.stops)
 
 
 async def test_an_outgoing_motion_can_be_stopped(stage: Stage) -> None:
-    stage.player.preempt("preempted by a test")
+    stage.goal.cancel("preempted by a test", replaced=True)
     await stage.answer()
     await stage.player.stop_outgoing()
     assert len(stage.arm.stops) == 1
@@ -288,6 +243,6 @@ async def test_an_outgoing_motion_can_be_stopped(stage: Stage) -> None:
 
 
 async def test_a_braking_motion_is_not_replaced(stage: Stage) -> None:
-    stage.player.stop("a test")
-    stage.player.preempt("too late")
+    stage.goal.cancel("a test")
+    stage.goal.cancel("too late", replaced=True)
     assert (await stage.answer()).message == "a test; stopped half-way"

@@ -1,43 +1,65 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Iterable
+from typing import Any
 
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress, QueuedGoal, RunningGoal
+from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.queue import GoalPolicy, GoalQueue, RunningGoal
 from tests.helpers.fake_arm import settle
-from tests.helpers.goal_runner import THERE, GoalRunner
+from tests.helpers.goal_runner import GoalRunner
+
+
+class Move(str):
+    """A motion of the only joint, with a name."""
+
+    __slots__ = ()
+    joints = frozenset({"joint"})
+
+
+class MoveOfArms(str):
+    """A motion of the joints that its words name."""
+
+    __slots__ = ()
+
+    @property
+    def joints(self) -> frozenset[str]:
+        return frozenset(self.split())
+
+
+class BrokenError(ValueError):
+    """A motion for which its executor raises it."""
+
+    joints = Move.joints
 
 
 class ScriptedRunner(GoalRunner):
-    """Ends a request when it is told to; a request that is an exception is raised."""
-
-    def __init__(self) -> None:
-        super().__init__("joint")
-
-    async def run(self, request: object, report: Callable[[Progress], None], epoch: int) -> Answer:
-        report(Progress(GoalState.PLANNING, "planning"))
-        if isinstance(request, Exception):
-            raise request
-        return await super().run(request, report, epoch)
+    async def run(self, goal: Goal) -> Answer:
+        goal.report(Progress(GoalState.PLANNING, "planning"))
+        if isinstance(goal.motion, Exception):
+            raise goal.motion
+        return await super().run(goal)
 
 
 class Desk:
-    """A queue, its runner, and all that it told."""
+    """A queue, its executor, and all that it told."""
+
+    move: type[str] = Move
 
     def __init__(self, policy: GoalPolicy = GoalPolicy.QUEUE, runner: ScriptedRunner | None = None) -> None:
         self.runner = runner or ScriptedRunner()
         self.states: list[tuple[str, GoalState]] = []
         self.answers: list[tuple[str, Answer]] = []
-        self.queue: GoalQueue[object] = GoalQueue(self.runner, policy, 3, self._progress, self._answer)
+        self.queue: GoalQueue = GoalQueue(self.runner, policy, 3, self._progress, self._answer)
         self.queue.start()
 
     async def submit(self, *requests: object) -> None:
         """Submit goals; each is begun, or waits, before the next one comes."""
         for request in requests:
-            self.queue.submit("/goal", request)
+            self.queue.submit("/goal", request if isinstance(request, Exception) else self.move(request))
             await settle()
 
     async def finish(self) -> None:
@@ -45,10 +67,10 @@ class Desk:
         self.runner.finish()
         await settle()
 
-    def _progress(self, goal: QueuedGoal[object], progress: Progress) -> None:
+    def _progress(self, goal: Goal, progress: Progress) -> None:
         self.states.append((goal.goal_id, progress.state))
 
-    def _answer(self, goal: QueuedGoal[object], answer: Answer) -> None:
+    def _answer(self, goal: Goal, answer: Answer) -> None:
         self.answers.append((goal.goal_id, answer))
 
     def codes(self) -> list[tuple[str, MoveItErrorCode]]:
@@ -70,7 +92,7 @@ async def desk_of(policy: GoalPolicy, *requests: str) -> Desk:
 
 async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
     for name in "abc":
-        desk.queue.submit("/goal", name)
+        desk.queue.submit("/goal", desk.move(name))
     for count in (1, 2, 3):
         await settle()
         assert len(desk.runner.asked) == count
@@ -79,21 +101,12 @@ async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
     assert desk.codes() == [(str(number), MoveItErrorCode.SUCCESS) for number in (1, 2, 3)]
 
 
-async def test_the_queue_is_busy_while_a_goal_is_active(desk: Desk) -> None:
-    assert desk.queue.busy == ""
-    desk.queue.submit("/goals", "first")
-    await settle()
-    assert desk.queue.busy == "goal 1 from /goals is worked on"
-    await desk.finish()
-    assert desk.queue.busy == ""
-
-
 async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_behind_it(desk: Desk) -> None:
     assert desk.queue.running is None
-    desk.queue.submit("/goals", "first", client="unity")
+    desk.queue.submit("/goals", desk.move("first"), client="unity")
     await settle()
     assert desk.queue.running == RunningGoal("goal 1 of unity from /goals", None, 0)
-    desk.queue.submit("/goals", "second")
+    desk.queue.submit("/goals", desk.move("second"))
     desk.runner.report(Progress(GoalState.EXECUTING, "", 0.25, 3.0))
     assert desk.queue.running == RunningGoal("goal 1 of unity from /goals", 3.0, 1)
     await desk.finish()
@@ -109,8 +122,8 @@ async def test_a_goal_over_the_capacity_is_rejected_with_the_limit(desk: Desk) -
 
 async def test_a_rejected_goal_is_answered_at_once_while_another_runs(desk: Desk) -> None:
     await desk.submit("a")
-    goal_id = desk.queue.reject("/goal", PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
-    assert desk.codes() == [(goal_id, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS)]
+    goal = desk.queue.reject("/goal", PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
+    assert desk.codes() == [(goal.goal_id, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS)]
     assert desk.runner.asked == ["a"]
 
 
@@ -147,7 +160,7 @@ async def test_policy_preempt_ends_the_active_goal_and_runs_the_new_one() -> Non
 
 
 async def test_a_bug_in_the_runner_costs_its_goal_only(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
-    desk.queue.submit("/goal", ValueError("broken"))
+    desk.queue.submit("/goal", BrokenError("broken"))
     await desk.submit("b")
     await desk.finish()
     assert desk.codes() == [("1", MoveItErrorCode.FAILURE), ("2", MoveItErrorCode.SUCCESS)]
@@ -189,30 +202,20 @@ async def test_closing_that_is_cut_short_answers_the_active_goal() -> None:
 
 async def test_a_waiting_goal_reports_how_many_are_ahead(desk: Desk) -> None:
     await desk.submit("a")
-    desk.queue.submit("/goal", "b")
+    desk.queue.submit("/goal", desk.move("b"))
     assert desk.states == [("1", GoalState.QUEUED), ("1", GoalState.PLANNING), ("2", GoalState.QUEUED)]
 
 
 async def test_a_goal_may_come_with_a_policy_of_its_own(desk: Desk) -> None:
     for name in "ab":
-        desk.queue.submit("/topic", name)
+        desk.queue.submit("/topic", desk.move(name))
     await settle()
-    desk.queue.submit("/action", "c", policy=GoalPolicy.PREEMPT)
+    desk.queue.submit("/action", desk.move("c"), policy=GoalPolicy.PREEMPT)
     await settle()
     assert desk.codes() == [("2", MoveItErrorCode.PREEMPTED), ("1", MoveItErrorCode.PREEMPTED)]
     assert desk.runner.asked == ["a", "c"]
     # What else moves, such as the gripper, goes on.
     assert desk.runner.stopped == []
-
-
-async def test_a_goals_own_listeners_are_called_besides_the_queues(desk: Desk) -> None:
-    news: list[Progress] = []
-    answers: list[Answer] = []
-    desk.queue.submit("/action", "a", on_progress=news.append, on_answer=answers.append)
-    await settle()
-    await desk.finish()
-    assert [progress.state for progress in news] == [GoalState.QUEUED, GoalState.PLANNING]
-    assert answers == [THERE] == [answer for _, answer in desk.answers]
 
 
 @pytest.mark.parametrize("number", ["1", "2"], ids=["in hand", "waiting"])
@@ -227,7 +230,7 @@ async def test_a_bug_in_a_listener_costs_no_other_goal(desk: Desk, caplog: pytes
     def broken(_news: object) -> None:
         raise ValueError("broken listener")
 
-    desk.queue.submit("/goal", "a", on_progress=broken, on_answer=broken)
+    desk.queue.submit("/goal", desk.move("a"), on_progress=broken, on_answer=broken)
     await desk.submit("b")
     await desk.finish()
     assert desk.runner.asked == ["a", "b"]
@@ -240,19 +243,16 @@ class TwoArms:
 
     def __init__(self) -> None:
         self.runners: dict[frozenset[str], ScriptedRunner] = {}
-        self.stopped: list[str] = []
+        self.stopped: list[Any] = []
 
     def last_stop(self, _joints: frozenset[str]) -> int:
         return 0
 
-    def joints_of(self, request: object) -> frozenset[str]:
-        return frozenset(str(request).split())
-
-    def runner(self, joints: frozenset[str]) -> ScriptedRunner:
+    def executor(self, joints: frozenset[str]) -> ScriptedRunner:
         return self.runners.setdefault(joints, ScriptedRunner())
 
-    def stop(self, reason: str, _joints: Iterable[str] | None = None) -> None:
-        self.stopped.append(reason)
+    def stop(self, joints: Iterable[str] | None = None) -> None:
+        self.stopped.append(joints)
 
     def of(self, name: str) -> ScriptedRunner:
         return self.runners[frozenset(name.split())]
@@ -260,29 +260,19 @@ class TwoArms:
     @property
     def started(self) -> set[str]:
         """The goals that were begun."""
-        return {str(request) for runner in self.runners.values() for request in runner.asked}
+        return {str(motion) for runner in self.runners.values() for motion in runner.asked}
 
 
 class ArmsDesk(Desk):
     """A queue of two arms, and all that it told."""
+
+    move = MoveOfArms
 
     def __init__(self, policy: GoalPolicy = GoalPolicy.QUEUE) -> None:
         super().__init__()
         self.arms = TwoArms()
         self.queue = GoalQueue(self.arms, policy, 3, self._progress, self._answer)
         self.queue.start()
-
-
-async def test_goals_without_common_joints_run_at_the_same_time() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "right")
-    assert desk.arms.started == {"left", "right"}
-    assert desk.queue.active_count == 2
-    desk.arms.of("right").finish()
-    await settle()
-    assert desk.codes() == [("2", MoveItErrorCode.SUCCESS)]
-    assert desk.queue.busy_with(["left"])
-    assert not desk.queue.busy_with(["right"])
 
 
 async def test_a_goal_of_both_arms_waits_for_each() -> None:
@@ -325,7 +315,7 @@ async def test_a_stop_ends_the_goals_of_all_joints() -> None:
     desk.queue.stop("stopped by a test")
     await settle()
     assert sorted(desk.codes()) == [(str(number), MoveItErrorCode.PREEMPTED) for number in (1, 2, 3)]
-    assert desk.arms.stopped == ["stopped by a test"]
+    assert desk.arms.stopped == [None]
 
 
 async def test_the_goals_of_some_joints_are_cancelled_alone() -> None:
@@ -335,14 +325,6 @@ async def test_the_goals_of_some_joints_are_cancelled_alone() -> None:
     await settle()
     assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("3", MoveItErrorCode.PREEMPTED)]
     assert desk.queue.active_count == 1
-
-
-async def test_a_cancelled_goal_makes_way_for_those_behind_it() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "left right", "right")
-    desk.queue.cancel("2", "cancelled")
-    await settle()
-    assert desk.arms.started == {"left", "right"}
 
 
 async def test_the_goal_that_ends_last_is_told() -> None:
@@ -356,7 +338,7 @@ async def test_the_goal_that_ends_last_is_told() -> None:
 async def test_a_goal_preempts_waiting_goals_of_its_joints_alone() -> None:
     desk = ArmsDesk()
     await desk.submit("left", "right", "left", "right")
-    desk.queue.submit("/goal", "left", policy=GoalPolicy.PREEMPT)
+    desk.queue.submit("/goal", desk.move("left"), policy=GoalPolicy.PREEMPT)
     await settle()
     assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("3", MoveItErrorCode.PREEMPTED)]
     assert desk.queue.waiting_count == 1
@@ -367,30 +349,17 @@ def move(runner: ScriptedRunner, left_s: float = 3.0) -> None:
     runner.report(Progress(GoalState.EXECUTING, "moving", 0.5, left_s))
 
 
-async def test_the_next_goal_is_planned_ahead_while_a_motion_is_in_progress(desk: Desk) -> None:
-    await desk.submit(*"abc")
-    assert desk.runner.ahead == []
-    move(desk.runner)
-    assert desk.runner.ahead == [("b", 3.0)]
-
-
 async def test_a_goal_that_comes_during_a_motion_is_planned_ahead_at_once(desk: Desk) -> None:
     await desk.submit("a")
     move(desk.runner)
-    desk.queue.submit("/goal", "b")
+    desk.queue.submit("/goal", desk.move("b"))
     assert desk.runner.ahead == [("b", 3.0)]
-
-
-async def test_a_goal_stays_queued_while_it_is_planned_ahead(desk: Desk) -> None:
-    await desk.submit(*"ab")
-    move(desk.runner)
-    assert [state for goal_id, state in desk.states if goal_id == "2"] == [GoalState.QUEUED]
 
 
 async def test_a_bug_of_planning_ahead_harms_no_goal(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(desk.runner, "ahead", None)
     for name in "ab":
-        desk.queue.submit("/goal", name)
+        desk.queue.submit("/goal", desk.move(name))
         await settle()
         move(desk.runner)
     for _ in "ab":
@@ -407,20 +376,7 @@ async def test_a_goal_that_waits_for_more_than_this_motion_is_not_planned_ahead(
     assert all(runner.ahead == [] for runner in desk.arms.runners.values())
 
 
-async def test_each_arm_plans_its_own_next_goal_ahead() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "right", "right", "left")
-    move(desk.arms.of("right"))
-    assert (desk.arms.of("left").ahead, desk.arms.of("right").ahead) == ([], [("right", 3.0)])
-
-
 async def test_a_goal_that_is_cancelled_before_its_turn_is_forgotten(desk: Desk) -> None:
     await desk.submit(*"abc")
     desk.queue.cancel("2", "enough")
     assert desk.runner.forgotten == ["b"]
-
-
-async def test_goals_that_are_cleared_are_forgotten(desk: Desk) -> None:
-    await desk.submit(*"abc")
-    desk.queue.stop("enough")
-    assert desk.runner.forgotten == ["b", "c"]

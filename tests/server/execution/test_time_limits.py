@@ -28,14 +28,6 @@ def test_a_motion_that_takes_too_long_is_refused_with_field_limit_and_value(dura
     )
 
 
-def test_the_deadline_is_exceeded_after_the_allowed_time() -> None:
-    deadline = ExecutionDeadline(DURATION_S, LIMITS)
-    deadline.pass_time(ALLOWED_S, Pace())
-    assert deadline.exceeded is None
-    deadline.pass_time(0.1, Pace())
-    assert f"{ALLOWED_S:.1f} s" in str(deadline.exceeded)
-
-
 def test_a_slow_motion_uses_its_time_up_as_slowly() -> None:
     deadline = ExecutionDeadline(DURATION_S, LIMITS)
     deadline.pass_time(ALLOWED_S * 3.9, Pace(0.25))
@@ -83,14 +75,3 @@ def test_the_arms_time_is_that_of_its_clock_and_no_more_than_passes_here(
         arm.pass_time(by_arm_s)
         assert time.elapsed_s() == pytest.approx(passed_s)
     assert time.elapsed_s() == 0.0
-
-
-def test_states_that_come_unevenly_are_counted_as_one_delay() -> None:
-    arm, clock = FakeArm(), FakeClock()
-    time = ArmClock(arm, clock)
-    passed_s = 0.0
-    for at_s in range(100):
-        clock.advance(0.1)
-        arm.pass_time(0.12 if at_s % 2 else 0.08)
-        passed_s += time.elapsed_s()
-    assert passed_s == pytest.approx(10.0 - 0.02)

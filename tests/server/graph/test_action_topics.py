@@ -6,7 +6,7 @@ import pytest
 
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
-from server.graph.action_topics import ENDED_KEPT_S, MAX_TOLD
+from server.graph.action_topics import ENDED_KEPT_S, MAX_PUBLISHED
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -115,10 +115,10 @@ def test_an_ended_goal_is_told_for_a_while(world: World) -> None:
 
 def test_of_many_goals_the_newest_are_told(world: World) -> None:
     world.listen(STATUS)
-    for _ in range(3 * MAX_TOLD):
+    for _ in range(3 * MAX_PUBLISHED):
         world.send().finish(GoalStatus.SUCCEEDED, {})
     last = world.send()
-    assert len(world.statuses) == MAX_TOLD
+    assert len(world.statuses) == MAX_PUBLISHED
     assert world.statuses[-1] == 2
     last.finish(GoalStatus.ABORTED, {})
     assert world.statuses[-1] == 6

@@ -25,7 +25,8 @@ from planners.problem import MoveItErrorCode
 from robot.faults import FaultCode
 from robot.messages import Mode
 from robot.trajectory import Trajectory
-from server.execution.queue import Answer, Performed
+from server.execution.goal import Answer
+from server.execution.motions import Performed
 from server.gateway.connection import Traffic, TrafficCounts
 from server.monitoring import monitor as monitor_module
 from server.monitoring.goal_counters import GoalCounters
@@ -87,7 +88,7 @@ def sources(clock: SimpleNamespace) -> Sources:
 
 def exposed(sources: Sources) -> Mapping[str, float]:
     """Every sample by its name and labels."""
-    text = Metrics(sources).expose("").text.decode()
+    text = Metrics(sources).expose("")[0].decode()
     found: dict[str, float] = {}
     for family in parse(text):
         for each in family.samples:

@@ -10,7 +10,7 @@ from protocol.registry import Registry
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from robot.trajectory import Trajectory
-from server.execution.queue import Performed
+from server.execution.motions import Performed
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.display import (
@@ -65,11 +65,6 @@ def test_a_planned_motion_is_shown_with_its_start(graph: Graph, display: Display
     assert shown["trajectory_start"]["joint_state"]["name"] == list(HOME)
 
 
-def test_the_last_plan_is_latched(graph: Graph, display: DisplayTopics) -> None:
-    display.planned((MOTION,), HOME)
-    assert len(listen(graph, PATH_TOPIC)) == 1
-
-
 def test_contacts_are_spheres_in_place_of_those_before(graph, display) -> None:
     heard = listen(graph, CONTACTS_TOPIC)
     display.contacts([{"first": "gripper_link", "second": "crate", "depth_m": 0.01, "point_m": (0.3, 0.1, 0.2)}])
@@ -80,12 +75,6 @@ def test_contacts_are_spheres_in_place_of_those_before(graph, display) -> None:
     assert ball["header"]["frame_id"] == ROBOT.root_link
 
 
-def test_old_contacts_are_cleared(graph: Graph, display: DisplayTopics) -> None:
-    heard = listen(graph, CONTACTS_TOPIC)
-    display.contacts([])
-    assert len(heard[0]["markers"]) == 1
-
-
 def test_the_state_of_the_pipeline_is_published_for_subscribers_alone(graph: Graph, display: DisplayTopics) -> None:
     display.pipeline({}, {})
     heard = listen(graph, PIPELINE_TOPIC)
@@ -93,14 +82,6 @@ def test_the_state_of_the_pipeline_is_published_for_subscribers_alone(graph: Gra
     (told,) = heard
     assert told["request"]["group_name"] == "arm"
     assert told["response"]["planning_time"] == 0.5
-
-
-def test_a_failure_shows_its_contacts_and_one_without_shows_none(graph: Graph, display: DisplayTopics) -> None:
-    heard = listen(graph, CONTACTS_TOPIC)
-    display.contacts_of({"joint": "elbow_flex"})
-    assert not heard
-    display.contacts_of({"pairs": [{"first": "a", "second": "b", "depth_m": 0.01, "point_m": (0.0, 0.0, 0.0)}]})
-    assert len(heard[0]["markers"]) == 2
 
 
 class Screen:
@@ -140,11 +121,6 @@ def test_both_transform_topics_together_place_every_link_as_forward_kinematics_d
         assert placed[link] == pytest.approx(transform, abs=1e-9)
 
 
-def test_transforms_are_stamped_with_the_time_of_the_reading(screen: Screen) -> None:
-    screen.show(1.0, stamp_s=12.25)
-    assert screen.heard[-1]["transforms"][0]["header"]["stamp"] == {"sec": 12, "nanosec": 250_000_000}
-
-
 @pytest.mark.parametrize("rate_hz", [1.0, 50.0, 100.0])
 def test_transforms_come_at_most_at_their_rate(rate_hz: float) -> None:
     screen = Screen(rate_hz)
@@ -160,12 +136,6 @@ def test_a_machines_clock_that_is_set_neither_silences_transforms_nor_brings_mor
     for tick in range(100):
         screen.show(10.0 + tick * 0.01, stamp_s=1e9 + tick * 0.01 + (tick % 2) * jump_s)
     assert len(screen.heard) == pytest.approx(1 + 50, abs=1)
-
-
-def test_transforms_go_on_when_an_arm_begins_with_another_clock(screen: Screen) -> None:
-    screen.show(1000.0)
-    screen.show(500.0)
-    assert len(screen.heard) == 3
 
 
 def test_a_disconnected_arm_has_no_transforms(screen: Screen) -> None:

@@ -76,24 +76,6 @@ async def test_a_saved_state_is_found_whatever_its_case_and_blanks_and_kept(stat
     assert "Over the table" in states.names
 
 
-async def test_the_states_of_the_description_are_there_from_the_start(states: Kept) -> None:
-    assert states.names == ["extended", "home", "ready", "rest"]
-    assert states.find("Ready") == ("ready", ROBOT.named_states["arm"]["ready"])
-
-
-async def test_a_state_saved_again_takes_the_place_of_the_first(states: Kept) -> None:
-    await states.save("mine", BENT)
-    await states.save("MINE", {"elbow_flex": 0.5})
-    assert states.saved == {"MINE": {"elbow_flex": 0.5}}
-
-
-async def test_a_deleted_state_is_gone(states: Kept) -> None:
-    await states.save("mine", BENT)
-    await states.delete("Mine")
-    assert states.find("mine") is None
-    assert states.kept == {}
-
-
 async def test_a_renamed_state_keeps_its_joints_and_may_change_its_case(states: Kept) -> None:
     await states.save("mine", BENT)
     await states.rename("mine", "Mine")
@@ -169,12 +151,6 @@ async def put(file: NamedStatesFile, states: States) -> None:
     await file.change(lambda _before: states)
 
 
-async def test_saved_states_are_read_again(path: Path) -> None:
-    await put(NamedStatesFile(path), KEPT_STATES)
-    assert NamedStatesFile(path).load() == KEPT_STATES
-    assert {each.name for each in path.parent.iterdir()} == {path.name, files.lock_path(path).name}
-
-
 def opened(path: Path) -> NamedStates:
     """The states of a server that has just started."""
     file = NamedStatesFile(path)
@@ -187,12 +163,6 @@ async def test_two_servers_keep_what_the_other_has_saved(path: Path) -> None:
     await other.save("yours", {"elbow_flex": 0.5})
     assert set(NamedStatesFile(path).load()) == {"mine", "yours"}
     assert set(other.saved) == {"mine", "yours"}
-
-
-async def test_two_servers_that_save_at_the_same_time_lose_nothing(path: Path) -> None:
-    servers = [opened(path) for _ in range(4)]
-    await asyncio.gather(*(states.save(f"state {i}", BENT) for i, states in enumerate(servers)))
-    assert set(NamedStatesFile(path).load()) == {f"state {i}" for i in range(4)}
 
 
 async def test_a_state_that_another_server_has_deleted_is_not_known_any_more(path: Path) -> None:
@@ -243,10 +213,6 @@ def test_a_second_broken_file_leaves_the_first_as_it_is(path: Path) -> None:
         assert NamedStatesFile(path).load() == {}
     assert path.with_name(f"{path.name}.broken").read_text() == "{"
     assert path.with_name(f"{path.name}.broken.1").read_text() == "["
-
-
-def test_without_a_file_there_are_no_states(path: Path) -> None:
-    assert NamedStatesFile(path).load() == {}
 
 
 BROKEN = {

@@ -13,10 +13,6 @@ def parameters() -> PlannerParameters:
     return PlannerParameters(CONFIGURED)
 
 
-def test_the_configuration_is_the_default(parameters: PlannerParameters) -> None:
-    assert parameters.of() == CONFIGURED
-
-
 def test_parameters_of_a_planner_override_those_of_its_group_and_those_of_all(parameters: PlannerParameters) -> None:
     for group, planner, attempts in (("", "", 2), ("arm", "", 3), ("arm", "RRT", 4)):
         parameters.set(group, planner, {"num_planning_attempts": str(attempts)}, replace=False)
@@ -25,22 +21,11 @@ def test_parameters_of_a_planner_override_those_of_its_group_and_those_of_all(pa
     assert parameters.of("arm", "RRT").num_planning_attempts == 4
 
 
-def test_an_empty_group_is_the_configured_one(parameters: PlannerParameters) -> None:
-    parameters.set("arm", "", {"joint_tolerance": "0.02"}, replace=False)
-    assert parameters.of().joint_tolerance == 0.02
-
-
 def test_replacing_deletes_the_parameters_set_before(parameters: PlannerParameters) -> None:
     parameters.set("arm", "", {"joint_tolerance": "0.02"}, replace=False)
     parameters.set("arm", "", {"range": "1"}, replace=True)
     assert parameters.of("arm") == CONFIGURED
     assert parameters.texts("arm", "")["range"] == "1"
-
-
-def test_adding_keeps_the_parameters_set_before(parameters: PlannerParameters) -> None:
-    parameters.set("arm", "", {"joint_tolerance": "0.02"}, replace=False)
-    parameters.set("arm", "", {"range": "1"}, replace=False)
-    assert parameters.of("arm").joint_tolerance == 0.02
 
 
 @pytest.mark.parametrize(

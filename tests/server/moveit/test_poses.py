@@ -33,18 +33,6 @@ def test_a_pose_and_its_inverse_cancel(outer, inner):
     assert same(composed(inverse(outer), composed(outer, inner)), inner)
 
 
-@given(poses())
-def test_the_length_of_a_quaternion_does_not_matter(pose):
-    message = write_pose(pose)
-    message["orientation"] = {axis: 3.0 * value for axis, value in message["orientation"].items()}
-    assert same(read_pose(message, "pose"), pose)
-
-
-def test_a_quaternion_of_zeros_is_no_rotation():
-    message = write_pose(Pose((0.1, 0.2, 0.3))) | {"orientation": dict.fromkeys("xyzw", 0.0)}
-    assert read_pose(message, "pose") == Pose((0.1, 0.2, 0.3))
-
-
 @pytest.mark.parametrize(("field", "axis"), [("position", "y"), ("orientation", "w")])
 def test_a_number_that_is_not_finite_is_refused_by_its_path(field, axis):
     message = write_pose(Pose())

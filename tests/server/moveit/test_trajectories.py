@@ -19,7 +19,6 @@ from server.moveit.trajectories import (
     knot_accelerations,
     knot_velocities,
     read_joint_trajectory,
-    smallest_group,
     to_message,
 )
 from tests.helpers.fake_arm import HOME
@@ -59,33 +58,11 @@ def test_a_motion_comes_back_from_its_message() -> None:
         assert getattr(back, name) == pytest.approx(getattr(one, name))
 
 
-def test_no_motion_is_a_message_without_points() -> None:
-    sent = to_message(None)["joint_trajectory"]
-    assert sent["points"] == sent["joint_names"] == []
-
-
-def test_a_message_is_complete_against_its_type() -> None:
-    still = Trajectory(JOINTS, np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)))
-    sent = to_message(still, "base_link")
-    completed = message("RobotTrajectory", **sent)
-    assert completed["joint_trajectory"]["points"] == sent["joint_trajectory"]["points"]
-
-
 def test_a_first_point_after_the_start_is_reached_from_it_at_rest() -> None:
     moved = motion(at(1.0, 0.3, 0.4), start_rad=HOME | {"elbow_flex": 0.1})
     assert moved.time_s.tolist() == [0.0, 1.0]
     assert moved.positions_rad.tolist() == [[0.0, 0.1], [0.3, 0.4]]
     assert moved.velocities_rad_s.tolist() == [[0.0, 0.0], [0.0, 0.0]]
-
-
-def test_points_without_velocities_are_joined_smoothly() -> None:
-    moved = motion(at(0.0, 0.0, 0.0), at(1.0, 0.2, 0.0), at(2.0, 0.4, 0.0))
-    assert moved.velocities_rad_s[:, 0] == pytest.approx([0.0, 0.2, 0.0])
-
-
-def test_efforts_are_not_heeded() -> None:
-    with_effort = motion(at(0.0, 0.0, 0.0), at(1.0, 0.2, 0.1, effort=[0.0, 0.0]))
-    assert with_effort.positions_rad.tolist() == motion(at(0.0, 0.0, 0.0), at(1.0, 0.2, 0.1)).positions_rad.tolist()
 
 
 def test_a_last_point_in_motion_is_brought_to_rest() -> None:
@@ -104,10 +81,6 @@ def test_motions_that_were_put_together_by_hand_are_one_motion() -> None:
         at(2.0, 0.0, 0.0, **rest),
     )
     assert moved.time_s.tolist() == [0.0, 1.0, 2.0]
-
-
-def test_a_pause_is_kept() -> None:
-    assert motion(at(0.0, 0.0, 0.0), at(1.0, 0.0, 0.0), at(2.0, 0.1, 0.0)).time_s.tolist() == [0.0, 1.0, 2.0]
 
 
 @pytest.mark.parametrize(("second", "third"), [(1.0, 1.0), (1.0, 0.5)])
@@ -170,17 +143,6 @@ def test_it_begins_and_ends_at_rest_and_rests_where_it_turns_round() -> None:
     assert curve.velocities_rad_s[[0, 1, 2, 3], 0].tolist() == [0.0, 0.0, 0.0, 0.0]
 
 
-def test_points_on_a_line_are_passed_at_its_speed() -> None:
-    curve = through([0.0, 1.0, 2.0, 3.0], [0.0, 0.5, 1.0, 1.5])
-    assert curve.velocities_rad_s[1:3, 0] == pytest.approx([0.5, 0.5])
-
-
-def test_accelerations_at_the_ends_are_those_of_the_curve() -> None:
-    curve = through([0.0, 2.0], [0.0, 1.0])
-    assert curve.sample(1e-9)[2][0] == pytest.approx(curve.accelerations_rad_s2[0, 0], rel=1e-6)
-    assert curve.sample(2.0 - 1e-9)[2][0] == pytest.approx(curve.accelerations_rad_s2[-1, 0], rel=1e-6)
-
-
 def test_accelerations_are_the_mean_of_those_before_and_after_a_point() -> None:
     time_s, positions = np.array([0.0, 1.0, 3.0]), np.array([[0.0], [1.0], [0.5]])
     velocities = np.array([[0.2], [0.7], [-0.4]])
@@ -188,11 +150,6 @@ def test_accelerations_are_the_mean_of_those_before_and_after_a_point() -> None:
     curve = Trajectory(("j",), time_s, positions, velocities, accelerations)
     around = [curve.sample(1.0 - 1e-9)[2][0], curve.sample(1.0 + 1e-9)[2][0]]
     assert accelerations[1, 0] == pytest.approx(np.mean(around), rel=1e-6)
-
-
-def test_a_single_point_stands_still() -> None:
-    curve = through([0.0], [0.4])
-    assert curve.velocities_rad_s.tolist() == curve.accelerations_rad_s2.tolist() == [[0.0]]
 
 
 HELD = {joint.name: 0.01 * index for index, joint in enumerate(ROBOT.movable_joints)}
@@ -232,9 +189,3 @@ def test_a_trajectory_that_cannot_be_played_is_rejected_before_it_replaces_a_mot
 ) -> None:
     with pytest.raises(RefusedError, match=re.escape(words)):
         played_by_arm(names, *points)
-
-
-def test_the_group_of_fewest_joints_is_taken() -> None:
-    group = smallest_group(ROBOT, ("gripper",))
-    assert group is not None
-    assert group.name == "gripper"

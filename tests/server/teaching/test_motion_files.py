@@ -32,16 +32,6 @@ async def test_a_saved_motion_is_the_same_for_the_next_server(motions: MotionFil
     assert again.positions_rad.tolist() == WAVE.positions_rad.tolist()
 
 
-async def test_motions_are_listed_renamed_and_deleted(motions: MotionFiles) -> None:
-    assert await motions.names() == []
-    for name in ("b", "a"):
-        await motions.save(name, WAVE)
-    assert await motions.names() == ["a", "b"]
-    await motions.rename("a", "c")
-    await motions.delete("b")
-    assert await motions.names() == ["c"]
-
-
 @pytest.mark.parametrize("name", ["", "../x", "a/b", ".x", " a", "a ", "x" * 51, "\0", "a\nb"])
 async def test_a_name_that_is_no_file_is_refused_with_the_limit(motions: MotionFiles, name: str) -> None:
     await motions.save("a", WAVE)

@@ -10,9 +10,8 @@ import pytest
 
 from planners.goals import JointGoal
 from planners.problem import JointPathProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
-from planners.scene import EMPTY_SCENE
-from server.execution.motions import PlannedMotion, plan_sequence
-from server.execution.queue import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalState, Progress
+from server.execution.motions import PlannedMotion
 from server.graph.actions import GoalStatus
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.planning_problems import ProblemBuilder
@@ -20,7 +19,7 @@ from server.teaching.motion_files import MotionFiles
 from server.teaching.replay import MAX_REPEAT, NAME, Replay, ReplayAction, groups_of, planned, result
 from server.teaching.taught_motion import TaughtMotion
 from tests.helpers.fake_arm import HOME, JOINTS
-from tests.helpers.moveit import FRAMES, ROBOT, SEVEN, ActionDesk, DirectPool, rejection
+from tests.helpers.moveit import FRAMES, ROBOT, SEVEN, ActionDesk, rejection
 from tests.helpers.waiting import until
 
 POINTS = np.linspace(0.1, 0.5, 11)[:, np.newaxis] * np.ones(len(JOINTS))
@@ -68,26 +67,11 @@ def test_a_replay_backwards_begins_at_the_end() -> None:
     assert path.speed == 0.5
 
 
-def test_a_repeated_replay_returns_to_the_start_each_time() -> None:
-    motion = planned(Replay("wave", 1.0, reverse=False, repeat=2), WAVE, ROBOT, PROBLEMS)
-    assert [type(problem) for problem in problems(motion)] == [PlanningProblem, PlanningProblem, JointPathProblem] * 3
-    assert motion.joints == frozenset(JOINTS)
-
-
 def test_joints_that_make_no_group_without_others_are_refused() -> None:
     assert [group.name for group in groups_of(ROBOT, frozenset(JOINTS))] == ["arm", "gripper"]
     failure = rejection(groups_of, ROBOT, frozenset({"elbow_flex", "gripper"}))
     assert "elbow_flex" in failure.message
     assert groups_of(SEVEN, frozenset(SEVEN.groups[SEVEN.default_group].joints))
-
-
-async def test_the_motions_of_a_replay_follow_each_other_without_a_gap() -> None:
-    motion = planned(ONCE, WAVE, ROBOT, PROBLEMS)
-    found = await plan_sequence(motion.steps, HOME, EMPTY_SCENE, DirectPool().ask)
-    assert found.failure is None
-    arm, gripper, path = found.performed.planned
-    ends = [*arm.positions_rad[-1], *gripper.positions_rad[-1]]
-    assert np.abs(np.array(ends) - path.positions_rad[0]).max() < 1e-3
 
 
 @pytest.mark.parametrize(

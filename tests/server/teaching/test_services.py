@@ -109,22 +109,6 @@ async def test_a_check_refuses_a_motion_that_would_touch_something_and_a_speed_o
     assert "crate" in said
 
 
-async def test_the_state_tells_of_the_recording_and_how_it_ended(lesson: Lesson) -> None:
-    await lesson.teach("wave")
-    during = [state for state in lesson.states if state["recording"]]
-    assert [state["duration_s"] for state in during] == sorted(state["duration_s"] for state in during)
-    assert during[-1]["name"] == "wave"
-    assert during[-1]["points"] > 50
-    assert not lesson.states[-1]["recording"]
-    assert "'wave' is saved" in lesson.states[-1]["message"]
-
-
-@pytest.mark.parametrize(("driven", "says"), [(False, "hold it"), (True, "commanded positions")])
-async def test_the_beginning_says_what_is_recorded(lesson: Lesson, driven: bool, says: str) -> None:
-    lesson.teaching.take_state(replace(RELAXED, torque_enabled=driven, goal_rad=START))
-    assert says in (await lesson.call("/teach/begin", name="wave"))["message"]
-
-
 async def test_one_motion_is_recorded_at_a_time_whoever_asks(lesson: Lesson) -> None:
     both = await asyncio.gather(*(lesson.call("/teach/begin", name=name) for name in ("a", "b")))
     assert sorted(answer["success"] for answer in both) == [False, True]

@@ -79,14 +79,6 @@ def test_rest_at_both_ends_is_cut_off_but_for_a_moment() -> None:
     assert 4.0 - 0.4 < made.duration_s < 4.0 + 2.0 * KEPT_REST_S + 0.05
 
 
-def test_a_motion_that_returns_to_its_start_keeps_its_way_back() -> None:
-    time_s = np.arange(0.0, 6.0, 1.0 / RATE_HZ)
-    out_and_back = np.sin(np.pi * np.clip(time_s - 1.0, 0.0, 4.0) / 4.0)[:, np.newaxis] * [0.5, 0.2]
-    made, _ = of_recording(NAMES, time_s, out_and_back, ROBOT)
-    assert made.duration_s > 4.0
-    assert np.abs(made.positions_rad[-1]).max() < 0.01
-
-
 @pytest.mark.parametrize("samples", [0, 1, 100])
 def test_a_recording_in_which_nothing_has_moved_is_refused(samples: int) -> None:
     still = np.full((samples, 2), 0.3)
@@ -125,12 +117,6 @@ def test_a_part_that_is_none_is_refused_with_the_limits(from_s: float, to_s: flo
         motion(0.0, 0.3, 0.1, 0.5, 0.2).part(from_s, to_s)
 
 
-@pytest.mark.parametrize("times", [(float("nan"), 1.0), (0.0, float("nan")), (0.0, float("inf"))])
-def test_times_that_are_no_numbers_are_refused(times: tuple[float, float]) -> None:
-    with pytest.raises(ServiceError):
-        motion(0.0, 0.3, 0.1).part(*times)
-
-
 def test_a_reversed_motion_passes_the_same_places_from_the_end() -> None:
     whole = motion(0.0, 0.3, 0.1)
     back = whole.reversed()
@@ -150,10 +136,6 @@ def test_a_motion_comes_back_from_its_message_unchanged() -> None:
 def given(*times_s: int, joint: str = "shoulder_pan") -> dict[str, object]:
     points = [{"positions": [0.1 * i], "time_from_start": {"sec": at, "nanosec": 0}} for i, at in enumerate(times_s)]
     return message("trajectory_msgs/JointTrajectory", joint_names=[joint], points=points)
-
-
-def test_the_first_point_of_a_message_is_waited_for_where_it_is() -> None:
-    assert from_message(given(1, 2), ROBOT).positions_rad[:, 0].tolist() == [0.0, 0.0, 0.1]
 
 
 @pytest.mark.parametrize(

@@ -52,14 +52,6 @@ def test_a_closed_clutch_that_is_closed_again_changes_nothing() -> None:
     assert one.tick(1.0, FRESH) is Act.FOLLOW
 
 
-def test_samples_that_stop_brake_and_those_that_return_ramp_again() -> None:
-    one = following()
-    assert one.tick(1.0, STALE) is Act.BRAKE
-    assert one.phase is Phase.BRAKING
-    assert one.tick(2.0, FRESH) is Act.NOTHING
-    assert one.tick(2.01, FRESH) is Act.RAMP
-
-
 def test_samples_that_do_not_return_end_it() -> None:
     one = following()
     one.tick(1.0, STALE)

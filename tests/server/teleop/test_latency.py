@@ -24,8 +24,10 @@ from robot.arm import ArmStream
 from robot.control.streaming import Streaming
 from robot.description.limits import JointBounds
 from robot.messages import MotionEnded, Setpoint, Stream
-from server.execution.motions import Motion, Positions
-from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalRunners
+from server.execution.executor import GoalExecutors
+from server.execution.goal import Answer, Goal
+from server.execution.motions import Positions
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.moveit.servo.servo_loop import ServoSetup
 from server.teleop.joint_map import joint_map
 from server.teleop.leader import JitterBuffer, LeaderSample
@@ -108,7 +110,7 @@ class Trial:
             self.samples,
             FollowingContext(
                 planning_of(arm, pool=self),
-                GoalQueue(cast("GoalRunners[Motion]", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None),
+                GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None),
                 self._go_to,
                 self.clock,
             ),
@@ -133,10 +135,10 @@ class Trial:
         self.samples.add(LeaderSample(self.clock(), dict.fromkeys(JOINTS, 0.0) | positions_rad), self.clock())
         self.session.take_sample()
 
-    def _go_to(self, _positions: Positions, _scaling: float) -> tuple[str, asyncio.Future[Answer]]:
-        arrived: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-        arrived.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
-        return "1", arrived
+    def _go_to(self, _positions: Positions, _scaling: float) -> Goal:
+        goal = Goal(0, "1", "/goal", None)
+        goal.answered.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
+        return goal
 
     async def ask(self, question: ServoQuestion, _scene: object) -> ServoAnswer | PlanningFailure:
         answer = cast("ServoAnswer | PlanningFailure", planner().answer(question))

@@ -10,8 +10,10 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoLimits, ServoQuestion
-from server.execution.motions import Motion, Positions
-from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalRunners
+from server.execution.executor import GoalExecutors
+from server.execution.goal import Answer, Goal
+from server.execution.motions import Positions
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.moveit.servo.servo_loop import ServoSetup
 from server.teleop import session as sessions
 from server.teleop.following import Phase
@@ -26,9 +28,9 @@ STEERED = ROBOT.groups["arm"].joints
 PLANNING_S = 0.002
 
 
-def idle_queue() -> GoalQueue[Motion]:
+def idle_queue() -> GoalQueue:
     """A queue that is never started: ramps are played by the rig."""
-    return GoalQueue(cast("GoalRunners[Motion]", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None)
+    return GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None)
 
 
 class Rig:
@@ -62,10 +64,10 @@ class Rig:
             while not condition():
                 await asyncio.sleep(0)
 
-    def _go_to(self, _positions: Positions, _scaling: float) -> tuple[str, asyncio.Future[Answer]]:
-        arrived: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-        arrived.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
-        return "1", arrived
+    def _go_to(self, _positions: Positions, _scaling: float) -> Goal:
+        goal = Goal(0, "1", "/goal", None)
+        goal.answered.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
+        return goal
 
     async def ask(self, question: ServoQuestion, _scene: object) -> ServoAnswer | PlanningFailure:
         self.questions.append(question)

@@ -36,15 +36,6 @@ def send(leader: Leader, publisher: Node, msg: dict[str, Any], now_s: float) -> 
     )
 
 
-def test_a_sample_has_the_leaders_stamp() -> None:
-    sample = read_sample(message(7.25, elbow=0.5), 99.0)
-    assert (sample.stamp_s, dict(sample.positions_rad)) == (pytest.approx(7.25), {"elbow": 0.5})
-
-
-def test_a_message_without_a_stamp_is_taken_as_read_when_it_came() -> None:
-    assert read_sample(message(0.0, elbow=0.5), 99.0).stamp_s == 99.0
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [

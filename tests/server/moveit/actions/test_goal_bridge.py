@@ -7,15 +7,16 @@ from collections.abc import AsyncIterator
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.execution.motions import PlannedMotion
-from server.execution.queue import Answer, GoalPolicy, GoalState, Performed, Progress, RunningGoal
+from server.execution.goal import Answer, GoalState, Progress
+from server.execution.motions import Performed, PlannedMotion
+from server.execution.queue import GoalPolicy
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal
 from server.moveit.actions.move_group import MoveGroupFeedback, move_group_result, sequence_result
 from tests.helpers.fake_arm import settle
 from tests.helpers.motions import smooth_move
-from tests.helpers.moveit import ActionDesk, message
+from tests.helpers.moveit import JOINTS, ActionDesk, message
 from tests.helpers.robots import so101
 
 ACTION, TYPE = "/move", "moveit_msgs/action/ExecuteTrajectory"
@@ -34,7 +35,7 @@ class Desk(ActionDesk):
             ActionDesk.cancel(self, reason)
 
     def start(self, goal: Goal) -> None:
-        submit_goal(goal, self.queue, PlannedMotion((), frozenset()), MoveGroupFeedback(), code)
+        submit_goal(goal, self.queue, PlannedMotion((), frozenset(JOINTS)), MoveGroupFeedback(), code)
 
     def cancel(self, reason: str) -> None:
         self.cancelled.append(reason)
@@ -62,14 +63,6 @@ async def test_a_goal_gets_each_state_once_and_then_its_result(desk: Desk) -> No
     assert [(result.status, result.values["error_code"]["val"]) for result in desk.results] == [(4, 1)]
 
 
-async def test_a_new_goal_preempts_the_current_one(desk: Desk) -> None:
-    await desk.send(ACTION)
-    await desk.send(ACTION)
-    assert [(result.status, result.values["error_code"]["val"]) for result in desk.results] == [(5, -7)]
-    assert "preempted by goal 2 from /move" in desk.results[0].values["error_code"]["message"]
-    assert len(desk.asked) == 2
-
-
 async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(desk: Desk) -> None:
     goal = await desk.send(ACTION)
     assert goal is not None
@@ -89,7 +82,7 @@ async def test_a_goal_that_is_over_takes_its_motion_along(desk: Desk) -> None:
 
 
 async def test_a_goal_that_is_over_before_its_turn_never_moves(desk: Desk) -> None:
-    desk.queue.submit("/moveit_goal_pose", PlannedMotion((), frozenset()), policy=GoalPolicy.QUEUE)
+    desk.queue.submit("/moveit_goal_pose", PlannedMotion((), frozenset(JOINTS)), policy=GoalPolicy.QUEUE)
     await settle()
     desk.hold = True
     goal = await desk.send(ACTION)
@@ -105,11 +98,6 @@ async def test_a_goal_that_ended_with_its_motion_leaves_the_next_alone(desk: Des
     await settle()
     assert [result.status for result in desk.results] == [GoalStatus.SUCCEEDED]
     assert desk.cancelled == []
-
-
-async def test_a_goal_names_its_client_to_those_who_wait_for_its_end(desk: Desk) -> None:
-    await desk.send(ACTION)
-    assert desk.queue.running == RunningGoal("goal 1 of client from /move", None)
 
 
 async def test_a_rejected_goal_is_answered_and_the_motion_continues(desk: Desk) -> None:

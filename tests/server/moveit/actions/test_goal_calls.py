@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningProblem
+from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import PlannedMotion
-from server.execution.queue import Answer, GoalState, Progress
 from server.graph.actions import GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
@@ -83,15 +83,6 @@ async def test_a_call_is_answered_when_its_motion_has_ended(desk: Desk, goal: di
     assert (desk.answer["message"], desk.answer["goal_id"]) == (THERE.message, "1")
 
 
-@pytest.mark.parametrize("goal", GOALS)
-async def test_an_action_takes_the_same_goals(desk: Desk, goal: dict[str, Any]) -> None:
-    await desk.send(NAME, **goal)
-    desk.finish()
-    await settle()
-    (result,) = desk.results
-    assert (result.status, result.values["success"], result.values["goal_id"]) == (GoalStatus.SUCCEEDED, True, "1")
-
-
 @pytest.mark.parametrize(
     ("request_", "got"),
     [
@@ -142,23 +133,6 @@ async def test_a_pose_is_for_the_group_of_the_request(desk: Desk) -> None:
     assert desk.problem().group == "gripper"
 
 
-async def test_a_pose_with_a_turn_alone_is_given(desk: Desk) -> None:
-    await desk.ask(pose={"pose": {"orientation": {"x": 1.0, "w": 0.0}}})
-    assert len(desk.asked) == 1
-
-
-async def test_without_a_scaling_the_speed_is_the_configured_one(desk: Desk) -> None:
-    await desk.ask(joints=ELBOW)
-    assert (desk.problem().velocity_scaling, desk.problem().acceleration_scaling) == (0.3, 0.3)
-
-
-async def test_an_unknown_name_is_answered_with_one_that_would_work(desk: Desk) -> None:
-    await desk.ask(named="redy")
-    assert desk.answer["suggested"]["named"] == "ready"
-    assert desk.answer["message"].endswith("what would work: the named target 'ready'")
-    assert {"key": "nearest_name", "value": '"ready"'} in desk.answer["details"]
-
-
 async def test_a_suggestion_is_a_request_that_works(desk: Desk) -> None:
     await desk.ask(named="redy")
     suggested, desk.responses = desk.answer["suggested"], []
@@ -166,13 +140,6 @@ async def test_a_suggestion_is_a_request_that_works(desk: Desk) -> None:
     desk.finish()
     await settle()
     assert desk.answer["success"]
-
-
-async def test_a_preempted_call_is_answered(desk: Desk) -> None:
-    await desk.ask(named="ready")
-    desk.queue.stop("stopped by /stop")
-    await settle()
-    assert (desk.answer["code_name"], desk.answer["message"]) == ("PREEMPTED", "stopped by /stop")
 
 
 async def test_a_call_whose_time_is_over_ends_its_motion(desk: Desk) -> None:
@@ -217,27 +184,10 @@ async def test_a_plan_alone_to_a_point_out_of_reach_names_the_nearest(desk: Desk
     assert "the nearest point" in desk.answer["message"]
 
 
-async def test_an_action_only_plans_when_it_is_asked_to(desk: Desk) -> None:
-    await desk.send(NAME, named="ready", plan_only=True)
-    await settle()
-    (result,) = desk.results
-    assert (desk.asked, result.values["success"]) == ([], True)
-    assert [each["state"] for each in desk.feedback] == ["planning", "done"]
-
-
 async def test_an_action_tells_state_and_time_left(desk: Desk) -> None:
     await desk.send(NAME, named="ready")
     desk.report(Progress(GoalState.EXECUTING, "moving", 0.25, 1.5))
     assert desk.feedback[-1] == {"state": "executing", "message": "moving", "fraction": 0.25, "seconds_left": 1.5}
-
-
-async def test_an_action_can_be_cancelled(desk: Desk) -> None:
-    goal = await desk.send(NAME, named="ready")
-    assert goal is not None
-    goal.cancel()
-    await settle()
-    (result,) = desk.results
-    assert (result.status, result.values["code_name"]) == (GoalStatus.CANCELED, "PREEMPTED")
 
 
 async def test_an_action_that_only_plans_can_be_cancelled(desk: Desk) -> None:

@@ -14,8 +14,8 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.registry import Registry
 from robot.messages import ArmState, Outcome
 from server.errors import RefusedError
-from server.execution.motions import ExternalTrajectory
-from server.execution.queue import Answer, GoalState, Performed, Progress
+from server.execution.goal import Answer, GoalState, Progress
+from server.execution.motions import ExternalTrajectory, Performed
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus, Result
 from server.graph.local_graph import LocalGraph
@@ -139,13 +139,6 @@ async def test_an_empty_trajectory_on_the_topic_stops_the_arm(desk: Desk) -> Non
     assert "stopped by an empty trajectory" in desk.results[0].values["error_string"]
 
 
-async def test_a_bad_trajectory_on_the_topic_is_rejected_and_the_motion_continues(desk: Desk) -> None:
-    await desk.send(ACTION, trajectory=TRAJECTORY)
-    await desk.publish(joint_names=["knee"], points=TRAJECTORY["points"])
-    assert len(desk.asked) == 1
-    assert "'knee'" in desk.refused[0]
-
-
 ARM = so101().groups["arm"].joints
 END = Performed({}, (smooth_move(dict.fromkeys(ARM, (0.0, 0.5)), 1.0),))
 REACHED = Answer(MoveItErrorCode.SUCCESS, "the arm is there", performed=END)
@@ -198,15 +191,6 @@ def test_a_joint_that_stays_away_violates_the_goal_tolerance() -> None:
     followed.goal.take_answer(REACHED, at(0.45, 0.5, 10.0))
     followed.state(at(0.45, 0.5, 11.0))
     assert followed.codes == [(GoalStatus.ABORTED, FollowCode.GOAL_TOLERANCE_VIOLATED)]
-
-
-def test_a_slow_arm_has_all_of_the_goal_time_tolerance_by_its_own_clock() -> None:
-    followed = Followed(goal_rad=0.02, time_s=1.0)
-    followed.goal.take_answer(REACHED, at(0.45, 0.5, clock_s=10.0, stamp_s=100.0))
-    followed.state(at(0.45, 0.5, clock_s=10.9, stamp_s=109.0))
-    assert followed.codes == []
-    followed.state(at(0.49, 0.5, clock_s=10.95, stamp_s=109.5))
-    assert followed.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
 
 
 def test_feedback_has_every_joint_while_the_arm_moves() -> None:
@@ -312,13 +296,6 @@ def tolerances(**fields: Any) -> SegmentTolerances | PlanningFailure:
     return tolerances
 
 
-def test_tolerances_are_read_by_joint() -> None:
-    read = tolerances(
-        path_tolerance=[{"name": "elbow_flex", "position": 0.1}], goal_time_tolerance={"sec": 1, "nanosec": 500_000_000}
-    )
-    assert read == SegmentTolerances({"elbow_flex": 0.1}, {}, 1.5)
-
-
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
@@ -366,12 +343,6 @@ def read(name: str, position_rad: float) -> object:
 @pytest.mark.parametrize(("position_rad", "demanded"), [(0.05, {"elbow_flex": 0.05}), (0.0, {}), (-1.0, {})])
 def test_only_a_positive_tolerance_is_checked(position_rad: float, demanded: dict[str, float]) -> None:
     assert read("elbow_flex", position_rad) == demanded
-
-
-def test_a_violation_names_the_joint_with_its_numbers() -> None:
-    assert violation({"elbow_flex": 0.2}, STANDING, WANTED, ROBOT) == ""
-    sentence = violation({"elbow_flex": 0.05}, STANDING, WANTED, ROBOT)
-    assert sentence == "joint elbow_flex is 0.100 rad from where it should be (tolerance 0.05 rad)"
 
 
 def test_an_arm_that_is_not_read_violates_nothing() -> None:

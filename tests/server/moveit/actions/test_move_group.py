@@ -10,10 +10,9 @@ from typing import Any
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
-from server.actionlib import ActionlibBridge
 from server.execution.motions import ExternalTrajectory, PlannedMotion
 from server.execution.time_limits import TimeLimits
-from server.graph.actions import Goal, GoalStatus
+from server.graph.actions import Goal
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.actions.move_group import (
     DEFAULT_ATTEMPTS,
@@ -36,38 +35,6 @@ from server.moveit.actions.move_group import (
 from server.moveit.requests.planning_problems import PILZ
 from tests.helpers.fake_arm import HOME, settle
 from tests.helpers.moveit import ROBOT, ActionDesk, ServiceRig, assert_refused, ball, joint, message, outcome
-
-OFFERED = {
-    "/move_action": "moveit_msgs/action/MoveGroup",
-    "/move_group": "moveit_msgs/action/MoveGroup",
-    "/sequence_move_group": "moveit_msgs/action/MoveGroupSequence",
-    "/execute_trajectory": "moveit_msgs/action/ExecuteTrajectory",
-}
-
-
-@pytest.fixture
-async def desk() -> AsyncIterator[ActionDesk]:
-    made = ActionDesk()
-    PlanningActions(made.graph, made.context, made.queue)
-    ExecuteTrajectory(made.graph, TrajectoryContext(made.context, made.queue, TimeLimits()))
-    ActionlibBridge(made.graph, lambda: 0.0, lambda _delay_s, _act: None).open(OFFERED)  # type: ignore[arg-type,return-value]
-    yield made
-    await made.close()
-
-
-async def test_every_action_is_offered_under_its_names(desk: ActionDesk) -> None:
-    assert desk.graph.actions.types() == OFFERED
-
-
-async def test_every_action_has_the_topics_of_actionlib(desk: ActionDesk) -> None:
-    types = desk.graph.topic_types()
-    for name, type_name in OFFERED.items():
-        package, _, action = type_name.split("/")
-        assert types[f"{name}/goal"] == f"{package}/msg/{action}ActionGoal"
-        assert types[f"{name}/feedback"] == f"{package}/msg/{action}ActionFeedback"
-        assert types[f"{name}/result"] == f"{package}/msg/{action}ActionResult"
-        assert types[f"{name}/cancel"] == "actionlib_msgs/msg/GoalID"
-        assert types[f"{name}/status"] == "actionlib_msgs/msg/GoalStatusArray"
 
 
 @pytest.fixture
@@ -110,19 +77,6 @@ async def test_a_plan_only_goal_does_not_disturb_the_motion(planning_desk: Actio
     assert len(planning_desk.asked) == 1
     assert [message["state"] for message in planning_desk.feedback] == ["PLANNING", "IDLE"]
     assert planning_desk.results[0].values["planned_trajectory"]["joint_trajectory"]["points"]
-
-
-async def test_a_plan_alone_can_be_cancelled(planning_desk: ActionDesk, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def never(*_request: object) -> None:
-        await asyncio.Event().wait()
-
-    monkeypatch.setattr(planning_desk.pool, "ask", never)
-    goal = await planning_desk.send("/move_group", request=to(0.5), planning_options={"plan_only": True})
-    assert goal is not None
-    goal.cancel()
-    await settle()
-    assert codes(planning_desk) == [-7]
-    assert planning_desk.results[0].status == GoalStatus.CANCELED
 
 
 async def test_a_plan_alone_ends_with_its_goal(planning_desk: ActionDesk, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,13 +182,6 @@ async def test_a_plan_alone_starts_where_the_request_says(rig: ServiceRig) -> No
     assert answer.performed.planned[0].positions_rad[-1, 0] == pytest.approx(0.3)
 
 
-async def test_a_plan_alone_starts_where_its_client_wants_the_arm_to_be(rig: ServiceRig) -> None:
-    rig.assumed.by_node[rig.client] = {"elbow_flex": 0.4}
-    answer = await plan_only(asked(rig, GOAL), rig.client, rig.context)
-    assert answer.performed is not None
-    assert answer.performed.start_rad["elbow_flex"] == 0.4
-
-
 async def test_a_plan_that_cannot_be_had_has_its_own_code_and_data(rig: ServiceRig) -> None:
     request = {"group_name": "arm", "start_state": {"joint_state": {"name": ["knee"], "position": [0.0]}}}
     answer = await plan_only(asked(rig, request), rig.client, rig.context)
@@ -258,10 +205,6 @@ def options(**fields: Any) -> PlanningOptions:
     return read_planning_options(message("moveit_msgs/msg/PlanningOptions", **fields))
 
 
-def test_default_options_are_one_attempt_in_the_present_scene() -> None:
-    assert options() == PlanningOptions(plan_only=False, attempts=1, delay_s=0.0, scene_diff=None, warnings=())
-
-
 @pytest.mark.parametrize(("asked", "attempts"), [(0, DEFAULT_ATTEMPTS), (3, 3), (100_000, MAX_ATTEMPTS)])
 def test_planning_anew_has_moveits_default_and_a_bound(asked: int, attempts: int) -> None:
     assert options(replan=True, replan_attempts=asked).attempts == attempts
@@ -278,17 +221,6 @@ def test_a_delay_out_of_bounds_is_rejected_with_its_limit(delay_s: float) -> Non
     read = outcome(read_planning_options, message("moveit_msgs/msg/PlanningOptions", replan_delay=delay_s))
     assert isinstance(read, PlanningFailure)
     assert "replan_delay must be from 0 to 10 s" in read.message
-
-
-def test_an_object_in_the_scene_diff_is_kept_as_a_difference() -> None:
-    diff = options(planning_scene_diff={"world": {"collision_objects": [{"id": "box"}]}}).scene_diff
-    assert diff is not None
-    assert diff["is_diff"]
-    assert diff["world"]["collision_objects"][0]["id"] == "box"
-
-
-def test_look_around_is_ignored_with_a_warning() -> None:
-    assert "look_around" in options(look_around=True).warnings[0]
 
 
 @pytest.fixture

@@ -16,13 +16,12 @@ from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
-from server.moveit import goal_topics as goal_topics_module
+from server.moveit.goals import goal_topics as goal_topics_module
 from server.moveit.goals.goal_topics import (
     GOAL_TIME_S,
     MAX_GOALS,
     NOT_CHECKED,
     SERVICE,
-    UNKNOWN,
     GoalChecks,
     GoalReports,
     answers_in_time,
@@ -127,15 +126,6 @@ class Slow:
         return await answers_in_time(problems, self, EMPTY_SCENE)
 
 
-async def test_hard_goals_get_the_time_that_easy_goals_leave(monkeypatch: pytest.MonkeyPatch) -> None:
-    hard = 0.8
-    pool = Slow(lambda asked: LATE if asked.goal.positions_rad["elbow_flex"] >= hard else FOUND_AT_HOME)  # type: ignore[union-attr]
-    await pool.answers(monkeypatch, 20)
-    assert pool.now_s <= 20 * GOAL_TIME_S
-    assert len(pool.asked) > 20
-    assert all(asked.goal.positions_rad["elbow_flex"] >= hard for asked in pool.asked[20:])  # type: ignore[union-attr]
-
-
 async def test_hard_goals_alone_are_checked_once_within_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
     pool = Slow(lambda _asked: LATE)
     assert await pool.answers(monkeypatch, 100) == [LATE] * 100
@@ -149,41 +139,12 @@ async def test_the_wait_for_busy_planners_is_limited(monkeypatch: pytest.MonkeyP
     assert answers[-1] is NOT_CHECKED
 
 
-def test_the_report_of_a_reachable_goal_has_error_time_and_configuration() -> None:
-    told = REPORTS.report(HOME, FOUND, TIP, None)
-    assert (told["reachable"], told["free"], told["decided"], told["code"]) == (True, True, True, 1)
-    assert told["position_error_m"] == 0.002
-    assert told["solution"] == {"name": list(TURNED), "position": list(TURNED.values())}
-    pan = ROBOT.joints["shoulder_pan"]
-    assert told["duration_s"] > 0.5 / (0.3 * pan.max_velocity)
-
-
-def test_a_goal_at_the_present_position_takes_no_time() -> None:
-    assert REPORTS.report(TURNED, FOUND, TIP, None)["duration_s"] == 0.0
-
-
 @pytest.mark.parametrize("turn_rad", [0.0, 0.7, math.pi])
 def test_the_orientation_error_is_the_angle_to_the_goal_pose(turn_rad: float) -> None:
     tip = pose_of(ForwardPlacements(ROBOT).transforms(TURNED)[TIP])
     turn = Pose(orientation=(0.0, math.sin(turn_rad / 2), 0.0, math.cos(turn_rad / 2)))
     told = REPORTS.report(HOME, FOUND, TIP, composed(tip, turn))
     assert told["orientation_error_rad"] == pytest.approx(turn_rad, abs=1e-6)
-
-
-REFUSALS = {
-    MoveItErrorCode.NO_IK_SOLUTION: (False, True),
-    MoveItErrorCode.GOAL_IN_COLLISION: (True, True),
-    MoveItErrorCode.TIMED_OUT: (False, False),
-}
-
-
-@pytest.mark.parametrize(("code", "flags"), REFUSALS.items())
-def test_the_report_of_a_failure_has_its_details(code: MoveItErrorCode, flags: tuple[bool, bool]) -> None:
-    told = REPORTS.report(HOME, PlanningFailure(code, "why", {"distance_m": 0.04}), TIP, None)
-    assert (told["reachable"], told["decided"]) == flags
-    assert not told["free"]
-    assert (told["code"], told["message"]) == (int(code), "why")
-    assert (told["position_error_m"], told["duration_s"]) == (0.04, UNKNOWN)
 
 
 def test_the_report_of_a_point_out_of_reach_has_the_nearest_configuration() -> None:

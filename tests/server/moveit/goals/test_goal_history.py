@@ -16,8 +16,8 @@ from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
 from robot.trajectory import Trajectory
 from server import cli
-from server.execution.motions import PlannedMotion
-from server.execution.queue import Answer, GoalState, Performed, Progress, QueuedGoal
+from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.motions import Performed, PlannedMotion
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.goals.goal_history import GoalHistory
@@ -67,11 +67,11 @@ def status_of(goal_id: str) -> dict[str, Any]:
     return {"level": 0, "name": "/moveit_goal_named", "message": "done", "hardware_id": goal_id, "values": []}
 
 
-def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> QueuedGoal[Any]:
+def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> Goal:
     """A goal that moves the base joint to one position after the other [rad]."""
     made = [lambda start, to=to: PlanningProblem("arm", start, JointGoal({"shoulder_pan": to})) for to in steps]
     request = PlannedMotion(tuple(made), frozenset({"shoulder_pan"})) if steps else None
-    return QueuedGoal(goal_id, "/moveit_goal_named", request, message=NAMED, only_for=only_for)
+    return Goal(0, goal_id, "/moveit_goal_named", request, message=NAMED, only_for=only_for)
 
 
 def answer(
@@ -105,12 +105,6 @@ async def test_a_goal_that_is_answered_to_its_client_alone_has_no_record(records
     assert await records.ids() == []
 
 
-async def test_an_unknown_goal_is_named_with_the_limit(records: Records) -> None:
-    told = await records.record("x" * 500)
-    assert not told["success"]
-    assert told["message"] == f"goal_id: '{'x' * 40}' is none of the last 100 goals that were answered"
-
-
 async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None:
     moved = goal("7", 0.4)
     records.history.take_progress(moved, Progress(GoalState.EXECUTING, "a motion of 2.5 s (rrt; planned in 12 ms)"))
@@ -123,12 +117,6 @@ async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None
     assert told["planning_time_s"] == 0.012
     assert told["summary"] == "a motion of 2.5 s (rrt; planned in 12 ms)"
     assert [part["joint_trajectory"]["joint_names"] for part in told["planned"]] == [["shoulder_pan"]]
-
-
-async def test_what_a_client_asked_for_is_cut_off_at_20000_characters(records: Records) -> None:
-    long = QueuedGoal("1", "/moveit_goal_named", None, message={"data": "y" * 30_000})
-    records.history.take_answer(long, Answer(MoveItErrorCode.FAILURE, "no"), status_of("1"))
-    assert len((await records.record("1"))["asked"]) == 20_000
 
 
 async def test_the_problem_of_a_failed_step_starts_where_the_one_before_ends(records: Records) -> None:

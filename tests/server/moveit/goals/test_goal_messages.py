@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from planners.goals import JointGoal, PoseGoal, PositionGoal
+from planners.goals import JointGoal, PoseGoal
 from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
 from protocol.messages import Stamp, complete
@@ -46,10 +46,6 @@ def test_a_named_target_is_found_whatever_its_case_and_blanks(name: str) -> None
     assert asked.positions_rad["shoulder_lift"] == -0.5
 
 
-def test_a_saved_state_is_a_named_target_with_its_joints_of_the_group() -> None:
-    assert goal(TRANSLATOR.named({"data": "mine"})) == JointGoal({"elbow_flex": 0.4}, tolerance_rad=0.01)
-
-
 @pytest.mark.parametrize("name", ["", "redy", "home2"])
 def test_an_unknown_named_target_is_rejected_with_those_that_exist(name: str) -> None:
     failure = rejection(TRANSLATOR.named, {"data": name})
@@ -86,12 +82,6 @@ def test_an_invalid_joint_goal_is_rejected_with_the_reason(name: list[str], posi
     assert words in failure.message
 
 
-@pytest.mark.parametrize("frame", ["", "base_link", "/base_link"])
-def test_a_pose_in_the_planning_frame_asks_for_the_position_of_the_tip(frame: str) -> None:
-    asked = goal(TRANSLATOR.pose(pose_stamped(frame, x=0.3, y=0.1, z=0.2)))
-    assert asked == PositionGoal("gripper_frame_link", (0.3, 0.1, 0.2), tolerance_m=0.01)
-
-
 def test_a_frame_that_moves_is_resolved_when_the_goals_turn_comes() -> None:
     asked = TRANSLATOR.pose(pose_stamped("gripper_frame_link"))
     turned_rad = {**HOME, "shoulder_pan": 1.0}
@@ -112,29 +102,11 @@ def test_while_the_arms_position_is_unknown_frames_are_resolved_at_the_goals_tur
         asked.steps[0](HOME)
 
 
-def test_the_whole_pose_is_returned_in_the_root_link() -> None:
-    message = {
-        "header": {"frame_id": "base_link"},
-        "pose": {"position": {"x": 0.3}, "orientation": {"z": 1.0, "w": 0.0}},
-    }
-    pose = TRANSLATOR.pose_in_root(complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0)), HOME)
-    assert isinstance(pose, Pose)
-    assert (pose.position_m, pose.orientation) == ((0.3, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
-
-
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_a_coordinate_that_is_not_finite_is_named(axis: str) -> None:
     failure = rejection(TRANSLATOR.pose, pose_stamped("", **{axis: math.nan}))
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert f"position.{axis}" in failure.message
-
-
-def test_link_tolerance_and_scaling_come_from_the_parameters() -> None:
-    chosen = translator(end_effector_link="wrist_link", position_tolerance=0.02, max_velocity_scaling=0.7)
-    problem = chosen.pose(pose_stamped("", x=0.3)).steps[0](HOME)
-    assert isinstance(problem, PlanningProblem)
-    assert problem.goal == PositionGoal("wrist_link", (0.3, 0.0, 0.0), tolerance_m=0.02)
-    assert problem.velocity_scaling == 0.7
 
 
 def test_a_joint_goal_beyond_limits_is_brought_within_them_in_every_joint() -> None:
@@ -163,13 +135,6 @@ def test_a_free_configuration_is_suggested_joint_by_joint() -> None:
         "type": "sensor_msgs/JointState",
         "msg": {"name": ["elbow_flex"], "position": [0.25]},
     }
-
-
-@pytest.mark.parametrize(
-    "details", [{}, {"joint": "shoulder_pan"}, {"joint": "shoulder_pan", "lower_rad": 0.0, "upper_rad": 1.0}]
-)
-def test_nothing_is_suggested_without_details(details: dict[str, Any]) -> None:
-    assert suggestion({"data": "home"}, details, ROBOT) is None
 
 
 LIFTED, PAIR = model.parse(LIFTED_URDF, LIFTED_SRDF), model.parse(PAIR_URDF, PAIR_SRDF)
@@ -205,25 +170,12 @@ def test_seven_joints_need_an_orientation(lifted: GoalTranslator, orientation: d
     assert "group arm has 7 joints" in failure.message
 
 
-def test_five_joints_need_no_orientation() -> None:
-    message = whole_pose(dict.fromkeys("xyzw", 0.0), "base_link", x=0.3)
-    assert goal(TRANSLATOR.pose(message)) == PositionGoal("gripper_frame_link", (0.3, 0.0, 0.0), tolerance_m=0.01)
-
-
 def test_a_selected_group_is_that_of_later_goals(lifted: GoalTranslator) -> None:
     before = lifted.named({"data": "bent"})
     lifted.select_group("arm_with_torso")
     after = lifted.named({"data": "raised"})
     assert [motion.steps[0](LIFTED_HOME).group for motion in (before, after)] == ["arm", "arm_with_torso"]
     assert after.joints - before.joints == {"lift"}
-
-
-def test_an_unknown_group_is_rejected_with_those_that_exist(lifted: GoalTranslator) -> None:
-    failure = rejection(lifted.select_group, "legs")  # type: ignore[arg-type]
-    assert failure.code is MoveItErrorCode.INVALID_GROUP_NAME
-    assert "'legs'" in failure.message
-    assert "arm, arm_with_torso, gripper" in failure.message
-    assert lifted.group.name == "arm"
 
 
 GROUPS_OF_JOINTS = {
@@ -245,17 +197,6 @@ def test_the_goals_of_one_arm_of_two_move_its_joints_alone() -> None:
     pair.select_group("both_arms")
     left = pair.joints(joint_state(name=["left_a1"], position=[0.1]))
     assert left.joints == set(PAIR.groups["left_arm"].joints)
-
-
-def test_the_end_of_a_part_of_a_path_is_no_goal_to_be_published() -> None:
-    assert suggestion({}, {"free_m": [0.1, 0.2, 0.3], "free_fraction": 0.4}, ROBOT) is None
-
-
-def test_a_suggestion_for_joints_that_slide_is_in_metres(lifted: GoalTranslator) -> None:
-    asked = joint_state(name=["lift"], position=[0.9])
-    told = suggestion(asked, {"joint": "lift", "lower_rad": 0.0, "upper_rad": 0.3}, LIFTED)
-    assert told is not None
-    assert told.words == "within the limits, lift 0.300 m"
 
 
 def test_a_suggested_point_keeps_the_orientation_of_the_goal() -> None:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
@@ -10,8 +10,9 @@ import pytest
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from server.execution.motions import Motion, PlannedMotion
-from server.execution.queue import Answer, GoalPolicy, GoalQueue, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.motions import PlannedMotion
+from server.execution.queue import GoalPolicy, GoalQueue
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -37,15 +38,16 @@ class Obedient(GoalRunner):
     """Reaches every goal at once, unless it is told to wait."""
 
     def __init__(self) -> None:
-        super().__init__("joint")
+        super().__init__()
         self.go_on = asyncio.Event()
         self.go_on.set()
         self.cancelled: list[str] = []
         self.answer = Answer(MoveItErrorCode.SUCCESS, "there")
 
-    async def run(self, request: Motion, report: Callable[[Progress], None], epoch: int) -> Answer:
-        self.asked.append(request)
-        report(Progress(GoalState.EXECUTING, "moving", 0.25, 1.5))
+    async def run(self, goal: Goal) -> Answer:
+        self.asked.append(goal.motion)
+        goal.cancelled.add_done_callback(lambda reason: self.cancel(reason.result()))
+        goal.report(Progress(GoalState.EXECUTING, "moving", 0.25, 1.5))
         await self.go_on.wait()
         return self.answer
 
@@ -61,7 +63,7 @@ class Desk:
         self.confirmation = Confirmation(self.graph, enabled=False, timeout_s=60.0)
         node = Node("moveit")
         status = GoalStatusTopics(LocalGraph(self.graph), node, so101())
-        self.queue: GoalQueue[Motion] = GoalQueue(
+        self.queue: GoalQueue = GoalQueue(
             self.runner, GoalPolicy.QUEUE, 4, status.publish_progress, status.publish_answer
         )
         self.queue.start()
@@ -123,7 +125,8 @@ async def test_a_stop_reaches_the_arm_with_its_source(desk: Desk, topic: str, me
     desk.runner.go_on.clear()
     await desk.publish("/moveit_goal_named", {"data": "ready"})
     await desk.publish(topic, message)
-    assert desk.runner.stopped == [f"stopped by {topic}"]
+    assert desk.runner.stopped == [None]
+    assert desk.runner.cancelled == [f"stopped by {topic}"]
 
 
 async def test_one_goal_is_cancelled_by_its_id(desk: Desk) -> None:
@@ -137,13 +140,6 @@ async def test_one_goal_is_cancelled_by_its_id(desk: Desk) -> None:
     assert desk.runner.stopped == []
     await desk.publish("/moveit_goal_cancel", {"data": "1"})
     assert desk.runner.cancelled == ["cancelled by /moveit_goal_cancel"]
-
-
-async def test_the_final_status_has_the_code(desk: Desk) -> None:
-    await desk.publish("/moveit_goal_named", {"data": "ready"})
-    assert values_of(desk.heard[STATUS_TOPIC][-1])["code"] == "1"
-    await desk.publish("/moveit_goal_named", {"data": "nowhere"})
-    assert values_of(desk.heard[STATUS_TOPIC][-1])["code"] == "-16"
 
 
 async def test_another_event_stops_nothing(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
@@ -166,22 +162,6 @@ async def test_a_suggested_goal_is_in_the_final_status_and_named_in_the_result(d
     assert "'ready'" in desk.heard[RESULT_TOPIC][-1]["message"]
     await desk.publish(suggested["topic"], suggested["msg"])
     assert desk.heard[RESULT_TOPIC][-1]["val"] == 1
-
-
-async def test_details_of_a_failure_are_json(desk: Desk) -> None:
-    pairs = [{"first": "gripper_link", "second": "mug", "depth_m": 0.01}]
-    desk.runner.answer = Answer(MoveItErrorCode.GOAL_IN_COLLISION, "touches", {"pairs": pairs})
-    await desk.publish("/moveit_goal_named", {"data": "home"})
-    assert json.loads(values_of(desk.heard[STATUS_TOPIC][-1])["pairs"]) == pairs
-
-
-async def test_goals_of_actions_have_a_status_but_no_result_topic(desk: Desk) -> None:
-    desk.queue.submit("/move_action", PlannedMotion((), frozenset()))
-    for _ in range(10):
-        await asyncio.sleep(0)
-    assert desk.runner.asked
-    assert {status["name"] for status in desk.heard[STATUS_TOPIC]} == {"/move_action"}
-    assert desk.heard[RESULT_TOPIC] == []
 
 
 @pytest.mark.parametrize("wanted", [True, False])

@@ -16,7 +16,6 @@ from server.moveit.requests.planning_context import (
     StartState,
     attached_diff,
     start_positions,
-    state_positions,
 )
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, joint, message, outcome, rejection
@@ -33,24 +32,6 @@ def state(positions=None, **fields):
 
 def start(positions=None, current=CURRENT, **fields):
     return outcome(start_positions, state(positions, **fields), current, ROBOT)
-
-
-@pytest.mark.parametrize("is_diff", [True, False])
-def test_a_state_without_joints_is_the_present_one(is_diff: bool) -> None:
-    assert start(is_diff=is_diff) == StartState(CURRENT)
-
-
-@pytest.mark.parametrize("is_diff", [True, False])
-def test_joints_that_are_not_named_are_where_they_are(is_diff: bool) -> None:
-    assert start({"elbow_flex": 0.5}, is_diff=is_diff) == StartState(CURRENT | {"elbow_flex": 0.5})
-
-
-def test_a_whole_state_needs_no_present_one() -> None:
-    assert start(HOME, current=None) == StartState(HOME)
-
-
-def test_joints_without_a_known_position_are_named() -> None:
-    assert_refused(start({"elbow_flex": 0.5}, current=None), MoveItErrorCode.ROBOT_STATE_STALE, "'shoulder_pan'")
 
 
 @given(st.floats(0.0, MAX_START_BOUNDS_ERROR_RAD, exclude_min=True), st.sampled_from([-1.0, 1.0]))
@@ -84,22 +65,6 @@ def test_a_state_that_is_none_is_refused_by_name(name, position, words) -> None:
     assert_refused(outcome(start_positions, told, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, *words)
 
 
-def test_a_fixed_joint_in_a_state_is_ignored() -> None:
-    fixed = next(joint.name for joint in ROBOT.joints.values() if not joint.movable)
-    assert start({fixed: 0.0}) == StartState(CURRENT)
-
-
-def test_joints_of_many_dimensions_are_ignored_with_a_warning() -> None:
-    floating = start(multi_dof_joint_state={"joint_names": ["virtual_joint"]})
-    assert isinstance(floating, StartState)
-    assert "multi_dof_joint_state" in floating.warnings[0]
-
-
-def test_a_queried_state_may_be_beyond_its_limits() -> None:
-    asked = state_positions(state({"elbow_flex": 3.0}), CURRENT, ROBOT)
-    assert asked == CURRENT | {"elbow_flex": 3.0}
-
-
 def test_a_whole_state_lists_all_attached_objects() -> None:
     diff = attached_diff(state({"elbow_flex": 0.1}, is_diff=False))
     assert diff == {"is_diff": True, "robot_state": {"attached_collision_objects": [], "is_diff": False}}
@@ -113,18 +78,8 @@ def test_a_diff_state_keeps_unlisted_attached_objects() -> None:
     assert diff["robot_state"]["attached_collision_objects"][0]["object"]["id"] == "mug"
 
 
-@pytest.mark.parametrize(("positions", "is_diff"), [({}, False), ({}, True), ({"elbow_flex": 0.1}, True)])
-def test_a_state_without_attached_objects_changes_none(positions, is_diff: bool) -> None:
-    assert attached_diff(state(positions, is_diff=is_diff)) is None
-
-
 BOX = {"primitives": [{"type": 1, "dimensions": [0.01] * 3}], "primitive_poses": [{}]}
 HELD = {"link_name": "gripper_link", "object": {"id": "mug", "header": {"frame_id": "gripper_link"}, **BOX}}
-
-
-def test_a_request_without_a_start_begins_where_the_arm_is(rig: ServiceRig) -> None:
-    rig.arm.put(elbow_flex=0.4)
-    assert rig.context.start(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.4}
 
 
 def test_an_assumed_state_counts_for_its_client_alone(rig: ServiceRig) -> None:
@@ -143,10 +98,6 @@ def test_an_arm_that_is_not_read_is_no_start(rig: ServiceRig) -> None:
     rig.arm.lose_positions()
     raised = rejection(rig.context.start, state(), rig.client)
     assert_refused(raised, MoveItErrorCode.ROBOT_STATE_STALE)
-
-
-def test_the_scene_is_the_present_one_unless_something_is_attached(rig: ServiceRig) -> None:
-    assert rig.context.start(state(HOME), rig.client).scene is rig.scene_state.scene
 
 
 def test_objects_attached_by_a_start_state_count_for_its_request_alone(rig: ServiceRig) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planners.goals import JointGoal, PoseGoal, PositionGoal
-from planners.problem import PLANNER_IDS, Arc, CartesianProblem, Line, MoveItErrorCode, PlanningProblem
+from planners.problem import Arc, Line, MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,
@@ -84,11 +84,6 @@ def test_fields_of_a_request_override_the_parameters() -> None:
     assert (said.velocity_scaling, said.acceleration_scaling) == (0.2, 0.1)
 
 
-@pytest.mark.parametrize("name", ["manipulator", "/arm"])
-def test_an_unknown_group_is_refused_with_those_that_exist(name: str) -> None:
-    assert_refused(asked(group_name=name), MoveItErrorCode.INVALID_GROUP_NAME, repr(name), "arm, gripper")
-
-
 @pytest.mark.parametrize("field", ["max_velocity_scaling_factor", "max_acceleration_scaling_factor"])
 @pytest.mark.parametrize("value", [-0.1, math.nan])
 def test_a_senseless_scaling_is_refused(field: str, value: float) -> None:
@@ -100,11 +95,6 @@ def test_a_scaling_above_one_is_full_speed_with_a_warning() -> None:
     assert isinstance(read, BuiltProblem)
     assert read.problem.velocity_scaling == 1.0
     assert "max_velocity_scaling_factor 1.5" in read.warnings[0]
-
-
-@pytest.mark.parametrize("field", ["allowed_planning_time", "num_planning_attempts"])
-def test_a_time_and_attempts_of_zero_are_the_defaults(field: str) -> None:
-    assert problem(**{field: 0}) == problem()
 
 
 NO_VALUES = {
@@ -137,11 +127,6 @@ def test_a_planning_time_that_is_no_number_is_refused() -> None:
     assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "allowed_planning_time", "nan")
 
 
-@pytest.mark.parametrize("pipeline", ["", OMPL])
-def test_the_pipeline_of_these_planners_is_known(pipeline: str) -> None:
-    assert problem(pipeline_id=pipeline) == problem()
-
-
 def test_an_unknown_pipeline_is_refused_with_those_that_exist() -> None:
     assert_refused(asked(pipeline_id="chomp"), MoveItErrorCode.FAILURE, "'chomp'", OMPL, PILZ)
 
@@ -152,16 +137,6 @@ def test_an_unknown_planner_is_replaced_with_a_warning() -> None:
     assert isinstance(read.problem, PlanningProblem)
     assert read.problem.planner_id == "RRT"
     assert "'CHOMP'" in read.warnings[0]
-
-
-@pytest.mark.parametrize("spelled", ["RRTConnect", "RRTConnectkConfigDefault", "geometric::RRTConnect"])
-def test_planners_are_known_in_moveits_spellings(spelled: str) -> None:
-    assert problem(planner_id=spelled).planner_id == PLANNER_IDS[0]
-
-
-def test_the_workspace_is_ignored() -> None:
-    box = {"min_corner": {"x": 9.0, "y": 0.0, "z": 0.0}, "header": {"frame_id": "moon"}}
-    assert asked(workspace_parameters=box) == asked()
 
 
 IGNORED = {
@@ -184,44 +159,9 @@ def test_path_constraints_hold_on_the_way() -> None:
     assert held.path_constraints.joints[0].joint == "wrist_roll"
 
 
-@pytest.mark.parametrize("planner_id", ["", "ptp"])
-def test_pilz_point_to_point_is_any_motion(planner_id: str) -> None:
-    assert problem(pipeline_id=PILZ, planner_id=planner_id) == problem()
-
-
-def test_pilz_line_is_a_path_of_the_tip() -> None:
-    read = asked(pipeline_id=PILZ, planner_id="LIN", goal_constraints=[{"position_constraints": [ball(0.3, 0.0, 0.2)]}])
-    assert isinstance(read, BuiltProblem)
-    assert isinstance(read.problem, CartesianProblem)
-
-
 def test_an_unknown_planner_of_pilz_fails_and_its_smoothness_is_understood() -> None:
     answer = asked(pipeline_id=PILZ, planner_id="POLYLINE", smoothness_level=0.5)
     assert_refused(answer, MoveItErrorCode.PLANNING_FAILED, "'POLYLINE'", "PTP, LIN, CIRC")
-
-
-# As scripts on roslibpy send them: no tolerances, no header, no times, no scaling.
-SPARSE = {
-    "joints": {"goal_constraints": [{"joint_constraints": [{"joint_name": "elbow_flex", "position": 0.5}]}]},
-    "diff": {"start_state": {"is_diff": True}, "goal_constraints": [GOAL]},
-    "state": {"start_state": {"joint_state": {"name": ["elbow_flex"], "position": [0.1]}}, "goal_constraints": [GOAL]},
-    "pose": {
-        "group_name": "arm",
-        "goal_constraints": [
-            {
-                "position_constraints": [
-                    {"link_name": "gripper_frame_link", "constraint_region": {"primitive_poses": [{}]}}
-                ],
-                "orientation_constraints": [{"link_name": "gripper_frame_link"}],
-            }
-        ],
-    },
-}
-
-
-@pytest.mark.parametrize("sparse", SPARSE.values(), ids=SPARSE.keys())
-def test_sparse_requests_are_understood(sparse) -> None:
-    assert isinstance(asked(**sparse), BuiltProblem)
 
 
 END = (0.3, 0.0, 0.2)
@@ -306,16 +246,6 @@ NAMED_START = {"start_state": {"joint_state": {"name": ["elbow_flex"], "position
 
 def read(*items):
     return outcome(sequence_requests, message("MotionSequenceRequest", items=list(items)))
-
-
-def test_the_items_requests_come_in_their_order() -> None:
-    requests = read({"req": {"group_name": "arm"}}, {"req": {"group_name": "gripper"}})
-    assert isinstance(requests, list)
-    assert [request["group_name"] for request in requests] == ["arm", "gripper"]
-
-
-def test_the_first_item_may_say_where_it_starts() -> None:
-    assert isinstance(read({"req": NAMED_START}, {}), list)
 
 
 def test_a_start_in_the_middle_is_refused_by_its_place() -> None:

@@ -42,10 +42,6 @@ def test_the_robots_own_matrix_names_every_link_and_what_the_srdf_disables():
     assert allowed == ROBOT.disabled_pairs | UNCHECKED
 
 
-def test_the_robots_own_matrix_sent_back_changes_nothing():
-    assert read_allowed_collision_matrix(OF_ROBOT.message, "acm").exceptions(UNCHECKED, ROBOT.links) == {}
-
-
 @given(st.lists(st.booleans(), min_size=10, max_size=10))
 def test_a_matrix_is_written_as_it_was_read(values):
     names = ["a", "b", "c", "d", "e"]
@@ -64,12 +60,6 @@ def test_a_pair_that_may_touch_is_an_exception_and_so_is_one_of_the_srdf_that_ma
     assert allowed.exceptions(UNCHECKED, ()) == {APART: True, frozenset(("base_link", "cup")): True}
     forbidden = matrix(["base_link", "shoulder_link"], [False, False], [False, False])
     assert forbidden.exceptions(UNCHECKED, ()) == {NEIGHBOURS: False}
-
-
-def test_pairs_that_are_not_named_follow_the_srdf():
-    assert matrix(["cup", "gripper_link"], [False, True], [True, False]).exceptions(UNCHECKED, ROBOT.links) == {
-        frozenset(("cup", "gripper_link")): True
-    }
 
 
 def test_only_what_is_above_the_diagonal_counts():

@@ -10,12 +10,9 @@ from planners.scene import Box, Plane, Pose, Sphere
 from server.moveit.scene.collision_objects import (
     MAX_SUBFRAMES,
     AttachedCollisionObject,
-    has_geometry,
     read_collision_object,
-    read_shape_poses,
-    with_object_pose,
 )
-from tests.helpers.moveit import box, collision_object, message, pose, rejection
+from tests.helpers.moveit import box, collision_object, pose, rejection
 
 BALL = {"type": 2, "dimensions": [0.1]}
 QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
@@ -51,53 +48,11 @@ def test_an_object_without_a_pose_gets_that_of_its_single_shape():
     assert thing.shapes[0][1] == Pose()
 
 
-def test_two_shapes_keep_their_poses_whatever_the_objects_pose():
-    shapes = ((Sphere(1.0), Pose((1.0, 0.0, 0.0))), (Sphere(2.0), Pose()))
-    assert with_object_pose(Pose(), shapes) == (Pose(), shapes)
-
-
-def test_shapes_without_poses_have_the_objects_pose():
-    thing = read_collision_object(collision_object(id="two", primitives=[BALL, BALL], pose=pose(1.0)), "", "it")
-    assert [at for _, at in thing.shapes] == [Pose(), Pose()]
-    assert len(thing.message["primitive_poses"]) == 2
-
-
-def test_a_quaternion_of_zeros_is_no_rotation_and_others_are_brought_to_length_one():
-    told = collision_object(**box("b", at=pose(1.0, turned=(0.0,) * 4)))
-    assert read_collision_object(told, "", "it").pose == Pose((1.0, 0.0, 0.0))
-    long = collision_object(**box("b", at=pose(1.0, turned=(0.0, 0.0, 2.0, 0.0))))
-    assert read_collision_object(long, "", "it").pose.orientation == (0.0, 0.0, 1.0, 0.0)
-
-
 def test_a_repeated_message_equals_its_object_whatever_its_stamp():
     thing = read_collision_object(RICH, "base_link", "it")
     header = {"stamp": {"sec": 9, "nanosec": 9}, "frame_id": "base_link"}
     assert thing.equals_message({**RICH, "header": header})
     assert not thing.equals_message({**RICH, "pose": pose(1.0)})
-
-
-@pytest.mark.parametrize(
-    ("at", "same"), [(RICH["pose"], True), (pose(1.0, 2.0, 3.0), False), (pose(turned=QUARTER), False)]
-)
-def test_an_object_compares_a_pose_with_its_own(at, same):
-    assert read_collision_object(RICH, "base_link", "it").has_pose(at) is same
-
-
-DIFFERENCES = {
-    "pose": pose(1.0),
-    "type": {"key": "other", "db": ""},
-    "primitives": [BALL, BALL],
-    "primitive_poses": [pose(), pose()],
-    "subframe_names": ["eye"],
-    "planes": [{"coef": [0.0, 1.0, 0.0, 0.5]}],
-}
-
-
-@pytest.mark.parametrize(("field", "value"), DIFFERENCES.items(), ids=DIFFERENCES.keys())
-def test_two_objects_are_equal_unless_a_field_differs(field, value):
-    thing = read_collision_object(RICH, "base_link", "it")
-    assert thing.equals(read_collision_object(RICH, "base_link", "it"))
-    assert not thing.equals(read_collision_object(collision_object(**{**RICH, field: value}), "base_link", "it"))
 
 
 def test_two_attached_objects_are_equal_unless_a_field_differs():
@@ -108,26 +63,6 @@ def test_two_attached_objects_are_equal_unless_a_field_differs():
     )
     others = [((), posture, 0.25), (("wrist_link",), {"points": []}, 0.25), (("wrist_link",), posture, 0.5)]
     assert not any(held.equals(AttachedCollisionObject(thing, *other)) for other in others)
-
-
-def test_an_attached_object_is_written_as_it_was_read():
-    posture = message("trajectory_msgs/JointTrajectory", joint_names=["gripper"])
-    held = AttachedCollisionObject(read_collision_object(RICH, "gripper_link", "it"), ("wrist_link",), posture, 0.25)
-    told = held.message
-    assert told == message("AttachedCollisionObject", **told)
-    assert (told["link_name"], told["object"]["header"]["frame_id"]) == ("gripper_link", "gripper_link")
-    assert (told["touch_links"], told["weight"], told["detach_posture"]) == (["wrist_link"], 0.25, posture)
-    assert held.attached_object.touch_links == {"wrist_link"}
-
-
-def test_only_shapes_are_geometry():
-    assert has_geometry(RICH)
-    assert not has_geometry(collision_object(id="b", subframe_names=["hook"], subframe_poses=[pose()]))
-
-
-def test_poses_of_shapes_are_read_in_moveits_order():
-    told = collision_object(plane_poses=[pose(3.0)], primitive_poses=[pose(1.0)], mesh_poses=[pose(2.0)])
-    assert [at.position_m[0] for at in read_shape_poses(told, "it")] == [1.0, 2.0, 3.0]
 
 
 BAD = {

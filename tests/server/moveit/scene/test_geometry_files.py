@@ -7,10 +7,8 @@ import logging
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from planners.scene import Box, Cylinder
+from planners.scene import Cylinder
 from protocol.registry import Registry
 from server.errors import RefusedError
 from server.graph.node import Node
@@ -18,7 +16,6 @@ from server.graph.topics import Graph
 from server.moveit.scene import geometry_files as geometry_files_module
 from server.moveit.scene.geometry_files import LOAD, SAVE, GeometryFiles, file_within, read_geometry, write_geometry
 from tests.helpers.moveit import BENT, box, current_state, diff, message, pose, rejection, scene_state
-from tests.helpers.resources import examples
 
 
 class Files:
@@ -46,16 +43,6 @@ async def test_a_saved_scene_is_loaded(tmp_path):
     files.empty()
     assert await files.call(LOAD, str(tmp_path / "kitchen.scene"))
     assert list(files.state.contents.objects) == list(before)
-
-
-async def test_objects_that_the_file_does_not_name_stay(tmp_path):
-    files = Files(tmp_path)
-    assert await files.call(SAVE, "two.scene")
-    other = Files(tmp_path)
-    other.empty()
-    other.state.apply_diff(diff(world={"collision_objects": [box("new")]}), BENT)
-    assert await other.call(LOAD, "two.scene")
-    assert list(other.state.contents.objects) == ["new", "cup", "pen"]
 
 
 @pytest.mark.parametrize("service", [SAVE, LOAD])
@@ -136,14 +123,6 @@ def test_every_shape_and_subframe_comes_back_from_the_text_exactly():
     assert {name: thing.message for name, thing in things.items()} == {
         name: thing.message for name, thing in state.contents.objects.items()
     }
-
-
-@examples(30)
-@given(st.lists(st.floats(1e-9, 99.0), min_size=3, max_size=3), st.floats(-99.0, 99.0))
-def test_figures_lose_no_digit(edges_m, x_m):
-    cube = {"id": "b", "primitives": [{"type": 1, "dimensions": edges_m}], "pose": pose(x_m)}
-    thing = again(scene_state(cube)).contents.objects["b"]
-    assert (thing.shapes[0][0], thing.pose.position_m[0]) == (Box(tuple(edges_m)), x_m)
 
 
 def test_a_colour_stands_behind_each_shape():

@@ -29,11 +29,8 @@ from server.moveit.scene.interface import (
     GET,
     LINK_PADDING_AND_SCALING,
     MONITORED_TOPIC,
-    NO_STATE,
     OBJECT_COLORS,
     OCTOMAP,
-    ROBOT_STATE,
-    ROBOT_STATE_ATTACHED_OBJECTS,
     SCENE_SETTINGS,
     TRANSFORMS,
     WORLD_OBJECT_GEOMETRY,
@@ -193,13 +190,6 @@ def state_of(position_rad):
     return {"is_diff": True, "joint_state": {"name": list(JOINTS), "position": [position_rad] * len(JOINTS)}}
 
 
-def test_an_applied_scene_is_in_the_response():
-    client = Client()
-    assert client.apply(world={"collision_objects": [box("cup", at=pose(0.3))]})
-    (cup,) = client.another().get()["world"]["collision_objects"]
-    assert (cup["id"], cup["pose"]["position"]["x"]) == ("cup", 0.3)
-
-
 def test_the_answer_is_a_complete_message():
     client = Client()
     assert client.apply(world={"collision_objects": [box("cup", at=pose(0.3))]})
@@ -298,12 +288,6 @@ def test_moving_frames_are_where_the_client_assumes_the_arm():
     np.testing.assert_allclose(matrix_of(client.state.contents.objects["lid"].pose), expected, atol=1e-12)
 
 
-def test_a_rejected_scene_assumes_nothing():
-    client = Client()
-    assert not client.apply(robot_state=state_of(0.5), world={"collision_objects": [{"id": "x"}]})
-    assert client.joints() == pytest.approx(BENT)
-
-
 def test_a_state_that_is_none_is_refused_with_all_that_comes_with_it():
     client = Client()
     bad = {"is_diff": True, "joint_state": {"name": ["knee"], "position": [0.0]}}
@@ -384,14 +368,6 @@ def test_fast_changes_are_published_together():
     assert [len(ids(change)) for change in watched.heard] == [1, 9]
 
 
-def test_a_late_subscriber_gets_the_whole_present_scene():
-    watched = Watched()
-    watched.add("cup")
-    watched.clock.advance(PERIOD_S)
-    (whole,) = watched.subscribe([])
-    assert (whole["is_diff"], ids(whole)) == (False, ["table", "cup"])
-
-
 def test_a_change_that_is_reverted_in_time_is_not_published():
     watched = Watched()
     watched.add("cup")
@@ -437,15 +413,6 @@ def told(components):
     return scene_message(FULL.contents, ROBOT, STATE, components)
 
 
-def test_every_field_is_present_whatever_components_are_requested():
-    for components in (0, *(1 << bit for bit in range(10)), 671, EVERYTHING):
-        assert message("PlanningScene", **told(components)) == told(components), components
-
-
-def test_a_request_for_no_component_gets_everything():
-    assert told(0) == told(EVERYTHING)
-
-
 FIELDS = {
     "name": SCENE_SETTINGS,
     "robot_model_name": SCENE_SETTINGS,
@@ -469,20 +436,6 @@ def test_objects_are_listed_by_name_or_with_their_shapes():
     assert (named["id"], named["primitives"]) == ("rack", [])
     assert (shaped["id"], shaped["header"]["frame_id"], len(shaped["primitives"])) == ("rack", "base_link", 1)
     assert told(OCTOMAP)["world"]["collision_objects"] == []
-
-
-def test_the_state_is_listed_with_or_without_attached_objects():
-    assert told(ROBOT_STATE)["robot_state"] == STATE
-    with_held = told(ROBOT_STATE_ATTACHED_OBJECTS)["robot_state"]
-    assert with_held["joint_state"] == STATE["joint_state"]
-    assert [each["object"]["id"] for each in with_held["attached_collision_objects"]] == ["cup"]
-    assert told(SCENE_SETTINGS)["robot_state"] == NO_STATE
-
-
-def test_a_scene_applied_to_another_server_is_the_same_there():
-    other = SceneState(ROBOT)
-    other.apply_diff(message("PlanningScene", **told(EVERYTHING)), BENT)
-    assert scene_message(other.contents, ROBOT, STATE, EVERYTHING) == told(EVERYTHING)
 
 
 def test_a_scene_sent_back_as_a_diff_or_whole_changes_nothing():

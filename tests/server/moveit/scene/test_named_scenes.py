@@ -11,7 +11,7 @@ from server.graph.node import Node
 from server.graph.permissions import Role
 from server.graph.topics import Graph
 from server.moveit.scene import named_scenes
-from server.moveit.scene.named_scenes import NamedScenes, objects_in_words, offer_named_scenes
+from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
 from tests.helpers.moveit import BENT, ROBOT, box, current_state, diff, held, scene_state
 from tests.helpers.rules import server_rules
 
@@ -101,18 +101,6 @@ async def test_a_file_that_is_no_scene_changes_nothing(tmp_path, text):
     assert list(scenes.state.contents.objects) == ["cup"]
 
 
-async def test_a_folder_that_cannot_be_written_is_told(tmp_path):
-    (tmp_path / "file").write_text("")
-    answer = await Scenes(tmp_path / "file" / "scenes", box("cup")).call("save", name="a")
-    assert not answer["success"]
-    assert answer["message"].startswith("the scene 'a' cannot be saved: ")
-
-
 def test_saving_configures_and_loading_changes_the_scene():
     roles = {name: server_rules().services[f"/arm/scenes/{name}"].role for name in ("list", "load", "save", "delete")}
     assert roles == {"list": Role.VIEW, "load": Role.OPERATE, "save": Role.ADMIN, "delete": Role.ADMIN}
-
-
-@pytest.mark.parametrize(("count", "words"), [(0, "0 objects"), (1, "1 object"), (2, "2 objects")])
-def test_one_object_is_no_plural(count: int, words: str) -> None:
-    assert objects_in_words(count) == words

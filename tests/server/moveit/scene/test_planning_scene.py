@@ -12,7 +12,7 @@ from planners.scene import Box, Pose, Sphere
 from planners.scene_checks import MAX_SHAPES
 from server.moveit.poses import matrix_of
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
-from server.moveit.scene.collision_objects import ADD, APPEND, MOVE, REMOVE, read_collision_object
+from server.moveit.scene.collision_objects import APPEND, MOVE, REMOVE, read_collision_object
 from server.moveit.scene.frames import LinkTransforms
 from server.moveit.scene.planning_scene import (
     MAX_COLORS,
@@ -20,7 +20,6 @@ from server.moveit.scene.planning_scene import (
     apply_attached_object,
     apply_collision_object,
     apply_planning_scene,
-    apply_world,
 )
 from tests.helpers.moveit import (
     BENT,
@@ -50,14 +49,6 @@ def test_a_draft_does_not_change_its_original():
     assert before.colors == {}
 
 
-def test_an_object_is_transformed_from_its_frame():
-    changing = draft(CUP)
-    placed = changing.in_planning_frame(
-        read_collision_object(collision_object(**box("lid", at=pose(0.0, 0.0, 0.1))), "cup", "it")
-    )
-    assert (placed.frame, placed.pose) == ("base_link", Pose((0.3, 0.0, 0.1)))
-
-
 def test_an_object_in_an_unknown_frame_is_rejected_with_its_name():
     refusal = rejection(
         draft().in_planning_frame, read_collision_object(collision_object(**box("lid")), "nowhere", "it")
@@ -65,38 +56,6 @@ def test_an_object_in_an_unknown_frame_is_rejected_with_its_name():
     failure = refusal
     assert failure.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
     assert (failure.details["object"], failure.details["frame"]) == ("lid", "nowhere")
-
-
-def test_scenes_that_differ_in_colour_alone_look_alike():
-    contents, changing = scene_state(CUP).contents, draft(CUP)
-    changing.objects = dict(contents.objects)
-    changing.colors["cup"] = {"r": 1.0}
-    assert changing.contents().looks_same(contents)
-    assert changing.contents() != contents
-
-
-@pytest.mark.parametrize("part", ["objects", "padding_m", "scale"])
-def test_scenes_that_differ_for_planners_do_not_look_alike(part):
-    contents, changing = scene_state(CUP).contents, draft()
-    changing.objects = dict(contents.objects)
-    setattr(changing, part, {"base_link": 0.5})
-    assert not changing.contents().looks_same(contents)
-
-
-def test_a_forgotten_object_has_neither_colour_nor_entries():
-    changing = draft(CUP)
-    changing.colors["gripper_link"] = {}
-    changing.forget("gripper_link")
-    assert changing.colors == {}
-    assert "gripper_link" not in changing.allowed_collisions.names
-
-
-def test_clearing_keeps_attached_objects():
-    changing = draft(CUP)
-    changing.attached = {"cup": changing.objects["cup"]}
-    changing.clear(changing.allowed_collisions)
-    assert changing.objects == {}
-    assert list(changing.attached) == ["cup"]
 
 
 def test_planners_get_the_whole_scene():
@@ -114,11 +73,6 @@ def changed(*messages, before=(CUP,)):
     for each in messages:
         apply_planning_scene(changing, each, OF_ROBOT)
     return changing
-
-
-def test_a_diff_keeps_objects_that_it_does_not_name():
-    changing = changed(diff(name="kitchen", world={"collision_objects": [box("new")]}))
-    assert (list(changing.objects), changing.name) == (["cup", "new"], "kitchen")
 
 
 def test_a_whole_scene_replaces_the_one_before():
@@ -192,17 +146,6 @@ def test_fixed_frames_are_kept_and_the_planning_frame_is_ignored():
     wall = {"header": {"frame_id": "base_link"}, "child_frame_id": "/wall", "transform": {"translation": {"x": 2.0}}}
     root = {"header": {"frame_id": "base_link"}, "child_frame_id": "base_link"}
     assert changed(diff(fixed_frame_transforms=[wall, root])).fixed_frames == {"wall": Pose((2.0, 0.0, 0.0))}
-
-
-def test_an_octomap_without_data_is_accepted():
-    empty = {"octomap": {"octomap": {"id": "OcTree", "resolution": 0.1}}}
-    assert list(changed(diff(world=empty)).objects) == ["cup"]
-
-
-def test_the_world_alone_is_changed_as_within_a_scene():
-    changing = draft(CUP)
-    apply_world(changing, message("PlanningSceneWorld", collision_objects=[box("new")]), "world")
-    assert list(changing.objects) == ["cup", "new"]
 
 
 CROWD = [box(str(i)) for i in range(MAX_SHAPES + 1)]
@@ -280,16 +223,6 @@ def test_add_transforms_an_object_from_its_frame():
     np.testing.assert_allclose(lid.pose.position_m, (0.3, 0.1, 0.0), atol=1e-12)
 
 
-def test_add_in_the_frame_of_a_link_stays_where_the_link_is_now():
-    thing = after_objects(box("lid", frame="gripper_link")).objects["lid"]
-    np.testing.assert_allclose(matrix_of(thing.pose), FORWARD.transforms(BENT)["gripper_link"], atol=1e-12)
-
-
-def test_add_replaces_an_object_of_the_same_name():
-    thing = after_objects({"id": "cup", "primitives": [BALL]}).objects["cup"]
-    assert thing.shapes == ((Sphere(0.1), Pose()),)
-
-
 def test_add_of_an_equal_object_keeps_the_present_one():
     before = draft(TURNED_CUP)
     known = before.objects["cup"]
@@ -314,24 +247,6 @@ def test_append_with_the_objects_own_pose_does_not_round_poses():
     thing = after_objects(append | {"subframe_names": ["rim"], "subframe_poses": [pose(0.2)]}).objects["cup"]
     assert thing.shapes[1][1] == Pose((0.1, 0.0, 0.0))
     assert thing.subframes == {"rim": Pose((0.2, 0.0, 0.0))}
-
-
-def test_append_keeps_moveits_order_of_kinds():
-    plane = {"id": "cup", "planes": [{"coef": [0.0, 0.0, 1.0, 0.0]}], "operation": APPEND}
-    ball = {"id": "cup", "primitives": [BALL], "operation": APPEND}
-    told = after_objects(plane, ball).objects["cup"].message
-    assert [len(told[field]) for field in ("primitives", "primitive_poses", "planes", "plane_poses")] == [2, 2, 1, 1]
-    assert told["primitives"][1]["type"] == 2
-
-
-def test_append_to_an_unknown_object_adds_it():
-    assert "new" in after_objects(box("new", operation=APPEND)).objects
-
-
-def test_append_changes_the_type_only_if_it_has_one():
-    typed = {**TURNED_CUP, "type": {"key": "mug", "db": ""}}
-    assert after_objects({**TURNED_CUP, "operation": APPEND}, before=(typed,)).objects["cup"].type["key"] == "mug"
-    assert after_objects({**typed, "operation": APPEND}).objects["cup"].type["key"] == "mug"
 
 
 def test_move_needs_no_shapes_and_keeps_all_but_the_pose():
@@ -359,27 +274,11 @@ def test_move_by_the_pose_of_a_single_shape_moves_the_object():
     assert (thing.pose, thing.shapes[0][1]) == (Pose((0.7, 0.0, 0.0)), Pose())
 
 
-def test_remove_drops_an_object_its_colour_and_its_entries():
-    changing = draft(TURNED_CUP)
-    changing.colors["cup"] = {}
-    apply_collision_object(changing, collision_object(id="cup", operation=REMOVE), "it")
-    assert (changing.objects, changing.colors) == ({}, {})
-
-
-def test_remove_without_name_drops_everything():
-    assert after_objects({"operation": REMOVE}, before=(TURNED_CUP, collision_object(**box("other")))).objects == {}
-
-
 @pytest.mark.parametrize("operation", [MOVE, REMOVE])
 def test_an_unknown_object_cannot_be_moved_or_removed(operation):
     failure = rejection(after_objects, {"id": "ghost", "operation": operation})
     assert failure.code is MoveItErrorCode.INVALID_OBJECT_NAME
     assert "'ghost'" in failure.message
-
-
-@pytest.mark.parametrize("operation", [ADD, APPEND])
-def test_an_object_without_shapes_is_rejected(operation):
-    assert "'x' has no shape" in rejection(after_objects, {"id": "x", "operation": operation}).message
 
 
 def test_move_must_give_as_many_poses_as_there_are_shapes():
@@ -423,20 +322,9 @@ def test_attach_by_name_alone_takes_the_object_from_the_world():
     np.testing.assert_allclose(place_in_root(changing.attached["cup"])[:3, 3], (0.3, 0.0, 0.0), atol=1e-12)
 
 
-def test_attach_with_shapes_in_the_links_frame_does_not_round_poses():
-    thing = after_attached(new("tool", at=pose(0.1), frame="gripper_link")).attached["tool"]
-    assert (thing.link, thing.collision_object.pose) == ("gripper_link", Pose((0.1, 0.0, 0.0)))
-
-
 def test_attach_with_shapes_in_another_frame_transforms_them():
     thing = after_attached(new("tool", at=pose(0.1), frame="cup")).attached["tool"]
     np.testing.assert_allclose(place_in_root(thing)[:3, 3], (0.4, 0.0, 0.0), atol=1e-12)
-
-
-def test_attach_with_shapes_replaces_an_object_of_the_world():
-    changing = after_attached(held("cup", primitives=[BALL], header={"frame_id": "gripper_link"}))
-    assert changing.objects == {}
-    assert changing.attached["cup"].attached_object.object.shapes[0][0].radius_m == 0.1
 
 
 def test_touch_links_weight_and_posture_are_kept():
@@ -453,14 +341,6 @@ def test_attach_of_an_equal_object_keeps_the_present_one(touch_links):
     again = SceneDraft(before, LinkTransforms(ROBOT, FORWARD, None))
     apply_attached_object(again, told, "it")
     assert again.attached["tool"] is before.attached["tool"]
-
-
-def test_an_object_detached_and_attached_again_is_not_in_the_world():
-    before = after_attached(held("cup")).contents()
-    again = SceneDraft(before, LinkTransforms(ROBOT, FORWARD, BENT))
-    apply_attached_object(again, held("cup", operation=REMOVE), "it")
-    apply_attached_object(again, message("AttachedCollisionObject", **before.attached["cup"].message), "it")
-    assert (again.attached, again.objects) == (before.attached, {})
 
 
 def test_attach_by_name_alone_hands_an_object_from_link_to_link():
@@ -492,16 +372,6 @@ def test_detach_without_name_detaches_all_objects_of_the_link():
         held("cup"), held("pen", "wrist_link"), held("", "wrist_link", operation=REMOVE), before=both
     )
     assert (list(changing.attached), list(changing.objects)) == (["cup"], ["pen"])
-
-
-def test_detach_without_name_and_link_detaches_everything():
-    both = (CUP, collision_object(**box("pen")))
-    changing = after_attached(held("cup"), held("pen", "wrist_link"), held("", "", operation=REMOVE), before=both)
-    assert changing.attached == {}
-
-
-def test_detach_without_name_from_a_link_without_objects_is_no_error():
-    assert after_attached(held("", operation=REMOVE)).attached == {}
 
 
 BAD_ATTACHED = {

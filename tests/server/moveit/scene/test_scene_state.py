@@ -12,17 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.problem import MoveItErrorCode
-from planners.scene import EMPTY_SCENE, Scene
-from planners.scene_checks import MAX_SHAPES
+from planners.scene import Scene
 from server.errors import RefusedError
 from server.graph.node import Node
 from server.moveit.scene.allowed_collision_matrix import MAX_EXCEPTIONS
-from server.moveit.scene.scene_state import MAX_WAITING_ELEMENTS, AssumedStates, SceneChange, SceneState
+from server.moveit.scene.scene_state import MAX_WAITING_ELEMENTS, AssumedStates, SceneChange
 from tests.helpers.moveit import (
     BENT,
     ROBOT,
     box,
-    collision_object,
     diff,
     held,
     message,
@@ -32,13 +30,6 @@ from tests.helpers.moveit import (
 )
 
 ADDED = diff(world={"collision_objects": [box("cup", at=pose(0.3)), box("pen")]})
-RED = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 1.0}
-
-
-def test_a_scene_begins_empty():
-    state = SceneState(ROBOT)
-    assert state.scene is EMPTY_SCENE
-    assert state.frame == "base_link"
 
 
 def test_every_change_that_planners_see_has_a_version_of_its_own():
@@ -134,16 +125,6 @@ def test_a_scene_with_too_many_pairs_of_a_matrix_is_refused_before_they_are_made
     assert f"the limit is {MAX_EXCEPTIONS}" in failure.message
 
 
-def test_a_colour_changes_the_contents_and_not_the_planners_scene():
-    state = scene_state(box("cup"))
-    scene = state.scene
-    calls = []
-    state.on_change(lambda: calls.append(state.contents.colors))
-    state.apply_diff(diff(object_colors=[{"id": "cup", "color": RED}]), BENT)
-    assert state.scene is scene
-    assert calls == [{"cup": RED}]
-
-
 @given(st.permutations(["good", "good too", "bad"]))
 def test_one_bad_object_and_nothing_is_changed(names):
     state = scene_state(box("cup"))
@@ -166,13 +147,6 @@ def test_with_diff_does_not_change_the_scene():
     assert rejection(state.with_diff, diff(world={"collision_objects": [{"id": "x"}]}), BENT).details["object"] == "x"
 
 
-def test_a_world_replaces_the_one_before_and_keeps_attached_objects():
-    state = scene_state(box("cup"), box("pen"))
-    state.apply(state.attached_object(held("cup")), BENT)
-    state.apply(state.world(message("PlanningSceneWorld", collision_objects=[box("new")])), BENT)
-    assert (list(state.contents.objects), list(state.contents.attached)) == (["new"], ["cup"])
-
-
 @pytest.mark.parametrize("name", ["gripper_link", "", "held"])
 def test_names_that_are_taken_or_empty_are_refused(name):
     state = scene_state()
@@ -184,15 +158,6 @@ def test_names_that_are_taken_or_empty_are_refused(name):
 def test_an_unknown_touch_link_is_refused():
     state, touching = scene_state(box("cup")), held("cup", touch_links=("hand",))
     assert rejection(state.apply, state.attached_object(touching), BENT).code is MoveItErrorCode.INVALID_LINK_NAME
-
-
-def test_more_shapes_than_a_scene_holds_are_refused_bit_by_bit_as_well():
-    half = [{"type": 2, "dimensions": [0.1]}] * (MAX_SHAPES // 2)
-    state = scene_state({"id": "a", "primitives": half}, {"id": "b", "primitives": half})
-    assert (
-        rejection(state.apply, state.collision_object(collision_object(**box("c"))), BENT).details["limit"]
-        == MAX_SHAPES
-    )
 
 
 def test_a_scene_for_another_robot_is_taken_with_a_warning(caplog):
@@ -215,31 +180,9 @@ def said(*states, told=None):
     return assumed.of(node)
 
 
-def test_a_client_assumes_nothing_at_first():
-    assert said() is None
-    assert said(state()) is None
-
-
 def test_a_difference_leaves_the_other_joints_and_a_whole_state_does_not():
     assert said(state(gripper=0.5), state(wrist_roll=0.1)) == {"gripper": 0.5, "wrist_roll": 0.1}
     assert said(state(gripper=0.5), state(is_diff=False, wrist_roll=0.1)) == {"wrist_roll": 0.1}
-
-
-def test_a_state_sent_back_assumes_nothing():
-    assert said(state(**BENT), told=BENT) is None
-    assert said(state(gripper=0.5), state(gripper=0.5), told=BENT) == {"gripper": 0.5}
-
-
-def test_an_earlier_state_sent_after_another_is_assumed():
-    assert said(state(gripper=0.5), state(gripper=BENT["gripper"]), told=BENT) == {"gripper": BENT["gripper"]}
-
-
-def test_joints_that_are_not_assumed_are_as_measured():
-    assumed = AssumedStates(ROBOT)
-    assert assumed.completed({"gripper": 0.5}, BENT) == {**BENT, "gripper": 0.5}
-    assert assumed.completed(None, BENT) == BENT
-    assert assumed.completed({"gripper": 0.5}, None) is None
-    assert assumed.completed(BENT, None) == BENT
 
 
 def test_a_client_that_has_left_is_forgotten():

@@ -15,7 +15,6 @@ from planners.scene import Pose
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory
 from server.moveit.services.cartesian_path import (
-    LEAST_JUMP_RAD,
     MAX_SAMPLES,
     JumpThresholds,
     cut_lines,
@@ -23,7 +22,7 @@ from server.moveit.services.cartesian_path import (
     length_m,
 )
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import ROBOT, TIP, ServiceRig, joint, point
+from tests.helpers.moveit import ROBOT, TIP, ServiceRig, point
 from tests.helpers.resources import examples
 
 NEAR, FAR = point(0.33, 0.0, 0.2, w=1.0), point(0.33, 0.6, 0.2, w=1.0)
@@ -46,25 +45,12 @@ async def test_a_path_that_can_be_followed_is_whole(rig: ServiceRig) -> None:
     assert len(answer["solution"]["joint_trajectory"]["points"]) > 2
 
 
-async def test_the_last_link_of_the_group_follows_unless_another_is_named(rig: ServiceRig) -> None:
-    await path(rig)
-    assert asked(rig).link == TIP
-    await path(rig, link_name="wrist_link")
-    assert asked(rig).link == "wrist_link"
-
-
 async def test_a_path_that_can_be_followed_in_part_says_how_far_and_why(rig: ServiceRig) -> None:
     answer = await path(rig, NEAR, FAR)
     assert 0.0 < answer["fraction"] < 1.0
     assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
     assert "cm" in answer["error_code"]["message"]
     assert answer["solution"]["joint_trajectory"]["points"]
-
-
-async def test_waypoints_are_in_the_frame_of_the_header(rig: ServiceRig) -> None:
-    answer = await path(rig, point(0.0, 0.0, 0.0, w=1.0), header={"frame_id": TIP})
-    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
-    assert asked(rig).segments[0].end.position_m == pytest.approx((0.39136147, -9.2e-6, 0.22646971), abs=1e-6)
 
 
 @pytest.mark.parametrize("max_step", [0.0, -0.1, math.nan])
@@ -87,11 +73,6 @@ async def test_a_link_that_does_not_follow_the_path_limits_no_speed(rig: Service
     assert "wrist_link" in answer["error_code"]["message"]
 
 
-async def test_the_link_that_follows_the_path_may_be_named_for_its_speed(rig: ServiceRig) -> None:
-    answer = await path(rig, max_cartesian_speed=0.05, cartesian_speed_limited_link=TIP)
-    assert "max_cartesian_speed" not in answer["error_code"]["message"]
-
-
 async def test_a_greater_step_of_a_joint_than_allowed_ends_the_path_before_it(rig: ServiceRig) -> None:
     # Towards the end the arm is stretched, and its elbow races.
     bent = {"joint_state": {"name": ["shoulder_lift", "elbow_flex"], "position": [-1.2, 1.4]}}
@@ -108,12 +89,6 @@ async def test_a_greater_step_of_a_joint_than_allowed_ends_the_path_before_it(ri
     assert answer["solution"]["joint_trajectory"]["points"]
 
 
-async def test_a_threshold_that_the_first_step_exceeds_leaves_nothing(rig: ServiceRig) -> None:
-    answer = await path(rig, revolute_jump_threshold=1e-4)
-    assert answer["fraction"] == 0.0
-    assert "would jump" in answer["error_code"]["message"]
-
-
 async def test_a_factor_that_no_step_exceeds_changes_nothing(rig: ServiceRig) -> None:
     assert (await path(rig, jump_threshold=1.57))["fraction"] == 1.0
     assert len(rig.pool.requests) == 1
@@ -127,13 +102,6 @@ async def test_contacts_end_the_path_when_they_are_to_be_avoided(rig: ServiceRig
     assert careful["error_code"]["val"] == MoveItErrorCode.SUCCESS
     assert "touch" in careful["error_code"]["message"]
     assert len(shown[-1]["markers"]) > 1
-
-
-async def test_constraints_hold_on_the_way(rig: ServiceRig) -> None:
-    held = {"joint_constraints": [joint("elbow_flex", 0.0, 0.05, 0.05)]}
-    answer = await path(rig, path_constraints=held)
-    assert answer["fraction"] < 1.0
-    assert "'elbow_flex'" in answer["error_code"]["message"]
 
 
 BAD = {
@@ -164,25 +132,10 @@ ALONG_X = Line(Pose((0.3, 0.0, 0.0)))
 THEN_Y = Line(Pose((0.3, 0.4, 0.0), (0.0, 0.0, 1.0, 0.0)))
 
 
-def test_the_length_of_a_path_is_that_of_its_lines() -> None:
-    assert length_m(START, [ALONG_X, THEN_Y]) == pytest.approx(0.7)
-
-
 @examples(50)
 @given(st.floats(0.0, 0.7))
 def test_a_cut_path_has_the_length_to_keep(along_m: float) -> None:
     assert length_m(START, cut_lines(START, [ALONG_X, THEN_Y], along_m)) == pytest.approx(along_m, abs=1e-12)
-
-
-def test_lines_before_the_cut_stay_as_they_are() -> None:
-    first, second = cut_lines(START, [ALONG_X, THEN_Y], 0.5)
-    assert first is ALONG_X
-    assert second.end.position_m == pytest.approx((0.3, 0.2, 0.0))
-
-
-def test_an_orientation_is_cut_in_the_same_proportion() -> None:
-    *_, last = cut_lines(START, [ALONG_X, THEN_Y], 0.5)
-    assert last.end.orientation == pytest.approx((0.0, 0.0, HALF, HALF))
 
 
 def test_orientations_turn_the_shorter_way() -> None:
@@ -193,11 +146,6 @@ def test_orientations_turn_the_shorter_way() -> None:
 
 def test_a_cut_beyond_the_end_leaves_the_path_whole() -> None:
     assert cut_lines(START, [ALONG_X, THEN_Y], 9.0) == (ALONG_X, THEN_Y)
-
-
-def test_a_path_that_only_turns_is_kept() -> None:
-    turn = Line(Pose((0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)))
-    assert cut_lines(START, [turn], 0.0) == (turn,)
 
 
 FORWARD = ForwardPlacements(ROBOT)
@@ -228,27 +176,11 @@ def test_a_step_is_what_joints_do_while_the_tip_moves_by_a_length() -> None:
     assert found.step_rad == pytest.approx(expected_rad, rel=0.01)
 
 
-LIMITS = {
-    "the mean times a factor": (0.0, [0.5, 0.5, 2.0], 2.0),
-    "no less than the least": (0.0, [0.01, 0.01], LEAST_JUMP_RAD),
-    "the stricter of two": (0.3, [0.5, 0.5, 2.0], 0.3),
-}
-
-
-@pytest.mark.parametrize(("step_rad", "steps_rad", "limit_rad"), LIMITS.values(), ids=LIMITS.keys())
-def test_the_limit_of_a_step_is(step_rad: float, steps_rad: list[float], limit_rad: float) -> None:
-    assert JumpThresholds(step_rad, 2.0).limit_rad(np.array(steps_rad)) == pytest.approx(limit_rad)
-
-
 def test_nothing_jumps_without_thresholds_evenly_or_at_rest() -> None:
     assert not JumpThresholds(0.0, 0.0).any
     assert jump(EVEN) is None
     assert jump(EVEN, step_m=0.1, factor=1.2) is None
     assert jump(panned(0.3), step_rad=0.01, factor=1.0) is None
-
-
-def test_the_first_jump_has_the_length_before_it() -> None:
-    assert jump(EVEN, step_rad=0.01).along_m == 0.0
 
 
 def test_a_slow_path_is_looked_at_no_more_often_than_is_quick() -> None:

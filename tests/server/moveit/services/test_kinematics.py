@@ -5,16 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from planners.problem import IkQuestion, MoveItErrorCode
-from server.moveit.parameters import MoveItParameters
+from planners.problem import MoveItErrorCode
 from server.moveit.requests.planning_problems import MAX_LINKS, _goal_of_links
-from server.moveit.services.move_group_services import within_limits
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT, SEVEN, TIP, ServiceRig, ball, context, joint, message, point, turned
-from tests.helpers.resources import examples
 
 AT = point(0.25, 0.05, 0.2, w=1.0)
 
@@ -35,12 +30,6 @@ async def test_forward_kinematics_leads_back_to_the_pose(rig: ServiceRig) -> Non
     assert await tip_m(rig, answer["solution"]) == pytest.approx((0.25, 0.05, 0.2), abs=2e-4)
 
 
-async def test_a_solution_names_every_joint_once(rig: ServiceRig) -> None:
-    solution = (await ik(rig))["solution"]["joint_state"]
-    assert set(solution["name"]) == set(HOME)
-    assert len(solution["name"]) == len(solution["position"]) == len(HOME)
-
-
 async def test_five_joints_take_the_nearest_orientation_and_tell_how_far_it_is_off(rig: ServiceRig) -> None:
     assert "degrees off" in (await ik(rig))["error_code"]["message"]
 
@@ -50,12 +39,6 @@ async def test_a_pose_in_a_moving_frame_is_placed_by_the_seed(rig: ServiceRig) -
     there = await tip_m(rig, seed)
     answer = await ik(rig, point(0.0, 0.0, 0.0, w=1.0), TIP, robot_state=seed)
     assert await tip_m(rig, answer["solution"]) == pytest.approx(there, abs=2e-4)
-
-
-async def test_other_links_can_be_placed(rig: ServiceRig) -> None:
-    there = await tip_m(rig, {}, "wrist_link")
-    answer = await ik(rig, point(*there, w=1.0), ik_link_name="wrist_link")
-    assert await tip_m(rig, answer["solution"], "wrist_link") == pytest.approx(there, abs=2e-4)
 
 
 async def test_links_and_poses_can_come_as_lists(rig: ServiceRig) -> None:
@@ -85,13 +68,6 @@ async def test_a_seed_beyond_its_limits_is_no_obstacle(rig: ServiceRig) -> None:
     assert (await ik(rig, robot_state=seed))["error_code"]["val"] == MoveItErrorCode.SUCCESS
 
 
-async def test_constraints_hold_in_the_solution(rig: ServiceRig) -> None:
-    held = {"joint_constraints": [joint("wrist_roll", 1.0, 0.05, 0.05)]}
-    solution = (await ik(rig, constraints=held))["solution"]["joint_state"]
-    at = dict(zip(solution["name"], solution["position"], strict=True))
-    assert at["wrist_roll"] == pytest.approx(1.0, abs=0.0501)
-
-
 BAD = {
     "out of reach": ({"pose": point(0.9, 0.0, 0.2)}, -31, "nearest point it can reach"),
     "unknown group": ({"group_name": "manipulator"}, -15, "'manipulator'"),
@@ -118,35 +94,9 @@ async def test_a_solution_in_contact_counts_unless_contacts_are_to_be_avoided(ri
     assert "these would touch" in free["error_code"]["message"]
 
 
-TIMES = {(0, 0): 0.5, (0, 250_000_000): 0.25, (2, 500_000_000): 2.5, (100, 0): 10.0}
-
-
 async def test_a_timeout_with_a_second_of_nanoseconds_is_refused_by_name(rig: ServiceRig) -> None:
     refused = await ik(rig, timeout={"sec": 0, "nanosec": 1_000_000_000})
     assert "ik_request.timeout.nanosec must be below 1000000000, not 1000000000" in refused["error_code"]["message"]
-
-
-@pytest.mark.parametrize(("stamp", "allowed_s"), TIMES.items())
-async def test_parts_of_seconds_count_in_a_timeout(rig: ServiceRig, stamp, allowed_s) -> None:
-    await ik(rig, timeout={"sec": stamp[0], "nanosec": stamp[1]})
-    question = rig.pool.requests[-1]
-    assert isinstance(question, IkQuestion)
-    assert question.allowed_time_s == allowed_s
-
-
-async def test_the_default_timeout_can_be_set() -> None:
-    rig = ServiceRig(parameters=MoveItParameters(kinematics_solver_timeout=0.125))
-    await ik(rig)
-    question = rig.pool.requests[-1]
-    assert isinstance(question, IkQuestion)
-    assert question.allowed_time_s == 0.125
-
-
-@examples(30)
-@given(st.dictionaries(st.sampled_from(sorted(HOME)), st.floats(-10.0, 10.0)))
-def test_a_seed_is_brought_within_the_limits(positions_rad) -> None:
-    for name, value in within_limits(ROBOT, positions_rad).items():
-        assert ROBOT.joints[name].lower <= value <= ROBOT.joints[name].upper
 
 
 async def test_every_link_is_in_the_response_if_none_is_named(rig: ServiceRig) -> None:
@@ -160,17 +110,6 @@ async def test_poses_are_in_the_requested_frame(rig: ServiceRig) -> None:
     (told,) = answer["pose_stamped"]
     assert told["header"]["frame_id"] == TIP
     assert list(told["pose"]["position"].values()) == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
-
-
-async def test_an_unknown_link_has_no_pose(rig: ServiceRig) -> None:
-    answer = await rig.call("/compute_fk", fk_link_names=["hand"])
-    assert answer["error_code"]["val"] == MoveItErrorCode.INVALID_LINK_NAME
-    assert "'hand'" in answer["error_code"]["message"]
-
-
-async def test_a_state_beyond_the_limits_has_poses_all_the_same(rig: ServiceRig) -> None:
-    state = {"joint_state": {"name": ["elbow_flex"], "position": [3.0]}}
-    assert (await rig.call("/compute_fk", robot_state=state))["error_code"]["val"] == MoveItErrorCode.SUCCESS
 
 
 async def test_more_links_than_any_robot_has_are_refused_before_they_cost_anything(rig: ServiceRig) -> None:
@@ -191,12 +130,6 @@ async def check(rig: ServiceRig, positions=None, **fields: Any) -> Any:
     return await rig.call("/check_state_validity", robot_state={"joint_state": joints}, **fields)
 
 
-async def test_a_free_state_is_valid(rig: ServiceRig) -> None:
-    answer = await check(rig, HOME)
-    assert answer["valid"]
-    assert answer["contacts"] == answer["constraint_result"] == []
-
-
 async def test_contacts_have_bodies_depth_and_position(rig: ServiceRig) -> None:
     answer = await check(rig, FOLDED)
     deepest = answer["contacts"][0]
@@ -205,12 +138,6 @@ async def test_contacts_have_bodies_depth_and_position(rig: ServiceRig) -> None:
     assert deepest["depth"] > 0.01
     assert 0.0 < deepest["position"]["z"] < 0.2
     assert (deepest["body_type_1"], deepest["body_type_2"]) == (0, 0)
-
-
-async def test_contacts_are_shown(rig: ServiceRig) -> None:
-    shown = rig.listen("/display_contacts", "visualization_msgs/MarkerArray")
-    answer = await check(rig, FOLDED)
-    assert len(shown[-1]["markers"]) == 1 + len(answer["contacts"])
 
 
 async def test_objects_and_links_have_different_body_types(rig: ServiceRig) -> None:

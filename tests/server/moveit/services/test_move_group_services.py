@@ -14,7 +14,7 @@ from server.moveit.services.move_group_services import SERVICES, group_urdf
 from tests.helpers.clients import ArmClient
 from tests.helpers.fake_arm import HOME
 from tests.helpers.messages import made_up
-from tests.helpers.moveit import REGISTRY, ROBOT, SPHERE, TIP, ServiceRig, ball, joint, point, region, turned
+from tests.helpers.moveit import REGISTRY, ROBOT, TIP, ServiceRig, ball, joint, point, turned
 
 
 def test_every_service_is_offered_with_moveits_type(rig: ServiceRig) -> None:
@@ -85,23 +85,11 @@ async def test_a_motion_leads_from_the_start_to_the_goal(rig: ServiceRig) -> Non
     assert response["trajectory_start"]["joint_state"]["position"][-2] == pytest.approx(0.2)
 
 
-async def test_a_goal_that_holds_already_is_a_motion_of_one_point(rig: ServiceRig) -> None:
-    response = await planned(rig, {"joint_constraints": [joint("elbow_flex", 0.0)]})
-    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
-    assert len(points(response)) == 1
-
-
 async def test_warnings_are_in_the_message_of_a_success(rig: ServiceRig) -> None:
     code = (await planned(rig, start_state=start_state({"elbow_flex": -1.72}), planner_id="CHOMP"))["error_code"]
     assert code["val"] == MoveItErrorCode.SUCCESS
     assert "elbow_flex" in code["message"]
     assert "'CHOMP'" in code["message"]
-
-
-async def test_five_joints_reach_a_pose_in_the_nearest_orientation_and_tell_how_far_it_is_off(rig: ServiceRig) -> None:
-    code = (await planned(rig, REACHABLE | {"orientation_constraints": [turned(0.001)]}))["error_code"]
-    assert code["val"] == MoveItErrorCode.SUCCESS
-    assert "degrees off" in code["message"]
 
 
 UNPLANNABLE = {
@@ -149,11 +137,6 @@ async def test_a_failed_plan_has_its_code_and_message(rig, goals, fields, code, 
     assert not points(response)
 
 
-async def test_a_failure_is_in_the_log(rig: ServiceRig, caplog: pytest.LogCaptureFixture) -> None:
-    await planned(rig, group_name="manipulator")
-    assert any("INVALID_GROUP_NAME" in record.getMessage() for record in caplog.records)
-
-
 async def test_the_message_of_a_success_is_logged(rig: ServiceRig, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", "armbridge")
     await planned(rig, planner_id="CHOMP")
@@ -171,16 +154,6 @@ async def test_a_goal_in_collision_names_the_object_and_shows_the_contact(rig: S
 
 async def test_any_one_of_several_goals_will_do(rig: ServiceRig) -> None:
     response = await planned(rig, {"position_constraints": [ball(0.8, 0.0, 0.2)]}, ELBOW)
-    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
-
-
-async def test_any_one_of_several_regions_will_do(rig: ServiceRig) -> None:
-    two = region((SPHERE, [0.01]), (SPHERE, [0.01]), poses=[point(0.8, 0.0, 0.2), point(0.3, 0.0, 0.2)])
-    assert (await planned(rig, {"position_constraints": [two]}))["error_code"]["val"] == MoveItErrorCode.SUCCESS
-
-
-async def test_a_line_of_the_tip_ends_at_the_goal(rig: ServiceRig) -> None:
-    response = await planned(rig, REACHABLE, pipeline_id=PILZ, planner_id="LIN")
     assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
 
 
@@ -207,13 +180,6 @@ async def test_a_goal_in_collision_says_what_would_work(rig: ServiceRig, service
     assert "what would work: the nearest point that was found, (" in response["error_code"]["message"]
 
 
-async def test_a_plan_is_shown(rig: ServiceRig) -> None:
-    shown = rig.listen("/display_planned_path", "moveit_msgs/DisplayTrajectory")
-    response = await planned(rig)
-    assert shown[-1]["trajectory"][0]["joint_trajectory"]["points"] == points(response)
-    assert rig.graph.message_types.complete("moveit_msgs/msg/DisplayTrajectory", shown[-1]) == shown[-1]
-
-
 async def test_the_pipeline_state_has_request_and_response(rig: ServiceRig) -> None:
     heard = rig.listen("/pipeline_state", "moveit_msgs/PipelineState")
     await planned(rig, planner_id="RRT")
@@ -229,31 +195,12 @@ def to(position: float, **item: Any) -> Any:
     return {"req": {"goal_constraints": [{"joint_constraints": [joint("elbow_flex", position)]}]}, **item}
 
 
-def ends(motion: Any) -> tuple[Any, Any]:
-    points = motion["joint_trajectory"]["points"]
-    return points[0]["positions"], points[-1]["positions"]
-
-
-async def test_each_motion_begins_where_the_one_before_ends(rig: ServiceRig) -> None:
-    response = await planned_sequence(rig, to(0.3), to(0.6), to(0.1))
-    assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
-    motions = [ends(motion) for motion in response["planned_trajectories"]]
-    assert [last for _, last in motions[:-1]] == [pytest.approx(first) for first, _ in motions[1:]]
-
-
 async def test_the_motions_before_a_failed_item_are_in_the_response(rig: ServiceRig) -> None:
     far = {"req": {"goal_constraints": [{"position_constraints": [ball(0.9, 0.0, 0.2)]}]}}
     response = await planned_sequence(rig, to(0.3), far)
     assert response["error_code"]["val"] == MoveItErrorCode.NO_IK_SOLUTION
     assert "items[1]" in response["error_code"]["message"]
     assert len(response["planned_trajectories"]) == 1
-
-
-@pytest.mark.parametrize("items", [[], [to(0.3, blend_radius=0.05), to(0.6)]])
-async def test_a_sequence_that_cannot_be_is_refused(rig: ServiceRig, items) -> None:
-    response = await planned_sequence(rig, *items)
-    assert response["error_code"]["val"] == MoveItErrorCode.INVALID_MOTION_PLAN
-    assert not response["planned_trajectories"]
 
 
 async def params(rig: ServiceRig, **fields):
@@ -312,22 +259,6 @@ def test_a_groups_urdf_is_a_robot_with_its_joints(name: str) -> None:
     part = model.parse(group_urdf(ROBOT, group), srdf)
     assert part.groups[name].joints == group.joints
     assert part.root_link == group.base_link
-
-
-def test_links_beside_the_group_are_left_out() -> None:
-    assert "moving_jaw" not in group_urdf(ROBOT, ROBOT.groups["arm"])
-
-
-async def test_an_unknown_group_has_no_urdf() -> None:
-    answer = await ServiceRig().call("/get_urdf", group_name="manipulator")
-    assert answer["error_code"]["val"] == MoveItErrorCode.INVALID_GROUP_NAME
-    assert answer["urdf_string"] == ""
-
-
-async def test_an_empty_name_is_the_configured_group() -> None:
-    answer = await ServiceRig().call("/get_urdf")
-    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
-    assert "gripper_frame_link" in answer["urdf_string"]
 
 
 async def test_the_urdf_of_a_group_is_the_same_message_every_time() -> None:

@@ -20,7 +20,6 @@ from planners.servo.question import (
     ServoQuestion,
     ServoStatus,
     TipTarget,
-    TipTwist,
 )
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
@@ -31,11 +30,9 @@ from server.moveit.servo.servo_loop import (
     ServoSession,
     ServoSetup,
     TwistCommand,
-    halt_command,
     read_joint_jog,
     read_pose_target,
     read_twist,
-    to_planning_frame,
 )
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm
@@ -78,35 +75,12 @@ def test_unitless_commands_are_scaled_to_speeds() -> None:
     assert read_joint_jog(jog(["elbow_flex"], [0.5]), STEERED_JOINTS, UNITLESS) == JointVelocities({"elbow_flex": 0.25})
 
 
-def test_commands_in_speed_units_are_not_scaled() -> None:
-    read = read_twist(twist({"x": 1.5}), SPEEDS)
-    assert isinstance(read, TwistCommand)
-    assert read.linear_m_s == (1.5, 0.0, 0.0)
-
-
-def test_a_twist_turns_with_its_frame() -> None:
-    command = to_planning_frame(TwistCommand((0.1, 0.0, 0.0), (0.0, 0.2, 0.0), "tool"), resolve, {})
-    assert isinstance(command, TipTwist)
-    assert command.linear_m_s == pytest.approx((0.0, 0.1, 0.0))
-    assert command.angular_rad_s == pytest.approx((-0.2, 0.0, 0.0))
-
-
 def test_a_target_in_a_frame_is_one_in_the_root_link() -> None:
     values = {"header": {"frame_id": "tool"}, "pose": {"position": {"x": 0.2}}}
     read = read_pose_target(message("geometry_msgs/PoseStamped", values), resolve, {})
     assert isinstance(read, TipTarget)
     assert read.pose.position_m == pytest.approx((0.1, 0.2, 0.0))
     assert np.linalg.norm(read.pose.orientation) == pytest.approx(1.0)
-
-
-def test_an_unknown_frame_is_refused_by_name() -> None:
-    values = {"header": {"frame_id": "nowhere"}}
-    for answer in (
-        outcome(to_planning_frame, TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"), resolve, {}),
-        outcome(read_pose_target, message("geometry_msgs/PoseStamped", values), resolve, {}),
-    ):
-        assert isinstance(answer, PlanningFailure)
-        assert "'nowhere'" in answer.message
 
 
 @pytest.mark.parametrize(
@@ -135,13 +109,6 @@ def test_an_unknown_frame_is_refused_by_name() -> None:
 def test_a_bad_command_is_rejected_with_field_and_value(read: object, said: str) -> None:
     assert isinstance(read, PlanningFailure)
     assert said in read.message
-
-
-def test_an_expired_command_becomes_a_halt() -> None:
-    for command in (TipTwist((0.1, 0.0, 0.0)), JointVelocities({"elbow_flex": 0.1}), TipTarget(Pose())):
-        assert halt_command(command).zero
-    # A twist's rest keeps what it did not move.
-    assert isinstance(halt_command(TipTwist((0.1, 0.0, 0.0))), TipTwist)
 
 
 JOINTS = ROBOT.groups["arm"].joints
@@ -200,14 +167,6 @@ def rig() -> Rig:
     return Rig()
 
 
-async def test_a_command_starts_the_loop_and_moves_the_joints(rig: Rig) -> None:
-    rig.session.set_command(NORTH)
-    await rig.until_asked(2)
-    assert rig.questions[0].command == TipTwist((0.1, 0.0, 0.0))
-    assert rig.arm.setpoints[0].velocity_rad_s.tolist() == [MOVING[name] for name in JOINTS]
-    await rig.session.close()
-
-
 async def test_a_command_is_followed_at_once_where_the_loop_is_made_for_that() -> None:
     rig = Rig(period_s=1000.0, at_once=True)
     rig.session.set_command(NORTH)
@@ -242,13 +201,6 @@ async def test_a_release_before_the_loop_runs_moves_nothing(rig: Rig) -> None:
     rig.session.release()
     await rig.until_let_go()
     assert all(question.command.zero for question in rig.questions)
-
-
-async def test_the_next_command_starts_the_loop_again(rig: Rig) -> None:
-    for streams in (1, 2):
-        rig.session.set_command(NORTH)
-        await rig.until_let_go()
-        assert len(rig.arm.streams) == streams
 
 
 async def test_every_question_has_velocity_and_anchor_of_the_last_answer(rig: Rig) -> None:
@@ -322,9 +274,3 @@ async def test_a_command_expires_earlier_where_its_client_says_so(rig: Rig) -> N
     halted_s = next(at_s for at_s, question in zip(asked_s, rig.questions, strict=True) if question.command.zero)
     # The answer to the first halt comes one period after it was asked.
     assert 0.08 < halted_s - PERIOD_S <= 0.1
-
-
-async def test_no_client_extends_the_timeout(rig: Rig) -> None:
-    rig.session.set_command(NORTH, timeout_s=5.0)
-    await rig.until_let_go()
-    assert sum(not question.command.zero for question in rig.questions) == pytest.approx(TIMEOUT_S / PERIOD_S, abs=1.5)

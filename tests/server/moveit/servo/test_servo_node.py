@@ -22,7 +22,6 @@ from server.moveit.servo.servo_node import (
     INT8,
     JOINT_TOPIC,
     LOGGED_AGAIN_S,
-    OWNERSHIP_TIMEOUT_S,
     PARAMETERS_TOPIC,
     PAUSE_SERVICE,
     POSE_TOPIC,
@@ -35,7 +34,6 @@ from server.moveit.servo.servo_node import (
     CommandGate,
     CommandTimeouts,
     CommandType,
-    Ownership,
     ServoNode,
     StatusPublisher,
 )
@@ -180,12 +178,6 @@ class StatusRig:
         graph.subscribe(Node("client"), STATUS_TOPIC, type_name, subscriber)
 
 
-def test_a_status_has_code_and_message() -> None:
-    rig = StatusRig("moveit_msgs/ServoStatus")
-    rig.topic.publish(ServoStatus.JOINT_BOUND, "elbow_flex at the limit")
-    assert rig.heard == [{"code": 6, "message": "elbow_flex at the limit"}]
-
-
 def test_humble_gets_its_own_numbers() -> None:
     rig = StatusRig(INT8)
     for status in (ServoStatus.JOINT_BOUND, ServoStatus.HALT_FOR_COLLISION, ServoStatus.HALT_FOR_SINGULARITY):
@@ -227,21 +219,6 @@ class GateRig:
 @pytest.fixture
 def gate_rig() -> GateRig:
     return GateRig()
-
-
-def test_a_second_client_is_rejected_with_the_name_of_the_first(gate_rig: GateRig) -> None:
-    gate_rig.said(0.0)
-    rejection = gate_rig.gate.rejection(OTHER, TWIST, 0.1)
-    assert rejection is not None
-    assert "one does" in rejection.message
-    assert not rejection.from_owner
-
-
-def test_a_selected_type_excludes_the_others_until_control_ends(gate_rig: GateRig) -> None:
-    gate_rig.gate.select(TWIST)
-    assert gate_rig.said(0.0) == ""
-    assert "TWIST was selected" in gate_rig.said(0.1, kind=JOG)
-    assert gate_rig.said(0.2 + OWNERSHIP_TIMEOUT_S, OTHER, JOG) == ""
 
 
 def test_after_an_interruption_commands_are_rejected_until_a_pause_in_them(gate_rig: GateRig) -> None:
@@ -291,14 +268,6 @@ def test_a_client_that_announces_its_presses_steers_again_only_after_another_pre
     gate.press(ONE, {ONE})
     assert gate_rig.said(3.1) != ""
     assert gate_rig.said(4.0) == ""
-
-
-def test_the_first_client_keeps_control_while_it_sends_commands() -> None:
-    ownership = Ownership(lambda _client: True)
-    assert ownership.take(ONE, 0.0)
-    assert not ownership.take(OTHER, 0.5)
-    assert ownership.take(ONE, 0.9 * OWNERSHIP_TIMEOUT_S)
-    assert not ownership.take(OTHER, 1.8 * OWNERSHIP_TIMEOUT_S)
 
 
 def test_a_client_shortens_the_timeout_of_its_own_commands_alone() -> None:

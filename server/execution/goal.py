@@ -1,0 +1,156 @@
+"""A goal of a client, from its arrival to its one answer."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from planners.problem import MoveItErrorCode, PlanningFailure
+from server.errors import RefusedError
+from server.execution.motions import Joints, Motion, Performed
+from server.graph.node import Node
+
+Result = TypeVar("Result")
+
+NO_MESSAGE: Mapping[str, Any] = MappingProxyType({})
+
+
+class GoalState(StrEnum):
+    """Stages of a goal."""
+
+    QUEUED = "queued"
+    PLANNING = "planning"
+    PLANNED = "planned"
+    EXECUTING = "executing"
+    DONE = "done"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Progress of a goal: ``fraction`` of the motion that is done, and the time left to its end [s]."""
+
+    state: GoalState
+    message: str
+    fraction: float = 0.0
+    remaining_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Final answer to a goal; there is exactly one.
+
+    Attributes:
+        details: diagnostic details, as in `PlanningFailure`.
+        performed: the motions; None when nothing was planned.
+    """
+
+    code: MoveItErrorCode
+    message: str
+    details: Mapping[str, Any] = field(default_factory=dict)
+    performed: Performed | None = None
+
+    @classmethod
+    def of(cls, failure: PlanningFailure, performed: Performed | None = None) -> Answer:
+        """Return the answer that reports a planning failure."""
+        return cls(failure.code, failure.message, failure.details, performed)
+
+
+def _future() -> asyncio.Future[Any]:
+    return asyncio.get_running_loop().create_future()
+
+
+@dataclass(eq=False)
+class CancelScope:
+    """Scope of the work for one request, until the request is cancelled.
+
+    Attributes:
+        epoch: stop epoch in which the request arrived.
+        cancelled: reason of the cancellation, once there is one.
+        replaced: True where another request may replace the motion without a stop; else the motion brakes.
+    """
+
+    epoch: int
+    cancelled: asyncio.Future[str] = field(init=False, default_factory=_future)
+    replaced: bool = field(init=False, default=False)
+
+    @property
+    def reason(self) -> str:
+        """Reason of the cancellation; empty while there is none."""
+        return self.cancelled.result() if self.cancelled.done() else ""
+
+    def cancel(self, reason: str, *, replaced: bool = False) -> None:
+        """End the work; the first reason counts, and a motion that has to brake is replaced no more."""
+        self.replaced = replaced and (self.replaced or not self.cancelled.done())
+        if not self.cancelled.done():
+            self.cancelled.set_result(reason)
+
+    def check(self, phase: str) -> None:
+        """Raise RefusedError if the request was cancelled; the error's sentence ends with the phase of the work."""
+        if self.reason:
+            raise RefusedError(PlanningFailure(MoveItErrorCode.PREEMPTED, f"{self.reason} {phase}"))
+
+    async def unless_cancelled(self, work: Coroutine[Any, Any, Result]) -> Result | None:
+        """Return the result of some work; None when the request is cancelled before or meanwhile."""
+        if self.cancelled.done():
+            work.close()
+            return None
+        task = asyncio.create_task(work)
+        try:
+            await asyncio.wait((task, self.cancelled), return_when=asyncio.FIRST_COMPLETED)
+            if not task.done():
+                task.cancel()
+                await asyncio.wait((task,))
+        finally:
+            # Reached with the work still going on only when the server itself is being ended.
+            task.cancel()
+        return None if task.cancelled() else task.result()
+
+
+@dataclass(eq=False)
+class Goal(CancelScope):
+    """Goal of a client.
+
+    Attributes:
+        goal_id: unique in the life of the server.
+        source: topic or action of its client.
+        motion: None when the goal was rejected before it was queued.
+        report: takes its progress.
+        on_answer: called once.
+        message: the message of its client; empty when there is none, or none that can be read.
+        client: name of its client; empty when it is unknown.
+        only_for: the one client that is informed; None for all.
+        progress: the latest; None before the first.
+        answered: its answer, once there is one.
+    """
+
+    goal_id: str
+    source: str
+    motion: Motion | None
+    report: Callable[[Progress], None] = lambda _progress: None
+    on_answer: Callable[[Answer], None] = lambda _answer: None
+    message: Mapping[str, Any] = field(default_factory=dict)
+    client: str = ""
+    only_for: Node | None = None
+    progress: Progress | None = field(init=False, default=None)
+    answered: asyncio.Future[Answer] = field(init=False, default_factory=_future)
+
+    @property
+    def joints(self) -> Joints:
+        """Joints that it moves."""
+        return frozenset() if self.motion is None else self.motion.joints
+
+    @property
+    def title(self) -> str:
+        """Its number, its client and its way in, for people."""
+        return f"goal {self.goal_id}{f' of {self.client}' if self.client else ''} from {self.source}"
+
+    @property
+    def remaining_s(self) -> float | None:
+        """Time left of its motion [s]; None before it moves."""
+        if self.progress is None or self.progress.state is not GoalState.EXECUTING:
+            return None
+        return self.progress.remaining_s

@@ -226,13 +226,11 @@ class _Search:
         return point, np.array([float(name in goal.positions_rad) for name in self._group.joints])
 
     def _joint_goal(self, goal: JointGoal, point: Vector) -> JointGoal:
-        """Return a joint goal at another point, of the same joints."""
         rounded = np.clip(np.round(point, DIGITS), self._space.lower_rad, self._space.upper_rad)
         values = dict(zip(self._group.joints, rounded.tolist(), strict=True))
         return replace(goal, positions_rad={name: values[name] for name in goal.positions_rad})
 
     def _reachable(self, goals: Sequence[Vector]) -> Vector:
-        """Return points to which free motions lead, shape (m, n)."""
         constraints = self._problem.path_constraints
         project: Project = self._within_limits
         if constraints is not None and not constraints.empty:

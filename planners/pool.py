@@ -290,7 +290,6 @@ class PlannerPool(Planners):
         await self._spawn_one()
 
     async def _spawn_one(self) -> None:
-        """Start a process, with pauses between the tries."""
         while not self._closing.is_set():
             try:
                 await self._spawn()

@@ -113,7 +113,6 @@ class _Connection:
         self._tasks: dict[int, asyncio.Task[None]] = {}
 
     def take(self, message: Any) -> None:
-        """Take a message of the server."""
         match message:
             case NewScene(scene):
                 self._scene.take(NewScene(dataclasses.replace(scene, version=next(self._versions))))
@@ -127,7 +126,6 @@ class _Connection:
                 self._tasks[number].cancel()
 
     def close(self) -> None:
-        """Cancel open requests."""
         for task in self._tasks.values():
             task.cancel()
 

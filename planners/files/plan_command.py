@@ -172,7 +172,6 @@ def plan_all(file: ProblemFile, problems: Sequence[FileProblem]) -> Iterator[Out
 
 
 def _tasks(options: Options, robot: RobotModel) -> list[Task]:
-    """Read the files, and choose the problems."""
     files = [problem_file.read(path, robot) for path in options.paths]
     known = {problem.id for file in files for problem in file.problems}
     for name in options.ids:

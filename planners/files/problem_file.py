@@ -242,8 +242,6 @@ class _Entry(BaseModel):
 
 
 class _File(SceneFields):
-    """A problem file."""
-
     format: Literal["so101-plan-bench/1"]
     name: str
     frame: str | None = None
@@ -277,8 +275,6 @@ def read(path: Path, robot: RobotModel) -> ProblemFile:
 
 
 class _Reader:
-    """Gives the fields of one file their meaning for a robot."""
-
     def __init__(self, path: Path, fields: _File, robot: RobotModel) -> None:
         self._path = path
         self._fields = fields
@@ -286,7 +282,6 @@ class _Reader:
         self._robot = self._with_limits(robot)
 
     def file(self, version: int) -> ProblemFile:
-        """The file's meaning, with so numbered a scene."""
         problems = tuple(self._problems())
         ids = [problem.id for problem in problems]
         twice = next((name for name in ids if ids.count(name) > 1), None)
@@ -342,7 +337,6 @@ class _Reader:
         return problem
 
     def _gripper_joints(self) -> tuple[str, ...]:
-        """The joints of the gripper, for a file that positions it."""
         if self._robot.gripper is None:
             raise self._wrong("gripper", "the robot has no gripper: name its other joints in other_joints")
         return self._robot.gripper.joints
@@ -382,7 +376,6 @@ class _Reader:
         return self._validated(f"{where}.{kind}", _GOALS[kind], fields)
 
     def _validated(self, where: str, kind: type[Any], fields: Any) -> Any:
-        """An instance of a dataclass, made of fields of the file."""
         known = [field.name for field in dataclasses.fields(kind)]
         unknown = next((name for name in fields if name not in known), None) if isinstance(fields, dict) else None
         if unknown is not None:
@@ -460,7 +453,6 @@ def _kind_and_fields(goal: Goal) -> dict[str, Any]:
 
 
 def _with_nan(value: Any) -> Any:
-    """JSON with NaN for null."""
     return _replaced(value, lambda leaf: math.nan if leaf is None else leaf)
 
 
@@ -470,7 +462,6 @@ def _with_null(value: Any) -> Any:
 
 
 def _replaced(value: Any, leaf: Callable[[Any], Any]) -> Any:
-    """Nested lists and mappings with every leaf replaced."""
     if isinstance(value, dict):
         return {key: _replaced(item, leaf) for key, item in value.items()}
     if isinstance(value, list):

@@ -88,7 +88,6 @@ class _End:
 
     @property
     def solves(self) -> bool:
-        """True when the required conditions hold and nothing touches."""
         return self.violation_m == 0.0 and not self.collides
 
 
@@ -275,7 +274,6 @@ class GoalStates:
     def _refusal(
         self, goal: TaskGoal, wanted: GoalConditions, also: Sequence[Condition], found: SearchResult, query: GoalQuery
     ) -> PlanningFailure:
-        """Return the failure of a search without solutions."""
         if query.budget.used_up():
             nearest_m = self.point_m(goal, found.nearest_q)
             failure = out_of_time(goal, query.budget.failure(), nearest_m, found.nearest)
@@ -305,7 +303,6 @@ class GoalStates:
         return self._with_configuration(failure, q, query.group)
 
     def _with_configuration(self, failure: PlanningFailure, q: Vector, group: Group) -> PlanningFailure:
-        """Add the configuration of the nearest point to a failure that has one."""
         if "nearest_m" not in failure.details:
             return failure
         nearest_rad = {name: float(q[self._joints.names.index(name)]) for name in group.joints}

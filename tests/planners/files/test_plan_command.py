@@ -11,7 +11,7 @@ import pytest
 
 from planners.errors import PlottingError
 from planners.files import plan_command, problem_file
-from planners.files.plan_command import EXIT_EXPECTED, EXIT_UNEXPECTED, EXIT_USAGE, Options
+from planners.files.plan_command import EXIT_UNEXPECTED, EXIT_USAGE, Options
 from planners.problem import MoveItErrorCode
 from robot.trajectory import Trajectory
 from tests.helpers.robots import so101
@@ -81,12 +81,6 @@ def test_the_allowed_time_is_processor_time(path, monkeypatch) -> None:
     monkeypatch.setattr(time, "process_time", lambda: 10.0 * next(seconds))
     _, written = answers(path)
     assert [answer["error_code"] for answer in written] == [MoveItErrorCode.TIMED_OUT] * 2
-
-
-def test_every_problem_is_planned_when_asked_for(path) -> None:
-    run, written = answers(path, every=True)
-    assert [answer["problem"] for answer in written] == ["near", "tip", "far"]
-    assert run.code == EXIT_EXPECTED
 
 
 def test_a_plan_is_written_in_the_order_of_the_files_joints_and_keeps_its_limits(path) -> None:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planners.motions.path_timing import time_along
+from planners.motions.spline import NaturalSpline
+from planners.problem import RateLimits
 from robot.trajectory import Vector
 from server.errors import RefusedError, ServiceError
 from server.teaching import taught_motion
@@ -69,6 +72,19 @@ def test_a_jerk_of_the_hand_is_kept_rather_than_smoothed_away() -> None:
     made, away_rad = of_recording(NAMES, time_s, positions, ROBOT)
     assert away_rad <= 0.02
     assert made.positions_rad[:, 0].max() > positions[:, 0].max() - TOLERANCE_RAD
+
+
+def test_one_abrupt_start_leaves_the_rest_of_the_motion_smooth_and_as_fast_as_it_was() -> None:
+    time_s, positions = recording(6.0)
+    positions[time_s > 3.0, 0] += 0.25
+    made, away_rad = of_recording(NAMES, time_s, positions, ROBOT)
+    assert away_rad <= TOLERANCE_RAD
+    limits = RateLimits.of([ROBOT.joints[name] for name in NAMES])
+    path = NaturalSpline(made.time_s, made.positions_rad)
+    replayed = time_along(path, NAMES, limits, np.ones(len(path.grid)))
+    assert replayed is not None
+    # 30 s where the whole motion is as rough as its abrupt start.
+    assert replayed.duration_s < made.duration_s + 4.0
 
 
 def test_rest_at_both_ends_is_cut_off_but_for_a_moment() -> None:

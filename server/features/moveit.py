@@ -147,7 +147,7 @@ class ArmGoals(Feature):
 
 
 class _GoalsOfArm:
-    """Goals of one arm; those of several arms are published by the names of each arm that they move as well."""
+    """Goals of one arm; goals of several arms are published by the names of each arm that they move as well."""
 
     def __init__(self, arm: ArmContext) -> None:
         graph, goals, planning = arm.graph, arm.goals, arm.planning
@@ -233,7 +233,7 @@ class Servo(Feature):
 
 
 def slow_to_brake(robot: RobotModel) -> dict[str, float]:
-    """Return the joints of which steering counts on more braking than they have, with their times to brake [s]."""
+    """Return the joints that brake more slowly than steering expects, with their times to brake [s]."""
     brakes_s = {joint.name: joint.max_velocity / joint.max_acceleration for joint in robot.movable_joints}
     return {name: time_s for name, time_s in brakes_s.items() if time_s > BRAKES_WITHIN_S}
 

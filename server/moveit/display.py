@@ -114,7 +114,7 @@ def _marker(header: Mapping[str, Any], index: int, pair: Mapping[str, Any]) -> d
 
 
 class TransformsTopics:
-    """Transforms of the arm: those of movable joints with the joint states, the others once.
+    """Transforms of the arm: transforms of movable joints with the joint states, the others once.
 
     Args:
         rate_hz: limit of the rate of those that move [Hz].

@@ -1,6 +1,6 @@
 """Named states of the SRDF and of users: their store, their file, and MoveIt's warehouse services.
 
-Names and types of the services are those of moveit_ros_warehouse's node warehouse_services.
+The services have the names and types of moveit_ros_warehouse's node warehouse_services.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class NamedStates:
         return sorted(self._of(group))
 
     def select_group(self, group: str) -> None:
-        """Have the states of the SRDF be those of a planning group."""
+        """Choose the planning group whose states of the SRDF count."""
         self._described = self._states_of_groups.get(group, {})
         self._changed()
 
@@ -197,7 +197,7 @@ class NamedStates:
             listener()
 
     def _usable(self, states: Mapping[str, Positions]) -> dict[str, Positions]:
-        """Return the states of this arm: a file may have those of another arm of the same name."""
+        """Return the states of this arm: a file may have states of another arm of the same name."""
         usable: dict[str, Positions] = {}
         for name, positions_rad in states.items():
             with contextlib.suppress(ServiceError):
@@ -375,7 +375,7 @@ class NamedStatesServices:
             raise ServiceError(f"state.joint_state: {len(names)} names and {len(positions)} positions")
         positions_rad: Positions | None = dict(zip(names, positions, strict=True)) or self._current.positions_rad()
         if positions_rad is None:
-            raise ServiceError("state: has no joints, and where the arm is is not known")
+            raise ServiceError("state: has no joints, and joint positions unknown: the arm is not connected")
         await self._states.save(request["name"], positions_rad)
         return {"success": True}
 

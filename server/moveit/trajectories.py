@@ -20,7 +20,7 @@ from server.moveit.durations import NANOSECONDS_PER_S
 from server.moveit.error_codes import refused
 from server.moveit.poses import Message
 
-# Scripts that join motions repeat the end of one as the start of the next, equal but for rounding.
+# Scripts that join motions repeat the end of one as the start of the next, equal within rounding.
 SAME_TIME_S = 1e-6
 SAME_POSITION_RAD = 1e-4
 
@@ -211,7 +211,7 @@ def _check_times(time_s: Vector, kept: Vector) -> None:
     if late.size:
         before, index = (int(each) for each in kept[late[0] : late[0] + 2])
         raise _invalid(
-            f"points[{index}].time_from_start, {time_s[index]:g} s, must be after that of the point before,"
+            f"points[{index}].time_from_start, {time_s[index]:g} s, must be after the time of the point before,"
             f" {time_s[before]:g} s",
             index=index,
         )

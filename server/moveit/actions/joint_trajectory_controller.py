@@ -105,7 +105,7 @@ class JointTrajectoryController:
     """The actions and the topic.
 
     Args:
-        name: of the controller, before ``_controller``; None for that of the group.
+        name: of the controller, before ``_controller``; None for the group's name.
         industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
     """
 
@@ -265,7 +265,7 @@ class ControllerStatePublisher:
     """Publisher of the controller's state, with every state of the arm, while there are subscribers.
 
     Args:
-        name: of the controller; None for that of the group.
+        name: of the controller; None for the group's name.
     """
 
     def __init__(self, graph: LocalGraph, group: Group, name: str | None = None) -> None:

@@ -72,7 +72,7 @@ def start_positions(message: Message, current_rad: Mapping[str, float] | None, r
 def state_positions(message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel) -> dict[str, float]:
     """Read the position of every movable joint in a state, which may lie beyond the limits [rad].
 
-    Arguments and errors are those of :func:`start_positions`.
+    Arguments and errors as for :func:`start_positions`.
     """
     names, values = message["joint_state"]["name"], message["joint_state"]["position"]
     if len(names) != len(values):

@@ -76,7 +76,7 @@ HUMBLE_NUMBERS = {
 # A client repeats a rejected command many times a second.
 LOGGED_AGAIN_S = 5.0
 
-# An epoch that is earlier than that of any stop.
+# An epoch before every stop.
 BEFORE_EVERY_STOP = -1
 
 # A client in control sends many commands a second.
@@ -164,7 +164,7 @@ class CommandRejection:
 
 
 class CommandGate:
-    """Gate for commands: those of the client in control, of the selected type, while the arm is free.
+    """Gate for commands: it lets commands of the client in control pass, of the selected type, while the arm is free.
 
     Args:
         timeout_s: after a silence of this time a stick counts as released [s].
@@ -259,7 +259,7 @@ class CommandTimeouts:
         self._chosen_s: dict[object, float] = {}
 
     def choose(self, client: object, timeout_s: float, present: Container[object]) -> None:
-        """Set the timeout of a client, and forget those of clients that have left.
+        """Set the timeout of a client, and forget the timeouts of clients that have left.
 
         Args:
             timeout_s: time after which its commands expire [s].

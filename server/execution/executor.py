@@ -412,7 +412,7 @@ class GoalExecutor:
         held_rad = self._current.positions_rad()
         if held_rad is None:
             # This arm is connected by now: another arm is not.
-            message = "where the joints of another arm are is not known: it was not connected yet"
+            message = "joint positions of another arm unknown: it was not connected yet"
             raise RefusedError(PlanningFailure(MoveItErrorCode.ROBOT_STATE_STALE, message))
         return held_rad
 

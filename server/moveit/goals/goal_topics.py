@@ -341,7 +341,7 @@ class GoalChecks:
             raise ServiceError(f"poses and joints: {len(poses) + len(joints)} goals, the limit is {MAX_GOALS}")
         present_rad = self._current.positions_rad()
         if present_rad is None:
-            raise ServiceError("joint positions unknown: the arm is not connected: it is not connected")
+            raise ServiceError("joint positions unknown: the arm is not connected")
         problems, results, tip = [], [], self._translator.tip
         # Each goal takes part of a millisecond; others have their turn in between, and other calls theirs afterwards.
         async with self._turn:

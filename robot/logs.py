@@ -125,9 +125,7 @@ def without_secrets(text: str) -> str:
 class LogLimiter:
     """Limiter of log lines that repeat: a token bucket for each key. By default each key has one line, ever.
 
-    Args:
-        lines_per_s: lines of one key in the long run [1/s]; 0 for no more than the burst, ever.
-        max_keys: keys that have lines, the first ones; None where there are few.
+    A rate of 0 is no more than the burst, ever. Of the keys, the first ones have lines; any number for None.
     """
 
     __slots__ = ("_buckets", "_burst", "_end_is_written", "_lines_per_s", "_max_keys")

@@ -168,17 +168,11 @@ Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
 class StartedChild:
     """Child process started ahead: it loads its modules, and ends by itself when this process does.
 
-    Args:
-        module: name of the module to run with ``python -m``.
-        arm: name of the arm that its log lines are about; empty for an arm that is alone, and for other children.
-
-    Attributes:
-        socket: the server's end of its channel.
-        adopted: True once a :class:`Child` owns it.
+    The module is run with ``python -m``; its log lines are about an arm, if it has a name.
     """
 
     def __init__(self, module: str, arm: str = "") -> None:
-        self.adopted = False
+        self.adopted = False  # True once a Child owns it
         level = str(logging.getLogger().getEffectiveLevel())
         logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module, "--arm", arm]
 

@@ -11,14 +11,10 @@ STOPPED_SINCE = "a stop came after this motion was requested"
 
 
 class StopEpochs:
-    """Count of stops.
-
-    Attributes:
-        present: epoch of what arrives now.
-    """
+    """Count of stops."""
 
     def __init__(self) -> None:
-        self.present = 0
+        self.present = 0  # epoch of what arrives now
 
     def begin(self) -> int:
         """Begin a new epoch, for a stop; return it."""

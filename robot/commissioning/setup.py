@@ -191,11 +191,9 @@ def supply_complaint(servo: FoundServo) -> str:
 def choose_profile(
     name: str | None, own: ServoProfile | None, servos: Iterable[tuple[FoundServo, bool]]
 ) -> ServoProfile:
-    """Choose the profile of settings for some servos.
+    """Choose the profile of settings for some servos, which come with True for a gripper's.
 
-    Args:
-        name: name of a profile that was asked for; None for the arm's own, or without one for the nearest.
-        servos: servos, with True for one of the gripper.
+    It is the named one, or without a name the arm's own, or without both the nearest.
     """
     if name is not None:
         return PROFILES[name]
@@ -230,9 +228,7 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
 def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[Change, ...]:
     """Return the registers to change for a servo to be as it was saved.
 
-    Args:
-        alone: True for the only servo on the bus, which gets id and baud rate back as well: among others it might
-            become the second one of its id.
+    Only a servo alone on the bus gets id and baud rate back: among others it might become the second one of its id.
     """
     back = {register: saved.registers[register] for register in EPROM if register in saved.registers}
     if not alone:

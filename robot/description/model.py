@@ -196,12 +196,9 @@ def _default_group(semantics: Semantics) -> str:
 
 
 def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> Gripper | None:
-    """Return the gripper: an end effector of one or two joints, or else such a group "gripper" or "hand".
+    """Return the gripper of a group: an end effector of one or two joints, or else such a group "gripper" or "hand".
 
-    Of several, it is that at the arm's tip. It is open and closed in its named states, or else at its limits.
-
-    Args:
-        arm: group whose gripper it is.
+    Of several, it is that at the group's tip. It is open and closed in its named states, or else at its limits.
     """
     groups = semantics.groups
     hands = [end for end in semantics.end_effectors if end.group != arm]

@@ -153,8 +153,6 @@ def load(
 
 
 class _Problems:
-    """Problems of a folder, collected so that all are reported at once."""
-
     def __init__(self, path: Path) -> None:
         self._path = path
         self._sentences: list[str] = []

@@ -184,7 +184,6 @@ class _Reader:
         return first.parent, tip.child
 
     def _path(self, link: str) -> list[Joint]:
-        """Return the joints from the root to a link."""
         path: list[Joint] = []
         while link in self._by_child:
             path.append(self._by_child[link])

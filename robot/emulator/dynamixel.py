@@ -245,7 +245,6 @@ class DynamixelServo(EmulatedServo[Register]):
             self.set(Register.BUS_WATCHDOG, WATCHDOG_TRIPPED)
 
     def _reset_limits(self) -> None:
-        """Set the limits of the torque to their greatest values."""
         self.memory.set(Register.GOAL_PWM, self.value(Register.PWM_LIMIT))
         self.memory.set(Register.GOAL_CURRENT, self.value(Register.CURRENT_LIMIT))
 
@@ -258,7 +257,6 @@ class DynamixelServo(EmulatedServo[Register]):
         self._turns_ticks = math.floor(self.plant.position_ticks / TICKS_PER_TURN) * TICKS_PER_TURN
 
     def _refusal(self, register: Register, value: int) -> int:
-        """Return the number of the error of a write, 0 for none."""
         area, has_register = LAYOUT[register].area, self.model.has_current or register not in _CURRENT_REGISTERS
         if area is Area.READ_ONLY or not has_register or (area is Area.EEPROM and self.value(Register.TORQUE_ENABLE)):
             return ACCESS_ERROR

@@ -218,7 +218,6 @@ class ServoBus(ABC):
             self.count_retry()
 
     def _exchange(self, packet: list[int], ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-        """Send an instruction and collect its replies."""
         self._send(packet)
         received, frames = self._collect(ids, data_length)
         missing = len(ids) - len(frames)
@@ -271,7 +270,6 @@ class ServoBus(ABC):
         self._line_free_s = start_s + wire_time_s(len(packet), self._port.baudrate)
 
     def _note_disturbance(self) -> None:
-        """Note that bytes are missing, or were not expected."""
         self._disturbed = True
 
     def _await_quiet(self) -> None:

@@ -242,7 +242,6 @@ class ServoHardware(HardwareInterface):
         self.bus.close()
 
     def _refusal(self) -> str:
-        """Return the reason not to switch torque on, empty for none."""
         if self.needs_survey:
             return NEEDS_SURVEY
         if not self._simulated and not self._calibration.zero_is_known:

@@ -177,7 +177,6 @@ class ServoTracker:
                 self.silent_cycles[servo] += 1
 
     def _jumps(self, servo_id: int, reading: Telemetry, now_s: float) -> bool:
-        """Return True when a servo cannot have turned from its last reading to this one."""
         before = self._seen.get(servo_id)
         if before is None:
             return False

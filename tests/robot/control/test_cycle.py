@@ -11,13 +11,10 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.config import IdealConfig
 from robot.hardware.ideal import IdealArm
 from robot.hardware.interface import Measured
-from robot.messages import Execute, MotionEnded, Outcome
+from robot.messages import MotionEnded
 from robot.trajectory import Vector
 from tests.helpers.arm_rig import BOUNDS, NAMES, guards
 from tests.helpers.emulator import SteppedClock
-from tests.helpers.motions import smooth_move
-
-PAN = smooth_move({"shoulder_pan": (0.0, 0.5)}, duration_s=1.0)
 
 
 class RecordedArm(IdealArm):
@@ -84,26 +81,6 @@ def test_a_cycle_reads_then_writes_then_checks(holding: CycleRig) -> None:
     assert holding.hardware.calls == ["read", "goals", "shares", "check"]
 
 
-def test_before_every_joint_was_heard_nothing_is_decided(rig: CycleRig) -> None:
-    rig.control().hold(np.zeros(6))
-    rig.hardware.heard = False
-    assert rig.tick() == []
-    assert rig.cycle.measured is None
-    assert rig.hardware.calls == ["read"]
-
-
-def test_without_a_controller_the_joints_are_only_read(rig: CycleRig) -> None:
-    assert rig.tick() == []
-    assert rig.cycle.measured is not None
-    assert rig.hardware.calls == ["read"]
-
-
-def test_a_relaxed_arm_gets_no_goals(rig: CycleRig) -> None:
-    rig.control()
-    rig.tick()
-    assert rig.hardware.calls == ["read", "check"]
-
-
 def test_ticks_write_no_goals_while_a_sequence_writes_its_own(holding: CycleRig) -> None:
     with holding.cycle.writing_paused():
         holding.tick()
@@ -117,13 +94,6 @@ def test_goals_are_written_again_after_a_sequence_that_failed(holding: CycleRig)
         raise LookupError
     holding.tick()
     assert "goals" in holding.hardware.calls
-
-
-def test_what_the_check_finds_ends_the_motion_as_a_fault(holding: CycleRig) -> None:
-    holding.cycle.controller.execute(Execute(7, PAN))
-    holding.hardware.found = Fault(FaultCode.TORQUE_LOST, "it was found relaxed")
-    assert [each.outcome for each in holding.tick()] == [Outcome.FAULT]
-    assert holding.cycle.controller.fault.code is FaultCode.TORQUE_LOST
 
 
 def test_what_the_check_finds_of_a_relaxed_arm_is_no_fault(rig: CycleRig) -> None:

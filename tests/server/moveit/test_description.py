@@ -29,7 +29,7 @@ CLIENT = Node("client")
 def test_the_description_is_latched_and_kept_as_a_parameter(topic: str) -> None:
     graph = Graph(REGISTRY)
     parameters: dict[str, str] = {}
-    RobotDescription(graph, ROBOT, parameters.__setitem__).open()
+    RobotDescription(graph, ROBOT, parameters.__setitem__)
     (kept,) = graph.subscribe(CLIENT, topic, "std_msgs/String", Subscriber(lambda _: None))
     assert ET.fromstring(kept.msg["data"]).tag == "robot"
     name = topic.removeprefix("/")
@@ -39,7 +39,7 @@ def test_the_description_is_latched_and_kept_as_a_parameter(topic: str) -> None:
 
 async def test_a_mesh_is_served_by_its_name_in_the_description(files: Path) -> None:
     graph = Graph(REGISTRY)
-    RobotDescription(graph, replace(ROBOT, mesh_directory=files), lambda _name, _value: None).open()
+    RobotDescription(graph, replace(ROBOT, mesh_directory=files), lambda _name, _value: None)
     answered: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
     graph.services.call(CLIENT, FILE_SERVICE, {"name": f"package://{PACKAGE}/assets/base.stl"}, answered.set_result)
     assert base64.b64decode((await answered).values["value"]) == b"solid"

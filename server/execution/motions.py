@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -66,11 +66,7 @@ class PlannedMotion:
 
 @dataclass(frozen=True)
 class ExternalTrajectory:
-    """Trajectory that a client has planned.
-
-    Attributes:
-        trajectory: makes it for the positions that the arm holds, or raises RefusedError.
-    """
+    """Trajectory that a client has planned."""
 
     trajectory: Callable[[Positions], Trajectory]
     joints: Joints
@@ -84,7 +80,6 @@ class Performed:
     """Motions planned and executed for a goal.
 
     Attributes:
-        start_rad: position of every movable joint at the start of the first motion [rad].
         executed: the path of the arm by its readings; None when it did not move.
         planning_time_s: time spent on planning [s].
     """
@@ -95,11 +90,8 @@ class Performed:
     planning_time_s: float = 0.0
 
 
-class AskPlanner(Protocol):
-    """Function that has a planner answer, as `planners.interface.Planners.ask` does."""
-
-    def __call__(self, request: Problem, scene: Scene, /) -> Awaitable[Plan | CartesianPlan | PlanningFailure]:
-        """Plan a motion in a scene."""
+# Has a planner answer, as `planners.interface.Planners.ask` does.
+AskPlanner: TypeAlias = Callable[[Problem, Scene], Awaitable[Plan | CartesianPlan | PlanningFailure]]
 
 
 @dataclass(frozen=True)
@@ -108,7 +100,6 @@ class PlannedSequence:
 
     Attributes:
         failure: the reason why the next motion is missing; None when all were found.
-        problem: the problem without a plan; None when there is none.
     """
 
     performed: Performed
@@ -151,11 +142,7 @@ class PlannedSequence:
 
 
 async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scene, ask: AskPlanner) -> PlannedSequence:
-    """Plan all steps, or those before the first that cannot be planned.
-
-    Args:
-        start_rad: position of every movable joint at the start of the first [rad].
-    """
+    """Plan all steps, or those before the first that cannot be planned."""
     now_rad, planned = dict(start_rad), PlannedSequence(Performed(start_rad))
     for number, step in enumerate(steps):
         problem = None
@@ -278,9 +265,6 @@ def splice_point_of(
 
 def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: RobotModel) -> Trajectory:
     """Lead a motion in from where the arm holds, when that is near its start.
-
-    Args:
-        held_rad: position of every joint of the motion [rad].
 
     Returns:
         The motion with the way to its start before it; the motion itself when the arm holds at its start.

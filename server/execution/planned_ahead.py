@@ -43,7 +43,6 @@ class PlannedAhead:
         """Begin to plan a goal's motion, unless that was done; another goal's plan is dropped.
 
         Args:
-            held_rad: position of every movable joint that the arm holds now [rad].
             end_rad: positions of the joints that move, at the end of the motion in progress [rad].
             left_s: time left of the motion in progress [s].
         """

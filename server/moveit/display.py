@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -49,9 +50,6 @@ class DisplayTopics:
         self._graph = graph
         self._robot = robot
         self._node = Node("display")
-
-    def open(self) -> None:
-        """Advertise the topics."""
         self._graph.advertise(self._node, PATH_TOPIC, "moveit_msgs/DisplayTrajectory", latch=True)
         self._graph.advertise(self._node, CONTACTS_TOPIC, "visualization_msgs/MarkerArray")
         self._graph.advertise(self._node, PIPELINE_TOPIC, "moveit_msgs/PipelineState")
@@ -61,11 +59,7 @@ class DisplayTopics:
         self.planned(performed.planned, performed.start_rad)
 
     def planned(self, motions: Sequence[Trajectory], start_rad: Mapping[str, float]) -> None:
-        """Show planned motions, one after the other.
-
-        Args:
-            start_rad: position of every movable joint where the first one begins [rad].
-        """
+        """Show planned motions, one after the other."""
         root = self._robot.root_link
         self.trajectories([to_message(motion, root) for motion in motions], state_message(dict(start_rad), root, 0.0))
 
@@ -80,12 +74,7 @@ class DisplayTopics:
         self._graph.publish(self._node, PATH_TOPIC, message, as_it_is=True)
 
     def pipeline(self, request: Message, response: Message) -> None:
-        """Publish a request to the planners and its response, if there are subscribers.
-
-        Args:
-            request: a moveit_msgs/MotionPlanRequest.
-            response: the moveit_msgs/MotionPlanResponse to it.
-        """
+        """Publish a request to the planners and its response, if there are subscribers."""
         if self._graph.subscribers(PIPELINE_TOPIC):
             state = {"request": request, "response": response, "pipeline_stage": PIPELINE_STAGE}
             self._graph.publish(self._node, PIPELINE_TOPIC, state)
@@ -140,16 +129,9 @@ class TransformsTopics:
         self._fixed = [joint.child for joint in joints if not joint.moves]
         self._node = Node("robot state publisher")
         self._published_s = 0.0
-
-    def open(self, now_s: float) -> None:
-        """Advertise the topics, and publish the transforms that never change.
-
-        Args:
-            now_s: wall-clock time [s since the epoch].
-        """
         self._graph.advertise(self._node, TRANSFORMS_TOPIC, "tf2_msgs/TFMessage")
         self._graph.advertise(self._node, STATIC_TRANSFORMS_TOPIC, "tf2_msgs/TFMessage", latch=True)
-        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, self._message(self._fixed, {}, now_s))
+        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, self._message(self._fixed, {}, time.time()))
 
     def take_state(self, state: ArmState) -> None:
         """Publish a state of the arm, if there are subscribers and it is due."""

@@ -330,9 +330,6 @@ class NamedStatesServices:
         self._states = states
         self._current = current
         self._node = Node("named states")
-
-    def open(self) -> None:
-        """Offer the services, and publish the states now and at every change."""
         self._graph.advertise(self._node, NAMED_STATES_TOPIC, "std_msgs/String", latch=True)
         self._publish()
         self._states.on_change(self._publish)

@@ -29,11 +29,7 @@ MAX_POINTS = 10_000
 
 
 def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]:
-    """Write a moveit_msgs/RobotTrajectory.
-
-    Args:
-        trajectory: the trajectory; None for one without points.
-    """
+    """Write a moveit_msgs/RobotTrajectory."""
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
     return {
         "joint_trajectory": {
@@ -57,9 +53,6 @@ def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions
     """Read a trajectory_msgs/JointTrajectory as a trajectory of one of the arm's groups, and check it for the arm.
 
     Joints of the group that it does not name keep the position that the arm holds.
-
-    Args:
-        held_rad: position of every movable joint that the arm holds [rad].
     """
     named = read_joint_trajectory(message, robot, held_rad)
     group = smallest_group(robot, named.joint_names)
@@ -76,11 +69,7 @@ def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions
 
 
 def check_speed(message: Message, robot: RobotModel, held_rad: Positions, limit: float) -> None:
-    """Check a trajectory_msgs/JointTrajectory against the arm's speed limit, with the tolerance that plans have.
-
-    Args:
-        held_rad: position of every movable joint that the arm holds [rad].
-    """
+    """Check a trajectory_msgs/JointTrajectory against the arm's speed limit, with the tolerance that plans have."""
     trajectory = read_joint_trajectory(message, robot, held_rad)
     for name, speed_rad_s in zip(trajectory.joint_names, trajectory.peak_speed_rad_s.tolist(), strict=True):
         limit_rad_s = limit * robot.joints[name].max_velocity
@@ -102,11 +91,7 @@ def smallest_group(robot: RobotModel, joint_names: tuple[str, ...]) -> Group | N
 
 
 def for_group(trajectory: Trajectory, group: Group, held_rad: Positions) -> Trajectory:
-    """Extend a trajectory to every joint of a group; those that it leaves out stand still.
-
-    Args:
-        held_rad: position of every movable joint that the arm holds [rad].
-    """
+    """Extend a trajectory to every joint of a group; those that it leaves out stand still."""
     samples = len(trajectory.time_s)
     columns = {name: column for column, name in enumerate(trajectory.joint_names)}
 
@@ -133,9 +118,6 @@ def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mappin
     A point that repeats the one before is dropped. A first point after time 0 is preceded by the start, at rest.
     Points without velocities are joined by a monotone cubic spline. The last point is at rest, whatever its velocity.
     Efforts are ignored.
-
-    Args:
-        start_rad: position of every movable joint at the start [rad].
     """
     names, points = tuple(message["joint_names"]), message["points"]
     _check_names(names, robot)
@@ -289,7 +271,6 @@ def knot_accelerations(time_s: Vector, positions_rad: Vector, velocities_rad_s: 
     """Return the mean acceleration before and after each knot of a cubic spline, shape (n, joints) [rad/s^2].
 
     Args:
-        time_s: shape (n,), increasing [s].
         positions_rad: shape (n, joints) [rad].
         velocities_rad_s: shape (n, joints) [rad/s].
     """

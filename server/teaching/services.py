@@ -79,9 +79,6 @@ class Teaching:
         self._told = f"nothing is recorded: {BEGIN} begins"
         # The recording that is being made a motion, whoever waits for it.
         self._finishing: asyncio.Task[dict[str, Any]] | None = None
-
-    def open(self) -> None:
-        """Offer the services, and publish the state."""
         self._graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/TeachState", latch=True)
         # To record moves nothing; the client that teaches is one that may also drive.
         self._offer(BEGIN, "armbridge_msgs/srv/BeginTeaching", self._begin, WORKING)

@@ -164,9 +164,6 @@ class Teleoperation:
         # Followers whose start is in progress, and the stop epoch that the last stop of each following began.
         self._starting: set[str] = set()
         self._last_stops: dict[str, int] = {}
-
-    def open(self) -> None:
-        """Offer the services, of all followers and of each by its name, and publish the states."""
         self._graph.advertise(self._node, TARGETS_TOPIC, JOINT_STATE)
         self._offer_below("", list(self._followers))
         for follower in self._followers.values():

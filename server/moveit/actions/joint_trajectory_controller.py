@@ -95,12 +95,7 @@ class TrajectoryContext:
     time_limits: TimeLimits
 
     def check_speed(self, trajectory: Message, joint_names: Sequence[str], present_rad: Positions | None) -> None:
-        """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower.
-
-        Args:
-            trajectory: a trajectory_msgs/JointTrajectory.
-            present_rad: positions that the arm holds [rad]; None while they are unknown.
-        """
+        """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower."""
         planning = self.planning
         if present_rad is not None and planning.parameters.configured.faster_trajectories == "refuse":
             check_speed(trajectory, planning.robot, present_rad, planning.current.speed_limit(joint_names))
@@ -340,11 +335,7 @@ def read_tolerances(messages: Sequence[Message], field: str, joints: Sequence[st
 
 
 def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions, robot: RobotModel) -> str:
-    """Describe the first joint beyond its tolerance; empty if there is none.
-
-    Args:
-        desired_rad: position of every joint [rad].
-    """
+    """Describe the first joint beyond its tolerance; empty if there is none."""
     if state.position_rad is None:
         return ""
     measured = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
@@ -362,10 +353,6 @@ def check_trajectory(
     trajectory: Message, group: Group, robot: RobotModel, present_rad: Positions | None, now_s: float
 ) -> None:
     """Check that a trajectory can be played.
-
-    Args:
-        trajectory: a trajectory_msgs/JointTrajectory.
-        present_rad: positions that the arm holds, None while they are not known [rad].
 
     Raises:
         TrajectoryRefusedError: it names another joint, or its time is over.
@@ -385,11 +372,7 @@ def check_trajectory(
 
 
 def check_duration(trajectory: Message, limits: TimeLimits) -> None:
-    """Check that a trajectory is not too long, before it takes the place of another motion.
-
-    Args:
-        trajectory: a trajectory_msgs/JointTrajectory.
-    """
+    """Check that a trajectory is not too long, before it takes the place of another motion."""
     points = trajectory["points"]
     if points:
         field = f"trajectory.points[{len(points) - 1}].time_from_start"

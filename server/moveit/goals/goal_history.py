@@ -72,9 +72,6 @@ class GoalHistory:
         # Scene of each goal in progress when it was planned last: it may change before the answer.
         self._planned_in: dict[str, Scene] = {}
         self._summaries: dict[str, str] = {}
-
-    def open(self) -> None:
-        """Offer the services."""
         node = Node("goal history")
         self._graph.services.offer(node, HISTORY_SERVICE, HISTORY_TYPE, self._history, rule=LOOKING)
         self._graph.services.offer(node, RECORD_SERVICE, RECORD_TYPE, self._record, rule=LOOKING)

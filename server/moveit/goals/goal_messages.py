@@ -36,12 +36,7 @@ SAME_POINT_M = 1e-3
 
 @dataclass(frozen=True)
 class GoalOptions:
-    """Choices of a goal for itself, in place of those selected and configured for a topic's goals.
-
-    Attributes:
-        group: its planning group; None for the selected one.
-        velocity_scaling: share of the velocity limits, above 0 to 1; 0 for the configured one.
-    """
+    """Choices of a goal for itself, in place of those selected and configured for a topic's goals."""
 
     group: Group | None = None
     velocity_scaling: float = 0.0

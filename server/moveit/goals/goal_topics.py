@@ -107,9 +107,6 @@ class Confirmation:
         self._turn = asyncio.Lock()
         self._timeout_s = timeout_s
         self.enabled = enabled
-
-    def open(self) -> None:
-        """Subscribe to the topic, and offer the service."""
         subscriber = Subscriber(
             lambda published: self._take_decision(go=published.msg["data"]),
             lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),
@@ -158,9 +155,6 @@ class GoalStatusTopics:
         self._node = node
         self._robot = robot
         self._sources = tuple(map(graph.resolve, (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC)))
-
-    def open(self) -> None:
-        """Advertise the topics."""
         self._graph.advertise(self._node, RESULT_TOPIC, "moveit_msgs/MoveItErrorCodes")
         self._graph.advertise(self._node, STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
 
@@ -251,9 +245,6 @@ class GoalTopics:
         self._translator = translator
         self._confirmation = confirmation
         self._joints = joints
-
-    def open(self) -> None:
-        """Subscribe to the topics, and publish the group of goals."""
         self._take_goals(NAMED_TOPIC, NAMED_TYPE, self._translator.named)
         self._take_goals(JOINTS_TOPIC, JOINTS_TYPE, self._translator.joints)
         self._take_goals(POSE_TOPIC, POSE_TYPE, self._translator.pose)
@@ -337,9 +328,6 @@ class GoalChecks:
         self._scene = scene
         self._node = Node("goal checks")
         self._turn = asyncio.Lock()
-
-    def open(self) -> None:
-        """Offer the service."""
         # Each may be the only ones; both together are counted in the call.
         fields = ("poses", "joints")
         limits = ListLimits({f"armbridge_msgs/srv/CheckGoals_Request.{field}": MAX_GOALS for field in fields})

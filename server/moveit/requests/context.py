@@ -22,7 +22,6 @@ class RequestContext:
     """Context of one request.
 
     Attributes:
-        start_rad: position of every movable joint, for frames that move with the arm [rad].
         warnings: a sentence for each part of the request that is not followed; grows while the request is read.
     """
 

@@ -32,11 +32,7 @@ MAX_START_BOUNDS_ERROR_RAD = 0.05
 
 @dataclass(frozen=True)
 class StartState:
-    """Start state of a motion.
-
-    Attributes:
-        positions_rad: position of every movable joint, within the limits [rad].
-    """
+    """Start state of a motion."""
 
     positions_rad: Mapping[str, float]
     warnings: tuple[str, ...] = ()
@@ -47,10 +43,6 @@ def start_positions(message: Message, current_rad: Mapping[str, float] | None, r
 
     Joints that it does not name are at their present positions. A state without joints is the present one, whatever
     its ``is_diff``. Positions beyond a limit by no more than ``MAX_START_BOUNDS_ERROR_RAD`` are moved to it.
-
-    Args:
-        message: a moveit_msgs/RobotState.
-        current_rad: present positions by joint, None while they are not known [rad].
     """
     positions = state_positions(message, current_rad, robot)
     warnings = []
@@ -119,9 +111,6 @@ def attached_diff(message: Message) -> Message | None:
 
     A state with joints that is no diff detaches all objects that it does not list.
 
-    Args:
-        message: a moveit_msgs/RobotState.
-
     Returns:
         None if it changes nothing.
     """
@@ -134,11 +123,7 @@ def attached_diff(message: Message) -> Message | None:
 
 @dataclass(frozen=True)
 class PlanningStart:
-    """Start of planning.
-
-    Attributes:
-        start_rad: position of every movable joint [rad].
-    """
+    """Start of planning."""
 
     start_rad: Mapping[str, float]
     scene: Scene
@@ -180,7 +165,6 @@ class PlanningContext:
         """Read the start of a motion.
 
         Args:
-            state: the request's moveit_msgs/RobotState.
             caller: the client; positions that it assumes complete the state.
         """
         start = start_positions(state, self._known_rad(caller), self.robot)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TypeAlias
 
 from protocol.errors import MessageError
-from robot.description.model import RobotModel
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
@@ -44,10 +43,9 @@ def objects_in_words(count: int) -> str:
 class NamedScenes:
     """Store of scenes by name. Several servers may share its folder."""
 
-    def __init__(self, folder: Path, state: SceneState, robot: RobotModel, message_types: MessageTypes) -> None:
+    def __init__(self, folder: Path, state: SceneState, message_types: MessageTypes) -> None:
         self._files = NamedFiles(folder, "scene", MAX_SCENES)
         self._state = state
-        self._robot = robot
         self._message_types = message_types
 
     async def names(self) -> list[str]:
@@ -75,9 +73,6 @@ class NamedScenes:
     async def load(self, name: str, positions_rad: Positions | None) -> str:
         """Replace the present scene by a saved one; return a sentence about it.
 
-        Args:
-            positions_rad: position of every movable joint [rad], None while they are not known.
-
         Raises:
             ServiceError: there is no such scene, or its file cannot be used.
         """
@@ -103,7 +98,7 @@ class NamedScenes:
         return f"the scene {name!r} is deleted"
 
     def _encoded(self, contents: SceneContents) -> bytes:
-        return encoded_bounded(kept_message(contents, self._robot), MAX_SCENE_BYTES)
+        return encoded_bounded(kept_message(contents, self._state.robot), MAX_SCENE_BYTES)
 
 
 def _read(path: Path) -> object:

@@ -97,14 +97,12 @@ class SavedScene:
         self,
         file: SceneFile,
         state: SceneState,
-        robot: RobotModel,
         message_types: MessageTypes,
         clock: Callable[[], float] = time.monotonic,
         call_later: CallLater = call_later,
     ) -> None:
         self._file = file
         self._state = state
-        self._robot = robot
         self._message_types = message_types
         self._clock = clock
         self._call_later = call_later
@@ -193,7 +191,7 @@ class SavedScene:
         # What cannot be written is not tried again before the next change.
         self._kept = contents
         try:
-            await asyncio.to_thread(self._file.write, kept_message(contents, self._robot))
+            await asyncio.to_thread(self._file.write, kept_message(contents, self._state.robot))
         except (OSError, ValueError) as error:
             if not self._failing:
                 log.warning("the planning scene is not kept in %s: %s", self._file.path, error)

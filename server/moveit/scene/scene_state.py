@@ -80,7 +80,7 @@ class SceneState:
     """
 
     def __init__(self, robot: RobotModel) -> None:
-        self._robot = robot
+        self.robot = robot
         self._forward = ForwardPlacements(robot)
         self._srdf_matrix = AllowedCollisionMatrix.of_robot(robot)
         self._versions = itertools.count(EMPTY_SCENE.version + 1)
@@ -126,7 +126,6 @@ class SceneState:
         """Apply a change in its turn: at once if it is small and none waits.
 
         Args:
-            positions_rad: position of every movable joint [rad], None while they are not known.
             done: called once it is applied or refused.
             ended: returns True once the change is no longer to be applied; it is then refused.
         """
@@ -194,8 +193,8 @@ class SceneState:
 
     def _apply_scene(self, draft: SceneDraft, message: Message) -> None:
         model = message.get("robot_model_name", "")
-        if model not in ("", self._robot.name):
-            log.warning("planning scene: robot_model_name is %r; this robot is %r", model, self._robot.name)
+        if model not in ("", self.robot.name):
+            log.warning("planning scene: robot_model_name is %r; this robot is %r", model, self.robot.name)
         apply_planning_scene(draft, message, self._srdf_matrix)
 
     async def _apply_waiting(self) -> None:
@@ -259,13 +258,13 @@ class SceneState:
         self, before: SceneContents, change: SceneChange, positions_rad: Positions
     ) -> tuple[SceneContents, Scene | None]:
         """Return changed contents, and the scene for planners unless it stays the same; called in any thread."""
-        draft = SceneDraft(before, LinkTransforms(self._robot, self._forward, positions_rad))
+        draft = SceneDraft(before, LinkTransforms(self.robot, self._forward, positions_rad))
         change.apply(draft)
         contents = draft.contents()
         if contents.looks_same(before):
             return contents, None
-        scene = contents.as_scene(next(self._versions), self._robot)
-        fault = check_whole(scene, self._robot.links)
+        scene = contents.as_scene(next(self._versions), self.robot)
+        fault = check_whole(scene, self.robot.links)
         if fault is not None:
             raise RefusedError(fault)
         return contents, scene

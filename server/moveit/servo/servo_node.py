@@ -30,6 +30,7 @@ from server.moveit.requests.context import planning_group, tip_link
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import (
     ServoInput,
+    ServoListener,
     ServoSession,
     ServoSetup,
     read_joint_jog,
@@ -317,11 +318,8 @@ class ServoNode:
         self._session = ServoSession(
             arm,
             setup,
-            planning.ask,
-            self._resolve,
-            self._status.publish,
-            self._gate.interrupt,
-            current=planning.current,
+            planning,
+            ServoListener(self._status.publish, self._gate.interrupt),
         )
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""

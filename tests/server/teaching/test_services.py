@@ -32,7 +32,6 @@ class Lesson(ServiceRig):
         super().__init__()
         self.motions = MotionFiles(folder, ROBOT)
         self.teaching = Teaching(self.graph, ROBOT, self.motions, self.pool, self.scene_state, self.current)
-        self.teaching.open()
         self.states = self.listen("/teach/state", "armbridge_msgs/TeachState")
         self.state = RELAXED
         self.teaching.take_state(self.state)

@@ -32,12 +32,11 @@ from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.graph.topics import Subscriber
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
-from server.moveit.durations import read_seconds
 from server.moveit.error_codes import refused
 from server.moveit.poses import Message
 from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.trajectories import check_speed, external_motion, external_trajectory
+from server.moveit.trajectories import check_speed, external_motion, external_trajectory, read_seconds
 
 log = logging.getLogger("armbridge.actions")
 
@@ -102,7 +101,7 @@ class TrajectoryContext:
 
 
 class JointTrajectoryController:
-    """The actions and the topic.
+    """The actions, the topic for trajectories, and the topics of the controller's state.
 
     Args:
         name: of the controller, before ``_controller``; None for the group's name.
@@ -119,6 +118,7 @@ class JointTrajectoryController:
         *,
         industrial: bool,
     ) -> None:
+        self._graph = graph
         self._robot = context.planning.robot
         self._group = group
         self._arm = arm
@@ -130,7 +130,11 @@ class JointTrajectoryController:
         self._topic = f"/{name}_controller/joint_trajectory"
         action = f"/{name}_controller/follow_joint_trajectory"
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
-        node = Node(f"{group.name} controller")
+        node = self._node = Node(f"{group.name} controller")
+        # ROS 2's name, and ROS 1's.
+        self._state_topics = (f"/{name}_controller/controller_state", f"/{name}_controller/state")
+        for topic in self._state_topics:
+            graph.advertise(node, topic, STATE_TYPE)
         for each in self.actions:
             graph.offer_action(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS, rule=GOAL)
         check = TRAJECTORY_LIMITS.check(graph.message_types.registry, "trajectory_msgs/msg/JointTrajectory")
@@ -139,9 +143,27 @@ class JointTrajectoryController:
         )
 
     def take_state(self, state: ArmState) -> None:
-        """Check the tolerances of all goals against a state of the arm."""
+        """Check the tolerances of all goals against a state of the arm; publish it while there are subscribers."""
         for number, trajectory_goal in list(self._goals.items()):
             trajectory_goal.take_state(state, functools.partial(self._queue.cancel, number))
+        wanted = [topic for topic in self._state_topics if self._graph.subscribers(topic)]
+        message = self._state_message(state) if wanted else None
+        for topic in wanted if message is not None else ():
+            self._graph.publish(self._node, topic, message)
+
+    def _state_message(self, state: ArmState) -> dict[str, Any] | None:
+        if state.goal_rad is None or state.position_rad is None or state.velocity_rad_s is None:
+            return None
+        columns = [state.joint_names.index(name) for name in self._group.joints]
+        reference, feedback = state.goal_rad[columns], state.position_rad[columns]
+        return {
+            "header": {"stamp": Stamp.from_seconds(state.stamp_s).as_message(), "frame_id": ""},
+            "joint_names": list(self._group.joints),
+            "reference": point(reference),
+            "feedback": {**point(feedback), "velocities": state.velocity_rad_s[columns].tolist()},
+            "error": point(reference - feedback),
+            "speed_scaling_factor": state.pace.speed_factor,
+        }
 
     def _start(self, goal: Goal) -> None:
         try:
@@ -259,47 +281,6 @@ class TrajectoryGoal:
             self._goal.finish(GoalStatus.ABORTED, result(FollowCode.PATH_TOLERANCE_VIOLATED, self._path_violation))
         else:
             self._goal.finish(goal_status(answer.code), result(follow_code(answer), answer.message))
-
-
-class ControllerStatePublisher:
-    """Publisher of the controller's state, with every state of the arm, while there are subscribers.
-
-    Args:
-        name: of the controller; None for the group's name.
-    """
-
-    def __init__(self, graph: LocalGraph, group: Group, name: str | None = None) -> None:
-        self._graph = graph
-        self._joints = group.joints
-        self._node = Node(f"{group.name} controller")
-        # ROS 2's name, and ROS 1's.
-        name = group.name if name is None else name
-        self._topics = (f"/{name}_controller/controller_state", f"/{name}_controller/state")
-        for topic in self._topics:
-            graph.advertise(self._node, topic, STATE_TYPE)
-
-    def take_state(self, state: ArmState) -> None:
-        """Publish a state of the arm."""
-        message: dict[str, Any] | None = None
-        for topic in self._topics:
-            if self._graph.subscribers(topic):
-                message = message or self._message(state)
-                if message is not None:
-                    self._graph.publish(self._node, topic, message)
-
-    def _message(self, state: ArmState) -> dict[str, Any] | None:
-        if state.goal_rad is None or state.position_rad is None or state.velocity_rad_s is None:
-            return None
-        columns = [state.joint_names.index(name) for name in self._joints]
-        reference, feedback = state.goal_rad[columns], state.position_rad[columns]
-        return {
-            "header": {"stamp": Stamp.from_seconds(state.stamp_s).as_message(), "frame_id": ""},
-            "joint_names": list(self._joints),
-            "reference": point(reference),
-            "feedback": {**point(feedback), "velocities": state.velocity_rad_s[columns].tolist()},
-            "error": point(reference - feedback),
-            "speed_scaling_factor": state.pace.speed_factor,
-        }
 
 
 def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:

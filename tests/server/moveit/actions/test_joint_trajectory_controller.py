@@ -21,10 +21,8 @@ from server.graph.actions import Goal, GoalStatus, Result
 from server.graph.local_graph import LocalGraph
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
 from server.moveit.actions.joint_trajectory_controller import (
     INDUSTRIAL_ACTION,
-    ControllerStatePublisher,
     FollowCode,
     JointTrajectoryController,
     SegmentTolerances,
@@ -316,14 +314,10 @@ STATE = replace(FakeArm().state, goal_rad=np.full(len(JOINTS), 0.3), position_ra
 
 
 @pytest.mark.parametrize("name", ["state", "controller_state"])
-async def test_subscribers_get_reference_and_feedback_of_the_joints(name: str) -> None:
-    graph = Graph(Registry.load())
-    told = ControllerStatePublisher(LocalGraph(graph), GROUP)
-    heard: list[Any] = []
-    subscriber = Subscriber(lambda published: heard.append(published.msg))
-    graph.subscribe(Node("client"), f"/arm_controller/{name}", None, subscriber)
-    told.take_state(STATE)
-    told.take_state(replace(STATE, goal_rad=None))
+async def test_subscribers_get_reference_and_feedback_of_the_joints(desk: Desk, name: str) -> None:
+    heard = desk.listen(f"/arm_controller/{name}", "control_msgs/JointTrajectoryControllerState")
+    desk.controller.take_state(STATE)
+    desk.controller.take_state(replace(STATE, goal_rad=None))
     assert len(heard) == 1
     assert heard[0]["joint_names"] == list(GROUP.joints)
     assert heard[0]["reference"]["positions"] == [0.3] * len(GROUP.joints)

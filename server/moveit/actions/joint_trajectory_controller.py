@@ -127,7 +127,7 @@ class JointTrajectoryController:
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
         # Publisher whose latest trajectory was refused.
-        self._refused: Node | None = None
+        self._refused: object = None
         name = group.name if name is None else name
         self._topic = f"/{name}_controller/joint_trajectory"
         action = f"/{name}_controller/follow_joint_trajectory"

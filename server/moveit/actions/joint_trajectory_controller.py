@@ -21,7 +21,7 @@ from robot.arm_group import AnyArm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Vector
-from server.errors import RefusedError
+from server.errors import GraphError, RefusedError
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import Positions
 from server.execution.queue import GoalPolicy, GoalQueue
@@ -126,6 +126,8 @@ class JointTrajectoryController:
         self._queue = context.queue
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
+        # Publisher whose latest trajectory was refused.
+        self._refused: object = None
         name = group.name if name is None else name
         self._topic = f"/{name}_controller/joint_trajectory"
         action = f"/{name}_controller/follow_joint_trajectory"
@@ -195,7 +197,10 @@ class JointTrajectoryController:
         cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
 
     def _play(self, published: PublishedMessage) -> None:
-        """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm."""
+        """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm.
+
+        The publisher hears of every refusal. All clients hear of the first one in a row: streams come at 30 Hz.
+        """
         trajectory = published.msg
         if not trajectory["points"]:
             self._queue.cancel_all(f"stopped by an empty trajectory on {self._topic}", self._group.joints)
@@ -203,8 +208,11 @@ class JointTrajectoryController:
         try:
             self._check(trajectory)
         except RefusedError as error:
-            self._queue.reject(self._topic, error.failure)
-            return
+            if published.publisher is not self._refused:
+                self._queue.reject(self._topic, error.failure)
+            self._refused = published.publisher
+            raise GraphError("topic", self._topic, error.failure.message) from error
+        self._refused = None
         motion = external_motion(trajectory, self._robot)
         self._queue.submit(self._topic, motion, policy=GoalPolicy.PREEMPT, client=published.publisher)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import AsyncIterator
 from dataclasses import replace
@@ -13,7 +14,7 @@ import pytest
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.registry import Registry
 from robot.messages import ArmState, Outcome
-from server.errors import RefusedError
+from server.errors import GraphError, RefusedError
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import ExternalTrajectory, Performed
 from server.execution.time_limits import TimeLimits
@@ -103,11 +104,20 @@ TOO_LONG_WORDS = "trajectory.points[0].time_from_start is 601 s, longer than goa
 async def test_a_trajectory_that_takes_too_long_is_refused_and_the_motion_continues(desk: Desk) -> None:
     await desk.send(ACTION, trajectory=TRAJECTORY)
     await desk.send(ACTION, trajectory=TOO_LONG)
-    await desk.publish(**TOO_LONG)
+    with pytest.raises(GraphError, match="601 s, longer than"):
+        await desk.publish(**TOO_LONG)
     assert desk.codes == [(GoalStatus.ABORTED, FollowCode.INVALID_GOAL)]
     assert desk.results[0].values["error_string"] == TOO_LONG_WORDS
     assert desk.refused == [TOO_LONG_WORDS] * 2
     assert len(desk.asked) == 1
+
+
+async def test_the_publisher_hears_of_each_refusal_of_a_stream_and_others_of_the_first_in_a_row(desk: Desk) -> None:
+    for stream in ([TOO_LONG] * 3, [TRAJECTORY], [TOO_LONG] * 3):
+        for trajectory in stream:
+            with pytest.raises(GraphError) if trajectory is TOO_LONG else contextlib.nullcontext():
+                await desk.publish(**trajectory)
+    assert desk.refused == [TOO_LONG_WORDS] * 2
 
 
 async def test_leaving_the_path_tolerance_ends_the_goal(desk: Desk) -> None:

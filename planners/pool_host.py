@@ -17,16 +17,7 @@ from typing import Any
 
 from planners.messages import Answered, Ask, Cancel, Loaded, LoadFailed, MoreObjects, NewScene
 from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
-from planners.problem import (
-    CartesianProblem,
-    IkQuestion,
-    JointPathProblem,
-    MoveItErrorCode,
-    NearestGoalQuestion,
-    PlanningFailure,
-    PlanningProblem,
-    Request,
-)
+from planners.problem import MoveItErrorCode, PlanningFailure, Request, TimedRequest
 from planners.scene import EMPTY_SCENE, Scene
 from planners.scene_transfer import SceneReceiver
 from robot.channel import Decoder, encode
@@ -144,6 +135,6 @@ class _Connection:
 
 def bounded(request: Request) -> Request:
     """Return the request with no more planning time than :data:`LONGEST_PLANNING_S`."""
-    if isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | IkQuestion | NearestGoalQuestion):
+    if isinstance(request, TimedRequest):
         return dataclasses.replace(request, allowed_time_s=min(request.allowed_time_s, LONGEST_PLANNING_S))
     return request

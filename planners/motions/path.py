@@ -151,12 +151,24 @@ def search(query: Query, name: str, seed: int, should_stop: Callable[[], bool]) 
     """
     # Each search has objects of its own: a planner keeps its random generator and its last solution.
     ou.RNG.setSeed(seed + 1)  # OMPL refuses 0
-    size = len(query.start)
-    setup = _setup(query)
+    size, free = len(query.start), query.space.free
+    space = _ompl_space(query)
+    setup = og.SimpleSetup(space)
     information = setup.getSpaceInformation()
+    setup.setStateValidityChecker(lambda state: free(state[0:size]))
+    setup.setStartState(_state(space, query.start))
+    goal_states = ob.GoalStates(information)
+    for goal in query.goals:
+        goal_states.addState(_state(space, goal))
+    setup.setGoal(goal_states)
     if name == RRT_CONNECT:
         information.setMotionValidator(_Edges(information, query))
-    setup.setPlanner(_planner(name, information))
+    if name in TREES:
+        tree = TREES[name](information)
+        tree.setRange(TREE_EDGE_RAD)
+        setup.setPlanner(tree)
+    else:
+        setup.setPlanner(og.BITstar(information))
     # A condition with a period of its own would abort the process at exit.
     setup.solve(ob.PlannerTerminationCondition(should_stop))
     if not setup.haveExactSolutionPath():
@@ -195,27 +207,6 @@ class _Edges(ob.MotionValidator):
     def checkMotion(self, first: ob.RealVectorStateType, second: ob.RealVectorStateType) -> bool:  # noqa: N802
         start, end = np.array(first[0 : self._size]), np.array(second[0 : self._size])
         return line_free_sparsely(self._query.space, start, end, self._query.step_m)
-
-
-def _planner(name: str, information: ob.SpaceInformation) -> ob.Planner:
-    if name == "BITstar":
-        return og.BITstar(information)
-    planner = TREES[name](information)
-    planner.setRange(TREE_EDGE_RAD)
-    return planner
-
-
-def _setup(query: Query) -> og.SimpleSetup:
-    size, free = len(query.start), query.space.free
-    space = _ompl_space(query)
-    setup = og.SimpleSetup(space)
-    setup.setStateValidityChecker(lambda state: free(state[0:size]))
-    setup.setStartState(_state(space, query.start))
-    goal_states = ob.GoalStates(setup.getSpaceInformation())
-    for goal in query.goals:
-        goal_states.addState(_state(space, goal))
-    setup.setGoal(goal_states)
-    return setup
 
 
 def _ompl_space(query: Query) -> ob.RealVectorStateSpace:

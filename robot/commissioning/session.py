@@ -71,21 +71,13 @@ class SweptRange:
     highest: int  # highest position [ticks]
     expected_width: int  # width of its range in the URDF [ticks]
     done: bool
-    note: str  # what is missing; empty for nothing
+    note: str  # the missing part; empty for none
 
 
 class CalibrationSession:
     """Calibration of one arm, from holding it to writing the result.
 
-    Args:
-        motions: motion that shows the direction of each joint, by joint.
-        recentre: True for new homing offsets, which are then written to the servos; False to keep theirs.
-
-    Attributes:
-        step: the step to answer; None once the session has ended.
-        findings: what was found, a sentence each.
-        to_mend: joints that turn the other way than the model; nothing is written while there are any.
-        calibration: the result; None before the step that asks for it to be written.
+    The motions show the direction of each joint, by joint. With ``recentre`` the servos get new homing offsets.
     """
 
     def __init__(self, servos: Sequence[ServoSpec], motions: Mapping[str, AskedMotion], *, recentre: bool) -> None:
@@ -99,9 +91,10 @@ class CalibrationSession:
         self._drive_modes: dict[int, int] = {}
         self._to_ask: list[ServoSpec] = []
         self._to_show: list[ServoSpec] = []
-        self.findings: list[str] = []
-        self.to_mend: list[str] = []
-        self.calibration: Calibration | None = None
+        self.findings: list[str] = []  # a sentence each
+        self.to_mend: list[str] = []  # joints that turn the other way than the model; nothing is written meanwhile
+        self.calibration: Calibration | None = None  # the result; None before the step that asks for it to be written
+        # The step to answer; None once the session has ended.
         self.step: Step | None = Step(
             HOLD, "Torque will be switched off, and the arm sinks: hold it, then answer.", (RELAX,)
         )
@@ -165,7 +158,7 @@ class CalibrationSession:
     def answer(self, answer: str) -> Act | None:
         """Take the answer to the present step; return the act that is now due, if any.
 
-        Raises CalibrationError where it cannot go on so; the step stays, and the text names what is missing.
+        Raises CalibrationError where it cannot go on so; the step stays, and the text names the missing part.
         """
         step = self.step
         if step is None or answer not in step.answers:

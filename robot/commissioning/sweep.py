@@ -139,11 +139,7 @@ def calibrate(servos: Sequence[ServoSpec], swept: Swept, *, recentre: bool) -> C
 
 
 def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Placed:
-    """Place the swept range of a joint with stops within the turn.
-
-    Args:
-        offset: register HOMING_OFFSET during the sweep [ticks].
-    """
+    """Place the swept range of a joint with stops within the turn; the offset is that during the sweep [ticks]."""
     lowest, highest, width = sweep.lowest[servo.servo_id], sweep.highest[servo.servo_id], sweep.width(servo.servo_id)
     if width < LEAST_SWEEP_TICKS:
         raise CalibrationError(

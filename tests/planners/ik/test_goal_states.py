@@ -169,10 +169,10 @@ def test_a_search_that_is_stopped_names_the_nearest_point_so_far(find):
     assert failure.details["distance_m"] > 0.1
 
 
-def test_alternatives_are_sorted_by_time_and_told_apart(find):
+def test_states_of_all_alternatives_are_sorted_by_time(find):
     states = find(AnyOf((PositionGoal(TIP, (0.0, 0.3, 0.2), 0.001), JointGoal({"wrist_roll": 0.2}))))
-    assert states[0].alternative == 1
-    assert {state.alternative for state in states} == {0, 1}
+    assert states[0].q[4] == 0.2
+    assert len(states) > 1
 
 
 def test_alternatives_of_which_none_can_be_had_are_refused_together(find):

@@ -58,8 +58,6 @@ def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> byt
     """Return a complete message as CDR, with its header.
 
     Args:
-        registry: where the type is looked up.
-        type_name: name of the message's type.
         msg: a message as `protocol.messages.complete` returns it.
     """
     body = bytearray()
@@ -245,8 +243,6 @@ def deserialize(registry: Registry, type_name: str, octets: bytes) -> dict[str, 
     """Return the complete message that CDR holds, spelled as `protocol.messages.complete` does.
 
     Args:
-        registry: where the type is looked up.
-        type_name: name of the message's type.
         octets: CDR, little-endian, with its header.
 
     Raises:

@@ -39,7 +39,6 @@ def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any], sequen
     """Return a complete message in ROS 1's serialization.
 
     Args:
-        registry: the ROS 2 registry.
         type_name: name of the message's type; one that exists only in ROS 2 is written as if ROS 1 had it.
         msg: a message as `protocol.messages.complete` returns it, in ROS 2 spelling.
         sequence_number: as of :func:`protocol.dialect.to_ros1`.

@@ -5,13 +5,14 @@ BIN := $(VENV)/bin
 PAGE := server/page
 COMPAS_FAB := compas_fab==2.0.1
 ROS_MCP := ros-mcp==3.1.2
+LEROBOT := lerobot==0.4.4
 COSMIC_RAY := cosmic-ray==8.7.0
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients fuzz mutation lint check bench bench-planning campaign campaign-planners lock release clean
+.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-planners lock release clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -65,6 +66,7 @@ PYTEST := $(BIN)/python -m pytest --durations=10
 
 test: install-dev
 	$(PYTEST) --ignore tests/processes --ignore tests/page --ignore tests/clients --ignore tests/examples \
+		--ignore tests/lerobot \
 		-n 2 --dist worksteal $(ARGS)
 
 # The first ring on the other Pythons that this machine has, each in an environment of its own; says which it has not.
@@ -104,6 +106,18 @@ build/compas_fab/.installed:
 build/ros_mcp/.installed:
 	$(PYTHON) -m venv build/ros_mcp
 	build/ros_mcp/bin/python -m pip --disable-pip-version-check install --quiet $(ROS_MCP)
+	touch $@
+
+# lerobot's own driver on emulated servos. lerobot is installed without what only its policies and cameras need; torch
+# takes minutes and 1 to 5 GB, so that no other ring needs this one.
+test-lerobot: install-dev build/lerobot/.installed
+	$(PYTEST) tests/lerobot $(ARGS)
+
+build/lerobot/.installed:
+	$(PYTHON) -m venv build/lerobot
+	build/lerobot/bin/python -m pip --disable-pip-version-check install --quiet torch==2.13.0 accelerate datasets deepdiff \
+		draccus feetech-servo-sdk pyserial tqdm
+	build/lerobot/bin/python -m pip --disable-pip-version-check install --quiet --no-deps $(LEROBOT)
 	touch $@
 
 # How many changes of the source no test notices; ten minutes a room.

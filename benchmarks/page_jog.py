@@ -11,8 +11,8 @@ from tests.helpers.clients import goal
 from tests.helpers.figures import percentiles, print_table
 from tests.helpers.page import OpenPage, chromium, opened, what_is_missing
 from tests.helpers.server import RunningServer
+from tests.helpers.terminal_servos import RunningEmulator
 from tests.helpers.write_log import Entry, read_entries
-from tests.robot.conftest import RunningEmulator
 
 STROKES = 20
 STROKE_MS, PAUSE_MS = 400, 1200

@@ -8,12 +8,13 @@ import itertools
 import json as python_json
 import time
 from collections.abc import Callable, Collection
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from protocol.codecs import json
 from protocol.registry import Registry
+from robot.arm import Arm
 from robot.description.robot_folder import built_in
 from robot.messages import ArmState, Mode
 from server.execution.monitors import CurrentState
@@ -54,8 +55,8 @@ def run() -> None:
 async def _measure() -> None:
     robot, graph, client = built_in("so101").model, Graph(Registry.load()), Node("client", remote=True)
     arm = _StandingArm(tuple(joint.name for joint in robot.movable_joints))
-    current = CurrentState(arm, robot)
-    scene = SceneInterface(graph, robot, SceneState(robot), AssumedStates(robot), current, MoveItParameters())
+    current = CurrentState(cast(Arm, arm), robot)
+    scene = SceneInterface(graph, SceneState(robot), AssumedStates(robot), current, MoveItParameters())
 
     def call(service: str, request: bytes) -> bytes:
         answers: list[Response] = []

@@ -32,8 +32,8 @@ from robot.messages import ArmConfig, Commanded
 from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import RunningServer
+from tests.helpers.terminal_servos import RunningEmulator
 from tests.helpers.write_log import Entry, read_entries
-from tests.robot.conftest import RunningEmulator
 
 CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)
 ROBOT = within_calibration(built_in("so101").model, CALIBRATION)

@@ -12,8 +12,6 @@ class ShapeError(PlannerError):
 
     def __init__(self, subject: str, reason: str) -> None:
         super().__init__(f"collision shapes of {subject!r}: {reason}")
-        self.subject = subject
-        self.reason = reason
 
 
 class ProblemFileError(PlannerError):

@@ -18,6 +18,7 @@ from planners.problem import (
     IkAnswer,
     IkQuestion,
     JointPathProblem,
+    MotionRequest,
     MoveItErrorCode,
     NearestGoalAnswer,
     NearestGoalQuestion,
@@ -119,7 +120,7 @@ class Planners(ABC):
         if self.waiting_count >= self._max_waiting:
             message = f"{self.waiting_count} requests wait for a planner already (limit {self._max_waiting})"
             return PlanningFailure(MoveItErrorCode.FAILURE, message)
-        motion = isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | NearestGoalQuestion)
+        motion = isinstance(request, MotionRequest)
         turns = self._motion_turns if motion else self._question_turns
         if motion and turns.locked():
             for task in self._background:

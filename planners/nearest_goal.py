@@ -75,12 +75,10 @@ def nearest_goal(
     if (flaw is not None and not beyond_limits) or checks.check_start(robot, problem.start_rad) is not None:
         return None
     start_q = collision.clipped(problem.start_rad)
-    group, constraints = robot.groups[problem.group], problem.path_constraints
-    holds = None if constraints is None or constraints.empty else states.condition_set(constraints).holds
-    space = JointSpace(
-        collision, group.joints, start_q, collision.overlaps_m(start_q), holds, should_stop=budget.should_stop
-    )
-    search = _Search(problem, states, group, space, start_q, budget)
+    group, allowed = robot.groups[problem.group], collision.overlaps_m(start_q)
+    holds, project = states.within(group, problem.path_constraints, start_q)
+    space = JointSpace(collision, group.joints, start_q, allowed, holds, should_stop=budget.should_stop)
+    search = _Search(problem, states, group, space, project, budget)
     for candidates, part in search.phases(problem.goal, around=code not in UNREACHED):
         for candidate in islice(candidates, TRIES):
             if part.used_up():
@@ -162,12 +160,13 @@ class _Search:
         states: GoalStates,
         group: Group,
         space: JointSpace,
-        start_q: Vector,
+        project: Project | None,
         budget: Budget,
     ) -> None:
         self._problem, self._states, self._group = problem, states, group
-        self._space, self._start_q, self._budget = space, start_q, budget
-        self._start = space.point(start_q).copy()
+        self._space, self._budget = space, budget
+        self._project = project or (lambda point: np.clip(point, space.lower_rad, space.upper_rad))
+        self._start = space.start
 
     def phases(self, goal: Goal, *, around: bool) -> Iterator[tuple[Iterator[_TipOrJointGoal], Budget]]:
         """Yield the candidates of each way to look for them, and the time for it."""
@@ -199,15 +198,15 @@ class _Search:
         for point in points[spread(away_m, TRIES - 1)]:
             if moving.all() or self._space.free(point):
                 yield self._joint_goal(goal, point)
-        ahead = self._straight_ahead(target)
-        if ahead is not None:
-            yield self._joint_goal(goal, ahead)
+        way = target - self._start
+        share = furthest(lambda share: self._space.line_free(self._start, self._start + share * way), 0.0, 1.0)
+        if share > 0.0:
+            yield self._joint_goal(goal, self._start + share * way)
 
     def _tip_goals(self, goal: PositionGoal | PoseGoal) -> Iterator[PositionGoal | PoseGoal]:
         """Yield goals of the tip: at the nearest place within reach, then at places to which there are motions."""
-        query = GoalQuery(
-            self._group, self._start_q, None, self._budget.share(FIND_SHARE), CONFIGURATIONS, avoid_collisions=False
-        )
+        start_q, budget = self._space.configuration(self._start), self._budget.share(FIND_SHARE)
+        query = GoalQuery(self._group, start_q, None, budget, CONFIGURATIONS, avoid_collisions=False)
         found = self._states.find(goal, query)
         states = [] if isinstance(found, PlanningFailure) else found
         asked_m = np.array(goal.position_m)
@@ -226,29 +225,15 @@ class _Search:
         return point, np.array([float(name in goal.positions_rad) for name in self._group.joints])
 
     def _joint_goal(self, goal: JointGoal, point: Vector) -> JointGoal:
-        """Return a joint goal at another point, of the same joints."""
         rounded = np.clip(np.round(point, DIGITS), self._space.lower_rad, self._space.upper_rad)
         values = dict(zip(self._group.joints, rounded.tolist(), strict=True))
         return replace(goal, positions_rad={name: values[name] for name in goal.positions_rad})
 
     def _reachable(self, goals: Sequence[Vector]) -> Vector:
-        """Return points to which free motions lead, shape (m, n)."""
-        constraints = self._problem.path_constraints
-        project: Project = self._within_limits
-        if constraints is not None and not constraints.empty:
-            project = self._states.projection(self._group, constraints, self._start_q)
-        budget = self._budget.share(TREE_SHARE)
-        query, most = Query(self._space, self._start, goals, TREE_STEP_M), self._space.checks + TREE_CHECKS
-        return reachable(query, project, self._problem.seed, lambda: self._space.checks >= most or budget.used_up())
-
-    def _within_limits(self, point: Vector) -> Vector:
-        return np.clip(point, self._space.lower_rad, self._space.upper_rad)
-
-    def _straight_ahead(self, target: Vector) -> Vector | None:
-        """Return the furthest point that was found on the straight free way to a target; None for none."""
-        way = target - self._start
-        share = furthest(lambda share: self._space.line_free(self._start, self._start + share * way), 0.0, 1.0)
-        return self._start + share * way if share > 0.0 else None
+        space, budget = self._space, self._budget.share(TREE_SHARE)
+        query, most = Query(space, self._start, goals, TREE_STEP_M), space.checks + TREE_CHECKS
+        seed = self._problem.seed
+        return reachable(query, self._project, seed, lambda: space.checks >= most or budget.used_up())
 
 
 def spread(away_m: Vector, most: int) -> list[int]:

@@ -152,17 +152,13 @@ class Planner:
         if budget.should_stop():
             return budget.failure()
         method = motion.method if motion.trajectory.duration_s > 0.0 else NOTHING_TO_DO
-        reached = goals[motion.goal]
-        return Plan(motion.trajectory, method, budget.spent_s, reached.alternative, reached.deviation)
+        return Plan(motion.trajectory, method, budget.spent_s, goals[motion.goal].deviation)
 
     def _task(
         self, problem: PlanningProblem, start_q: Vector, goals: Sequence[GoalState], should_stop: Callable[[], bool]
     ) -> MotionTask:
         group, constraints = self._robot.groups[problem.group], problem.path_constraints
-        holds = project = None
-        if constraints is not None and not constraints.empty:
-            holds = self._states.condition_set(constraints).holds
-            project = self._states.projection(group, constraints, start_q)
+        holds, project = self._states.within(group, constraints, start_q)
         goals_q, allowed = [goal.q for goal in goals], self._collision.overlaps_m(start_q)
         space = JointSpace(self._collision, group.joints, start_q, allowed, holds, goals_q, should_stop)
         joints = [self._robot.joints[name] for name in group.joints]

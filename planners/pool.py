@@ -20,18 +20,16 @@ from typing import Any
 from planners.interface import LOAD_TIMEOUT_S, MAX_WAITING, Planners
 from planners.problem import (
     Answer,
-    ConcurrencyQuestion,
     MoveItErrorCode,
+    MovingRequest,
     PlanningFailure,
     PlanningProblem,
-    RecheckQuestion,
     Request,
-    StateQuestion,
+    TimedRequest,
 )
 from planners.race import Race
 from planners.scene import Scene
 from planners.scene_transfer import PART_BYTES, packed_bytes
-from planners.servo.question import ServoQuestion
 from planners.worker_process import OnHard, WorkerProcess, ignore, timeout_after
 from robot.description.model import RobotModel
 from robot.processes import DescriptorReserve
@@ -70,13 +68,9 @@ def brief(scene: Scene) -> bool:
 
 def allowed_time_s(request: Request) -> float:
     """Return the time that a request allows its planner, bounded [s]; the planner itself refuses an invalid time."""
-    match request:
-        case StateQuestion() | RecheckQuestion() | ConcurrencyQuestion() | ServoQuestion():
-            return CHECK_TIME_S
-        case _ if 0.0 <= request.allowed_time_s <= MAX_ALLOWED_TIME_S:
-            return request.allowed_time_s
-        case _:
-            return MAX_ALLOWED_TIME_S
+    if not isinstance(request, TimedRequest):
+        return CHECK_TIME_S
+    return request.allowed_time_s if 0.0 <= request.allowed_time_s <= MAX_ALLOWED_TIME_S else MAX_ALLOWED_TIME_S
 
 
 class PlannerPool(Planners):
@@ -211,7 +205,7 @@ class PlannerPool(Planners):
         allowed_s = allowed_time_s(request)
         limit_s = allowed_s + OVERTIME_S
         # An arm moves meanwhile, and stops if there is no answer: a busy machine extends no deadline here.
-        while_moving = isinstance(request, RecheckQuestion | ConcurrencyQuestion | ServoQuestion)
+        while_moving = isinstance(request, MovingRequest)
         try:
             async with asyncio.timeout(limit_s) if while_moving else timeout_after(limit_s, worker.run_delay_s):
                 answer = await worker.ask(request, scene, on_hard)
@@ -290,7 +284,6 @@ class PlannerPool(Planners):
         await self._spawn_one()
 
     async def _spawn_one(self) -> None:
-        """Start a process, with pauses between the tries."""
         while not self._closing.is_set():
             try:
                 await self._spawn()

@@ -17,16 +17,7 @@ from typing import Any
 
 from planners.messages import Answered, Ask, Cancel, Loaded, LoadFailed, MoreObjects, NewScene
 from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
-from planners.problem import (
-    CartesianProblem,
-    IkQuestion,
-    JointPathProblem,
-    MoveItErrorCode,
-    NearestGoalQuestion,
-    PlanningFailure,
-    PlanningProblem,
-    Request,
-)
+from planners.problem import MoveItErrorCode, PlanningFailure, Request, TimedRequest
 from planners.scene import EMPTY_SCENE, Scene
 from planners.scene_transfer import SceneReceiver
 from robot.channel import Decoder, encode
@@ -113,7 +104,6 @@ class _Connection:
         self._tasks: dict[int, asyncio.Task[None]] = {}
 
     def take(self, message: Any) -> None:
-        """Take a message of the server."""
         match message:
             case NewScene(scene):
                 self._scene.take(NewScene(dataclasses.replace(scene, version=next(self._versions))))
@@ -127,7 +117,6 @@ class _Connection:
                 self._tasks[number].cancel()
 
     def close(self) -> None:
-        """Cancel open requests."""
         for task in self._tasks.values():
             task.cancel()
 
@@ -146,6 +135,6 @@ class _Connection:
 
 def bounded(request: Request) -> Request:
     """Return the request with no more planning time than :data:`LONGEST_PLANNING_S`."""
-    if isinstance(request, PlanningProblem | CartesianProblem | JointPathProblem | IkQuestion | NearestGoalQuestion):
+    if isinstance(request, TimedRequest):
         return dataclasses.replace(request, allowed_time_s=min(request.allowed_time_s, LONGEST_PLANNING_S))
     return request

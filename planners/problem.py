@@ -230,17 +230,11 @@ class ConcurrencyQuestion:
     others_rad: Mapping[str, float]  # position of every joint that is in neither [rad]
 
 
-Request = (
-    PlanningProblem
-    | CartesianProblem
-    | JointPathProblem
-    | IkQuestion
-    | NearestGoalQuestion
-    | StateQuestion
-    | RecheckQuestion
-    | ConcurrencyQuestion
-    | ServoQuestion
-)
+# Requests that wait for the turns of motions, requests with an allowed time, and requests while an arm moves.
+MotionRequest = PlanningProblem | CartesianProblem | JointPathProblem | NearestGoalQuestion
+TimedRequest = MotionRequest | IkQuestion
+MovingRequest = RecheckQuestion | ConcurrencyQuestion | ServoQuestion
+Request = TimedRequest | MovingRequest | StateQuestion
 
 
 @dataclass(frozen=True)
@@ -268,7 +262,6 @@ class Plan:
     trajectory: Trajectory
     method: str  # how the path was found: "nothing to do", "straight line", "given path" or the planner's name
     planning_time_s: float  # time spent on it, by the clock of allowed times [s]
-    goal_index: int = 0  # which of the alternatives is reached
     deviation: Deviation = Deviation()  # of its end from that goal
 
 

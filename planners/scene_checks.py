@@ -134,7 +134,6 @@ def _check_thickness(scene: Scene) -> PlanningFailure | None:
 
 
 def _object_refusals(scene_object: SceneObject) -> Iterator[PlanningFailure]:
-    """Everything that is wrong with one object, one sentence each."""
     subject = f"the object {scene_object.name!r}"
     if not scene_object.shapes:
         yield _refusal(f"{subject} has no shape", object=scene_object.name)

@@ -133,10 +133,6 @@ class Arm(ArmClock):
         on_health: called in the event loop with the arm's condition, once a second.
         started: its process, if it was started ahead.
         observed: returns False when nobody sees the arm's states at the moment.
-
-    Attributes:
-        state_max_age_s: age above which the latest state counts as stale [s].
-        last_stop: stop epoch of the last stop of all motion; requests from earlier epochs move nothing any more.
     """
 
     def __init__(
@@ -172,11 +168,13 @@ class Arm(ArmClock):
         self._heard_since_s: float | None = None
         self._silent_heartbeats = 0
         self._state_at_s = time.monotonic()
+        # Stop epoch of the last stop of all motion; requests from earlier epochs move nothing any more.
         self.last_stop = 0
         self._speed_factor = 1.0
         reason = "the arm process is starting"
         state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, clock_s=time.monotonic())
         self.state = self._with_speed_limit(state)
+        # Age above which the latest state counts as stale [s].
         self.state_max_age_s = SILENT_S if config.hardware.simulated else STATE_MAX_AGE_S
         # Simulated joints of a restarted process continue from here.
         self._last_connected = self.state
@@ -304,14 +302,10 @@ class Arm(ArmClock):
     def order(
         self, order: Order, calibration: Calibration | None = None, epoch: int | None = None
     ) -> asyncio.Future[CommandDone]:
-        """Send an order to the arm before returning.
+        """Send an order to the arm before returning; its future is resolved in time and never raises.
 
-        Args:
-            calibration: calibration to write, of WRITE_CALIBRATION only.
-            epoch: stop epoch in which it was requested; None for now. After a later stop the arm is not enabled.
-
-        Returns:
-            Future of the answer; it is resolved within :data:`ORDER_TIMEOUT_S` on the arm's clock and never raises.
+        WRITE_CALIBRATION needs a calibration. The epoch is the stop epoch in which the order was requested, None for
+        now: after a later stop the arm is not enabled. Its time counts on the arm's clock.
         """
         number = next(self._ids)
         loop = asyncio.get_running_loop()
@@ -393,7 +387,6 @@ class Arm(ArmClock):
                 await self._process.kill()
 
     def _begin(self, command: Execute | Stream) -> asyncio.Future[MotionEnded]:
-        """Send a motion's command and return the future of its end."""
         ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
         motion_id = command.motion_id
         if command.epoch < self.last_stop:
@@ -482,7 +475,7 @@ class Arm(ArmClock):
     async def _start_again(self, ran_s: float) -> None:
         """Replace a process that has ended, which has sent states for ``ran_s``."""
         await self._process.kill()
-        # A fault stays latched. An arm that holds is adopted; one that was relaxed, perhaps by an emergency stop, must
+        # A fault stays latched. An arm that holds is adopted; a relaxed arm, perhaps relaxed by an emergency stop, must
         # not be switched on.
         last = self._last_connected
         hardware = self._config.hardware.resumed(_position_rad(last), driven=last.torque_enabled)
@@ -520,14 +513,7 @@ class Arm(ArmClock):
 
 
 class ArmStream:
-    """Stream of velocity setpoints to some joints.
-
-    Args:
-        joint_names: joints that follow, order of the setpoints.
-
-    Attributes:
-        commanded: latest position and velocity goals of the joints; None until the arm has begun.
-    """
+    """Stream of velocity setpoints to some joints, in their order."""
 
     def __init__(
         self,
@@ -540,7 +526,7 @@ class ArmStream:
         self._send = send
         self.joint_names = joint_names
         self.ended = ended
-        self.commanded: Commanded | None = None
+        self.commanded: Commanded | None = None  # latest goals of the joints; None until the arm has begun
 
     def steer(self, velocity_rad_s: Vector) -> None:
         """Set the joints' velocities, shape (joints,) [rad/s]; without a next setpoint the stream ends soon."""
@@ -549,11 +535,7 @@ class ArmStream:
 
 
 class ArmProcess:
-    """Arm process, configured before it takes anything but orders, and launched again after its end.
-
-    Attributes:
-        ended: future of the end of the latest process; None before the first launch.
-    """
+    """Arm process, configured before it takes anything but orders, and launched again after its end."""
 
     def __init__(
         self,
@@ -569,7 +551,7 @@ class ArmProcess:
         self._child: Child | None = None
         self._configured = False
         self._early: list[Command] = []
-        self.ended: asyncio.Future[None] | None = None
+        self.ended: asyncio.Future[None] | None = None  # end of the latest process; None before the first launch
 
     @property
     def pid(self) -> int | None:

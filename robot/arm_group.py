@@ -349,7 +349,6 @@ def _joined(states: Sequence[ArmState], array_of: Callable[[ArmState], Vector | 
 
 
 def _named(name: str, fault: Fault | None) -> Fault | None:
-    """Return a fault whose sentence names its arm."""
     return None if fault is None else replace(fault, message=f"{name}: {fault.message}")
 
 

@@ -63,11 +63,7 @@ class Decoder:
 
 
 class Channel:
-    """Child's end of the socket pair; sending never waits for the server.
-
-    Attributes:
-        closed: True when the server has closed its end, or has died.
-    """
+    """Child's end of the socket pair; sending never waits for the server."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._socket = sock
@@ -75,7 +71,7 @@ class Channel:
         self._decoder = Decoder()
         self._pending = bytearray()
         self._kept: list[Any] = []
-        self.closed = False
+        self.closed = False  # True when the server has closed its end, or has died
 
     def fileno(self) -> int:
         """File descriptor, for ``select``."""

@@ -27,11 +27,7 @@ class RobotError(Exception):
 
 
 class PortError(RobotError):
-    """Serial port that cannot be used.
-
-    Attributes:
-        port: path or URL of the port.
-    """
+    """Serial port that cannot be used."""
 
     def __init__(self, port: str, problem: str) -> None:
         super().__init__(f"serial port {port} {problem}")
@@ -46,11 +42,7 @@ class PortNotFound(PortError):  # noqa: N818 - named by the fact, as its sibling
 
 
 class PortPermission(PortError):  # noqa: N818 - named by the fact, as its siblings
-    """Missing permission to open the device.
-
-    Args:
-        group: group that owns the device, by name, or by number if it has no name here, as in a container.
-    """
+    """Missing permission to open the device: of its group, a number if it has no name here, as in a container."""
 
     def __init__(self, port: str, group: str = "dialout") -> None:
         join = (
@@ -89,11 +81,7 @@ class NoReply(BusError, TimeoutError):  # noqa: N818 - named by the fact
 
 
 class CalibrationError(RobotError):
-    """Calibration file that cannot be used.
-
-    Attributes:
-        field: place in it, as ``joint.key``; empty for the whole file.
-    """
+    """Calibration file that cannot be used; the field is a place in it, as ``joint.key``, empty for the whole file."""
 
     def __init__(self, file: str, field: str, problem: str) -> None:
         where = f"{file}, {field}" if field else file
@@ -111,11 +99,7 @@ class BackupError(RobotError):
 
 
 class DescriptionError(RobotError):
-    """URDF or SRDF that does not describe an arm.
-
-    Attributes:
-        source: file, or element in it.
-    """
+    """URDF or SRDF that does not describe an arm; the source is a file, or an element in it."""
 
     def __init__(self, source: str, problem: str) -> None:
         super().__init__(f"{source} {problem}")
@@ -123,11 +107,7 @@ class DescriptionError(RobotError):
 
 
 class RobotFileError(DescriptionError):
-    """Folder of a robot that does not describe one.
-
-    Attributes:
-        problems: everything that is wrong, a sentence each.
-    """
+    """Folder of a robot that does not describe one, with everything that is wrong, a sentence each."""
 
     def __init__(self, path: Path, problems: Sequence[str]) -> None:
         super().__init__(str(path), "; ".join(problems))

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-# Whoever writes a file is done in milliseconds, on a memory card in some tenths of a second.
+# A process writes a file in milliseconds, on a memory card in some tenths of a second.
 LOCK_TIMEOUT_S = 2.0
 LOCK_POLL_S = 0.02
 
@@ -31,25 +31,16 @@ class FileLockedError(OSError):
 
 
 class FileLock:
-    """Lock of one file; of the processes, and of the locks in one process, one has it at a time.
-
-    Args:
-        path: the file, which need not exist.
-    """
+    """Lock of a file that need not exist; of the processes, and of the locks in one process, one has it at a time."""
 
     def __init__(self, path: Path) -> None:
         self._path = lock_path(path)
         self._descriptor: int | None = None
 
     def acquire(self, timeout_s: float = 0.0, clock: Callable[[], float] = time.monotonic) -> None:
-        """Take the lock; the directory of the file is made when it is missing.
+        """Take the lock, after a wait for another that has it [s]; the file's directory is made when it is missing.
 
-        Args:
-            timeout_s: longest wait for another that has it [s]; 0 to try once.
-
-        Raises:
-            FileLockedError: another process has it for longer.
-            OSError: the lock's file cannot be made, or the file system has no locks.
+        Raises FileLockedError where another process has it for longer, and OSError where the file system has no locks.
         """
         self._path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
@@ -81,8 +72,7 @@ class FileLock:
 def locked(path: Path) -> Iterator[None]:
     """Hold the lock of a file, for as long as it takes to read, change and replace it.
 
-    Raises:
-        FileLockedError: another process has it for longer than :data:`LOCK_TIMEOUT_S`.
+    Raises FileLockedError where another process has it for longer than :data:`LOCK_TIMEOUT_S`.
     """
     lock = FileLock(path)
     lock.acquire(LOCK_TIMEOUT_S)
@@ -93,14 +83,10 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def replace(path: Path, content: bytes, mode: int | None = None) -> None:
-    """Write a file whose lock is held; a crash leaves the old content or the new one.
+    """Write a file whose lock is held; a crash, and an OSError, leave the old content or the new one.
 
-    Args:
-        path: the file; of a symbolic link, the file that it leads to.
-        mode: its permissions, which it has before it has any content; None for the process's default.
-
-    Raises:
-        OSError: it cannot be written; the old content stays.
+    Of a symbolic link, the file that it leads to is written. It has the mode before it has any content; None for the
+    process's default.
     """
     path = path.resolve()
     unfinished = path.with_name(f".{path.name}.new")
@@ -123,10 +109,7 @@ def replace(path: Path, content: bytes, mode: int | None = None) -> None:
 class FileSeries:
     """Directory of files with a name each, which several processes may share; the oldest make room for new ones.
 
-    Args:
-        directory: created with the first file.
-        prefix: beginning of the names; what follows in them must sort by age.
-        suffix: end of the names, with its dot.
+    Prefix and suffix begin and end the names; what stands between them must sort by age.
     """
 
     def __init__(self, directory: Path, prefix: str, suffix: str, max_files: int) -> None:
@@ -136,14 +119,10 @@ class FileSeries:
         self._max_files = max_files
 
     def add(self, name: str, content: Callable[[str], bytes]) -> Path:
-        """Write a file; a crash leaves all of it or nothing.
+        """Write a file; a crash, and an OSError, leave all of it or nothing.
 
-        Args:
-            name: its name between prefix and suffix; a number is added when there is such a file.
-            content: returns the content for the name of the file without its suffix.
-
-        Raises:
-            OSError: the file cannot be written.
+        The name stands between prefix and suffix; a number is added when there is such a file. The content is made for
+        the name of the file without its suffix.
         """
         # A file of this name in the directory stands for its lock.
         with locked(self._directory / self._prefix.rstrip("-")):

@@ -1,9 +1,10 @@
 """Logging of the server and of its child processes, which share one terminal.
 
 Lines are plain text or JSON. Tokens are blotted out, control characters escaped, and long messages cut, since clients
-choose what is quoted in them. :class:`LogLimiter` keeps repeated lines from filling the disk; a filter applies it to
-every place in the program that logs. Levels of loggers can be changed while the server runs, in every process at once.
-Child processes send their lines to the server as well, where the last ones are kept (:class:`LineHandler`).
+choose the texts that are quoted in them. :class:`LogLimiter` keeps repeated lines from filling the disk; a filter
+applies it to every place in the program that logs. Levels of loggers can be changed while the server runs, in every
+process at once. Child processes send their lines to the server as well, where the last ones are kept
+(:class:`LineHandler`).
 """
 
 from __future__ import annotations
@@ -125,9 +126,7 @@ def without_secrets(text: str) -> str:
 class LogLimiter:
     """Limiter of log lines that repeat: a token bucket for each key. By default each key has one line, ever.
 
-    Args:
-        lines_per_s: lines of one key in the long run [1/s]; 0 for no more than the burst, ever.
-        max_keys: keys that have lines, the first ones; None where there are few.
+    A rate of 0 is no more than the burst, ever. Of the keys, the first ones have lines; any number for None.
     """
 
     __slots__ = ("_buckets", "_burst", "_end_is_written", "_lines_per_s", "_max_keys")
@@ -242,7 +241,7 @@ def change(level: LoggerLevel) -> bool:
 
 
 def follow(child: Follower) -> None:
-    """Send a child all changes of levels, from before and from now on, for as long as it is referenced."""
+    """Send a child all changes of levels, from before and from now on, until it is no longer referenced."""
     _followers.add(child)
     for level in _changed.values():
         child.send(level)
@@ -259,7 +258,7 @@ MAX_LINE_CHARACTERS = 3000
 
 @dataclass(frozen=True)
 class LogLine:
-    """Line of a process's log, as it is passed on to where the last lines are kept."""
+    """Line of a process's log, on its way to the place that keeps the last lines."""
 
     at_s: float  # wall-clock time [s since the epoch]
     level: int  # level, numbered as Python does

@@ -51,13 +51,9 @@ class Trajectory:
         return Trajectory(joint_names, self.time_s, *(array[:, columns] for array in arrays))
 
     def sample(self, time_s: float) -> tuple[Vector, Vector, Vector]:
-        """Interpolate between the samples by cubic Hermite polynomials.
+        """Interpolate between the samples by cubic Hermite polynomials, at a time that is clamped to the duration [s].
 
-        Args:
-            time_s: time from the first sample, clamped to the duration [s].
-
-        Returns:
-            Position [rad], velocity [rad/s] and acceleration [rad/s^2], each of shape (joints,).
+        Return position [rad], velocity [rad/s] and acceleration [rad/s^2], each of shape (joints,).
         """
         if time_s >= self.duration_s:
             return self.positions_rad[-1], self.velocities_rad_s[-1], self.accelerations_rad_s2[-1]

@@ -7,7 +7,7 @@ import functools
 from pathlib import Path
 
 ROOT = Path(__file__).parent
-OTHER_RINGS = ("processes", "page", "clients", "examples", "fuzz", "helpers", "docker")
+OTHER_RINGS = ("processes", "page", "clients", "examples", "lerobot", "fuzz", "helpers", "docker")
 CLOCKS = {"time.monotonic", "time.perf_counter", "time.time", "time.process_time", "time.monotonic_ns"}
 ELSEWHERE = "move the test to the same folder of tests/processes/ (docs/testing.md)"
 SERVERS = {"RunningServer", "server_on_bus"}

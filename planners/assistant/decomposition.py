@@ -131,68 +131,101 @@ class Reference:
 
 def decompose(surface: Surface, limits: Limits) -> Decomposition:
     """Find convex parts that cover a surface of :data:`MAX_TRIANGLES` at most, the closest within the limits."""
-    until_s = limits.clock() + limits.max_time_s
-    reference = Reference(surface, np.random.default_rng(limits.seed))
-    pieces = components(surface)
-    hulls = _without_contained([ConvexPart(piece.vertices_m) for piece in pieces])
-    separate = [piece.corners_m for piece in pieces if not _inside_one(piece, hulls)]
-    start = separate if len(hulls) < limits.max_parts else [surface.corners_m]
+    search = _Search(surface, limits)
     found: list[Decomposition] = []
     for reserve in RESERVES:
-        parts = _found(surface, start, reference, reserve * limits.tolerance_m, limits, until_s)
+        parts = search.parts(reserve * limits.tolerance_m)
         found.append(Decomposition(tuple(parts), measure(surface, parts, np.random.default_rng(limits.seed))))
-        if found[-1].deviation.greatest_m <= limits.tolerance_m or limits.clock() >= until_s:
+        if found[-1].deviation.greatest_m <= limits.tolerance_m or search.time_is_up():
             break
     return min(found, key=lambda each: each.deviation.greatest_m)
 
 
-def _found(
-    surface: Surface,
-    start: Sequence[Vector],
-    reference: Reference,
-    target_m: float,
-    limits: Limits,
-    until_s: float,
-) -> list[ConvexPart]:
-    """Return parts that stand out by no more than a target where the bounds allow it."""
-    whole = ConvexPart(surface.vertices_m)
-    if reference.stands_out_m(whole, target_m, 4 * PART_POINTS) == 0.0:
-        parts = [whole]
-    else:
-        # Corners are the cost of joining parts, so they go first.
-        cut = _without_contained(_cut(start, reference, target_m, limits, until_s))
-        parts = _joined([_simpler(part, reference, target_m) for part in cut], reference, target_m, limits, until_s)
-    return [_simpler(part, reference, target_m) for part in _without_contained(parts)]
+class _Search:
+    """Search for the parts of one surface."""
 
+    def __init__(self, surface: Surface, limits: Limits) -> None:
+        self._limits = limits
+        self._until_s = limits.clock() + limits.max_time_s
+        self._reference = Reference(surface, np.random.default_rng(limits.seed))
+        self._whole = ConvexPart(surface.vertices_m)
+        pieces = components(surface)
+        hulls = _without_contained([ConvexPart(piece.vertices_m) for piece in pieces])
+        separate = [piece.corners_m for piece in pieces if not _inside_one(piece, hulls)]
+        self._pieces = separate if len(hulls) < limits.max_parts else [surface.corners_m]
 
-def _cut(
-    pieces: Sequence[Vector], reference: Reference, target_m: float, limits: Limits, until_s: float
-) -> list[ConvexPart]:
-    """Return the parts that pieces are cut into, which are corners of triangles, shape (m, 3, 3) [m]."""
-    done: list[ConvexPart] = []
-    waiting: list[tuple[float, int, Vector, ConvexPart]] = []
+    def time_is_up(self) -> bool:
+        return self._limits.clock() >= self._until_s
 
-    def add(corners_m: Vector) -> None:
-        part = ConvexPart(corners_m.reshape(-1, 3))
-        out_m = reference.stands_out_m(part, target_m)
-        if out_m <= target_m:
-            done.append(part)
-        else:
-            heapq.heappush(waiting, (-out_m, len(done) + len(waiting), corners_m, part))
+    def parts(self, target_m: float) -> list[ConvexPart]:
+        """Return parts that stand out by no more than a target where the limits allow it."""
+        parts = [self._whole]
+        if self._reference.stands_out_m(self._whole, target_m, 4 * PART_POINTS) > 0.0:
+            # Corners are the cost of joining parts, so they go first.
+            cut = _without_contained(self._cut(target_m))
+            parts = self._joined([self._simpler(part, target_m) for part in cut], target_m)
+        return [self._simpler(part, target_m) for part in _without_contained(parts)]
 
-    for piece in pieces:
-        add(piece)
-    for cut in itertools.count():
-        if not waiting or len(done) + len(waiting) >= limits.max_parts or limits.clock() >= until_s:
-            break
-        _, _, corners_m, part = heapq.heappop(waiting)
-        place = _best_cut(corners_m, part, np.random.default_rng((limits.seed, cut)))
-        if place is None:
-            done.append(part)
-            continue
-        for side in clipped(corners_m, *place):
-            add(side)
-    return done + [part for _, _, _, part in waiting]
+    def _cut(self, target_m: float) -> list[ConvexPart]:
+        done: list[ConvexPart] = []
+        waiting: list[tuple[float, int, Vector, ConvexPart]] = []
+
+        def add(corners_m: Vector) -> None:
+            part = ConvexPart(corners_m.reshape(-1, 3))
+            out_m = self._reference.stands_out_m(part, target_m)
+            if out_m <= target_m:
+                done.append(part)
+            else:
+                heapq.heappush(waiting, (-out_m, len(done) + len(waiting), corners_m, part))
+
+        for piece in self._pieces:
+            add(piece)
+        for cut in itertools.count():
+            if not waiting or len(done) + len(waiting) >= self._limits.max_parts or self.time_is_up():
+                break
+            _, _, corners_m, part = heapq.heappop(waiting)
+            place = _best_cut(corners_m, part, np.random.default_rng((self._limits.seed, cut)))
+            if place is None:
+                done.append(part)
+                continue
+            for side in clipped(corners_m, *place):
+                add(side)
+        return done + [part for _, _, _, part in waiting]
+
+    def _joined(self, parts: Sequence[ConvexPart], target_m: float) -> list[ConvexPart]:
+        """Make one part of each two that have a common hull within the target; those that grow least first."""
+        alive = dict(enumerate(parts))
+        volumes = {index: _volume(part.vertices_m) for index, part in alive.items()}
+        grown = ((_growth(alive, volumes, i, j), i, j) for i in alive for j in alive if i < j)
+        waiting = [(growth, i, j) for growth, i, j in grown if growth is not None]
+        heapq.heapify(waiting)
+        tries = JOIN_TRIES * len(parts)
+        while waiting and tries and not self.time_is_up():
+            _, i, j = heapq.heappop(waiting)
+            if i not in alive or j not in alive:
+                continue
+            tries -= 1
+            union = ConvexPart(np.vstack((alive[i].vertices_m, alive[j].vertices_m)))
+            if self._reference.stands_out_m(union, target_m) > 0.0:
+                continue
+            del alive[i], alive[j]
+            index = len(volumes)
+            volumes[index], alive[index] = _volume(union.vertices_m), union
+            for other in list(alive)[:-1]:
+                if (growth := _growth(alive, volumes, other, index)) is not None:
+                    heapq.heappush(waiting, (growth, other, index))
+        return list(alive.values())
+
+    def _simpler(self, part: ConvexPart, target_m: float) -> ConvexPart:
+        """Return a part that encloses a part with fewer corners where it stands out no further than the target."""
+        if len(part.vertices_m) <= MAX_CORNERS:
+            return part
+        allowed_m = max(target_m, self._reference.stands_out_m(part, target_m))
+        for count in DIRECTIONS:
+            wider = part.within(evenly_spread(count))
+            if self._reference.stands_out_m(wider, allowed_m) == 0.0:
+                return wider
+        return part
 
 
 def _best_cut(corners_m: Vector, part: ConvexPart, random: np.random.Generator) -> tuple[int, float] | None:
@@ -248,34 +281,6 @@ def _volume(points_m: Vector) -> float:
         return 0.0
 
 
-def _joined(
-    parts: Sequence[ConvexPart], reference: Reference, target_m: float, limits: Limits, until_s: float
-) -> list[ConvexPart]:
-    """Return parts in which two that have a common hull within the target are one; those that grow least first."""
-    alive = dict(enumerate(parts))
-    volumes = {index: _volume(part.vertices_m) for index, part in alive.items()}
-    waiting = [
-        (growth, i, j) for i in alive for j in alive if i < j if (growth := _growth(alive, volumes, i, j)) is not None
-    ]
-    heapq.heapify(waiting)
-    tries = JOIN_TRIES * len(parts)
-    while waiting and tries and limits.clock() < until_s:
-        _, i, j = heapq.heappop(waiting)
-        if i not in alive or j not in alive:
-            continue
-        tries -= 1
-        union = ConvexPart(np.vstack((alive[i].vertices_m, alive[j].vertices_m)))
-        if reference.stands_out_m(union, target_m) > 0.0:
-            continue
-        del alive[i], alive[j]
-        index = len(volumes)
-        volumes[index], alive[index] = _volume(union.vertices_m), union
-        for other in list(alive)[:-1]:
-            if (growth := _growth(alive, volumes, other, index)) is not None:
-                heapq.heappush(waiting, (growth, other, index))
-    return list(alive.values())
-
-
 def _growth(alive: dict[int, ConvexPart], volumes: dict[int, float], i: int, j: int) -> float | None:
     """Return the volume that the hull of two parts has beyond theirs [m3]; None for parts that are apart."""
     first, second = alive[i].vertices_m, alive[j].vertices_m
@@ -283,18 +288,6 @@ def _growth(alive: dict[int, ConvexPart], volumes: dict[int, float], i: int, j: 
     if gap.max() > MIN_SLICE_M:
         return None
     return _volume(np.vstack((first, second))) - volumes[i] - volumes[j]
-
-
-def _simpler(part: ConvexPart, reference: Reference, target_m: float) -> ConvexPart:
-    """Return a part that encloses another one with fewer corners where it stands out no further than the target."""
-    if len(part.vertices_m) <= MAX_CORNERS:
-        return part
-    allowed_m = max(target_m, reference.stands_out_m(part, target_m))
-    for count in DIRECTIONS:
-        wider = part.within(evenly_spread(count))
-        if reference.stands_out_m(wider, allowed_m) == 0.0:
-            return wider
-    return part
 
 
 def _inside_one(piece: Surface, hulls: Sequence[ConvexPart]) -> bool:
@@ -306,7 +299,6 @@ def _inside_one(piece: Surface, hulls: Sequence[ConvexPart]) -> bool:
 
 
 def _without_contained(parts: Sequence[ConvexPart]) -> list[ConvexPart]:
-    """Return the parts that are not wholly inside another one."""
     kept: list[ConvexPart] = []
     for part in sorted(parts, key=lambda each: -float(np.prod(np.ptp(each.vertices_m, axis=0)))):
         if not any(other.depth_m(part.vertices_m).max() <= 0.0 for other in kept):

@@ -15,7 +15,7 @@ import numpy as np
 from planners.assistant import picture
 from planners.assistant.decomposition import MAX_PARTS, MAX_TIME_S, TOLERANCE_M, Limits
 from planners.assistant.draft import ARM, Draft, robot_toml, srdf
-from planners.assistant.gripper import GripperDraft, draft_gripper
+from planners.assistant.gripper import draft_gripper
 from planners.assistant.link_shapes import (
     LinkParts,
     LinkShape,
@@ -38,7 +38,6 @@ from planners.problem import Plan, PlanningProblem
 from robot.description import model, robot_file, robot_folder
 from robot.description.model import RobotModel
 from robot.description.urdf import MOVABLE_TYPES
-from robot.trajectory import Vector
 
 SAMPLES = 20_000
 MAX_SAMPLES = 1_000_000
@@ -79,13 +78,9 @@ def default_folder(urdf: Path) -> Path:
 def import_robot(options: ImportOptions, say: Callable[[str], None]) -> list[str]:
     """Make a robot folder of a URDF; nothing is left of an import that fails or is interrupted.
 
-    Returns lines about the folder: its files, and all that should be checked. ``say`` takes a line of progress.
-
-    Raises:
-        AssistantError: the import cannot be done.
-        DescriptionError: the URDF does not describe an arm, or a mesh is missing.
-        ShapeError: a mesh cannot be loaded.
-        OSError: a file cannot be read or written.
+    Returns lines about the folder: its files, and all that should be checked. ``say`` takes a line of progress. An
+    import fails with an AssistantError, or with a DescriptionError or a ShapeError of a URDF or mesh that cannot be
+    used.
     """
     if not 1 <= options.samples <= MAX_SAMPLES:
         raise AssistantError(f"--samples {options.samples}: must be from 1 to {MAX_SAMPLES}")
@@ -122,27 +117,28 @@ class _Import:
         self._notes: list[str] = []
 
     def run(self) -> list[str]:
-        """Make the files; return lines about them."""
-        options, folder = self._options, self._folder
+        options, folder, say = self._options, self._folder, self._say
         root = parse_urdf(options.urdf)
         name = _file_name(root.get("name", options.urdf.stem))
         count = copy_meshes(root, options.urdf, options.packages, folder)
         urdf_name, srdf_name = f"{name}.urdf", f"{name}.srdf"
         (folder / urdf_name).write_text(ET.tostring(root, encoding="unicode"), encoding="utf-8")
-        self._say(f"{options.urdf}: {len(root.findall('link'))} links, {count} meshes")
+        say(f"{options.urdf}: {len(root.findall('link'))} links, {count} meshes")
         robot = self._parse(root, urdf_name)
         shapes = link_shapes(robot)
-        self._note_bare_links(root, shapes)
+        seen = [link.get("name", "") for link in root.iterfind("link") if link.find("visual") is not None]
+        bare = ", ".join(link for link in seen if link not in shapes)
+        if bare:
+            self._notes.append(
+                f"CHECK: {bare}: these links are seen but have no <collision>, so they may touch anything"
+            )
         tree = Tree(robot.links, robot.joints)
         structure = find_structure(tree, frozenset(shapes), options.base, options.tip)
-        self._say(f"arm: {', '.join(structure.arm_joints)}; tip {structure.tip_link}")
-        self._say(f"gripper: {', '.join(structure.gripper_joints) or 'none'}")
+        say(f"arm: {', '.join(structure.arm_joints)}; tip {structure.tip_link}")
+        say(f"gripper: {', '.join(structure.gripper_joints) or 'none'}")
         convex = self._convex(shapes) if options.convex else {}
-        own = {
-            link: parts_in_link(link, convex[link]) if convex else shapes_in_link(link, of_link)
-            for link, of_link in shapes.items()
-        }
-        contacts = SelfContacts(robot, own)
+        parts = {link: parts_in_link(link, found) for link, found in convex.items()}
+        contacts = SelfContacts(robot, parts or {link: shapes_in_link(link, each) for link, each in shapes.items()})
         draft = self._draft(robot, tree, structure, shapes, contacts)
         (folder / srdf_name).write_text(srdf(draft), encoding="utf-8")
         written = [f"{urdf_name}: the URDF, its {count} meshes beside it", f"{srdf_name}: groups, named states, pairs"]
@@ -155,7 +151,10 @@ class _Import:
         (folder / robot_file.FILE_NAME).write_text(text, encoding="utf-8")
         written.append(f"{robot_file.FILE_NAME}: read its lines with CHECK")
         if convex:
-            self._draw(shapes, convex, contacts, draft)
+            meshes = {link: _surfaces(link, of_link) for link, of_link in shapes.items()}
+            drawn = {link: [part.surface for part in found.parts] for link, found in convex.items()}
+            home = np.array([draft.home[joint] for joint in contacts.joint_names])
+            picture.draw(folder / PICTURE, meshes, drawn, contacts.placements(home))
             written.append(f"{PICTURE}: the meshes beside the parts")
         return [*written, *self._prove(draft, contacts), *self._notes]
 
@@ -177,22 +176,20 @@ class _Import:
             provisional.unlink()
 
     def _convex(self, shapes: Mapping[str, list[LinkShape]]) -> dict[str, LinkParts]:
-        done = 0
-
-        def tell(link: str, found: LinkParts) -> None:
-            nonlocal done
-            done += 1
+        links: dict[str, LinkParts] = {}
+        for link, found in convex_links(shapes, Limits(seed=self._options.seed)):
+            links[link] = found
+            greatest_mm = 1000.0 * found.deviation.greatest_m
             about = f"{len(found.parts)} convex parts"
             if found.meshes:
-                about += f", at most {1000.0 * found.deviation.greatest_m:.1f} mm from the mesh"
-            self._say(f"link {done} of {len(shapes)}, {link}: {about}")
+                about += f", at most {greatest_mm:.1f} mm from the mesh"
+            self._say(f"link {len(links)} of {len(shapes)}, {link}: {about}")
             if found.deviation.greatest_m > TOLERANCE_M:
                 self._notes.append(
-                    f"CHECK: the parts of {link} are up to {1000.0 * found.deviation.greatest_m:.1f} mm from its mesh,"
+                    f"CHECK: the parts of {link} are up to {greatest_mm:.1f} mm from its mesh,"
                     f" more than {1000.0 * TOLERANCE_M:g} mm, within {MAX_PARTS} parts and {MAX_TIME_S:g} s a mesh"
                 )
-
-        return convex_links(shapes, Limits(seed=self._options.seed), tell)
+        return links
 
     def _draft(
         self,
@@ -202,51 +199,32 @@ class _Import:
         shapes: Mapping[str, list[LinkShape]],
         contacts: SelfContacts,
     ) -> Draft:
-        options = self._options
-        self._say(f"drawing {options.samples} states for the pairs of links")
-        reported = 0
-
-        def tell(done: int) -> None:
-            nonlocal reported
-            if done == options.samples or done - reported >= options.samples // 5:
-                reported = done
-                self._say(f"  {done} of {options.samples} states")
-
-        unchecked = unchecked_pairs(contacts, options.samples, options.seed, tell)
+        samples, seed = self._options.samples, self._options.seed
+        self._say(f"drawing {samples} states for the pairs of links")
+        unchecked = unchecked_pairs(contacts, samples, seed, lambda done: self._say(f"  {done} of {samples} states"))
         never = sum(pair.reason == NEVER for pair in unchecked)
         total = len(contacts.pairs) + len(contacts.adjacent)
         self._say(f"pairs of links: {total}, {len(unchecked)} of them need no check ({never} never touch)")
         middle = 0.5 * (contacts.lower + contacts.upper)
         zero = np.where((contacts.lower <= 0.0) & (contacts.upper >= 0.0), 0.0, middle)
-        home, free = free_state(contacts, unchecked, (zero, middle), HOME_TRIES, options.seed)
+        home, free = free_state(contacts, unchecked, (zero, middle), HOME_TRIES, seed)
         if not free:
             self._notes.append(
                 f"CHECK: links touch in every one of {HOME_TRIES} states, home too: the shapes overlap more than the"
                 f" joints' neighbours; look at {PICTURE}"
             )
-        gripper = self._gripper(robot, tree, structure, shapes, contacts, home)
+        gripper = None
+        if structure.gripper_joints:
+            random = np.random.default_rng(seed)
+            points = {
+                link: np.vstack([sample(each, GRIPPER_POINTS, random) for each in _surfaces(link, shapes[link])])
+                for link in tree.links_below(structure.hand_link)
+                if link in shapes
+            }
+            joints = [robot.joints[name] for name in structure.gripper_joints]
+            gripper = draft_gripper(joints, structure.hand_link, tree, points, contacts, home)
         named = dict(zip(contacts.joint_names, home.tolist(), strict=True))
-        return Draft(robot, structure, gripper, named, unchecked, options.samples)
-
-    def _gripper(
-        self,
-        robot: RobotModel,
-        tree: Tree,
-        structure: Structure,
-        shapes: Mapping[str, list[LinkShape]],
-        contacts: SelfContacts,
-        home: Vector,
-    ) -> GripperDraft | None:
-        if not structure.gripper_joints:
-            return None
-        joints = [robot.joints[name] for name in structure.gripper_joints]
-        random = np.random.default_rng(self._options.seed)
-        below = [link for link in tree.links_below(structure.hand_link) if link in shapes]
-        points = {
-            link: np.vstack([sample(surface, GRIPPER_POINTS, random) for surface in _surfaces(link, shapes[link])])
-            for link in below
-        }
-        return draft_gripper(joints, structure.hand_link, tree, points, contacts, home)
+        return Draft(robot, structure, gripper, named, unchecked, samples)
 
     def _write_shapes(self, convex: Mapping[str, LinkParts]) -> None:
         source = "armbridge robot import: convex parts that cover the <collision> shapes of each link"
@@ -260,18 +238,6 @@ class _Import:
         for name, links in (("hulls.json", hulls), ("parts.json", parts)):
             text = json.dumps({"source": source, "units": units, "links": links}, separators=(",", ":"))
             (self._folder / name).write_text(text + "\n", encoding="utf-8")
-
-    def _draw(
-        self,
-        shapes: Mapping[str, list[LinkShape]],
-        convex: Mapping[str, LinkParts],
-        contacts: SelfContacts,
-        draft: Draft,
-    ) -> None:
-        home = np.array([draft.home[name] for name in contacts.joint_names])
-        meshes = {link: _surfaces(link, of_link) for link, of_link in shapes.items()}
-        parts = {link: [part.surface for part in found.parts] for link, found in convex.items()}
-        picture.draw(self._folder / PICTURE, meshes, parts, contacts.placements(home))
 
     def _prove(self, draft: Draft, contacts: SelfContacts) -> list[str]:
         """Load the folder as the server does, and plan a motion in it."""
@@ -294,17 +260,8 @@ class _Import:
             refusal = answer.message
         return [f"CHECK: no motion from home to one of {PROOF_TRIES} drawn states was found: {refusal}"]
 
-    def _note_bare_links(self, root: ET.Element, shapes: Mapping[str, list[LinkShape]]) -> None:
-        seen = [link.get("name", "") for link in root.iterfind("link") if link.find("visual") is not None]
-        bare = [name for name in seen if name not in shapes]
-        if bare:
-            self._notes.append(
-                f"CHECK: {', '.join(bare)}: these links are seen but have no <collision>, so they may touch anything"
-            )
-
 
 def _surfaces(link: str, shapes: Sequence[LinkShape]) -> list[Surface]:
-    """Return the surfaces of a link's shapes in the link's frame."""
     found = []
     for shape in shapes:
         if shape.mesh is not None:

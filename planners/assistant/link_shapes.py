@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -61,12 +61,9 @@ def link_shapes(robot: RobotModel) -> dict[str, list[LinkShape]]:
     return shaped
 
 
-def convex_links(
-    shapes: Mapping[str, list[LinkShape]], limits: Limits, progress: Callable[[str, LinkParts], None]
-) -> dict[str, LinkParts]:
-    """Return the convex parts of each link; ``progress`` is called with each link that is done."""
+def convex_links(shapes: Mapping[str, list[LinkShape]], limits: Limits) -> Iterator[tuple[str, LinkParts]]:
+    """Yield the convex parts of each link, as soon as they are found."""
     known: dict[bytes, tuple[list[Vector], Deviation]] = {}
-    links = {}
     for link, of_link in shapes.items():
         parts: list[ConvexPart] = []
         deviation = Deviation()
@@ -84,9 +81,7 @@ def convex_links(
             else:
                 local = [primitive_points(shape.geometry)]
             parts += [ConvexPart(points @ shape.placement.rotation.T + shape.placement.translation) for points in local]
-        links[link] = LinkParts(tuple(parts), deviation, sum(shape.mesh is not None for shape in of_link))
-        progress(link, links[link])
-    return links
+        yield link, LinkParts(tuple(parts), deviation, sum(shape.mesh is not None for shape in of_link))
 
 
 def surface_of(link: str, mesh: coal.BVHModelBase) -> Surface:

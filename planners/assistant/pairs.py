@@ -16,8 +16,11 @@ from planners.geometry.shapes import enclosing
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# States between two reports of progress.
+# States between two looks at the pairs that are decided.
 BATCH = 500
+
+# Reports of progress, at most.
+REPORTS = 5
 
 ADJACENT, NEVER, ALWAYS = "Adjacent", "Never", "Always"
 
@@ -93,7 +96,7 @@ def unchecked_pairs(
 ) -> list[UncheckedPair]:
     """Return the pairs that are adjacent, that touch in every drawn state and that touch in none.
 
-    Same seed, same pairs; ``progress`` is called with the number of states that are done.
+    Same seed, same pairs; ``progress`` is called with the number of states that are done, at each fifth of them.
     """
     random = np.random.default_rng(seed)
     seen: dict[Pair, set[bool]] = {pair: set() for pair in contacts.pairs}
@@ -105,8 +108,9 @@ def unchecked_pairs(
             touching = set(contacts.touching(contacts.draw(random), undecided))
             for pair in undecided:
                 seen[pair].add(pair in touching)
-        done = min(done + BATCH, samples)
-        progress(done)
+        before, done = done, min(done + BATCH, samples)
+        if REPORTS * before // samples < REPORTS * done // samples:
+            progress(done)
     adjacent = [UncheckedPair(min(pair), max(pair), ADJACENT) for pair in contacts.adjacent]
     decided = [
         UncheckedPair(*pair, ALWAYS if True in found else NEVER) for pair, found in seen.items() if len(found) == 1

@@ -84,10 +84,6 @@ class Tree:
         """Tell whether a link carries none."""
         return not self._below[link]
 
-    def above(self, link: str) -> Joint:
-        """Return the joint that carries a link."""
-        return self._above[link]
-
 
 def find_structure(tree: Tree, shaped: frozenset[str], base: str | None, tip: str | None) -> Structure:
     """Find arm and gripper, from ``base`` or else the root to ``tip`` or else the frame of goals that is found.

@@ -226,7 +226,6 @@ class PathFollower:
         return next_m if left_m < LAST_STEP * step_m and left_m <= self.problem.max_step_m else from_m + step_m
 
     def _ended(self, before: Vector, from_m: float, point: Vector, reach_m: float) -> PathEnd | None:
-        """Return the reason against a step from one point to the next, None if there is none."""
         desired, pose = self.path.at(reach_m), self.tracker.pose(point)
         turned_rad = apart_rad(desired, pose)
         if apart_m(desired, pose) > ON_PATH_M:

@@ -113,7 +113,6 @@ class _Task:
         return None if self.constraints.holds(self.space.configuration(point)) else self._ended((), point)
 
     def _ended(self, pairs: Sequence[CollidingPair], point: Vector) -> PathEnd:
-        """Return the flaw of a point that is not free: contacts, or else the constraints that do not hold there."""
         if pairs:
             sentence = f"there would touch: {checks.describe_pairs(pairs)}"
             return PathEnd("collision", sentence, {"pairs": checks.pairs_as_data(pairs)})

@@ -50,7 +50,6 @@ class _Piece:
     turn: Vector  # rotation vector in the tip's frame, shape (3,) [rad]
 
     def position(self, share: float) -> Vector:
-        """Return the tip's position after a share of the piece [m]."""
         if self.angle == 0.0:
             return np.asarray(self.origin + share * self.along)
         angle = share * self.angle
@@ -64,7 +63,6 @@ class _Piece:
         return np.asarray(self.angle * (np.cos(angle) * self.along - np.sin(angle) * self.spoke))
 
     def pose(self, share: float) -> pin.SE3:
-        """Return the tip's pose after a share of the piece."""
         return pin.SE3(self.rotation @ pin.exp3(share * self.turn), self.position(share))
 
     def part(self, share: float, digits: int) -> Line | Arc:
@@ -145,7 +143,6 @@ def arc_flaw(start_m: Vector, arc: Arc) -> str | None:
 
 
 def _radius_m(a: Vector, b: Vector, c: Vector) -> float:
-    """Return the radius of the circle through three points; infinite for a line."""
     double_area = float(np.linalg.norm(np.cross(b - a, c - a)))
     sides = float(np.linalg.norm(b - a) * np.linalg.norm(c - b) * np.linalg.norm(c - a))
     return sides / (2.0 * double_area) if double_area > 0.0 else np.inf
@@ -193,7 +190,6 @@ def _circle(start: Vector, via: Vector, end: Vector) -> tuple[Vector, Vector, fl
 
 
 def _angle(vector: Vector, spoke: Vector, ahead: Vector) -> float:
-    """Return the angle from one spoke to a vector, 0 to a whole turn [rad]."""
     return float(np.arctan2(vector @ ahead, vector @ spoke)) % (2.0 * np.pi)
 
 

@@ -202,6 +202,7 @@ class FileProblem:
     id: str  # its name in the file
     problem: PlanningProblem
     accept_codes: tuple[int, ...]  # values of moveit_msgs/MoveItErrorCodes that are right answers
+    failed_code: int | None = None  # error code of the failure that a server saved; None for other problems
 
     @property
     def feasible(self) -> bool:
@@ -235,6 +236,7 @@ class _Entry(BaseModel):
     id: str
     start: list[float]
     accept_codes: list[int] = [int(MoveItErrorCode.SUCCESS)]
+    error_code: int | None = None
     goal: list[float] | dict[str, Any] | None = None
     position: Point | None = None
     tolerance: float = 0.005
@@ -242,8 +244,6 @@ class _Entry(BaseModel):
 
 
 class _File(SceneFields):
-    """A problem file."""
-
     format: Literal["so101-plan-bench/1"]
     name: str
     frame: str | None = None
@@ -261,8 +261,7 @@ class _File(SceneFields):
 def read(path: Path, robot: RobotModel) -> ProblemFile:
     """Read a file of problems for a robot.
 
-    Raises:
-        ProblemFileError: it cannot be read, is not of the format, or is about another robot.
+    ProblemFileError: it cannot be read, is not of the format, or is about another robot.
     """
     try:
         text = path.read_bytes()
@@ -277,8 +276,6 @@ def read(path: Path, robot: RobotModel) -> ProblemFile:
 
 
 class _Reader:
-    """Gives the fields of one file their meaning for a robot."""
-
     def __init__(self, path: Path, fields: _File, robot: RobotModel) -> None:
         self._path = path
         self._fields = fields
@@ -286,7 +283,6 @@ class _Reader:
         self._robot = self._with_limits(robot)
 
     def file(self, version: int) -> ProblemFile:
-        """The file's meaning, with so numbered a scene."""
         problems = tuple(self._problems())
         ids = [problem.id for problem in problems]
         twice = next((name for name in ids if ids.count(name) > 1), None)
@@ -296,7 +292,7 @@ class _Reader:
         return ProblemFile(fields.name, self._robot, tuple(fields.joint_names), fields.scene(version), problems)
 
     def _group_of(self, robot: RobotModel) -> str:
-        """The group that is named, whether there is one or not, or the one of just these joints."""
+        """Return the group that is named, even if there is no such group, else the group of just these joints."""
         names, fields = self._fields.joint_names, self._fields
         if fields.frame not in (None, robot.root_link):
             raise self._wrong("frame", f"must be the robot's root link {robot.root_link!r}, not {fields.frame!r}")
@@ -329,48 +325,39 @@ class _Reader:
         for key in ("joint_problems", "position_problems", "goal_problems", "infeasible"):
             entries: tuple[_Entry, ...] = getattr(self._fields, key)
             for i, entry in enumerate(entries):
-                yield FileProblem(entry.id, self._problem(f"{key}.{i}", entry), tuple(entry.accept_codes))
+                problem = self._problem(f"{key}.{i}", entry)
+                yield FileProblem(entry.id, problem, tuple(entry.accept_codes), entry.error_code)
 
     def _problem(self, where: str, entry: _Entry) -> PlanningProblem:
         start = self._of_joint(f"{where}.start", entry.start)
         start_rad = {joint.name: 0.0 for joint in self._robot.movable_joints} | self._fields.other_joints
         if self._fields.gripper is not None:
-            start_rad |= dict.fromkeys(self._gripper_joints(), self._fields.gripper)
+            if self._robot.gripper is None:
+                raise self._wrong("gripper", "the robot has no gripper: name its other joints in other_joints")
+            start_rad |= dict.fromkeys(self._robot.gripper.joints, self._fields.gripper)
         start_rad |= dict(zip(self._fields.joint_names, start, strict=True))
         fields = {"group": self._group, "start_rad": start_rad, "goal": self._goal(where, entry)}
         problem: PlanningProblem = self._validated(f"{where}.options", PlanningProblem, {**entry.options, **fields})
         return problem
-
-    def _gripper_joints(self) -> tuple[str, ...]:
-        """The joints of the gripper, for a file that positions it."""
-        if self._robot.gripper is None:
-            raise self._wrong("gripper", "the robot has no gripper: name its other joints in other_joints")
-        return self._robot.gripper.joints
 
     def _goal(self, where: str, entry: _Entry) -> Goal:
         if isinstance(entry.goal, list):
             values = self._of_joint(f"{where}.goal", entry.goal)
             return JointGoal(dict(zip(self._fields.joint_names, values, strict=True)))
         if entry.position is not None:
-            return PositionGoal(self._tip_link(f"{where}.position"), entry.position, entry.tolerance)
-        return self._goal_of_kind(f"{where}.goal", entry.goal or {})
-
-    def _tip_link(self, where: str) -> str:
-        if self._group not in self._robot.groups:
-            raise self._wrong(where, f"is for the tip of group {self._group!r}, which the robot does not have")
-        tip = self._robot.groups[self._group].tip_link
-        if not tip:
-            raise self._wrong(
-                where,
-                f"is for the tip of group {self._group!r}, which has none: its joints are not one chain; name a link",
-            )
-        return tip
-
-    def _goal_of_kind(self, where: str, given: Mapping[str, Any]) -> Goal:
+            group = self._robot.groups.get(self._group)
+            if group is None or not group.tip_link:
+                lack = "which the robot does not have" if group is None else "whose joints are not one chain"
+                raise self._wrong(
+                    f"{where}.position",
+                    f"is for the tip of group {self._group!r}, {lack}: name a link",
+                )
+            return PositionGoal(group.tip_link, entry.position, entry.tolerance)
+        given = entry.goal or {}
         if list(given) == [_ANY_OF] and isinstance(given[_ANY_OF], list):
-            each = (self._single_goal(f"{where}.{_ANY_OF}.{i}", one) for i, one in enumerate(given[_ANY_OF]))
+            each = (self._single_goal(f"{where}.goal.{_ANY_OF}.{i}", one) for i, one in enumerate(given[_ANY_OF]))
             return AnyOf(tuple(each))
-        goal: Goal = self._single_goal(where, given)
+        goal: Goal = self._single_goal(f"{where}.goal", given)
         return goal
 
     def _single_goal(self, where: str, given: Any) -> Any:
@@ -382,7 +369,6 @@ class _Reader:
         return self._validated(f"{where}.{kind}", _GOALS[kind], fields)
 
     def _validated(self, where: str, kind: type[Any], fields: Any) -> Any:
-        """An instance of a dataclass, made of fields of the file."""
         known = [field.name for field in dataclasses.fields(kind)]
         unknown = next((name for name in fields if name not in known), None) if isinstance(fields, dict) else None
         if unknown is not None:
@@ -460,7 +446,6 @@ def _kind_and_fields(goal: Goal) -> dict[str, Any]:
 
 
 def _with_nan(value: Any) -> Any:
-    """JSON with NaN for null."""
     return _replaced(value, lambda leaf: math.nan if leaf is None else leaf)
 
 
@@ -470,7 +455,6 @@ def _with_null(value: Any) -> Any:
 
 
 def _replaced(value: Any, leaf: Callable[[Any], Any]) -> Any:
-    """Nested lists and mappings with every leaf replaced."""
     if isinstance(value, dict):
         return {key: _replaced(item, leaf) for key, item in value.items()}
     if isinstance(value, list):

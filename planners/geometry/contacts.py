@@ -361,7 +361,6 @@ class PartPair:
     def _placed(
         self, i: int, j: int
     ) -> tuple[coal.CollisionGeometry, coal.Transform3s, coal.CollisionGeometry, coal.Transform3s]:
-        """Return one part of each with its place, as coal takes them."""
         first, second = self._first, self._second
         at_first, at_second = self._first_places[first.place_of[i]], self._second_places[second.place_of[j]]
         return first.shapes[i], at_first, second.shapes[j], at_second

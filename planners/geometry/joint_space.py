@@ -36,7 +36,8 @@ class JointSpace:
     nothing although hulls may overlap there; with the start they determine the pairs that are checked by their parts.
     ``should_stop`` ends long checks with :exc:`StoppedError`: certifying a motion close to a contact can take seconds.
 
-    ``travel_m_per_rad`` is the most that any robot point moves per motion of each joint, shape (n,).
+    ``start`` is the point of ``start_q``. ``travel_m_per_rad`` is the most that any robot point moves per motion of
+    each joint, shape (n,).
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class JointSpace:
         self._holds = holds
         self._should_stop = should_stop
         self.checks = 0
-        self._start = self.point(start_q).copy()
+        self.start = self.point(start_q).copy()
         self.lower_rad = collision.lower_rad[self._columns]
         self.upper_rad = collision.upper_rad[self._columns]
         self.travel_m_per_rad = collision.travel_m_per_rad[self._columns]
@@ -80,7 +81,7 @@ class JointSpace:
         """Tell whether the robot touches nothing there, and the condition holds."""
         self.checks += 1
         self._q[self._columns] = point
-        allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
+        allowed = self._allowed and self._allowed_near(np.abs(point - self.start))
         if self._collision.in_collision(self._q, allowed, self._refined):
             return False
         return self._holds is None or self._holds(self._q)
@@ -99,7 +100,7 @@ class JointSpace:
         configurations[:, self._columns] = points
         travel[:, self._columns] = joint_travel
         margins_m = self._collision.margins_m(travel)
-        away = joint_travel + np.abs(points - self._start)
+        away = joint_travel + np.abs(points - self.start)
         found: list[CandidatePairs] = []
         for i, q in enumerate(configurations):
             allowed = self._allowed and self._allowed_near(away[i])
@@ -117,7 +118,7 @@ class JointSpace:
             return not self.free(point)
         self.checks += 1
         self._q[self._columns] = point
-        allowed = self._allowed and self._allowed_near(np.abs(point - self._start))
+        allowed = self._allowed and self._allowed_near(np.abs(point - self.start))
         if self._collision.touch_among(self._q, _pairs(among), allowed, self._refined):
             return True
         return self._holds is not None and CONDITION in among and not self._holds(self._q)
@@ -141,7 +142,7 @@ class JointSpace:
         """Return the forbidden contacts at a point, deepest first."""
         self._q[self._columns] = point
         pairs = self._collision.colliding_pairs(self._q, self._refined)
-        allowed = self._allowed_near(np.abs(point - self._start))
+        allowed = self._allowed_near(np.abs(point - self.start))
         if not allowed:
             return tuple(pairs)
         overlaps_m = self._collision.overlaps_m(self._q)

@@ -92,7 +92,6 @@ class _Ranges:
         self.joint_travel = np.maximum(upper - self.points, self.points - lower)
 
     def halves(self, of: Indices) -> tuple[Spans, Indices]:
-        """Cut some of them in two; return also for each half the index of the whole."""
         index = np.concatenate((2 * self._index[of], 2 * self._index[of] + 1))
         there = index * (self._size // 2) < len(self._coefficients)
         index, parents = index[there], np.concatenate((of, of))[there]

@@ -163,7 +163,6 @@ def _step_along(hessian: Vector, slope: Vector, rows: Vector) -> tuple[Vector, V
 def _allowed_share(
     x: Vector, step: Vector, rows: Vector, bounds: Vector, active: list[int]
 ) -> tuple[float, int | None]:
-    """Return the allowed share of a step, and the first inequality that blocks the rest."""
     gain = rows @ step
     gain[active] = 0.0
     towards = np.flatnonzero(gain > ROUNDING * max(1.0, float(np.abs(step).max())))

@@ -197,14 +197,12 @@ def _point_flaws(point: Sequence[float], what: str, unit: str) -> Iterator[Plann
 
 
 def _length_flaws(vector: Sequence[float], what: str) -> Iterator[PlanningFailure]:
-    """Quaternions and directions must have the length 1."""
     length = math.hypot(*vector)
     if not abs(length - 1.0) <= LENGTH_TOLERANCE:
         yield invalid_goal(f"the {what} {in_words(vector)} has the length {length:.4g}, not 1", length=length)
 
 
 def _tolerance_flaws(what: str, value: float, unit: str, least: float | None = None) -> Iterator[PlanningFailure]:
-    """Tolerances are finite and above 0, or ``least`` and above."""
     if not (math.isfinite(value) and (value > 0.0 if least is None else value >= least)):
         bound = "above 0" if least is None else f"{least:g} or more"
         yield invalid_goal(f"the {what} tolerance must be {bound} {unit}, not {value:g}", value=value)

@@ -88,7 +88,6 @@ class _End:
 
     @property
     def solves(self) -> bool:
-        """True when the required conditions hold and nothing touches."""
         return self.violation_m == 0.0 and not self.collides
 
 
@@ -174,7 +173,6 @@ class GoalState:
 
     q: Vector  # the configuration, shape (n,) [rad]
     deviation: Deviation  # from the goal
-    alternative: int  # index of the goal among several
 
 
 @dataclass(frozen=True)
@@ -203,6 +201,14 @@ class GoalStates:
         self._samples = np.random.default_rng(SAMPLE_SEED).uniform(*limits, (SAMPLES, len(collision.joint_names)))
         self._placements: dict[str, Placements] = {}
 
+    def within(
+        self, group: Group, constraints: Constraints | None, start_q: Vector
+    ) -> tuple[Callable[[Vector], bool] | None, Callable[[Vector], Vector | None] | None]:
+        """Return the condition of constraints on configurations and the projection on them; None without any."""
+        if constraints is None or constraints.empty:
+            return None, None
+        return self.condition_set(constraints).holds, self.projection(group, constraints, start_q)
+
     def condition_set(self, constraints: Constraints | None) -> ConditionSet:
         """Return the conditions of constraints."""
         return ConditionSet(self.forward, conditions(constraints, self._joints))
@@ -226,8 +232,8 @@ class GoalStates:
     def find(self, goal: Goal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
         """Find configurations in which a checked goal holds, the soonest reached first; or why there is none."""
         if not isinstance(goal, AnyOf):
-            return self._single(goal, query, 0)
-        answers = [self._single(single, query, index) for index, single in enumerate(goal.goals)]
+            return self._single(goal, query)
+        answers = [self._single(single, query) for single in goal.goals]
         failures = [answer for answer in answers if isinstance(answer, PlanningFailure)]
         states = [state for answer in answers if not isinstance(answer, PlanningFailure) for state in answer]
         if not states:
@@ -245,21 +251,21 @@ class GoalStates:
             point_m = self.forward.placement(goal.link).translation
         return [float(value) for value in point_m]
 
-    def _single(self, goal: SingleGoal, query: GoalQuery, index: int) -> Sequence[GoalState] | PlanningFailure:
+    def _single(self, goal: SingleGoal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
         if isinstance(goal, JointGoal):
-            return self._joint_goal(goal, query, index)
+            return self._joint_goal(goal, query)
         also = conditions(query.constraints, self._joints)
         wanted = goal_conditions(goal, self._joints)
         whole = ConditionSet(self.forward, (*wanted.required, *wanted.preferred, *also))
         if query.accept_start and whole.holds(query.start_q):
-            return [GoalState(query.start_q, whole.deviation(query.start_q), index)]
+            return [GoalState(query.start_q, whole.deviation(query.start_q))]
         found = self.search(wanted.also(also), query)
         if found.solutions:
             goal_set = ConditionSet(self.forward, (*wanted.required, *wanted.preferred))
-            return [GoalState(q, goal_set.deviation(q), index) for q in found.solutions]
+            return [GoalState(q, goal_set.deviation(q)) for q in found.solutions]
         return self._refusal(goal, wanted, also, found, query)
 
-    def _joint_goal(self, goal: JointGoal, query: GoalQuery, index: int) -> Sequence[GoalState] | PlanningFailure:
+    def _joint_goal(self, goal: JointGoal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
         goal_q = query.start_q.copy()
         for name, value in goal.positions_rad.items():
             goal_q[self._joints.names.index(name)] = value
@@ -268,14 +274,13 @@ class GoalStates:
         if violations:
             return goal_violates(violations)
         if query.accept_start and np.max(np.abs(goal_q - query.start_q)) <= ALREADY_THERE_RAD:
-            return [GoalState(query.start_q, Deviation(), index)]
+            return [GoalState(query.start_q, Deviation())]
         pairs = self._collision.colliding_pairs(goal_q) if query.avoid_collisions else []
-        return goal_in_collision(pairs) if pairs else [GoalState(goal_q, Deviation(), index)]
+        return goal_in_collision(pairs) if pairs else [GoalState(goal_q, Deviation())]
 
     def _refusal(
         self, goal: TaskGoal, wanted: GoalConditions, also: Sequence[Condition], found: SearchResult, query: GoalQuery
     ) -> PlanningFailure:
-        """Return the failure of a search without solutions."""
         if query.budget.used_up():
             nearest_m = self.point_m(goal, found.nearest_q)
             failure = out_of_time(goal, query.budget.failure(), nearest_m, found.nearest)
@@ -305,7 +310,6 @@ class GoalStates:
         return self._with_configuration(failure, q, query.group)
 
     def _with_configuration(self, failure: PlanningFailure, q: Vector, group: Group) -> PlanningFailure:
-        """Add the configuration of the nearest point to a failure that has one."""
         if "nearest_m" not in failure.details:
             return failure
         nearest_rad = {name: float(q[self._joints.names.index(name)]) for name in group.joints}

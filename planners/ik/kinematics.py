@@ -151,7 +151,6 @@ class _LinkTask(_Task):
         self._forward = solver.kinematics.forward
 
     def aim(self, q: Vector, share: float) -> float:  # noqa: ARG002 - the links have been placed there
-        """Aim a step ahead at most."""
         placement = self._forward.placement(self.condition.link)
         violation = self.condition.violation(self.condition.error(placement), share)
         length = norm(violation)
@@ -213,7 +212,6 @@ class _JointTask(_Task):
         super().__init__(condition, weight, self._joints_task, f"joint {index}")
 
     def aim(self, q: Vector, share: float) -> float:
-        """Aim into the range."""
         position_rad = float(q[self.condition.column])
         violation_rad = self.condition.violation_rad(position_rad, share)
         self._joints_task.set_joint(joint_in_placo(self.condition.joint), position_rad + violation_rad)
@@ -309,7 +307,6 @@ class _Solver:
                 gears.set_gear(joint.name, joint.leader, joint.multiplier)
 
     def descend(self, q: Vector, share: float) -> Vector:
-        """Descend from a configuration towards a share of every tolerance."""
         for task in self._tasks:
             if isinstance(task, _PointTask):
                 task.attach()

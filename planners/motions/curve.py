@@ -183,7 +183,6 @@ def _integrals(curve: Curve, ticks: Ticks) -> tuple[Vector, Vector, Vector]:
 
 
 def _area(curve: Curve, ticks: Ticks) -> Vector:
-    """Integral of the position from the start of the curve [rad s]."""
     span_s = (TICK_S * np.diff(curve.ticks))[:, np.newaxis]
     v0, v1 = curve.velocities_rad_s[:-1], curve.velocities_rad_s[1:]
     pieces = span_s * (curve.positions_rad[:-1] + span_s * (2.0 * v0 + v1) / 6.0)

@@ -40,10 +40,10 @@ from planners.motions.path import (
     curve_free,
     projected_search,
     search,
+    via_point,
     without_detours,
 )
 from planners.motions.path_timing import MAX_DURATION_S, standing
-from planners.motions.via_point import via_point
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
 
@@ -258,7 +258,6 @@ class _Searching:
         return self._name, self._without_detours(self._searched(query, number))
 
     def _searched(self, query: Query, number: int) -> Vector | None:
-        """Return the path that one search finds."""
         most = self._space.checks + CHECKS_A_SEARCH * (1 + number)
         seed, project = self._task.seed + number, self._task.project
 

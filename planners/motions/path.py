@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
@@ -58,6 +59,12 @@ LEAST_PROGRESS = 0.2
 
 # Trees that reach out further at once are caught in corners.
 STEPS_AT_ONCE = 20
+
+# Via points drawn at once, and compared in one numpy call.
+VIA_POINTS = 1024
+
+# Checks after which a tree finds a path sooner: no quick via point is free then as a rule.
+MOST_CHECKS = 100
 
 
 def checks_in(time_s: float) -> int:
@@ -144,12 +151,24 @@ def search(query: Query, name: str, seed: int, should_stop: Callable[[], bool]) 
     """
     # Each search has objects of its own: a planner keeps its random generator and its last solution.
     ou.RNG.setSeed(seed + 1)  # OMPL refuses 0
-    size = len(query.start)
-    setup = _setup(query)
+    size, free = len(query.start), query.space.free
+    space = _ompl_space(query)
+    setup = og.SimpleSetup(space)
     information = setup.getSpaceInformation()
+    setup.setStateValidityChecker(lambda state: free(state[0:size]))
+    setup.setStartState(_state(space, query.start))
+    goal_states = ob.GoalStates(information)
+    for goal in query.goals:
+        goal_states.addState(_state(space, goal))
+    setup.setGoal(goal_states)
     if name == RRT_CONNECT:
         information.setMotionValidator(_Edges(information, query))
-    setup.setPlanner(_planner(name, information))
+    if name in TREES:
+        tree = TREES[name](information)
+        tree.setRange(TREE_EDGE_RAD)
+        setup.setPlanner(tree)
+    else:
+        setup.setPlanner(og.BITstar(information))
     # A condition with a period of its own would abort the process at exit.
     setup.solve(ob.PlannerTerminationCondition(should_stop))
     if not setup.haveExactSolutionPath():
@@ -188,27 +207,6 @@ class _Edges(ob.MotionValidator):
     def checkMotion(self, first: ob.RealVectorStateType, second: ob.RealVectorStateType) -> bool:  # noqa: N802
         start, end = np.array(first[0 : self._size]), np.array(second[0 : self._size])
         return line_free_sparsely(self._query.space, start, end, self._query.step_m)
-
-
-def _planner(name: str, information: ob.SpaceInformation) -> ob.Planner:
-    if name == "BITstar":
-        return og.BITstar(information)
-    planner = TREES[name](information)
-    planner.setRange(TREE_EDGE_RAD)
-    return planner
-
-
-def _setup(query: Query) -> og.SimpleSetup:
-    size, free = len(query.start), query.space.free
-    space = _ompl_space(query)
-    setup = og.SimpleSetup(space)
-    setup.setStateValidityChecker(lambda state: free(state[0:size]))
-    setup.setStartState(_state(space, query.start))
-    goal_states = ob.GoalStates(setup.getSpaceInformation())
-    for goal in query.goals:
-        goal_states.addState(_state(space, goal))
-    setup.setGoal(goal_states)
-    return setup
 
 
 def _ompl_space(query: Query) -> ob.RealVectorStateSpace:
@@ -322,3 +320,41 @@ class _Grower:
         if reached is None or np.linalg.norm(reached - point) < LEAST_PROGRESS * step:
             return None
         return reached if space.line_free(point, reached, self._query.step_m) else None
+
+
+def via_point(
+    query: Query, velocity_rad_s: Vector, rng: np.random.Generator, should_stop: Callable[[], bool]
+) -> Vector | None:
+    """Find a path of shape (3, n) to one of the goals by way of a point, among the quickest of the points drawn.
+
+    One via point is enough to pass most obstacles. A tree finds some path, on either side of an obstacle, and
+    shortening keeps it on that side; of via points drawn at random, those come first that hardly take longer than no
+    obstacle would.
+    """
+    space, goals = query.space, np.array(query.goals)
+    points = rng.uniform(space.lower_rad, space.upper_rad, (VIA_POINTS, len(query.start)))
+    times_s = _times_s(points, query.start[np.newaxis], velocity_rad_s) + _times_s(points, goals, velocity_rad_s)
+    most = space.checks + MOST_CHECKS
+    for index in _least(times_s.ravel(), MOST_CHECKS).tolist():
+        if space.checks >= most or should_stop():
+            break
+        goal, point = goals[index // VIA_POINTS], points[index % VIA_POINTS]
+        lines = ((query.start, point), (point, goal))
+        if all(line_free_sparsely(space, first, last, query.step_m) for first, last in lines):
+            return np.array([query.start, point, goal])
+    return None
+
+
+def _times_s(points: Vector, others: Vector, velocity_rad_s: Vector) -> Vector:
+    """Return how long the slowest joint takes between each two of some points, shape (others, points) [s]."""
+    # numpy is slow with a last axis of five.
+    moved_rad = np.abs(points.T[:, np.newaxis] - others.T[:, :, np.newaxis])
+    times_s: Vector = np.max(moved_rad / velocity_rad_s[:, np.newaxis, np.newaxis], axis=0)
+    return times_s
+
+
+def _least(values: Vector, count: int) -> NDArray[np.intp]:
+    """Return the indices of the least values, shape (count,) or more where some are equal, in their order."""
+    # Each try is a check at least, so hardly any is needed; sorting all of them took longer than the checks.
+    few = np.flatnonzero(values <= np.partition(values, count - 1)[count - 1])
+    return few[np.argsort(values[few], kind="stable")]

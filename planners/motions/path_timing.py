@@ -150,21 +150,17 @@ class _ScaledPath:
 
     @property
     def grid(self) -> Vector:
-        """Parameters for timing."""
         return np.asarray((self.path.grid - self.path.knots[0]) / self.length)
 
     @property
     def dof(self) -> int:
-        """Number of columns."""
         return len(self.joint_units_rad) + 1
 
     @property
     def path_interval(self) -> Vector:
-        """First and last parameter."""
         return np.array([0.0, 1.0])
 
     def __call__(self, path_positions: Vector, order: int = 0) -> Vector:
-        """As :class:`NaturalSpline`."""
         joints = self.path(self.path.knots[0] + self.length * path_positions, order)
         progress = (path_positions, np.ones_like(path_positions), np.zeros_like(path_positions))[order]
         return np.column_stack((joints * (self.length**order / self.joint_units_rad), progress / FASTEST_RATE**2))
@@ -190,7 +186,8 @@ def time_along(
 ) -> Trajectory | None:
     """Return the fastest motion along a path from rest to rest, whose interpolation keeps the limits as well.
 
-    Its samples are at most 10 ms apart. None where :func:`toppra_profile` has none, or a profile that takes too long.
+    Its samples are at most about 10 ms apart. None where
+    :func:`toppra_profile` has none, or a profile that takes too long.
     """
     profile = toppra_profile(path, limits, top_rate)
     if profile is None or profile.times_s[-1] > MAX_DURATION_S:

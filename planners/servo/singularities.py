@@ -87,7 +87,6 @@ def _least_value(there: PredictedTip) -> float:
 
 
 def _share(condition: float, change: float, limits: ServoLimits) -> tuple[float, ServoStatus]:
-    """Return the allowed share of a motion in the weak direction."""
     if change > NOTICED_M_PER_RAD:
         return 1.0, ServoStatus.DECELERATE_FOR_LEAVING_SINGULARITY
     if condition >= limits.singularity_stop:

@@ -341,10 +341,6 @@ def _point(vector: Vector) -> Point:
     return x, y, z
 
 
-def _nothing() -> Vector:
-    return np.zeros(3)
-
-
 @dataclass(frozen=True)
 class Outcome:
     """The commanded velocity and the achieved one."""
@@ -354,8 +350,8 @@ class Outcome:
     desired: Vector  # velocity of the tip [m/s], or of the joints [rad/s]
     achieved: Vector  # the achieved velocity of the same
     # Desired angular velocity of the tip, shape (3,) [rad/s].
-    desired_turn_rad_s: Vector = field(default_factory=_nothing)
-    turn_rad_s: Vector = field(default_factory=_nothing)  # the achieved angular velocity, shape (3,) [rad/s]
+    desired_turn_rad_s: Vector = field(default_factory=lambda: np.zeros(3))
+    turn_rad_s: Vector = field(default_factory=lambda: np.zeros(3))  # the achieved angular velocity, shape (3,) [rad/s]
     singularity: ServoStatus = ServoStatus.NO_WARNING  # status that a singularity causes
     drift_rad: float = 0.0  # angle between the tip and the desired orientation [rad]
     anchor: Anchor | None = None  # for the next request; None where there is nothing to keep

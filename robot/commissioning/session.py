@@ -14,6 +14,7 @@ from enum import Enum
 from robot.calibration import Calibration
 from robot.commissioning.directions import AskedMotion, spoken, turned_the_other_way
 from robot.commissioning.sweep import (
+    CERTAIN_SHARE,
     MIDDLE_TICK,
     Sweep,
     Swept,
@@ -70,20 +71,13 @@ class SweptRange:
     highest: int  # highest position [ticks]
     expected_width: int  # width of its range in the URDF [ticks]
     done: bool
-    note: str  # what is missing; empty for nothing
+    note: str  # the missing part; empty for none
 
 
 class CalibrationSession:
     """Calibration of one arm, from holding it to writing the result.
 
-    Args:
-        motions: motion that shows the direction of each joint, by joint.
-        recentre: True for new homing offsets, which are then written to the servos; False to keep theirs.
-
-    Attributes:
-        step: the step to answer; None once the session has ended.
-        findings: what was found, a sentence each.
-        calibration: the result; None before the step that asks for it to be written.
+    The motions show the direction of each joint, by joint. With ``recentre`` the servos get new homing offsets.
     """
 
     def __init__(self, servos: Sequence[ServoSpec], motions: Mapping[str, AskedMotion], *, recentre: bool) -> None:
@@ -97,8 +91,10 @@ class CalibrationSession:
         self._drive_modes: dict[int, int] = {}
         self._to_ask: list[ServoSpec] = []
         self._to_show: list[ServoSpec] = []
-        self.findings: list[str] = []
-        self.calibration: Calibration | None = None
+        self.findings: list[str] = []  # a sentence each
+        self.to_mend: list[str] = []  # joints that turn the other way than the model; nothing is written meanwhile
+        self.calibration: Calibration | None = None  # the result; None before the step that asks for it to be written
+        # The step to answer; None once the session has ended.
         self.step: Step | None = Step(
             HOLD, "Torque will be switched off, and the arm sinks: hold it, then answer.", (RELAX,)
         )
@@ -125,10 +121,13 @@ class CalibrationSession:
     def _range(self, servo: ServoSpec, sweep: Sweep) -> SweptRange:
         servo_id, width = servo.servo_id, expected_width(servo)
         met = met_both_stops(servo, sweep.width(servo_id))
-        done = met or servo.turns_freely
         share = min(sweep.width(servo_id) / width, 1.0)
-        note = "" if met else f"{share:.0%} of the expected range"
-        if servo.turns_freely and not met:
+        certain = share >= CERTAIN_SHARE or sweep.came_twice(servo_id)
+        done = certain if met else servo.turns_freely
+        note = "" if done else f"{share:.0%} of the expected range"
+        if met and not certain:
+            note += ": move it to both stops once more"
+        elif servo.turns_freely and not met:
             note = f"{'may turn' if share < 1.0 else 'turns'} freely: its middle is asked for"
         return SweptRange(
             servo.joint, sweep.lowest[servo_id], sweep.present[servo_id], sweep.highest[servo_id], width, done, note
@@ -141,6 +140,7 @@ class CalibrationSession:
 
     def _ask_for_sweep(self, *answers: str) -> None:
         self.findings, self.calibration = [], None
+        self.to_mend = []
         self._middles, self._drive_modes = {}, {}
         free = ", ".join(spoken(servo.joint) for servo in self._servos if servo.turns_freely)
         also = f" {free.capitalize()} may have no stops: turn it as far as it goes, a turn at most." if free else ""
@@ -158,7 +158,7 @@ class CalibrationSession:
     def answer(self, answer: str) -> Act | None:
         """Take the answer to the present step; return the act that is now due, if any.
 
-        Raises CalibrationError where it cannot go on so; the step stays, and the text names what is missing.
+        Raises CalibrationError where it cannot go on so; the step stays, and the text names the missing part.
         """
         step = self.step
         if step is None or answer not in step.answers:
@@ -246,6 +246,7 @@ class CalibrationSession:
                 f"the other way; mount it as the model has it, or set sign = {-servo.sign} for it in the arm's "
                 "robot.toml, and calibrate again, before anything moves"
             )
+            self.to_mend.append(servo.joint)
 
     def _next(self) -> None:
         """Go on with the middles that are to be shown, the directions, and the question whether to write."""
@@ -260,13 +261,12 @@ class CalibrationSession:
             self._ask_direction(self._to_ask[0])
         else:
             self.calibration = calibrate(self._servos, self._measured(), recentre=self.recentre)
-            self.step = Step(
-                WRITE,
-                "Write the calibration to the servos and to its file?"
-                if self.recentre
-                else "Write the calibration to its file? The servos stay as they are.",
-                (WRITE_NOW, AGAIN),
-            )
+            question = "Write the calibration to its file? The servos stay as they are."
+            if self.recentre:
+                question = "Write the calibration to the servos and to its file?"
+            if self.to_mend:
+                question = f"Nothing is written: mend {', '.join(self.to_mend)} first, or sweep again."
+            self.step = Step(WRITE, question, (AGAIN,) if self.to_mend else (WRITE_NOW, AGAIN))
 
     def _ask_direction(self, servo: ServoSpec) -> None:
         self._asked_from[servo.servo_id] = self._swept.present[servo.servo_id]

@@ -191,11 +191,9 @@ def supply_complaint(servo: FoundServo) -> str:
 def choose_profile(
     name: str | None, own: ServoProfile | None, servos: Iterable[tuple[FoundServo, bool]]
 ) -> ServoProfile:
-    """Choose the profile of settings for some servos.
+    """Choose the profile of settings for some servos, which come with True for a gripper's.
 
-    Args:
-        name: name of a profile that was asked for; None for the arm's own, or without one for the nearest.
-        servos: servos, with True for one of the gripper.
+    It is the named one, or without a name the arm's own, or without both the nearest.
     """
     if name is not None:
         return PROFILES[name]
@@ -205,8 +203,8 @@ def choose_profile(
 def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> tuple[Change, ...]:
     """Return the registers to change for a servo to turn a joint.
 
-    Angle limits and homing offset of a servo that has the joint's id are its calibration, and stay. Those of any other
-    belong to another joint and are cleared.
+    Angle limits and homing offset of a servo that has the joint's id are its calibration, and stay. Limits and offset
+    of any other belong to another joint and are cleared.
     """
     held = servo.registers
     wanted = {
@@ -230,9 +228,7 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
 def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[Change, ...]:
     """Return the registers to change for a servo to be as it was saved.
 
-    Args:
-        alone: True for the only servo on the bus, which gets id and baud rate back as well: among others it might
-            become the second one of its id.
+    Only a servo alone on the bus gets id and baud rate back: among others it might become the second one of its id.
     """
     back = {register: saved.registers[register] for register in EPROM if register in saved.registers}
     if not alone:
@@ -249,7 +245,7 @@ def needs_writing(servo: FoundServo, changes: Sequence[Change]) -> bool:
 
 
 def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> FoundServo:
-    """Relax a servo and write its changes, each read back; return it as it is afterwards.
+    """Relax a servo and write its changes, each read back; return it as read afterwards.
 
     Its EPROM is locked at the end, also after a failure. Raises StartupError where it keeps another value.
     """
@@ -337,7 +333,7 @@ def _candidates(
 ) -> list[FoundServo]:
     """Return the candidates for a joint: the servo with its id, else the servos without a calibration or another's id.
 
-    The first joint has the id of new servos; its calibration tells it from one of these.
+    The first joint has the id of new servos; its calibration distinguishes it from a new servo.
     """
     own = [servo for servo in found if servo.servo_id == joint.servo_id]
     others = {servo.servo_id for servo in arm} - {FACTORY_ID}

@@ -28,9 +28,37 @@ WIDEST_SWEEP_TICKS = MAX_TICK - 1
 # than this share has not met both stops.
 STOPS_SHARE = 0.8
 
+# A joint that covered less than this share has perhaps met one stop only: half of what is missing is the error of its
+# zero, 3 deg for a joint of 200 deg. Its stops then count when it came to both twice.
+CERTAIN_SHARE = 0.97
+
+# A stop is met at the same position again, by hand within 2 deg; a hand that turns round before it is not so exact.
+SAME_STOP_TICKS = 20
+
+# A joint has left its stop at this distance from it, 9 deg.
+LEFT_STOP_TICKS = 100
+
 # lerobot's format takes MIDDLE_TICK for the middle of the joint that turns freely; further off (9 deg) its zero would
 # be wrong.
 FREE_MIDDLE_WITHIN_TICKS = 100
+
+
+class _End:
+    """One end of a joint's way, and the visits to it; positions grow towards the end [ticks]."""
+
+    def __init__(self, position: int) -> None:
+        self._stop = position
+        self._left = False
+        self.visits = 1
+
+    def add(self, position: int) -> None:
+        if position > self._stop + SAME_STOP_TICKS or (self.visits == 1 and not self._left and position > self._stop):
+            self._stop, self._left, self.visits = position, False, 1
+        elif position < self._stop - LEFT_STOP_TICKS:
+            self._left = True
+        elif self._left and position >= self._stop - SAME_STOP_TICKS:
+            self._left = False
+            self.visits += 1
 
 
 class Sweep:
@@ -40,6 +68,7 @@ class Sweep:
         self.lowest = dict(ticks)
         self.highest = dict(ticks)
         self.present = dict(ticks)
+        self._ends = {servo_id: (_End(-position), _End(position)) for servo_id, position in ticks.items()}
 
     def add(self, ticks: Mapping[int, int]) -> None:
         """Add positions of some servos, by id [ticks]; a joint must turn by less than half a turn between readings."""
@@ -50,10 +79,17 @@ class Sweep:
             self.present[servo_id] = position
             self.lowest[servo_id] = min(self.lowest[servo_id], position)
             self.highest[servo_id] = max(self.highest[servo_id], position)
+            lower_end, upper_end = self._ends[servo_id]
+            lower_end.add(-position)
+            upper_end.add(position)
 
     def width(self, servo_id: int) -> int:
         """Return the width of a servo's range [ticks]."""
         return self.highest[servo_id] - self.lowest[servo_id]
+
+    def came_twice(self, servo_id: int) -> bool:
+        """Return True for a servo that came to both ends of its range at least twice."""
+        return all(end.visits > 1 for end in self._ends[servo_id])
 
 
 def expected_width(servo: ServoSpec) -> int:
@@ -103,11 +139,7 @@ def calibrate(servos: Sequence[ServoSpec], swept: Swept, *, recentre: bool) -> C
 
 
 def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Placed:
-    """Place the swept range of a joint with stops within the turn.
-
-    Args:
-        offset: register HOMING_OFFSET during the sweep [ticks].
-    """
+    """Place the swept range of a joint with stops within the turn; the offset is that during the sweep [ticks]."""
     lowest, highest, width = sweep.lowest[servo.servo_id], sweep.highest[servo.servo_id], sweep.width(servo.servo_id)
     if width < LEAST_SWEEP_TICKS:
         raise CalibrationError(

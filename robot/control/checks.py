@@ -173,14 +173,11 @@ def _curve_refusal(trajectory: Trajectory, bounds: JointBounds, held_rad: Vector
 
 
 def _control_points(trajectory: Trajectory) -> tuple[Vector, Vector, Vector]:
-    """Return the Bezier control points of each span's positions, velocities and accelerations.
+    """Return the Bezier control points of each span's positions, velocities and accelerations: 4, 3 and 2 a span.
 
     The curve stays between them, so a span whose control points keep the limits keeps them. Source: Farin, Curves and
-    Surfaces for CAGD, 5th edition, 4.3 (convex hull property) and 5.3 (derivatives).
-
-    Returns:
-        Positions [rad], velocities [rad/s] and accelerations [rad/s^2]: four, three and two points a span, shape
-        (points, spans, joints) each.
+    Surfaces for CAGD, 5th edition, 4.3 (convex hull property) and 5.3 (derivatives). Each array has the shape (points,
+    spans, joints).
     """
     positions, velocities = trajectory.positions_rad, trajectory.velocities_rad_s
     if len(positions) == 1:
@@ -197,12 +194,8 @@ def _extremes(
 ) -> tuple[Vector, Vector, Vector, Vector]:
     """Return the curve where it may be extreme: at the ends of spans, and where velocity or acceleration is zero.
 
-    Args:
-        spans: index of the sample at which each span begins, shape (k,).
-        columns: joint of each span, likewise.
-
-    Returns:
-        Times [s], positions [rad], velocities [rad/s] and accelerations [rad/s^2], each of shape (k, 5).
+    Spans, by the index of their first sample, and their joints have shape (k,). Times [s], positions [rad], velocities
+    [rad/s] and accelerations [rad/s^2] have shape (k, 5).
     """
     ends = np.minimum(spans + 1, len(trajectory.time_s) - 1)
     # The one sample of a trajectory without spans is at rest.

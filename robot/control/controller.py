@@ -70,13 +70,8 @@ _DIRECTION = {PlaybackDirection.FORWARD: 1.0, PlaybackDirection.PAUSED: 0.0, Pla
 class ArmController:
     """Motion state of one arm; it is relaxed until :meth:`hold`.
 
-    Args:
-        full_torque: largest share of full duty for each joint, shape (joints,).
-        fault: fault latched before, not yet reset.
-        speed_limit: share of the velocity limits that no motion exceeds, until :meth:`change_pace`.
-
-    Attributes:
-        torque_enabled: True while torque is on.
+    The full torque is the largest share of full duty for each joint, shape (joints,). A fault latched before stays
+    latched.
     """
 
     def __init__(
@@ -107,7 +102,7 @@ class ArmController:
         self._loaded = Persistence(len(joint_names))
         self._relieves = bool(np.isfinite(guards.thresholds.relieve_after_s).any())
         self.pace = Pace(speed_limit=speed_limit)
-        self.torque_enabled = False
+        self.torque_enabled = False  # True while torque is on
         self.fault = fault
 
     @property
@@ -189,7 +184,6 @@ class ArmController:
         return ended
 
     def _refusal(self, command: Execute) -> str:
-        """Return the reason to refuse a motion, empty for none."""
         if reason := self._unready():
             return reason
         if not 0.0 < command.torque_share <= 1.0:
@@ -201,13 +195,11 @@ class ArmController:
         )
 
     def _unready(self) -> str:
-        """Return the reason why no motion can begin now, empty for none."""
         if self.fault is not None:
             return f"the arm has a fault: {self.fault}"
         return "" if self.torque_enabled else "the arm is relaxed: enable it first"
 
     def _occupied(self, names: tuple[str, ...]) -> str:
-        """Return the conflict with a motion of the same joints, empty for none."""
         for motion in self._motions + self._braking:
             both = set(motion.joint_names) & set(names)
             if both:
@@ -277,7 +269,6 @@ class ArmController:
 
     @property
     def _rate(self) -> float:
-        """Rate of motions: path time per time, below 0 to go back."""
         return self.pace.speed_factor * _DIRECTION[self.pace.direction]
 
     def _advance(self, measured: Measured, elapsed_s: float) -> None:
@@ -364,7 +355,7 @@ class ArmController:
     def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
         """React to a fault: latch it, or yield; return the ends of motions.
 
-        A latched fault is replaced only by one that takes torque off.
+        A latched fault is replaced only by a fault that takes torque off.
         """
         if self.fault is None or (found.code in RELAXING and self.fault.code not in RELAXING):
             return self.latch(found, measured)

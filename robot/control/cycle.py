@@ -61,17 +61,12 @@ class ErrorCounts:
 
 
 class ControlCycle:
-    """Control cycle on open hardware.
-
-    Attributes:
-        controller: controller of the arm; None until the actuators were surveyed.
-        measured: latest readings; None until every joint has answered.
-    """
+    """Control cycle on open hardware."""
 
     def __init__(self, hardware: HardwareInterface, clock: Callable[[], float]) -> None:
         self.hardware = hardware
-        self.controller: ArmController | None = None
-        self.measured: Measured | None = None
+        self.controller: ArmController | None = None  # None until the actuators were surveyed
+        self.measured: Measured | None = None  # latest readings; None until every joint has answered
         self.errors = ErrorCounts(hardware.joint_names)
         self._clock = clock
         self._writing = True

@@ -74,15 +74,7 @@ class Persistence:
 
 
 class Guards:
-    """Guards of one arm.
-
-    Args:
-        max_voltage_v: highest supply of each servo, infinite without such a limit, shape (joints,) [V].
-
-    Attributes:
-        stalled: joints that push without moving, shape (joints,).
-        lost: joints that are too far behind their goals, shape (joints,).
-    """
+    """Guards of one arm; the highest supply of a servo is infinite without such a limit, shape (joints,) [V]."""
 
     def __init__(
         self,
@@ -109,8 +101,8 @@ class Guards:
         joints = len(self._names)
         self._behind, self._pushing = Persistence(joints), Persistence(joints)
         self._low, self._flagged = Persistence(joints), Persistence(joints)
-        self.stalled = self._none
-        self.lost = self._none
+        self.stalled = self._none  # joints that push without moving, shape (joints,)
+        self.lost = self._none  # joints that are too far behind their goals, shape (joints,)
         self._fresh = True
         self._silent: list[bool] = []
         self._silent_fault: Fault | None = None
@@ -118,14 +110,11 @@ class Guards:
     def check(
         self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float, yielding: Flags | None = None
     ) -> Fault | None:
-        """Check one tick's readings; sets :attr:`stalled` and :attr:`lost`.
+        """Check one tick's readings; return the gravest fault, or None.
 
         Args:
             torque_limit: share of full duty that each may use, shape (joints,).
             yielding: joints for which a stall is no fault, shape (joints,); None for none.
-
-        Returns:
-            Gravest fault, or None.
         """
         last, self._last = self._last, (measured, now_s)
         if last is not None and self._unremarkable(goal_rad, measured, last[0]):
@@ -199,7 +188,6 @@ class Guards:
         return np.asarray(measured.age_s > self.limits.silent_after_s)
 
     def _check_errors(self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> None:
-        """Find the joints that are stalled, and the joints too far behind their goals."""
         error = np.abs(measured.position_rad - goal_rad)
         self.stalled = self._stalling(error, measured, torque_limit, now_s)
         lost_s = self._behind.lasting(error > self.limits.tracking_error_rad, now_s)

@@ -101,7 +101,6 @@ class ArmLoop:
         return self._source.open()
 
     def _drive(self) -> None:
-        """Run ticks until the end."""
         pacer = Pacer(time.monotonic())
         while not self._supervisor.finished():
             skipped = self._between_ticks(pacer)

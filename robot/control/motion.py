@@ -38,18 +38,11 @@ SAME_SPEED_RAD_S = 1e-4
 
 
 class Playback:
-    """Trajectory being played.
+    """Trajectory being played; acceleration limits have shape (joints,) [rad/s^2].
 
     The path time ``s`` runs at ``rate`` seconds a second: 1 while playing, ramped down to 0 to stop, in between for a
     slower motion, below 0 to go back. With q(s) the path, the joints have the velocity rate * q'(s) and the
     acceleration rate^2 * q''(s) + d(rate)/dt * q'(s).
-
-    Args:
-        max_acceleration: limit of each of its joints, shape (joints,) [rad/s^2].
-
-    Attributes:
-        ceiling: fastest rate allowed, in (0, 1].
-        pace: wanted rate, -1 to 1: at 0 the arm waits on its path, below 0 it goes back to the path's start.
     """
 
     def __init__(self, trajectory: Trajectory, max_acceleration: Vector, ceiling: float = 1.0) -> None:
@@ -58,8 +51,8 @@ class Playback:
         self._path_time_s = 0.0
         self._rate = ceiling
         self._stopping = False
-        self.ceiling = ceiling
-        self.pace = 1.0
+        self.ceiling = ceiling  # fastest rate allowed, in (0, 1]
+        self.pace = 1.0  # wanted rate, -1 to 1: at 0 the arm waits on its path, below 0 it goes back to its start
 
     @property
     def finished(self) -> bool:
@@ -117,12 +110,11 @@ class Playback:
         return self.trajectory.sample(self._path_time_s)[0]
 
     def _change_rate(self, elapsed_s: float) -> None:
-        """Bring the rate nearer to the wanted one."""
         wanted = 0.0 if self._stopping else max(min(self.pace, self.ceiling), -self.ceiling)
         if self._rate == wanted and wanted >= 0.0:
             return
         if wanted < 0.0:
-            # A path may begin in motion: the way back then ends in time for what is left of it, tick by tick.
+            # A path may begin in motion: the way back then ends in time for the rest of it, tick by tick.
             fastest = min(self._largest_change(elapsed_s, direction) for direction in (1.0, -1.0))
             change = fastest * elapsed_s
             wanted = max(wanted, 0.5 * change - math.sqrt(0.25 * change**2 + 2.0 * fastest * self._path_time_s))
@@ -149,11 +141,7 @@ class Playback:
 class Motion(Playback):
     """Motion in progress: the playback of a command until its joints have settled or stopped.
 
-    Args:
-        goal_tolerance_rad: tolerance of each of the arm's joints, shape (joints,) [rad]; None for that of ``limits``.
-
-    Attributes:
-        columns: indices of its joints in the controller's arrays.
+    The goal tolerance is of each of the arm's joints, shape (joints,) [rad]; None for the limits' tolerance.
     """
 
     def __init__(
@@ -167,6 +155,7 @@ class Motion(Playback):
     ) -> None:
         self.command = command
         self._limits = limits
+        # Indices of its joints in the controller's arrays.
         self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.trajectory.joint_names])
         wanted = np.full(len(names), limits.goal_tolerance_rad) if goal_tolerance_rad is None else goal_tolerance_rad
         self._tolerance_rad = wanted[self.columns]
@@ -223,9 +212,7 @@ class Motion(Playback):
     def step(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
         """Advance by a time step, and return the goals of its joints, shape (joints,) [rad].
 
-        Args:
-            rate: wanted path time per time, below 0 to go back.
-            fastest: greatest rate allowed.
+        The rate is the wanted path time per time, below 0 to go back, and is bounded by the fastest.
         """
         self.pace, self.ceiling = rate, min(fastest, self._fastest)
         return self.advance(elapsed_s)
@@ -237,7 +224,7 @@ class Motion(Playback):
     def end(self, goal_rad: Vector, position_rad: Vector, now_s: float) -> MotionEnded | None:
         """Return the regular end, None while in progress: stopped, or settled at the goal, or not settled in time.
 
-        Goals and measured positions are those of all joints of the arm [rad].
+        Goals and measured positions are of all joints of the arm [rad].
         """
         if not self.finished:
             return None
@@ -299,7 +286,6 @@ def splice(motions: MutableSequence[Motion | Streaming], motion: Motion) -> Moti
 
 
 def _former(motions: Iterable[Motion | Streaming], command: Execute) -> Motion | None:
-    """Find the motion that a command continues."""
     number = None if command.continues is None else command.continues.motion_id
     found = (one for one in motions if isinstance(one, Motion) and one.motion_id == number)
     return next(found, None)

@@ -32,12 +32,7 @@ Report = Callable[[list[MotionEnded]], None]
 
 
 class Orders:
-    """Orders to one arm on open hardware.
-
-    Args:
-        fault: fault latched before this hardware was opened.
-        report: called with the motions that an order ends.
-    """
+    """Orders to one arm on open hardware, with the fault latched before; the motions that they end are reported."""
 
     def __init__(self, arm: ControlCycle, config: ArmConfig, fault: Fault | None, report: Report) -> None:
         self._arm = arm
@@ -104,7 +99,6 @@ class Orders:
         return controller
 
     def _enable(self, joints: Sequence[int]) -> Steps[None]:
-        """Enable joints at their positions."""
         with self._arm.writing_paused():
             self._arm.hold((yield from self._arm.hardware.enable(joints)))
 
@@ -136,7 +130,6 @@ class Orders:
         return "the arm is relaxed"
 
     def _until_rest(self, controller: ArmController) -> Steps[None]:
-        """Wait for the joints that still brake."""
         for _ in range(POLLS):
             if not controller.moving:
                 break

@@ -27,16 +27,11 @@ ROUNDING = 1e-9
 
 
 class Pacer:
-    """Pacer with absolute deadlines; a missed tick is skipped, never made up for.
-
-    Attributes:
-        deadline_s: monotonic time at which the next tick is due [s].
-        lateness_s: start of the latest ticks after their deadlines [s].
-    """
+    """Pacer with absolute deadlines; a missed tick is skipped, never made up for."""
 
     def __init__(self, now_s: float) -> None:
-        self.deadline_s = now_s + PERIOD_S
-        self.lateness_s: deque[float] = deque(maxlen=TICKS_KEPT)
+        self.deadline_s = now_s + PERIOD_S  # monotonic time at which the next tick is due [s]
+        self.lateness_s: deque[float] = deque(maxlen=TICKS_KEPT)  # start of the latest ticks after their deadlines [s]
 
     def start_tick(self, now_s: float) -> None:
         """Record the start of the tick that was due, and set the next deadline."""
@@ -77,8 +72,7 @@ class LoopClock:
     def start_tick(self, machine_s: float, at_most_s: float = MAX_TICK_S) -> None:
         """Mark the start of a tick at a time of the machine [s]; the machine's time passes by itself.
 
-        Args:
-            at_most_s: longest time that may pass for a simulated arm; more after skipped ticks [s].
+        A simulated arm's time passes by ``at_most_s``, more after skipped ticks [s].
         """
 
     @property

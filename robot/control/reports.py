@@ -26,9 +26,8 @@ def arm_state(
 ) -> ArmState:
     """Build the state of the arm at its latest reading.
 
-    Args:
-        reason: sentence on an arm that is connected but not ready.
-        lateness_s: lateness of the ticks since the last state [s].
+    The reason is a sentence on an arm that is connected but not ready; the lateness is of the ticks since the last
+    state.
     """
     measured, controller = arm.measured, arm.controller
     if measured is None:

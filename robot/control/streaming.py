@@ -29,11 +29,7 @@ SETPOINT_LASTS_S = 0.1
 class Streaming:
     """Stream in progress, with the interface of :class:`robot.control.motion.Motion`.
 
-    Args:
-        held_rad: goals at which the arm holds, shape (joints,) [rad].
-
-    Attributes:
-        columns: indices of its joints in the controller's arrays.
+    It begins where the arm holds, shape (joints,) [rad].
     """
 
     gripping = False
@@ -101,9 +97,8 @@ class Streaming:
     def step(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
         """Advance by a time step, and return the goals of its joints, shape (joints,) [rad].
 
-        Args:
-            rate: share of the setpoints' speed; a stream cannot go back, so it waits below 0.
-            fastest: greatest share allowed.
+        The rate is a share of the setpoints' speed, bounded by the fastest; a stream cannot go back, so it waits below
+        0.
         """
         self._at_s += elapsed_s
         self._silence_s += elapsed_s
@@ -126,15 +121,7 @@ class Streaming:
 
 
 class VelocityTracking:
-    """Positions of joints that follow target velocities.
-
-    Args:
-        position_rad: positions at rest, shape (joints,) [rad].
-
-    Attributes:
-        position_rad: position goals now, shape (joints,) [rad].
-        velocity_rad_s: velocity goals now, shape (joints,) [rad/s].
-    """
+    """Positions of joints that follow target velocities, from rest at some positions, shape (joints,) [rad]."""
 
     def __init__(self, bounds: JointBounds, position_rad: Vector) -> None:
         joints = len(position_rad)
@@ -175,7 +162,6 @@ class VelocityTracking:
         return self.position_rad
 
     def _plan(self) -> None:
-        """Compute the profiles from the present goals on."""
         moving = self._target_rad_s != 0.0
         given = self._input
         given.current_position = self.position_rad.tolist()

@@ -105,12 +105,7 @@ def stays_at_rest(hardware: HardwareConfig) -> bool:
 class Supervisor:
     """Supervisor of the arm of one arm process.
 
-    Args:
-        send: sends a message to the server; its second argument says that the message may be dropped while the server
-            does not read.
-
-    Attributes:
-        arm: control cycle on the open hardware; None while disconnected.
+    It sends messages to the server, with True for a message that may be dropped while the server does not read.
     """
 
     def __init__(self, config: ArmConfig, send: Send, clock: LoopClock, scheduling: Scheduling) -> None:
@@ -124,7 +119,7 @@ class Supervisor:
         self._watchdog_s = max(config.watchdog_s, least_s)
         self._heard_s = clock()
         self._log_limiter = LogLimiter(SILENCE_BURST, SILENCE_LINES_PER_S)
-        self.arm: ControlCycle | None = None
+        self.arm: ControlCycle | None = None  # on the open hardware; None while disconnected
         self._orders: Orders | None = None
         self._task: _Task | None = None
         self._fault: Fault | None = config.fault
@@ -481,8 +476,6 @@ class Supervisor:
 
 @dataclass
 class _Task:
-    """Sequence in progress."""
-
     name: str
     steps: Steps[str]
     number: int | None  # of the command to answer; None for a sequence that no command began

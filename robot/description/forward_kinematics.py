@@ -42,8 +42,7 @@ class ForwardPlacements:
     def transforms(self, positions_rad: Mapping[str, float]) -> dict[str, Vector]:
         """Compute ``transform_link_to_root`` of every link, by name, shape (4, 4) [m].
 
-        Args:
-            positions_rad: position of every movable joint [rad, or m of a prismatic one].
+        Positions are of every movable joint [rad, or m of a prismatic one].
         """
         placed = {self._root: np.eye(4)}
         for step in self._steps:
@@ -65,7 +64,7 @@ class ForwardPlacements:
 class _Step:
     """Joint with its fixed transform to the parent link and its axis, and the joint that it follows, as all do.
 
-    Most follow themselves; one that does not move follows none.
+    Most follow themselves; a fixed joint follows no joint.
     """
 
     parent: str

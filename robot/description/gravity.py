@@ -43,11 +43,7 @@ class LinkWeights:
     def holding_torques(self, position_rad: Mapping[str, float]) -> dict[str, float]:
         """Compute the torque of each movable joint that balances the links' weight, the gradient of their energy.
 
-        Args:
-            position_rad: position of every movable joint [rad, or m of a prismatic one].
-
-        Returns:
-            Joint name to torque [Nm], or force of a prismatic joint [N].
+        Positions are of every movable joint [rad or m]; torques are by joint [Nm, or N of a prismatic one].
         """
         transforms = self._forward.transforms(position_rad)
         weighed = {link: (mass, transforms[link] @ centre) for link, (mass, centre) in self._masses.items()}

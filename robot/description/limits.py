@@ -80,13 +80,9 @@ class JointBounds:
         )
 
     def within_servos(self, calibration: Calibration, angle_limits_ticks: Mapping[int, tuple[int, int]]) -> JointBounds:
-        """Narrow the soft limits to the servos' own angle limits, less the margin.
+        """Narrow the soft limits to the servos' own angle limits by id [ticks], less the margin; (0, 0) means none.
 
-        Args:
-            angle_limits_ticks: registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT by servo id; (0, 0) means none.
-
-        Raises:
-            DescriptionError: nothing is left of a joint's range.
+        Raises DescriptionError where nothing is left of a joint's range.
         """
         ranges = [_range_of_servo(joint, angle_limits_ticks[joint.servo_id]) for joint in calibration.joints]
         lower = np.maximum(self.lower_rad, [low for low, _ in ranges])

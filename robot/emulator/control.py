@@ -181,11 +181,7 @@ class CommandStream:
 
 
 def json_object(line: bytes) -> dict[str, object]:
-    """Parse a line of JSON.
-
-    Raises:
-        ValueError: it is not a JSON object.
-    """
+    """Parse a line of JSON; raises ValueError for anything but a JSON object."""
     try:
         values = json.loads(line)
     except json.JSONDecodeError as error:
@@ -201,8 +197,7 @@ C = TypeVar("C", bound=LiveCommand)
 def check(model: type[C], values: Mapping[str, object], servos: Sequence[FeetechServo]) -> C:
     """Check commands for some servos; nothing is changed yet.
 
-    Raises:
-        ValueError: there is no such command, or not with this value; the text names field, limit and value.
+    Raises ValueError for an unknown command, or a value that it does not take; the text names field, limit and value.
     """
     try:
         return model.model_validate(values, context=servos)

@@ -48,11 +48,7 @@ class CommandedPort(InProcessPort):
 class ControlSocket:
     """Unix socket for live commands, one JSON object a line (:mod:`robot.emulator.control`).
 
-    Args:
-        path: path of the socket; one left by an ended process is replaced.
-
-    Raises:
-        OSError: something else is there, or the socket cannot be created.
+    A socket that an ended process has left is replaced. Raises OSError where something else is in its place.
     """
 
     def __init__(self, path: Path) -> None:

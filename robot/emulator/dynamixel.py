@@ -245,7 +245,6 @@ class DynamixelServo(EmulatedServo[Register]):
             self.set(Register.BUS_WATCHDOG, WATCHDOG_TRIPPED)
 
     def _reset_limits(self) -> None:
-        """Set the limits of the torque to their greatest values."""
         self.memory.set(Register.GOAL_PWM, self.value(Register.PWM_LIMIT))
         self.memory.set(Register.GOAL_CURRENT, self.value(Register.CURRENT_LIMIT))
 
@@ -258,7 +257,6 @@ class DynamixelServo(EmulatedServo[Register]):
         self._turns_ticks = math.floor(self.plant.position_ticks / TICKS_PER_TURN) * TICKS_PER_TURN
 
     def _refusal(self, register: Register, value: int) -> int:
-        """Return the number of the error of a write, 0 for none."""
         area, has_register = LAYOUT[register].area, self.model.has_current or register not in _CURRENT_REGISTERS
         if area is Area.READ_ONLY or not has_register or (area is Area.EEPROM and self.value(Register.TORQUE_ENABLE)):
             return ACCESS_ERROR
@@ -329,7 +327,7 @@ class DynamixelServo(EmulatedServo[Register]):
         return self.plant.current_a / STALL_CURRENT_A * FULL_DUTY_PERMILLE
 
     def _follow_status(self) -> None:
-        """Show the errors until a reboot; those of SHUTDOWN switch torque off."""
+        """Show the errors until a reboot; errors in register SHUTDOWN switch torque off."""
         errors = sum(bit for flag, bit in _BITS.items() if self.protection.status & flag)
         self.memory.set(Register.HARDWARE_ERROR_STATUS, errors)
         if errors & self.value(Register.SHUTDOWN):

@@ -16,11 +16,7 @@ SERVO_IDS = range(0xFD)
 
 @dataclass
 class Faults:
-    """Probabilities of faults, and servos off the bus; may be changed while the bus runs.
-
-    Attributes:
-        random: random generator of the faults.
-    """
+    """Probabilities of faults, and servos off the bus; may be changed while the bus runs."""
 
     drop: float = 0.0  # probability that a reply is lost
     corrupt: float = 0.0  # probability that one byte of a reply is wrong

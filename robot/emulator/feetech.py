@@ -110,7 +110,7 @@ _WRITABLE = frozenset(range(Register.ID, MEMORY_BYTES)) - {
 class FeetechServo(EmulatedServo[Register]):
     """STS3215 on the bus, from power-up on.
 
-    The EPROM that it is given has the registers that differ from those of a new servo.
+    The EPROM that it is given has the registers that differ from a new servo's.
     """
 
     table = TABLE
@@ -334,11 +334,7 @@ FEETECH = FeetechCodec()
 def emulated_feetech_arm(
     robot: RobotModel, config: EmulatedConfig, bounds: JointBounds, limits: GuardLimits, clock: Callable[[], float]
 ) -> EmulatedArm[FeetechServo]:
-    """Build the emulated Feetech servos of an arm.
-
-    Raises:
-        OSError: the log or the control socket cannot be created.
-    """
+    """Build the emulated Feetech servos of an arm; raises OSError where log or control socket cannot be created."""
     population = POPULATIONS[config.population]
     servos = build_servos(config.calibration, start_pose_rad(config), population, as_read=config.resumes)
     holds = config.driven and (config.resumes or not population.has_shifted)
@@ -357,11 +353,8 @@ def build_servos(
 ) -> list[FeetechServo]:
     """Build the arm's servos at a pose [rad]; the calibrated ranges are the joints' mechanical stops.
 
-    ``as_read`` is True if the pose is the one that the calibration makes of the servos' readings, which may have
-    another zero.
-
-    Raises:
-        ValueError: the pose has another number of joints, or lies outside the ranges.
+    ``as_read`` is True for the pose that the calibration makes of the servos' readings, which may have another zero.
+    Raises ValueError for another number of joints, and for a pose outside the ranges.
     """
     if len(start_rad) != len(calibration.joints):
         raise ValueError(f"the start pose needs {len(calibration.joints)} positions, not {len(start_rad)}")

@@ -67,11 +67,7 @@ class Drive:
 
 @dataclass
 class Plant:
-    """Joint driven by one servo.
-
-    Attributes:
-        at_rest: True if the joint did not move in the latest step, and will not until something changes.
-    """
+    """Joint driven by one servo."""
 
     position_ticks: float  # position, as the encoder counts
     lower_stop_ticks: float  # mechanical end
@@ -87,7 +83,7 @@ class Plant:
         self._profile_ticks = self.position_ticks
         self._profile_velocity_ticks_s = 0.0
         self._walls_ticks = (self.lower_stop_ticks, self.upper_stop_ticks)
-        self.at_rest = False
+        self.at_rest = False  # True if it did not move in the latest step, and will not until something changes
         self._rested_under: tuple[object, ...] = ()
 
     @property
@@ -150,7 +146,6 @@ class Plant:
         self.position_ticks = reached
 
     def _advance_profile(self, dt_s: float, drive: Drive) -> None:
-        """Advance the internal goal along a trapezoidal profile."""
         distance = drive.goal_ticks - self._profile_ticks
         speed = min(drive.velocity_ticks_s, math.sqrt(2.0 * drive.acceleration_ticks_s2 * abs(distance)))
         change = math.copysign(speed, distance) - self._profile_velocity_ticks_s

@@ -74,7 +74,7 @@ class UsbAdapter(Adapter):
 
     @property
     def baudrate(self) -> int:
-        """Baud rate that the host has set; 0 for one that no servo has, or while unplugged."""
+        """Baud rate that the host has set; 0 for a rate without servos, or while unplugged."""
         return 0 if self._terminal is None else _BAUDRATES.get(termios.tcgetattr(self._terminal[1])[_OSPEED], 0)
 
     def plug_in(self, *, renamed: bool = False) -> None:
@@ -239,14 +239,8 @@ def build_rehearsal(options: argparse.Namespace, bus: ServoBus[FeetechServo]) ->
 def run(options: argparse.Namespace, control_descriptor: int | None = None) -> None:
     """Run an emulator until a signal or its controlling process ends it.
 
-    Args:
-        options: of :func:`add_options`.
-        control_descriptor: socket to a controlling process; None for a person at standard input and output.
-
-    Raises:
-        CalibrationError: the calibration cannot be used.
-        ValueError: the start pose or the script is invalid, or there is no script to repeat.
-        OSError: a file cannot be read or written, or no pseudo terminal can be opened.
+    The descriptor is a socket to a controlling process; None for a person at standard input and output. Raises
+    CalibrationError, ValueError for a start pose or script that cannot be, and OSError for files and pseudo terminals.
     """
     _end_on_signals(controlled=control_descriptor is not None)
     with contextlib.ExitStack() as resources:
@@ -322,7 +316,6 @@ class Control:
         self._gone = not data or self._stream.overlong
 
     def _say(self, line: bytes) -> None:
-        """Send one line; dropped when the controller has ended."""
         with contextlib.suppress(OSError):
             os.write(self._writer, line)
 

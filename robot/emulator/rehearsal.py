@@ -60,8 +60,7 @@ class TimedCommand:
 class Rehearsal:
     """Schedule of commands in the order of their times, perhaps without any.
 
-    Raises:
-        ValueError: it repeats, but is shorter than :data:`MIN_REPEATED_S`.
+    Raises ValueError for a schedule that repeats, but is shorter than :data:`MIN_REPEATED_S`.
     """
 
     def __init__(self, commands: Sequence[TimedCommand] = (), *, repeats: bool = False) -> None:
@@ -101,11 +100,10 @@ class ScriptLine(LiveCommand):
 
 
 def read_script(path: Path, bus: ServoBus[FeetechServo]) -> tuple[TimedCommand, ...]:
-    """Read a script and check all of its commands.
+    """Read a script and check all of its commands; raises OSError for a file that cannot be read.
 
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: a line is not a command with a time later than the line before; the text names file and line.
+    Raises ValueError for a line that is no command with a later time than the line before; the text names file and
+    line.
     """
     commands: list[TimedCommand] = []
     for number, line in enumerate(path.read_bytes().splitlines(), start=1):

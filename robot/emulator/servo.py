@@ -258,8 +258,7 @@ class EmulatedServo(ABC, Generic[RegisterT]):
     def hold(self, torque_share: float | None = None) -> None:
         """Hold the present position, as an arm process leaves a servo.
 
-        Args:
-            torque_share: limit of the motor's duty as a share of its full one; None for the present limit.
+        The torque share limits the motor's duty; None for the present limit.
         """
         if torque_share is not None:
             self.memory.set(self.torque_limit, round(torque_share * self.full_torque))
@@ -318,7 +317,6 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         return self.plant.duty_permille
 
     def _follow_registers(self) -> None:
-        """Bring everything that depends on registers up to date."""
         self.servo_id, baud_rate = self.named("ID"), self.named("BAUD_RATE")
         self.baudrate = self.baudrates[baud_rate] if baud_rate < len(self.baudrates) else 0
         self.return_delay_s = self.value(self.return_delay) * RETURN_DELAY_UNIT_S

@@ -167,18 +167,11 @@ class ServoBus(Generic[S]):
             self._weigh()
 
     def receive(self, data: bytes, now_s: float, baudrate: int = BAUDRATE) -> list[Reply]:
-        """Receive bytes from the host.
+        """Receive bytes from the host at a monotonic time [s]; return the replies, which a collision may cut.
 
         Bytes that collide with replies still on the wire are lost, and so is the rest of those replies. Instructions
-        that arrive together wait for the replies to the one before: the gaps between them are not known here.
-
-        Args:
-            data: bytes from the host.
-            now_s: monotonic time [s].
-            baudrate: baud rate of the host; 0 for one that no servo has.
-
-        Returns:
-            Replies; they may be cut by a collision until they have passed the wire.
+        that arrive together wait for the replies to the one before: the gaps between them are not known here. No servo
+        has a baud rate of 0.
         """
         self.advance(now_s)
         if self._on_wire and now_s < self._on_wire[-1].end_s:
@@ -203,7 +196,6 @@ class ServoBus(Generic[S]):
             self.log.record_command(self._now_s, command, self.servos)
 
     def _execute(self, instruction: Instruction, baudrate: int) -> None:
-        """Carry out an instruction on the servos that hear it, and put their replies on the wire."""
         hearers = [
             servo
             for servo in self.servos
@@ -244,7 +236,6 @@ class ServoBus(Generic[S]):
                     yield answer._replace(servo_id=servo_id)
 
     def _execute_on(self, servo: S, instruction: Instruction, written: Written) -> Answer | None:
-        """Carry out an instruction on one of its receivers; return its reply."""
         parameters, word_bytes = instruction.parameters, self._codec.word_bytes
         if instruction.error:
             return Answer(servo, instruction.error)

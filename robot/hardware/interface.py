@@ -129,13 +129,9 @@ class Condition:
 class HardwareInterface(ABC):
     """Actuators of one arm, from opening to :meth:`close`.
 
-    Every method may raise PortLost when the connection to the actuators is gone. Sequences (``Steps``) leave the
-    hardware free between their steps and may be given up there.
-
-    Args:
-        joint_names: order of every array.
-        full_torque: share of full duty that each joint may use at most, shape (joints,); a survey lowers it to what the
-            actuators are set to give.
+    Every method may raise PortLost when the connection to the actuators is gone, and every sequence (``Steps``) NoReply
+    when one of them does not answer. Sequences leave the hardware free between their steps and may be given up there.
+    The full torque is the share of full duty that each joint may use at most, shape (joints,); a survey lowers it.
     """
 
     def __init__(self, joint_names: tuple[str, ...], full_torque: Vector) -> None:
@@ -150,10 +146,8 @@ class HardwareInterface(ABC):
     def survey(self) -> Steps[Survey]:
         """Survey every actuator without writing to it.
 
-        Raises:
-            StartupError: actuators cannot be taken over in their present state; the text says which, and what to do.
-            NoReply: an actuator stopped answering.
-            DescriptionError: an actuator's own limits leave nothing of its joint's range.
+        Raises StartupError where actuators cannot be taken over in their present state; the text says which, and what
+        to do. Raises DescriptionError where an actuator's own limits leave nothing of its joint's range.
         """
 
     @abstractmethod
@@ -177,19 +171,15 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def driven(self) -> Steps[Flags]:
-        """Read the joints whose torque is on, shape (joints,); raises NoReply."""
+        """Read the joints whose torque is on, shape (joints,)."""
 
     @abstractmethod
     def enable(self, joints: Sequence[int]) -> Steps[Vector]:
         """Switch torque on at some indices without a jump; joints that hold already keep their goals.
 
-        Returns:
-            Goals of all joints, positions for those that do not hold, shape (joints,) [rad].
-
-        Raises:
-            StartupError: the arm moves, stands outside its limits or does not take a value; joints relaxed before are
-                relaxed again.
-            NoReply: a joint does not answer; as above.
+        Return the goals of all joints, positions for those that do not hold, shape (joints,) [rad]. Raises StartupError
+        where the arm moves, stands outside its limits or does not take a value; then, and after NoReply, joints relaxed
+        before are relaxed again.
         """
 
     @abstractmethod
@@ -214,23 +204,14 @@ class HardwareInterface(ABC):
     def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:
         """Clear the status flags of :attr:`latched_status` at some indices, where the joints are.
 
-        Returns:
-            Goals of all joints, shape (joints,) [rad]; None when nothing holds.
-
-        Raises:
-            StartupError: a joint does not take a value.
-            NoReply: a joint does not answer.
+        Return the goals of all joints, shape (joints,) [rad]; None when nothing holds. Raises StartupError.
         """
 
     def write_calibration(self, calibration: Calibration) -> Steps[str]:  # noqa: ARG002 - for those who can
         """Write a calibration into the actuators, whose torque is off; positions keep the old one until a restart.
 
-        Return a sentence on what was written.
-
-        Raises:
-            OrderRefused: these actuators keep no calibration of this kind.
-            StartupError: an actuator does not take a value.
-            NoReply: an actuator does not answer.
+        Return a sentence on what was written. Raises OrderRefused for actuators without a calibration, and
+        StartupError.
         """
         yield 0.0
         raise OrderRefused(CALIBRATION_NOT_KEPT)

@@ -46,8 +46,8 @@ READ_BYTES = 4096
 MAX_CLEARING_READS = 16
 
 # Latency of replies through the host's own serial port (USB frames, scheduling) and through a network. Behind a pseudo
-# terminal is a program, which replies when it gets its turn: on two cores of which a virtual machine's host took half,
-# one reply in a hundred came 0.2 s late.
+# terminal is a program, which replies when it gets its turn: on two cores, half of them taken by a virtual machine's
+# host, one reply in a hundred came 0.2 s late.
 LOCAL_LATENCY_S = 0.005
 NETWORK_LATENCY_S = 0.05
 TERMINAL_LATENCY_S = 0.3
@@ -100,10 +100,9 @@ def wire_time_s(byte_count: int, baudrate: int) -> float:
 
 
 def resolve_port(port: str) -> str:
-    """Find the device to open: a path or URL as it is, or the board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``.
+    """Find the device to open: a path or URL unchanged, or the board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``.
 
-    Raises:
-        PortError: no such board is plugged in, or more than one.
+    Raises PortError for no such board, and for several.
     """
     if port == AUTO:
         return find_board()
@@ -115,9 +114,8 @@ def resolve_port(port: str) -> str:
 def open_port(port: str, baudrate: int) -> SerialPort:
     """Open a serial port for this process alone: a device path, or a pyserial URL such as ``socket://host:port``.
 
-    Raises:
-        PortError: it cannot be opened; PortNotFound, PortPermission and PortBusy are the usual reasons.
-        ValueError: no servo knows the baud rate.
+    Raises PortError, usually PortNotFound, PortPermission or PortBusy, and ValueError for a baud rate that no servo
+    has.
     """
     handler = SerialPort(port)
     if not handler.setBaudRate(baudrate):
@@ -200,7 +198,6 @@ class SerialPort(PortHandler):
         return data
 
     def _write_at_once(self, data: bytes) -> int:
-        """Write what the device takes at once; return the number of bytes."""
         if self._descriptor is None:
             return 0
         try:
@@ -239,7 +236,6 @@ def _open_line(port: str, baudrate: int) -> serial.Serial:
 
 
 def _refusal(port: str, code: int | None, reason: str) -> PortError:
-    """Return the error for a port that could not be opened."""
     if code in _NOT_FOUND:
         return PortNotFound(port)
     if code in _PERMISSION:
@@ -252,7 +248,7 @@ def _refusal(port: str, code: int | None, reason: str) -> PortError:
 def _owning_group(port: str) -> str:
     """Return the group that may open a device, its number if it has no name here.
 
-    A device of root alone, or one that cannot be asked, gets Debian's group, which udev rules give it.
+    A device of root alone, or without an answer, gets Debian's group, which udev rules give it.
     """
     try:
         number = os.stat(port).st_gid  # noqa: PTH116 - a port may be a URL

@@ -132,6 +132,9 @@ class _Conversation:
                 terminal.say(_calibration_table(session.calibration))
                 for finding in session.findings:
                     terminal.say(f"* {finding}")
+                if session.to_mend:
+                    terminal.say(f"nothing is written: mend {', '.join(session.to_mend)}, then calibrate again")
+                    return ExitCode.PROBLEMS
             try:
                 act = session.answer(self._answer(step))
             except CalibrationError as error:

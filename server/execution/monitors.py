@@ -18,8 +18,9 @@ from planners.problem import (
 )
 from planners.scene import Scene
 from protocol.messages import Stamp
+from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
-from robot.messages import ArmState, Mode
+from robot.messages import Mode
 from server.errors import RefusedError
 
 # Services that refusals name as the remedy.
@@ -30,21 +31,10 @@ ENABLE, RESET_FAULT = "/arm/enable", "/arm/reset_fault"
 ARM_START_TIMEOUT_S = 60.0
 
 
-class StatedArm(Protocol):
-    """Arm with a state, as `robot.arm.Arm`."""
-
-    @property
-    def state(self) -> ArmState:
-        """The latest state."""
-
-    def part(self, joint_names: Collection[str]) -> StatedArm:
-        """Return the arm, or the arms together, that have some joints."""
-
-
 class CurrentState:
     """Current joint positions."""
 
-    def __init__(self, arm: StatedArm, robot: RobotModel) -> None:
+    def __init__(self, arm: AnyArm, robot: RobotModel) -> None:
         self._arm = arm
         self._frame = robot.root_link
 
@@ -92,21 +82,7 @@ def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -
     }
 
 
-class ReadArm(Protocol):
-    """Arm with a state and its age, as `robot.arm.Arm`."""
-
-    state_max_age_s: float
-
-    @property
-    def state(self) -> ArmState:
-        """The latest state."""
-
-    @property
-    def state_age_s(self) -> float:
-        """Time since the latest state came [s]."""
-
-
-def check_ready(arm: ReadArm) -> None:
+def check_ready(arm: AnyArm) -> None:
     """Check that a motion can begin now."""
     state, age_s = arm.state, arm.state_age_s
     if state.mode is Mode.DISCONNECTED:
@@ -185,7 +161,7 @@ class SceneMonitor:
                 break
         self._checked_version = scene.version
         if isinstance(answer, PlanningFailure):
-            message = f"whether the motion is free cannot be told: {answer.message}"
+            message = f"the motion cannot be checked for contacts: {answer.message}"
             raise RefusedError(PlanningFailure(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, answer.details))
         if answer.contact is not None:
             raise RefusedError(answer.contact)

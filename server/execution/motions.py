@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -66,11 +66,7 @@ class PlannedMotion:
 
 @dataclass(frozen=True)
 class ExternalTrajectory:
-    """Trajectory that a client has planned.
-
-    Attributes:
-        trajectory: makes it for the positions that the arm holds, or raises RefusedError.
-    """
+    """Trajectory that a client has planned."""
 
     trajectory: Callable[[Positions], Trajectory]
     joints: Joints
@@ -84,7 +80,6 @@ class Performed:
     """Motions planned and executed for a goal.
 
     Attributes:
-        start_rad: position of every movable joint at the start of the first motion [rad].
         executed: the path of the arm by its readings; None when it did not move.
         planning_time_s: time spent on planning [s].
     """
@@ -95,11 +90,8 @@ class Performed:
     planning_time_s: float = 0.0
 
 
-class AskPlanner(Protocol):
-    """Function that has a planner answer, as `planners.interface.Planners.ask` does."""
-
-    def __call__(self, request: Problem, scene: Scene, /) -> Awaitable[Plan | CartesianPlan | PlanningFailure]:
-        """Plan a motion in a scene."""
+# Has a planner answer, as `planners.interface.Planners.ask` does.
+AskPlanner: TypeAlias = Callable[[Problem, Scene], Awaitable[Plan | CartesianPlan | PlanningFailure]]
 
 
 @dataclass(frozen=True)
@@ -108,7 +100,6 @@ class PlannedSequence:
 
     Attributes:
         failure: the reason why the next motion is missing; None when all were found.
-        problem: the problem without a plan; None when there is none.
     """
 
     performed: Performed
@@ -151,11 +142,7 @@ class PlannedSequence:
 
 
 async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scene, ask: AskPlanner) -> PlannedSequence:
-    """Plan all steps, or those before the first that cannot be planned.
-
-    Args:
-        start_rad: position of every movable joint at the start of the first [rad].
-    """
+    """Plan all steps, or those before the first that cannot be planned."""
     now_rad, planned = dict(start_rad), PlannedSequence(Performed(start_rad))
     for number, step in enumerate(steps):
         problem = None
@@ -262,7 +249,7 @@ def splice_point_of(
     """Return the point at which a motion can be replaced; None if it is paused, reverses or ends soon.
 
     Args:
-        progress: its progress by the arm's latest state; None for one that is not in progress.
+        progress: its progress by the arm's latest state; None where it is not in progress.
         age_s: time since the state came [s].
     """
     if progress is None or pace.direction is not PlaybackDirection.FORWARD:
@@ -278,9 +265,6 @@ def splice_point_of(
 
 def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: RobotModel) -> Trajectory:
     """Lead a motion in from where the arm holds, when that is near its start.
-
-    Args:
-        held_rad: position of every joint of the motion [rad].
 
     Returns:
         The motion with the way to its start before it; the motion itself when the arm holds at its start.
@@ -331,7 +315,7 @@ def _too_far(motion: Trajectory, held: np.ndarray, worst: int, robot: RobotModel
         PlanningFailure(
             MoveItErrorCode.CONTROL_FAILED,
             f"the motion starts with joint {name} at {start_rad:.4f} {unit}, but the arm holds it at {held_rad:.4f}"
-            f" {unit} (tolerance {START_TOLERANCE_RAD} {unit}): plan it anew from here",
+            f" {unit} (tolerance {START_TOLERANCE_RAD} {unit}): plan it again from here",
             {"joint": name, "start_rad": start_rad, "held_rad": held_rad, "tolerance_rad": START_TOLERANCE_RAD},
         )
     )

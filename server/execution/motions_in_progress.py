@@ -27,7 +27,7 @@ class MotionInProgress:
 
 
 class MotionsInProgress:
-    """Motions of all goals, by which the motions of some joints are planned around those of others.
+    """Motions of all goals, by which motions of some joints are planned around motions of others.
 
     Attributes:
         turn: held by the goal that is being planned, so that the next one knows where its motions end.
@@ -65,7 +65,6 @@ class MotionsInProgress:
         """Return where the joints will hold when every motion of others, begun or announced, has ended [rad].
 
         Args:
-            held_rad: position of every movable joint that the arm holds now [rad].
             joints: those for which this is asked; they are where they hold now.
         """
         expected_rad = dict(held_rad)
@@ -89,9 +88,6 @@ def meeting_question(
     """Return the question to planners if a motion may touch one in progress.
 
     The whole of the other is asked about, not its rest alone: paused motions can be sent back to where they began.
-
-    Args:
-        expected_rad: position of every movable joint when all motions have ended [rad].
     """
     moving = {*first.joint_names, *second.trajectory.joint_names}
     others_rad = {name: value for name, value in expected_rad.items() if name not in moving}

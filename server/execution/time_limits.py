@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from planners.problem import MoveItErrorCode, PlanningFailure
+from robot.arm_group import AnyArm
 from robot.messages import Pace, PlaybackDirection
 from server.errors import RefusedError
 
@@ -37,33 +37,21 @@ class TimeLimits:
         return duration_s * self.scaling + self.margin_s
 
     def check_duration(self, duration_s: float, field: str, code: MoveItErrorCode, advice: str = "") -> None:
-        """Check the planned duration of a goal's motions.
-
-        Args:
-            duration_s: the duration [s].
-        """
+        """Check the planned duration of a goal's motions."""
         if not duration_s <= self.trajectory_s:
             limit_s = self.trajectory_s
             text = f"{field} is {duration_s:.6g} s, longer than goals.max_trajectory_duration_s = {limit_s:g}{advice}"
             raise RefusedError(PlanningFailure(code, text, {"duration_s": duration_s, "limit_s": limit_s}))
 
 
-class TimedArm(Protocol):
-    """Arm with a clock, as `robot.arm.Arm`."""
-
-    @property
-    def clock_s(self) -> float:
-        """Time of the arm's control loop by its latest state [s]."""
-
-
 class ArmClock:
     """Stopwatch on the arm's clock, which runs no faster than this machine's.
 
     A busy machine slows a simulated arm's clock down. A server that stood still itself receives all the arm's time at
-    once, also the time before the arm was told to do something.
+    once, also the time before the arm got its order.
     """
 
-    def __init__(self, arm: TimedArm, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, arm: AnyArm, clock: Callable[[], float] = time.monotonic) -> None:
         self._arm = arm
         self._clock = clock
         self._began_s, self._began_by_arm_s = clock(), arm.clock_s

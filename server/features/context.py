@@ -163,7 +163,6 @@ class ArmContext:
         """Queue a goal for joints of the arm.
 
         Args:
-            positions_rad: joint -> position [rad].
             scaling: share of the velocity and acceleration limits.
 
         Raises:

@@ -19,7 +19,6 @@ from server.moveit.actions.goal_calls import GoalCalls
 from server.moveit.actions.gripper import ACTIONS as GRIPPER_ACTIONS
 from server.moveit.actions.gripper import GripperActions
 from server.moveit.actions.joint_trajectory_controller import (
-    ControllerStatePublisher,
     JointTrajectoryController,
     TrajectoryContext,
 )
@@ -63,14 +62,14 @@ class PlanningScene(Feature):
     def __init__(self, context: ServerContext) -> None:
         planning, graph, settings = context.planning, context.graph, context.settings
         scene, robot = planning.scene_state, planning.robot
-        self._interface = SceneInterface(graph, robot, scene, planning.assumed, planning.current, settings.moveit)
+        self._interface = SceneInterface(graph, scene, planning.assumed, planning.current, settings.moveit)
         self._saved: SavedScene | None = None
         if settings.scene.keep:
             file = SceneFile(settings.scene.file or default_path("planning_scene", robot, os.environ))
-            self._saved = SavedScene(file, scene, robot, graph.message_types)
+            self._saved = SavedScene(file, scene, graph.message_types)
         # Beside the file of the present scene, in a folder of their own.
         folder = default_path("scenes", robot, os.environ).with_suffix("")
-        offer_named_scenes(graph, NamedScenes(folder, scene, robot, graph.message_types), planning.current)
+        offer_named_scenes(graph, NamedScenes(folder, scene, graph.message_types), planning.current)
 
     async def start(self) -> None:
         """Restore the scene of the run before, and keep its changes from now on."""
@@ -91,24 +90,15 @@ class MoveGroup(Feature):
     def __init__(self, context: ServerContext) -> None:
         graph, planning, goals = context.graph, context.planning, context.goals
         robot, moveit = planning.robot, context.settings.moveit
-        self._graph, self._planning, self._confirmation = graph, planning, goals.confirmation
-        self._description = RobotDescription(graph, robot, context.rosapi.parameters.keep)
+        RobotDescription(graph, robot, context.rosapi.parameters.keep)
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
         self._republisher = TransformRepublisher(graph, planning.frames)
-        self._named_states = NamedStatesServices(graph, robot, goals.named_states, planning.current)
+        NamedStatesServices(graph, robot, goals.named_states, planning.current)
         reports, translator = GoalReports(robot, moveit), context.whole.translator
-        self._checks = GoalChecks(graph, reports, translator, planning.current, planning.pool, planning.scene_state)
+        GoalChecks(graph, reports, translator, planning.current, planning.pool, planning.scene_state)
         PlanningActions(graph, planning, goals.queue)
         ExecuteTrajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
-
-    async def start(self) -> None:
-        self._description.open()
-        self._transforms.open(time.time())
-        self._confirmation.open()
-        self._named_states.open()
-        self._checks.open()
-        self._planning.display.open()
-        offer_services(self._graph, self._planning)
+        offer_services(graph, planning)
 
     def on_state(self, arm: str, state: ArmState) -> None:
         if not arm:
@@ -126,9 +116,6 @@ class GoalRecords(Feature):
         self._robot, self._display = planning.robot, planning.display
         self._history = GoalHistory(context.graph, planning.robot, lambda: planning.scene_state.scene, time.time)
         context.goals.listeners.append(self)
-
-    async def start(self) -> None:
-        self._history.open()
 
     def on_progress(self, goal: Goal, progress: Progress) -> None:
         """Note in which scene the goal is planned."""
@@ -152,8 +139,6 @@ class ArmGoals(Feature):
         self._actionlib = ActionlibBridge(context.graph, time.monotonic, call_later)
 
     async def start(self) -> None:
-        for each in self._goals_of.values():
-            each.open()
         self._actionlib.open(self._actions)
 
     def on_state(self, arm: str, state: ArmState) -> None:
@@ -161,17 +146,17 @@ class ArmGoals(Feature):
 
 
 class _GoalsOfArm:
-    """Goals of one arm; those of several arms are published by the names of each arm that they move as well."""
+    """Goals of one arm; goals of several arms are published by the names of each arm that they move as well."""
 
     def __init__(self, arm: ArmContext) -> None:
         graph, goals, planning = arm.graph, arm.goals, arm.planning
         self._arm = arm
         self._status = GoalStatusTopics(graph, arm.node, planning.robot)
-        self._topics = GoalTopics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
-        self._calls = GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
+        GoalTopics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
+        GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
         default = planning_group(planning.robot, "", arm.parameters).name
         trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)
-        self._controllers, self._controller_states = [], []
+        self._controllers = []
         for group in arm.robot.groups.values():
             name = group.name.removeprefix(arm.served.prefix)
             self._controllers.append(
@@ -179,23 +164,15 @@ class _GoalsOfArm:
                     graph, group, arm.served.arm, trajectories, name, industrial=group.name == default
                 )
             )
-            self._controller_states.append(ControllerStatePublisher(graph, group, name))
         if arm.gripper is not None:
             GripperActions(graph, arm.gripper)
         names = [name for each in self._controllers for name in each.actions]
         self.actions = tuple(map(graph.resolve, (*names, *(() if arm.gripper is None else GRIPPER_ACTIONS))))
         goals.listeners.append(self)
 
-    def open(self) -> None:
-        self._status.open()
-        self._topics.open()
-        self._calls.open()
-
     def take_state(self, state: ArmState) -> None:
         for controller in self._controllers:
             controller.take_state(state)
-        for publisher in self._controller_states:
-            publisher.take_state(state)
 
     def on_progress(self, goal: Goal, progress: Progress) -> None:
         if self._is_here(goal):
@@ -252,7 +229,7 @@ class Servo(Feature):
 
 
 def slow_to_brake(robot: RobotModel) -> dict[str, float]:
-    """Return the joints of which steering counts on more braking than they have, with their times to brake [s]."""
+    """Return the joints that brake more slowly than steering expects, with their times to brake [s]."""
     brakes_s = {joint.name: joint.max_velocity / joint.max_acceleration for joint in robot.movable_joints}
     return {name: time_s for name, time_s in brakes_s.items() if time_s > BRAKES_WITHIN_S}
 

@@ -23,11 +23,7 @@ class TaughtMotions(Feature):
         # In a folder beside the named states.
         self.motions = MotionFiles(default_path("motions", robot, os.environ).with_suffix(""), robot)
         self._teaching = Teaching(graph, robot, self.motions, planning.pool, planning.scene_state, planning.current)
-        self._replay = ReplayAction(graph, robot, self.motions, context.goals.queue, planning.problems)
-
-    async def start(self) -> None:
-        self._teaching.open()
-        self._replay.open()
+        ReplayAction(graph, robot, self.motions, context.goals.queue, planning.problems)
 
     async def stop(self) -> None:
         await self._teaching.close()

@@ -36,9 +36,6 @@ class Following(Feature):
         following = FollowingContext(planning, context.goals.queue, context.whole.go_to)
         self.teleoperation = Teleoperation(context.graph, following, followers, leaders)
 
-    async def start(self) -> None:
-        self.teleoperation.open()
-
     async def stop(self) -> None:
         await self.teleoperation.close()
 

@@ -39,9 +39,6 @@ class RobotDescription:
         self._files = RobotFiles(robot)
         self._keep_parameter = keep_parameter
         self._node = Node("robot description")
-
-    def open(self) -> None:
-        """Publish the description, and offer the service."""
         package = package_name(self._robot)
         texts = {URDF_TOPIC: with_package_urls(self._robot.urdf, package), SRDF_TOPIC: self._robot.srdf}
         for topic, text in texts.items():

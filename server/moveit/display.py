@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,7 +10,6 @@ from protocol.messages import Stamp
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.messages import ArmState
-from robot.trajectory import Trajectory
 from server.execution.monitors import state_message
 from server.execution.motions import Performed
 from server.graph.node import Node
@@ -49,25 +49,15 @@ class DisplayTopics:
         self._graph = graph
         self._robot = robot
         self._node = Node("display")
-
-    def open(self) -> None:
-        """Advertise the topics."""
         self._graph.advertise(self._node, PATH_TOPIC, "moveit_msgs/DisplayTrajectory", latch=True)
         self._graph.advertise(self._node, CONTACTS_TOPIC, "visualization_msgs/MarkerArray")
         self._graph.advertise(self._node, PIPELINE_TOPIC, "moveit_msgs/PipelineState")
 
     def performed(self, performed: Performed) -> None:
-        """Show motions that are about to be executed."""
-        self.planned(performed.planned, performed.start_rad)
-
-    def planned(self, motions: Sequence[Trajectory], start_rad: Mapping[str, float]) -> None:
-        """Show planned motions, one after the other.
-
-        Args:
-            start_rad: position of every movable joint where the first one begins [rad].
-        """
+        """Show motions that are about to be executed, one after the other."""
         root = self._robot.root_link
-        self.trajectories([to_message(motion, root) for motion in motions], state_message(dict(start_rad), root, 0.0))
+        start = state_message(dict(performed.start_rad), root, 0.0)
+        self.trajectories([to_message(motion, root) for motion in performed.planned], start)
 
     def trajectories(self, trajectories: Sequence[Message], start: Message) -> None:
         """Show planned motions, one after the other, that are written already.
@@ -80,27 +70,21 @@ class DisplayTopics:
         self._graph.publish(self._node, PATH_TOPIC, message, as_it_is=True)
 
     def pipeline(self, request: Message, response: Message) -> None:
-        """Publish a request to the planners and its response, if there are subscribers.
-
-        Args:
-            request: a moveit_msgs/MotionPlanRequest.
-            response: the moveit_msgs/MotionPlanResponse to it.
-        """
+        """Publish a request to the planners and its response, if there are subscribers."""
         if self._graph.subscribers(PIPELINE_TOPIC):
             state = {"request": request, "response": response, "pipeline_stage": PIPELINE_STAGE}
             self._graph.publish(self._node, PIPELINE_TOPIC, state)
 
     def contacts_of(self, details: Mapping[str, Any]) -> None:
         """Show the contacts in the details of a failure; do nothing when there are none."""
-        pairs = details.get("pairs")
-        if pairs:
-            self.contacts(pairs)
+        if details.get("pairs"):
+            self.contacts(details["pairs"])
 
     def contacts(self, pairs: Sequence[Mapping[str, Any]]) -> None:
-        """Show contacts in place of those before, `MAX_CONTACTS` of them.
+        """Show contacts in place of the contacts before, `MAX_CONTACTS` of them.
 
         Args:
-            pairs: as in the details of a failure: ``first``, ``second``, ``depth_m``, ``point_m``.
+            pairs: each with ``first``, ``second``, ``depth_m``, ``point_m``.
         """
         header = {"stamp": Stamp(0, 0).as_message(), "frame_id": self._robot.root_link}
         clear = {"header": header, "ns": "", "action": DELETE_ALL}
@@ -125,7 +109,7 @@ def _marker(header: Mapping[str, Any], index: int, pair: Mapping[str, Any]) -> d
 
 
 class TransformsTopics:
-    """Transforms of the arm: those of movable joints with the joint states, the others once.
+    """Transforms of the arm: transforms of movable joints with the joint states, the others once.
 
     Args:
         rate_hz: limit of the rate of those that move [Hz].
@@ -140,16 +124,9 @@ class TransformsTopics:
         self._fixed = [joint.child for joint in joints if not joint.moves]
         self._node = Node("robot state publisher")
         self._published_s = 0.0
-
-    def open(self, now_s: float) -> None:
-        """Advertise the topics, and publish the transforms that never change.
-
-        Args:
-            now_s: wall-clock time [s since the epoch].
-        """
         self._graph.advertise(self._node, TRANSFORMS_TOPIC, "tf2_msgs/TFMessage")
         self._graph.advertise(self._node, STATIC_TRANSFORMS_TOPIC, "tf2_msgs/TFMessage", latch=True)
-        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, self._message(self._fixed, {}, now_s))
+        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, self._message(self._fixed, {}, time.time()))
 
     def take_state(self, state: ArmState) -> None:
         """Publish a state of the arm, if there are subscribers and it is due."""

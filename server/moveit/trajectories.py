@@ -16,11 +16,12 @@ from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
 from server.execution.motions import ExternalTrajectory, Positions
-from server.moveit.durations import NANOSECONDS_PER_S
-from server.moveit.error_codes import refused
+from server.moveit.error_codes import invalid, refused
 from server.moveit.poses import Message
 
-# Scripts that join motions repeat the end of one as the start of the next, equal but for rounding.
+NANOSECONDS_PER_S = 1_000_000_000
+
+# Scripts that join motions repeat the end of one as the start of the next, equal within rounding.
 SAME_TIME_S = 1e-6
 SAME_POSITION_RAD = 1e-4
 
@@ -28,12 +29,16 @@ SAME_POSITION_RAD = 1e-4
 MAX_POINTS = 10_000
 
 
-def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]:
-    """Write a moveit_msgs/RobotTrajectory.
+def read_seconds(message: Message, where: str) -> float:
+    """Read a builtin_interfaces/Duration or Time [s]."""
+    nanosec: int = message["nanosec"]
+    if nanosec >= NANOSECONDS_PER_S:
+        raise invalid(f"{where}.nanosec must be below {NANOSECONDS_PER_S}, not {nanosec}", field=f"{where}.nanosec")
+    return float(message["sec"]) + nanosec / NANOSECONDS_PER_S
 
-    Args:
-        trajectory: the trajectory; None for one without points.
-    """
+
+def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]:
+    """Write a moveit_msgs/RobotTrajectory."""
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
     return {
         "joint_trajectory": {
@@ -57,9 +62,6 @@ def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions
     """Read a trajectory_msgs/JointTrajectory as a trajectory of one of the arm's groups, and check it for the arm.
 
     Joints of the group that it does not name keep the position that the arm holds.
-
-    Args:
-        held_rad: position of every movable joint that the arm holds [rad].
     """
     named = read_joint_trajectory(message, robot, held_rad)
     group = smallest_group(robot, named.joint_names)
@@ -76,11 +78,7 @@ def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions
 
 
 def check_speed(message: Message, robot: RobotModel, held_rad: Positions, limit: float) -> None:
-    """Check a trajectory_msgs/JointTrajectory against the arm's speed limit, with the tolerance that plans have.
-
-    Args:
-        held_rad: position of every movable joint that the arm holds [rad].
-    """
+    """Check a trajectory_msgs/JointTrajectory against the arm's speed limit, with the tolerance that plans have."""
     trajectory = read_joint_trajectory(message, robot, held_rad)
     for name, speed_rad_s in zip(trajectory.joint_names, trajectory.peak_speed_rad_s.tolist(), strict=True):
         limit_rad_s = limit * robot.joints[name].max_velocity
@@ -102,11 +100,7 @@ def smallest_group(robot: RobotModel, joint_names: tuple[str, ...]) -> Group | N
 
 
 def for_group(trajectory: Trajectory, group: Group, held_rad: Positions) -> Trajectory:
-    """Extend a trajectory to every joint of a group; those that it leaves out stand still.
-
-    Args:
-        held_rad: position of every movable joint that the arm holds [rad].
-    """
+    """Extend a trajectory to every joint of a group; those that it leaves out stand still."""
     samples = len(trajectory.time_s)
     columns = {name: column for column, name in enumerate(trajectory.joint_names)}
 
@@ -133,9 +127,6 @@ def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mappin
     A point that repeats the one before is dropped. A first point after time 0 is preceded by the start, at rest.
     Points without velocities are joined by a monotone cubic spline. The last point is at rest, whatever its velocity.
     Efforts are ignored.
-
-    Args:
-        start_rad: position of every movable joint at the start [rad].
     """
     names, points = tuple(message["joint_names"]), message["points"]
     _check_names(names, robot)
@@ -229,7 +220,7 @@ def _check_times(time_s: Vector, kept: Vector) -> None:
     if late.size:
         before, index = (int(each) for each in kept[late[0] : late[0] + 2])
         raise _invalid(
-            f"points[{index}].time_from_start, {time_s[index]:g} s, must be after that of the point before,"
+            f"points[{index}].time_from_start, {time_s[index]:g} s, must be after the time of the point before,"
             f" {time_s[before]:g} s",
             index=index,
         )
@@ -289,7 +280,6 @@ def knot_accelerations(time_s: Vector, positions_rad: Vector, velocities_rad_s: 
     """Return the mean acceleration before and after each knot of a cubic spline, shape (n, joints) [rad/s^2].
 
     Args:
-        time_s: shape (n,), increasing [s].
         positions_rad: shape (n, joints) [rad].
         velocities_rad_s: shape (n, joints) [rad/s].
     """

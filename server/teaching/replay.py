@@ -78,9 +78,6 @@ class ReplayAction:
         self._problems = problems
         # The event loop keeps only weak references to tasks.
         self._tasks: set[asyncio.Task[None]] = set()
-
-    def open(self) -> None:
-        """Offer the action."""
         self._graph.actions.offer(Node("replay"), NAME, TYPE, self._start, rule=GOAL)
 
     def _start(self, goal: Goal) -> None:

@@ -23,7 +23,7 @@ from server.moveit.trajectories import MAX_POINTS, read_joint_trajectory
 # A joint that has moved by less rests: a hand trembles, and gears have play.
 REST_RAD = 0.01
 
-# What is kept of the rest before and after a motion.
+# Rest that is kept before and after a motion.
 KEPT_REST_S = 0.2
 
 # As long as the longest motion that is played unless goals.max_trajectory_duration_s says otherwise.
@@ -38,10 +38,16 @@ MIN_DURATION_S = 0.1
 # Greatest distance between a joint of the motion and of the recording at the same time; a hand is no steadier.
 TOLERANCE_RAD = 0.02
 
-# Window of the moving average and distance of the points [s], the smoothest first. The last is the recording itself.
-SMOOTHINGS = ((0.4, 0.1), (0.2, 0.1), (0.1, 0.05), (0.06, 0.04), (0.0, 0.04), (0.0, 0.02))
+# Of this, what the average takes; the spline through some of its points has the rest.
+SMOOTHED_WITHIN_RAD = 0.75 * TOLERANCE_RAD
 
-# The recording is brought to this rate before it is averaged: that of the arm's states.
+# Window of the moving average and distance of the points [s], the smoothest first. The last is the recording itself.
+SMOOTHINGS = ((0.4, 0.1), (0.2, 0.1), (0.1, 0.04), (0.06, 0.04), (0.04, 0.02), (0.0, 0.02))
+
+# Time over which one window goes over into another [s].
+BLEND_S = 0.2
+
+# The recording is brought to the rate of the arm's states before it is averaged.
 GRID_S = 0.02
 
 # Digits of times and positions in files and messages: microseconds, and a thousandth of a servo's tick.
@@ -144,18 +150,12 @@ def of_recording(
     lower, upper = np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
     first, last = moving(time_s, positions_rad)
     time_s, positions = time_s[first : last + 1] - time_s[first], np.clip(positions_rad[first : last + 1], lower, upper)
-    found: list[tuple[float, TaughtMotion]] = []
-    for window_s, spacing_s in SMOOTHINGS:
-        if time_s[-1] / spacing_s > MAX_POINTS - 2:
-            continue
-        motion = smoothed(tuple(joint_names), time_s, positions, window_s, spacing_s)
-        motion = rounded(TaughtMotion(motion.joint_names, motion.time_s, np.clip(motion.positions_rad, lower, upper)))
-        away_rad = float(np.max(np.abs(motion.at(np.minimum(time_s, motion.duration_s)) - positions)))
-        found.append((away_rad, motion))
-        if away_rad <= TOLERANCE_RAD:
+    for levels in range(len(SMOOTHINGS), 0, -1):
+        motion = smoothed(tuple(joint_names), time_s, positions, SMOOTHINGS[:levels])
+        if len(motion.time_s) <= MAX_POINTS:
             break
-    away_rad, motion = min(found, key=lambda one: one[0])
-    return motion, away_rad
+    motion = rounded(TaughtMotion(motion.joint_names, motion.time_s, np.clip(motion.positions_rad, lower, upper)))
+    return motion, float(np.max(np.abs(motion.at(np.minimum(time_s, motion.duration_s)) - positions)))
 
 
 def moving(time_s: Vector, positions_rad: Vector) -> tuple[int, int]:
@@ -181,29 +181,47 @@ def moving(time_s: Vector, positions_rad: Vector) -> tuple[int, int]:
 
 
 def smoothed(
-    joint_names: tuple[str, ...], time_s: Vector, positions_rad: Vector, window_s: float, spacing_s: float
+    joint_names: tuple[str, ...], time_s: Vector, positions_rad: Vector, smoothings: Sequence[tuple[float, float]]
 ) -> TaughtMotion:
-    """Average over a window twice, which leaves no step in the velocity, and keep some of the points.
+    """Average over windows twice, which leaves no step in the velocity, and keep some of the points.
+
+    At each time the longest window counts that leaves every joint within the tolerance, so that one abrupt start
+    leaves the rest of the motion smooth. Where none does, the last one counts.
 
     Args:
         time_s: shape (n,), strictly increasing from 0 [s].
         positions_rad: shape (n, joints) [rad].
-        window_s: of the average; 0 for none [s].
-        spacing_s: distance of the points that are kept [s].
+        smoothings: windows and distances of the points [s], the smoothest first.
     """
     count = max(2, math.ceil(time_s[-1] / GRID_S) + 1)
     grid_s = np.linspace(0.0, time_s[-1], count)
-    columns = [np.interp(grid_s, time_s, column) for column in positions_rad.T]
-    half = round(window_s / GRID_S / 2.0)
-    if half:
-        columns = [_average(_average(column, half), half) for column in columns]
-    points = max(2, math.ceil(time_s[-1] / spacing_s) + 1)
-    kept = np.unique(np.round(np.linspace(0, count - 1, min(points, count))).astype(int))
-    return TaughtMotion(joint_names, grid_s[kept], np.column_stack(columns)[kept])
+    recorded = np.column_stack([np.interp(grid_s, time_s, column) for column in positions_rad.T])
+    half_blend = round(BLEND_S / GRID_S / 2.0)
+    averages, unused = [], np.ones(count, dtype=bool)
+    shares = np.zeros((len(smoothings), count))
+    spacing_s = np.full(count, smoothings[-1][1])
+    for level, (window_s, distance_s) in enumerate(smoothings):
+        half = round(window_s / GRID_S / 2.0)
+        average = np.column_stack([_average(_average(column, half), half) for column in recorded.T])
+        averages.append(average)
+        beyond = np.max(np.abs(average - recorded), axis=1) > SMOOTHED_WITHIN_RAD
+        # A window counts where it also does during the blend to its neighbours.
+        used = unused & ~(_average(beyond.astype(float), half_blend) > 0.0)
+        if level == len(smoothings) - 1:
+            used = unused
+        shares[level] = _average(used.astype(float), half_blend)
+        spacing_s[used] = distance_s
+        unused = unused & ~used
+    kept = [0]
+    while kept[-1] < count - 1:
+        steps = max(1, round(float(spacing_s[kept[-1] : kept[-1] + half_blend].min()) / GRID_S))
+        kept.append(min(kept[-1] + steps, count - 1))
+    mean = np.einsum("lt,ltj->tj", shares, np.array(averages))
+    return TaughtMotion(joint_names, grid_s[kept], mean[kept])
 
 
 def _average(column: Vector, half: int) -> Vector:
-    """Return the mean of each value with so many on both sides; the ends go on as they end."""
+    """Return the mean of each value with `half` values on both sides; the ends go on as they end."""
     padded = np.pad(column, half, mode="edge")
     sums = np.concatenate(([0.0], np.cumsum(padded)))
     width = 2 * half + 1

@@ -44,21 +44,6 @@ class Act(StrEnum):
     BRAKE = "brake"
 
 
-@dataclass(frozen=True)
-class Observed:
-    """Observations of a tick.
-
-    Attributes:
-        age_s: time since the leader's last sample [s].
-        jump: jump of the leader in words; empty if there was none.
-        obstacle: reason for which the follower cannot go on; empty if there is none.
-    """
-
-    age_s: float
-    jump: str = ""
-    obstacle: str = ""
-
-
 class Following:
     """State machine of one follower.
 
@@ -76,17 +61,22 @@ class Following:
         """True when the follower follows no more, and will not again."""
         return self.phase is Phase.IDLE
 
-    def tick(self, now_s: float, observed: Observed) -> Act:
+    def tick(self, now_s: float, age_s: float, *, jump: str = "", obstacle: str = "") -> Act:
         """Decide on the present moment.
+
+        Args:
+            age_s: time since the leader's last sample [s].
+            jump: jump of the leader in words; empty if there was none.
+            obstacle: reason for which the follower cannot go on; empty if there is none.
 
         Returns:
             RAMP once for each ramp, BRAKE once for each end of a motion.
         """
         if self.ended:
             return Act.NOTHING
-        if observed.obstacle:
-            return self.end(observed.obstacle)
-        stale = observed.age_s > STALE_S
+        if obstacle:
+            return self.end(obstacle)
+        stale = age_s > STALE_S
         match self.phase:
             case Phase.RAMPING:
                 if not self._asked and not stale:
@@ -95,8 +85,8 @@ class Following:
                 if stale:
                     return self._wait_for_leader(now_s)
             case Phase.FOLLOWING:
-                if observed.jump:
-                    return self._hold(f"{observed.jump}: close the clutch to go on")
+                if jump:
+                    return self._hold(f"{jump}: close the clutch to go on")
                 return self._wait_for_leader(now_s) if stale else Act.FOLLOW
             case Phase.BRAKING:
                 if not stale:
@@ -170,12 +160,11 @@ class TrackingLimits:
 def tracking_velocity(error_rad: float, leader_rad_s: float, limits: TrackingLimits, latency_s: float) -> float:
     """Return the velocity with which a joint follows [rad/s].
 
-    It is that of the leader and a part that closes the error, never faster than the joint can brake within it.
+    It is the leader's velocity and a part that closes the error, never faster than the joint can brake within it.
 
     Args:
         error_rad: from the joint's goal to its target [rad].
         leader_rad_s: velocity of the target [rad/s].
-        latency_s: of the planners [s].
     """
     tracking_time_s = max(TRACKING_TIME_S, TRACKING_LATENCIES * latency_s)
     braking = math.sqrt(2.0 * ACCELERATION_SHARE * limits.acceleration_rad_s2 * abs(error_rad))
@@ -197,7 +186,6 @@ def tracking_velocities(
         goals_rad: commanded positions [rad].
         targets_rad: targets [rad].
         leader_rad_s: velocities of the targets, 0 where they are not named [rad/s].
-        latency_s: of the planners [s].
     """
     return {
         name: tracking_velocity(target - goals_rad[name], leader_rad_s.get(name, 0.0), limits[name], latency_s)

@@ -7,7 +7,7 @@ import contextlib
 import json
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import WebSocketException
@@ -49,16 +49,6 @@ class LeaderOptions:
     url: str
     topic: str
     token: str | None
-
-
-class Connection(Protocol):
-    """What a client needs of a connection."""
-
-    async def send(self, message: str) -> None:
-        """Send a frame."""
-
-    async def ping(self) -> Awaitable[float]:
-        """Send a ping; what is returned waits for its pong."""
 
 
 class NewestSample:
@@ -116,7 +106,7 @@ class LeaderClient:
             listening.cancel()
             await asyncio.gather(listening, return_exceptions=True)
 
-    async def publish(self, connection: Connection, samples: NewestSample) -> None:
+    async def publish(self, connection: ClientConnection, samples: NewestSample) -> None:
         """Publish samples on a connection until it ends.
 
         Every few samples a ping follows, whose pong says that the server has read all before it (RFC 6455, section

@@ -22,8 +22,8 @@ from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
 from server.moveit.actions.gripper import Gripper, GripperCommand
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.servo.servo_loop import LATE, ServoSession, ServoSetup
-from server.teleop.following import STALE_S, Act, Following, Observed, Phase, TrackingLimits, tracking_velocities
+from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
+from server.teleop.following import STALE_S, Act, Following, Phase, TrackingLimits, tracking_velocities
 from server.teleop.joint_map import JointMap
 from server.teleop.leader import JitterBuffer, LeaderPose
 
@@ -131,12 +131,10 @@ class FollowingSession:
         self._servo = ServoSession(
             follower.arm,
             replace(follower.setup, period_s=PERIOD_S, at_once=True),
+            planning,
+            ServoListener(self._take_status, self._take_interruption),
             self._asked,
-            planning.frames.resolve,
-            self._take_status,
-            self._take_interruption,
             clock,
-            planning.current,
         )
         self._limits = follower.limits
         self._epoch = arrival_epoch()
@@ -204,8 +202,8 @@ class FollowingSession:
             # The planners were late: the arm has come to rest by itself.
             self._carry_out(self.following.interrupt(now_s, self._interrupted), now_s)
         self._interrupted = ""
-        observed = Observed(self._samples.age_s(now_s), self._samples.take_jump(), obstacle)
-        self._carry_out(self.following.tick(now_s, observed), now_s)
+        age_s, jump = self._samples.age_s(now_s), self._samples.take_jump()
+        self._carry_out(self.following.tick(now_s, age_s, jump=jump, obstacle=obstacle), now_s)
         if (self.following.phase, self._message) != self._shown or now_s - self._shown_at_s >= SHOWN_EVERY_S:
             self._tell()
 
@@ -247,7 +245,7 @@ class FollowingSession:
             return
 
         def take(answer: asyncio.Future[Answer]) -> None:
-            # A ramp that was given up tells nothing on the one after it.
+            # The end of a ramp that was given up does not count for the next ramp.
             if self._ramp is ramp:
                 self._ramp = None
                 reached = answer.result().code is MoveItErrorCode.SUCCESS

@@ -36,8 +36,8 @@ from tests.helpers import dynamixel
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration, recalibrated, so101
 from tests.helpers.scripted_servos import ScriptedServos
+from tests.helpers.terminal_servos import RunningEmulator, ScriptedPeer
 from tests.helpers.waiting import until
-from tests.robot.conftest import RunningEmulator, ScriptedPeer
 
 # Without weight on it, and with room to both sides.
 JOINT = "wrist_roll"

@@ -77,6 +77,12 @@ class FrameClient:
             await self._news.wait_for(lambda: condition(self.messages(topic)))
         return self.messages(topic)
 
+    async def positions(self) -> dict[str, float]:
+        """Return the position of every joint [rad or m], by a state that comes from now on."""
+        seen = len(self.messages("/joint_states"))
+        state = (await self.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
+        return dict(zip(state["name"], state["position"], strict=True))
+
     async def _read(self) -> None:
         async for frame in self.websocket:
             operation = json.loads(frame)

@@ -254,7 +254,6 @@ class ServiceRig:
         self.client = Node("client", remote=True)
         self.scene_state = SceneState(robot)
         display = DisplayTopics(self.graph, robot)
-        display.open()
         self.context = PlanningContext(
             robot=robot,
             pool=self.pool,

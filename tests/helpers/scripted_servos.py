@@ -81,7 +81,7 @@ MEMORY_BYTES = 128
 
 
 class ScriptedServos:
-    """A script for :class:`tests.robot.conftest.ScriptedPeer`: servos that are at their goal at once."""
+    """A script for :class:`tests.helpers.terminal_servos.ScriptedPeer`: servos that are at their goal at once."""
 
     def __init__(self, calibration: Calibration) -> None:
         self.memory = {joint.servo_id: bytearray(MEMORY_BYTES) for joint in calibration.joints}

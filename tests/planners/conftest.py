@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import time
 
 import numpy as np
@@ -73,12 +72,6 @@ def rate_limits(robot, arm):
 @pytest.fixture(scope="session")
 def shared_data():
     return resources.shared_data()
-
-
-@pytest.fixture(scope="session")
-def empty_scene(shared_data):
-    """Benchmark problems without obstacles."""
-    return json.loads((shared_data / "planning_problems" / "empty.json").read_text())
 
 
 @pytest.fixture

@@ -75,17 +75,6 @@ def test_a_share_of_the_shared_problems_is_planned_and_valid(name: str) -> None:
     assert not {name: found for name, found in faults.items() if found}
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_the_judge_agrees_with_the_files_on_what_collides(name: str) -> None:
-    fields, judge = judged(name)
-    for entry in fields["joint_problems"]:
-        assert not judge.collides(np.array(entry["start"]))
-        assert not judge.collides(np.array(entry["goal"]))
-    for entry in fields["infeasible"]:
-        if entry["kind"] in ("start_in_collision", "goal_in_collision"):
-            assert judge.collides(np.array(entry[entry["kind"].split("_")[0]]))
-
-
 FAULTS = {
     "nothing": ({}, 3.0, ""),
     "too fast": ({}, 0.8, "acceleration limit"),

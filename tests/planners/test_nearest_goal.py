@@ -185,14 +185,6 @@ def test_for_a_goal_that_cannot_be_read_there_is_none(setting, asked):
     assert nearest(setting, setting.problem(asked))[0] is None
 
 
-def test_same_question_same_answer(beside_a_wall):
-    for code in (MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.TIMED_OUT):
-        question = NearestGoalQuestion(beside_a_wall.problem(JointGoal({"shoulder_pan": -1.2})), 5.0, code)
-        first, second = (beside_a_wall.planner.answer(question) for _ in range(2))
-        assert first == second
-        assert first.goal is not None
-
-
 def test_without_time_or_for_a_goal_of_another_kind_there_is_none(beside_a_wall):
     assert nearest(beside_a_wall, beside_a_wall.problem(JointGoal({"shoulder_pan": -1.2})), 1e-9)[0] is None
     axis = AxisGoal(TIP, (0.25, 0.25, 0.2), 0.01, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.05)

@@ -16,7 +16,6 @@ from planners.goals import (
     JointGoal,
     OrientationConstraint,
     PoseGoal,
-    PositionConstraint,
     PositionGoal,
 )
 from planners.ik.goal_states import GoalStates
@@ -230,19 +229,6 @@ def test_start_outside_the_path_constraints_is_refused(setting):
     failure = setting.planner.plan(setting.problem(JointGoal({"wrist_roll": 1.0}), path_constraints=roll))
     assert failure.code is MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS
     assert failure.details["violations"][0]["joint"] == "wrist_roll"
-
-
-def test_constraints_that_no_path_keeps_end_with_the_time(robot, setting):
-    ticks = iter(range(100_000))
-    planner = Planner(robot, clock=lambda: 0.001 * next(ticks))
-    fence = thing(Box((0.4, 0.02, 0.3)), 0.34, 0.0, 0.15, name="fence")
-    assert planner.set_scene(Scene(1, (fence,))) is None
-    low = Constraints(positions=(PositionConstraint(TIP, Pose((0.25, 0.0, 0.1)), half_size_m=(0.5, 0.5, 0.1)),))
-    beside = PositionGoal(TIP, (0.25, -0.15, 0.1), 0.005)
-    start = planner.answer(IkQuestion("arm", setting.home(), beside, allowed_time_s=1.0)).positions_rad[0]
-    goal = PositionGoal(TIP, (0.25, 0.15, 0.1), 0.005)
-    failure = planner.plan(setting.problem(goal, dict(start), path_constraints=low, allowed_time_s=0.5))
-    assert failure.code is MoveItErrorCode.TIMED_OUT
 
 
 def test_bad_scene_is_refused_and_the_one_before_stays(robot, setting):

@@ -158,12 +158,6 @@ async def test_a_motion_in_the_background_gives_way_to_one_that_is_due(pool: Pla
     assert len(farm.workers) == 2
 
 
-async def test_a_motion_in_the_background_goes_on_while_questions_are_answered(pool: PlannerPool) -> None:
-    planning = await in_background(pool)
-    assert await asyncio.gather(pool.ask(STATE), pool.ask(STATE)) == [SOUND, SOUND]
-    await given_up(planning)
-
-
 async def test_a_motion_in_the_background_gives_way_to_no_other_there_and_waits_for_none(pool: PlannerPool) -> None:
     planning = await in_background(pool)
     assert await pool.ask_in_background(EASY) is None

@@ -9,7 +9,6 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.messages import MoreObjects, NewScene
 from planners.scene import Box, Mesh, Pose, Scene, SceneObject
 from planners.scene_transfer import OBJECT_BYTES, PART_BYTES, SceneReceiver, SceneSender, parts
 from tests.planners.scenes import boxes
@@ -25,13 +24,6 @@ async def test_a_scene_arrives_as_it_was_and_is_sent_once() -> None:
         for message in sent:
             receiver.take(message)
         assert receiver.scene() == scene
-
-
-async def test_what_comes_of_a_scene_that_is_given_up_half_way_is_dropped() -> None:
-    receiver = SceneReceiver()
-    for message in (NewScene(Scene(4)), MoreObjects(boxes(2)), NewScene(Scene(5)), MoreObjects(boxes(1))):
-        receiver.take(message)
-    assert receiver.scene() == Scene(5, boxes(1))
 
 
 meshes = st.integers(0, 3 * PART_BYTES // 24).map(

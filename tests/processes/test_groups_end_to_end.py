@@ -76,13 +76,6 @@ async def select(client: FrameClient, group: str) -> None:
     await client.wait_for(GROUP_TOPIC, lambda told: bool(told) and told[-1]["data"] == group)
 
 
-async def present(client: FrameClient) -> dict[str, float]:
-    """Return the position of every joint, by a state that came after this was asked for."""
-    seen = len(client.messages("/joint_states"))
-    state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
-    return dict(zip(state["name"], state["position"], strict=True))
-
-
 def joint_message(joints: dict[str, float]) -> dict[str, Any]:
     return {"name": list(joints), "position": list(joints.values())}
 
@@ -91,7 +84,7 @@ async def joints_goal(client: FrameClient, joints: dict[str, float]) -> dict[str
     """Send a goal of joints; returns where they are when it is reached."""
     result = await client.goal("/moveit_goal_joints", joint_message(joints))
     assert result["val"] == 1, result
-    return await present(client)
+    return await client.positions()
 
 
 def pose_message(transform: Any) -> dict[str, Any]:
@@ -106,7 +99,7 @@ def turn_rad(first: Any, second: Any) -> float:
 async def test_a_named_goal_moves_the_selected_group(lifted: FrameClient) -> None:
     await select(lifted, "arm_with_torso")
     assert (await lifted.goal("/moveit_goal_named", {"data": "raised"}))["val"] == 1
-    assert await present(lifted) | {"lift": 0.2, **BENT} == pytest.approx(await present(lifted), abs=ARRIVED)
+    assert await lifted.positions() | {"lift": 0.2, **BENT} == pytest.approx(await lifted.positions(), abs=ARRIVED)
     await select(lifted, "arm")
     result = await lifted.goal("/moveit_goal_named", {"data": "raised"})
     assert "there is no named target 'raised'" in result["message"]
@@ -126,70 +119,9 @@ async def test_a_pose_goal_is_met_with_its_orientation(lifted: FrameClient, grou
     wanted = ForwardPlacements(LIFTED).transforms({**at, "a1": 0.4, "a2": 0.7, "a5": 0.5, "a6": 0.6})["tool"]
     result = await lifted.goal("/moveit_goal_pose", pose_message(wanted))
     assert result["val"] == 1, result
-    reached = ForwardPlacements(LIFTED).transforms(await present(lifted))["tool"]
+    reached = ForwardPlacements(LIFTED).transforms(await lifted.positions())["tool"]
     np.testing.assert_allclose(reached[:3, 3], wanted[:3, 3], atol=POSITION_M)
     assert turn_rad(reached, wanted) < TURN_RAD
-
-
-async def test_a_pose_goal_without_orientation_is_refused(lifted: FrameClient) -> None:
-    pose = {"position": {"x": 0.4, "y": 0.0, "z": 0.9}, "orientation": dict.fromkeys("xyzw", 0.0)}
-    result = await lifted.goal("/moveit_goal_pose", {"header": {"frame_id": "base"}, "pose": pose})
-    assert result["val"] == -16
-    assert "must be a unit quaternion" in result["message"]
-
-
-async def test_goals_are_checked_with_their_orientation(lifted_server: RunningServer, lifted: FrameClient) -> None:
-    at = await joints_goal(lifted, BENT)
-    good = pose_message(ForwardPlacements(LIFTED).transforms({**at, "a1": 0.4})["tool"])
-    bad = {**good, "pose": {**good["pose"], "orientation": dict.fromkeys("xyzw", 0.0)}}
-    async with arm_client(lifted_server.url) as client:
-        results = (await client.call("/check_goals", poses=[good, bad]))["results"]
-    assert [result["reachable"] for result in results] == [True, False]
-    assert results[0]["orientation_error_rad"] < TURN_RAD
-
-
-async def test_a_cartesian_path_is_followed(lifted_server: RunningServer, lifted: FrameClient) -> None:
-    at = await joints_goal(lifted, BENT)
-    placed = ForwardPlacements(LIFTED).transforms(at)["tool"]
-    placed[2, 3] += 0.08
-    path = {
-        "header": {"frame_id": "base"},
-        "group_name": "arm_with_torso",
-        "waypoints": [pose_message(placed)["pose"]],
-        "max_step": 0.01,
-        "avoid_collisions": True,
-    }
-    async with arm_client(lifted_server.url) as client:
-        answer = await client.call("/compute_cartesian_path", **path)
-        assert answer["fraction"] == 1.0, answer["error_code"]
-        action, type_name = "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory"
-        done = await client.result(await client.send_goal(action, type_name, {"trajectory": answer["solution"]}))
-    assert done["values"]["error_code"]["val"] == 1, done
-    reached = ForwardPlacements(LIFTED).transforms(await present(lifted))["tool"]
-    np.testing.assert_allclose(reached[:3, 3], placed[:3, 3], atol=POSITION_M)
-
-
-async def test_a_box_in_the_way_is_gone_around(lifted_server: RunningServer, lifted: FrameClient) -> None:
-    await joints_goal(lifted, {**BENT, "a1": -0.6})
-    box = {
-        "id": "wall",
-        "header": {"frame_id": "base"},
-        "primitives": [{"type": 1, "dimensions": [0.5, 0.02, 0.4]}],
-        "primitive_poses": [{"position": {"x": 0.5, "y": 0.0, "z": 0.75}, "orientation": {"w": 1.0}}],
-    }
-    async with arm_client(lifted_server.url) as client:
-        assert (await client.call("/apply_planning_scene", scene=scene_of(box)))["success"]
-        seen = len(lifted.messages("/joint_states"))
-        joints = await joints_goal(lifted, {**BENT, "a1": 0.6})
-        assert joints["a1"] == pytest.approx(0.6, abs=ARRIVED)
-        path = [dict(zip(one["name"], one["position"], strict=True)) for one in lifted.messages("/joint_states")[seen:]]
-        assert max(abs(one[name] - BENT[name]) for one in path for name in BENT if name != "a1") > 0.1
-        gone = {"id": "wall", "operation": 1}
-        assert (await client.call("/apply_planning_scene", scene=scene_of(gone)))["success"]
-
-
-def scene_of(box: dict[str, Any]) -> dict[str, Any]:
-    return {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [box]}}
 
 
 def moving(client: FrameClient, joint: str) -> list[float]:
@@ -238,9 +170,9 @@ async def test_a_stop_stops_both_arms(pair: FrameClient) -> None:
     await until_executing(pair, 2)
     await pair.send({"op": "publish", "topic": "/stop", "type": "std_msgs/Empty", "msg": {}})
     assert [result["val"] for result in await results(pair, seen, 2)] == [-7, -7]
-    joints = await present(pair)
+    joints = await pair.positions()
     await asyncio.sleep(0.2)
-    assert await present(pair) == pytest.approx(joints, abs=ARRIVED)
+    assert await pair.positions() == pytest.approx(joints, abs=ARRIVED)
     assert abs(joints["left_a1"]) < 1.9
 
 
@@ -307,7 +239,7 @@ async def test_seven_joints_are_steered(lifted_server: RunningServer, lifted: Fr
         async with asyncio.timeout(30.0):
             while after[2] - before[2] < 0.03:
                 await client.say("publish", topic=topic, msg={"twist": {"linear": {"z": 0.5}}})
-                after = placements.transforms(await present(lifted))["tool"][:3, 3].copy()
+                after = placements.transforms(await lifted.positions())["tool"][:3, 3].copy()
     np.testing.assert_allclose(after[:2], before[:2], atol=0.02)
 
 

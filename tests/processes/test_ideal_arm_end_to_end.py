@@ -61,18 +61,11 @@ async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
         yield connected
 
 
-async def present(client: FrameClient) -> dict[str, float]:
-    """Return the position of every joint, by a state that came after this was asked for."""
-    seen = len(client.messages("/joint_states"))
-    state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
-    return dict(zip(state["name"], state["position"], strict=True))
-
-
 async def arrive(client: FrameClient, topic: str, msg: dict[str, Any]) -> dict[str, float]:
     """Send a goal; returns where the joints are when it is reached."""
     result = await client.goal(topic, msg)
     assert (result["val"], result["message"]) == (1, "the arm is there")
-    return await present(client)
+    return await client.positions()
 
 
 async def test_a_named_goal_is_reached(client: FrameClient, robot: RobotModel) -> None:

@@ -28,18 +28,11 @@ async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
         yield connected
 
 
-async def present(client: FrameClient) -> dict[str, float]:
-    """Return the position of every joint, by a state that came after this was asked for."""
-    seen = len(client.messages("/joint_states"))
-    state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
-    return dict(zip(state["name"], state["position"], strict=True))
-
-
 @pytest.mark.parametrize("name", ["ready", "rest", "extended", "home"])
 async def test_the_arm_goes_to_each_of_its_named_states(client: FrameClient, name: str) -> None:
     result = await client.goal("/moveit_goal_named", {"data": name})
     assert (result["val"], result["message"]) == (1, "the arm is there")
-    at = await present(client)
+    at = await client.positions()
     wanted = KOCH.model.named_states["arm"][name]
     assert {joint: at[joint] for joint in wanted} == pytest.approx(wanted, abs=ARRIVED)
 
@@ -54,4 +47,4 @@ async def test_the_gripper_goes_to_its_named_states(server: RunningServer, clien
         )
         result = await connected.result(goal_id)
     assert result["result"], result
-    assert (await present(client))["gripper"] == pytest.approx(wanted, abs=ARRIVED)
+    assert (await client.positions())["gripper"] == pytest.approx(wanted, abs=ARRIVED)

@@ -79,22 +79,17 @@ async def test_goals_of_joints_and_of_whole_poses_and_straight_paths_are_reached
         await client.open_goals()
         await client.subscribe("/joint_states", "sensor_msgs/JointState")
 
-        async def present() -> dict[str, float]:
-            seen = len(client.messages("/joint_states"))
-            state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
-            return dict(zip(state["name"], state["position"], strict=True))
-
         goal = {"name": list(arm.bent), "position": list(arm.bent.values())}
         result = await client.goal("/moveit_goal_joints", goal)
         assert result["val"] == 1, result
-        at = await present()
+        at = await client.positions()
         assert [at[name] for name in arm.joints] == pytest.approx(list(arm.bent.values()), abs=ARRIVED_RAD)
 
         turned = {**arm.bent, arm.joints[0]: arm.bent[arm.joints[0]] + 0.4, arm.joints[-1]: 0.1}
         wanted = arm.tip(turned)
         result = await client.goal("/moveit_goal_pose", arm.pose(wanted))
         assert result["val"] == 1, result
-        reached = arm.tip(await present())
+        reached = arm.tip(await client.positions())
         np.testing.assert_allclose(reached[:3, 3], wanted[:3, 3], atol=POSITION_M)
         np.testing.assert_allclose(reached[:3, :3], wanted[:3, :3], atol=0.03)
 
@@ -112,4 +107,4 @@ async def test_goals_of_joints_and_of_whole_poses_and_straight_paths_are_reached
         action, type_name = "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory"
         done = await caller.result(await caller.send_goal(action, type_name, {"trajectory": answer["solution"]}))
         assert done["values"]["error_code"]["val"] == 1, done
-        np.testing.assert_allclose(arm.tip(await present())[:3, 3], lowered[:3, 3], atol=POSITION_M)
+        np.testing.assert_allclose(arm.tip(await client.positions())[:3, 3], lowered[:3, 3], atol=POSITION_M)

@@ -35,7 +35,8 @@ from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101_SERVOS
 from tests.helpers.server import ROOT, RunningServer, ServerOnBus, server_on_bus
-from tests.robot.conftest import RunningEmulator, start_terminal  # noqa: F401 - fixtures
+from tests.helpers.terminal_servos import RunningEmulator
+from tests.robot.conftest import start_terminal  # noqa: F401 - the fixture
 from tests.server.commands.conftest import (  # noqa: F401 - fixtures
     Run,
     armbridge,

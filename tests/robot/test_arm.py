@@ -12,7 +12,7 @@ import pytest_asyncio
 from robot.arm import Arm
 from robot.messages import Mode, Order, Outcome
 from robot.stop_epochs import STOP_EPOCHS
-from tests.helpers.arm_on_servos import CALIBRATION, SOON_S, ArmOnServos, to
+from tests.helpers.arm_on_servos import SOON_S, ArmOnServos, to
 from tests.helpers.motions import smooth_move
 from tests.helpers.waiting import until
 
@@ -43,18 +43,6 @@ async def rig(running: ArmOnServos) -> ArmOnServos:
     return running
 
 
-async def test_measured_velocity_is_the_slope_of_measured_position(rig: ArmOnServos) -> None:
-    await rig.arm.execute(to(1.0, duration_s=1.2))
-    moving = [state for state in rig.states if state.mode is Mode.MOVING]
-    middle = moving[len(moving) // 2 - 5 : len(moving) // 2 + 6]
-    first, last = middle[0], middle[-1]
-    slope = (last.position_rad[0] - first.position_rad[0]) / (last.clock_s - first.clock_s)
-    mean_rad_s = sum(float(state.velocity_rad_s[0]) for state in middle if state.velocity_rad_s is not None) / len(
-        middle
-    )
-    assert mean_rad_s == pytest.approx(slope, rel=0.2)
-
-
 async def test_a_stop_right_behind_a_trajectory_is_not_lost(rig: ArmOnServos) -> None:
     motion = rig.arm.execute(to(1.0))
     rig.arm.stop()
@@ -76,18 +64,6 @@ async def test_one_of_two_motions_is_stopped(rig: ArmOnServos) -> None:
     rig.arm.stop(roll)
     assert (await asyncio.wait_for(roll, SOON_S)).outcome is Outcome.STOPPED
     assert (await pan).outcome is Outcome.REACHED
-
-
-async def test_an_order_is_answered_with_the_state_that_shows_it(rig: ArmOnServos) -> None:
-    for order, mode in ((Order.RELAX, Mode.RELAXED), (Order.ENABLE, Mode.HOLDING), (Order.EMERGENCY_STOP, Mode.FAULT)):
-        assert (await rig.arm.order(order)).done
-        assert rig.arm.state.mode is mode
-
-
-async def test_its_health_is_reported_once_a_second(rig: ArmOnServos) -> None:
-    await until(lambda: len(rig.health) >= 2)
-    assert rig.health[-1].monotonic_s - rig.health[-2].monotonic_s > 0.5
-    assert [joint.joint for joint in rig.health[0].joints] == [joint.joint for joint in CALIBRATION.joints]
 
 
 async def test_a_servo_that_goes_silent_ends_the_motion(rig: ArmOnServos) -> None:

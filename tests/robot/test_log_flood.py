@@ -10,12 +10,6 @@ def record(line: int = 7) -> logging.LogRecord:
     return logging.LogRecord("armbridge.arm", logging.WARNING, "arm.py", line, "hot", (), None)
 
 
-def test_a_flood_from_one_place_is_cut_and_others_are_told() -> None:
-    flood = FloodFilter(lambda: 0.0)
-    assert sum(flood.filter(record()) for _ in range(10 * BURST)) == BURST
-    assert flood.filter(record(line=8))
-
-
 def test_the_next_line_has_the_number_of_suppressed_ones() -> None:
     now_s = [0.0]
     flood = FloodFilter(lambda: now_s[0])

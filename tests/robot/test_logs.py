@@ -78,16 +78,6 @@ def test_a_token_is_blotted_out_in_every_format(text: str) -> None:
         assert "***" in line
 
 
-def test_what_only_looks_like_a_token_is_left_alone() -> None:
-    assert logs.without_secrets("the token is wrong; tokens: 3") == "the token is wrong; tokens: 3"
-
-
-def test_a_level_is_applied_to_its_logger_alone() -> None:
-    logger, beside = logging.getLogger("armbridge.test_logs"), logging.getLogger("armbridge.test_logs_2")
-    logs.apply(LoggerLevel(logger.name, logging.ERROR))
-    assert (logger.level, beside.level) == (logging.ERROR, logging.NOTSET)
-
-
 def test_a_process_that_ends_by_an_exception_says_so_in_json() -> None:
     program = """
 from robot import logs
@@ -108,12 +98,6 @@ def test_nobody_writes_lines_of_its_own_into_the_plain_log(text: str) -> None:
     line = PlainFormatter().format(record("closed: %s", text))
     assert line.isprintable()
     assert line.endswith(f"closed: {text}".encode("unicode_escape").decode())
-
-
-def test_a_traceback_stays_below_its_plain_line() -> None:
-    first, *below = PlainFormatter().format(record("failed", error=ValueError("two"))).splitlines()
-    assert first.endswith("failed")
-    assert below == ["ValueError: two"]
 
 
 def test_a_very_long_message_is_cut_and_its_length_noted() -> None:
@@ -202,14 +186,6 @@ def test_a_flood_of_lines_is_cut_short_and_counted(caplog: pytest.LogCaptureFixt
     assert caplog.messages == [f"client x: refused: {number}" for number in range(50)]
     limiter.write(LOG, logging.WARNING, "client x: refused: later", "x", 11.0)
     assert caplog.messages[-1] == "client x: refused: later (30 more lines like this were left out before)"
-
-
-def test_lines_now_and_then_are_all_written(caplog: pytest.LogCaptureFixture) -> None:
-    limiter = LogLimiter(burst=50, lines_per_s=1.0)
-    for number in range(150):
-        limiter.write(LOG, logging.ERROR, "client x: refused: no", "x", float(number))
-    assert len(caplog.records) == 150
-    assert {record.levelno for record in caplog.records} == {logging.ERROR}
 
 
 def test_by_default_a_line_is_written_once_for_each_key(caplog: pytest.LogCaptureFixture) -> None:

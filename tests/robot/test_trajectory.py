@@ -23,12 +23,6 @@ def test_velocity_is_the_derivative_of_position(time_s: float) -> None:
         assert slope == pytest.approx(np.zeros(2), abs=1e-3)
 
 
-def test_samples_are_met_exactly() -> None:
-    trajectory = smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=1.0)
-    for time_s, position in zip(trajectory.time_s, trajectory.positions_rad, strict=True):
-        assert trajectory.sample(float(time_s))[0] == pytest.approx(position)
-
-
 def test_a_single_sample_lasts_no_time() -> None:
     zero = np.zeros((1, 1))
     trajectory = Trajectory(("shoulder_pan",), np.zeros(1), zero + 0.3, zero, zero)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
+from robot import logs
+from robot.logs import OUR_LOGGER
 from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.robots import nominal_calibration
 from tests.helpers.server import ServerOnBus, server_on_bus
@@ -33,3 +36,12 @@ async def client(served: ServerOnBus) -> AsyncIterator[ArmClient]:
                 await connected.call("/arm/enable")
         await connected.call("/arm/release_control")
         yield connected
+
+
+@pytest.fixture
+def levels_are_put_back(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(logs, "_changed", {})
+    before = {name: logging.getLogger(name).level for name in (OUR_LOGGER, "armbridge.gateway")}
+    yield
+    for name, level in before.items():
+        logging.getLogger(name).setLevel(level)

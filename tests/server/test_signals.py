@@ -5,11 +5,10 @@ import logging
 import os
 import pty
 import signal
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 
 import pytest
 
-from robot import logs as changed
 from robot.logs import OUR_LOGGER
 from server import lifecycle
 from server.lifecycle import on_hangup, toggle_debug
@@ -56,15 +55,6 @@ async def test_a_program_in_a_terminal_reads_its_files_again_and_ends_with_the_t
     assert await told.after_hangup() == [call]
     for descriptor in (theirs,) if gone else (ours, theirs):
         os.close(descriptor)
-
-
-@pytest.fixture
-def levels_are_put_back(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr(changed, "_changed", {})
-    before = {name: logging.getLogger(name).level for name in (OUR_LOGGER, "armbridge.gateway")}
-    yield
-    for name, level in before.items():
-        logging.getLogger(name).setLevel(level)
 
 
 @pytest.mark.usefixtures("levels_are_put_back")

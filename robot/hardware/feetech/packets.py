@@ -80,7 +80,6 @@ def _parse_clean(received: bytes, expected_ids: Sequence[int], data_length: int)
 
 
 def _parse_disturbed(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-    """Find the valid replies among other bytes."""
     frames: dict[int, StatusFrame] = {}
     contradicted: set[int] = set()
     at = received.find(HEADER)
@@ -97,7 +96,6 @@ def _parse_disturbed(received: bytes, expected_ids: Sequence[int], data_length: 
 
 
 def _out_of_turn(ids: Sequence[int], expected_ids: Sequence[int]) -> set[int]:
-    """Return the ids that are in the wrong order with any other."""
     turns = [expected_ids.index(servo_id) for servo_id in ids]
     if turns == sorted(turns):
         return set()
@@ -109,7 +107,6 @@ def _out_of_turn(ids: Sequence[int], expected_ids: Sequence[int]) -> set[int]:
 
 
 def _frame_at(received: bytes, at: int, expected_ids: Collection[int], data_length: int) -> StatusFrame | None:
-    """Parse the frame whose header is at ``at``; return None if it is invalid."""
     end = at + status_bytes(data_length)
     if end > len(received):
         return None
@@ -125,7 +122,6 @@ def _frame_at(received: bytes, at: int, expected_ids: Collection[int], data_leng
 
 
 def _holds_header(payload: bytes, expected_ids: Collection[int], length: int) -> bool:
-    """Return True when another expected reply seems to start inside the payload."""
     at = payload.find(HEADER)
     while at >= 0:
         start = payload[at + 2 : at + 4]

@@ -99,7 +99,7 @@ class ServoBus(ABC):
 
     @abstractmethod
     def _packet(self, servo_id: int, instruction: int, parameters: Sequence[int]) -> list[int]:
-        """Build an instruction for the SDK, which completes it; raise ValueError for one that it cannot send."""
+        """Build an instruction for the SDK, which completes it; raise ValueError where it cannot send it."""
 
     @abstractmethod
     def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
@@ -180,7 +180,7 @@ class ServoBus(ABC):
         self._send(self._write_packet(BROADCAST_ID, self.registers.torque_enable, 0))
 
     def sync_write(self, address: int, data_by_id: dict[int, bytes]) -> None:
-        """Write the same block of several servos in one packet, which none of them acknowledges.
+        """Write the same block of several servos in one packet, which is not acknowledged.
 
         The dict must not be changed afterwards. Raises ValueError for bytes of several lengths.
         """
@@ -218,7 +218,6 @@ class ServoBus(ABC):
             self.count_retry()
 
     def _exchange(self, packet: list[int], ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-        """Send an instruction and collect its replies."""
         self._send(packet)
         received, frames = self._collect(ids, data_length)
         missing = len(ids) - len(frames)
@@ -271,7 +270,6 @@ class ServoBus(ABC):
         self._line_free_s = start_s + wire_time_s(len(packet), self._port.baudrate)
 
     def _note_disturbance(self) -> None:
-        """Note that bytes are missing, or were not expected."""
         self._disturbed = True
 
     def _await_quiet(self) -> None:

@@ -32,9 +32,7 @@ def survey(
 ) -> Steps[dict[int, ServoFound]]:
     """Survey every servo of the arm, by id, without writing; emulated ones have no cable and supply to check.
 
-    Raises:
-        StartupError: a servo is missing, of an unknown model, or set so that its position is uncertain.
-        NoReply: a servo stopped answering.
+    Raises NoReply, and StartupError for a servo that is missing, of an unknown model, or of an uncertain position.
     """
     models = yield from _identify(family, bus, servos, simulated=simulated)
     found = {}
@@ -131,7 +129,6 @@ def _calibrated(family: ServoFamily, values: Values) -> tuple[int, int, int]:
 
 
 def _identify(family: ServoFamily, bus: ServoBus, servos: ServoMap, *, simulated: bool) -> Steps[dict[int, int]]:
-    """Return the model number of each servo, by id, checked."""
     models: dict[int, int] = {}
     for servo in servos.ids:
         with contextlib.suppress(NoReply):

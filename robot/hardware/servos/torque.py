@@ -119,12 +119,8 @@ class ServoTorque:
     def enable(self, ids: Sequence[int]) -> Steps[dict[int, int]]:
         """Switch servos on at their positions; the others are only read.
 
-        Return the goals of all servos, positions for those that do not hold, by id [ticks].
-
-        Raises:
-            StartupError: the arm moves, stands outside its limits, or does not take a value; servos relaxed before are
-                relaxed again.
-            NoReply: a servo gave no valid reply; as above.
+        Return the goals of all servos, positions for those that do not hold, by id [ticks]. After StartupError (the arm
+        moves, stands outside its limits, or does not take a value) and NoReply servos relaxed before are relaxed again.
         """
         goals: dict[int, int] = {}
         relaxed: list[int] = []
@@ -222,7 +218,6 @@ class ServoTorque:
             )
 
     def _turns(self, servo_id: int) -> Steps[int]:
-        """Read the whole turns to add to a servo's positions [ticks]."""
         if not self._family.counts_turns:
             return 0
         present = yield from read(self._bus, servo_id, self._bus.registers.present_position)
@@ -233,7 +228,6 @@ class ServoTorque:
         return present + self._servos.turns_ticks(servo_id, present)
 
     def _await_rest(self, ids: Sequence[int]) -> Steps[None]:
-        """Wait until the arm is at rest."""
         table = self._bus.registers
         position = table.block(table.present_position)
         moving = -1
@@ -282,7 +276,6 @@ class ServoTorque:
             yield from write_verified(self._bus, servo_id, register, value)
 
     def _set_goal(self, servo_id: int, goal_ticks: int) -> Steps[int]:
-        """Write a goal until it reads back; return it as read [ticks]."""
         for _ in range(STEP_ATTEMPTS):
             turns = yield from self._turns(servo_id)
             block = self._servos.goal_block(servo_id, goal_ticks - turns)
@@ -303,7 +296,6 @@ class ServoTorque:
         return self._limit(servo_id, min(FIRST_TORQUE, full))
 
     def _raise_torque(self, ids: Sequence[int]) -> Steps[None]:
-        """Raise the torque limits slowly from their present to their full values."""
         full, start = self.full_limits(), {}
         for servo in ids:
             value = yield from read(self._bus, servo, full[servo].register)

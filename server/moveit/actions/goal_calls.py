@@ -77,9 +77,6 @@ class GoalCalls:
         self._name = graph.resolve(NAME)
         # The event loop keeps only weak references to tasks.
         self._tasks: set[asyncio.Task[Answer]] = set()
-
-    def open(self) -> None:
-        """Offer both."""
         lists = ("name", "position", "velocity", "effort")
         limits = ListLimits({f"sensor_msgs/msg/JointState.{field}": MAX_JOINTS for field in lists})
         self._graph.offer_calls(self._node, NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits, rule=CALLED_GOAL)
@@ -142,7 +139,7 @@ class GoalCalls:
     # Both.
 
     def _read(self, request: Message, end: Callable[[Mapping[str, Any]], None]) -> ReadGoal | None:
-        """Read a request; end one that cannot be carried out, and return None."""
+        """Read a request; end a request that cannot be carried out, and return None."""
         message: Message = {}
         try:
             message, translate = self._goal_of(request)

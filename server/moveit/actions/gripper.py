@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -278,26 +278,11 @@ def fingers_together(
     return Trajectory(names, share.time_s, start + positions, velocities, accelerations)
 
 
-class ActionMessages(Protocol):
-    """Messages of one of the actions."""
-
-    type_name: str
-
-    def command(self, message: Message) -> GripperCommand:
-        """Read a goal's command."""
-
-    def result(self, reading: GripperReading, *, stalled: bool, reached: bool) -> Message:
-        """Return the result message."""
-
-    def feedback(self, reading: GripperReading) -> Message:
-        """Return the feedback message."""
-
-
 class GripperCommandMessages:
     """Messages of control_msgs/action/GripperCommand.
 
     The position of a gripper with two sliding fingers is the gap between them, the sum of the joints' positions, as
-    for Fetch's driver; otherwise it is that of each joint.
+    for Fetch's driver; otherwise it is the position of each joint.
     """
 
     type_name = "control_msgs/action/GripperCommand"
@@ -364,6 +349,9 @@ class ParallelGripperCommandMessages:
                 "effort": list(reading.efforts),
             }
         }
+
+
+ActionMessages: TypeAlias = GripperCommandMessages | ParallelGripperCommandMessages
 
 
 def _checked_command(

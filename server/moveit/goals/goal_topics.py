@@ -107,13 +107,10 @@ class Confirmation:
         self._turn = asyncio.Lock()
         self._timeout_s = timeout_s
         self.enabled = enabled
-
-    def open(self) -> None:
-        """Subscribe to the topic, and offer the service."""
         subscriber = Subscriber(
             lambda published: self._take_decision(go=published.msg["data"]),
             lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),
-            # The client that confirms may be another than the one that drives.
+            # Another client may confirm than the driving one.
             rule=WORKING,
         )
         self._graph.subscribe(self._node, CONFIRM_TOPIC, "std_msgs/Bool", subscriber)
@@ -158,9 +155,6 @@ class GoalStatusTopics:
         self._node = node
         self._robot = robot
         self._sources = tuple(map(graph.resolve, (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC)))
-
-    def open(self) -> None:
-        """Advertise the topics."""
         self._graph.advertise(self._node, RESULT_TOPIC, "moveit_msgs/MoveItErrorCodes")
         self._graph.advertise(self._node, STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
 
@@ -251,15 +245,12 @@ class GoalTopics:
         self._translator = translator
         self._confirmation = confirmation
         self._joints = joints
-
-    def open(self) -> None:
-        """Subscribe to the topics, and publish the group of goals."""
         self._take_goals(NAMED_TOPIC, NAMED_TYPE, self._translator.named)
         self._take_goals(JOINTS_TOPIC, JOINTS_TYPE, self._translator.joints)
         self._take_goals(POSE_TOPIC, POSE_TYPE, self._translator.pose)
         self._graph.advertise(self._node, GROUP_TOPIC, GROUP_TYPE, latch=True)
         self._publish_group()
-        # The client that chooses the group is the one that drives.
+        # The driving client chooses the group.
         self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group, rule=SWITCHING))
         self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel, rule=CANCELLING))
         self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop, rule=STOPPING))
@@ -337,9 +328,6 @@ class GoalChecks:
         self._scene = scene
         self._node = Node("goal checks")
         self._turn = asyncio.Lock()
-
-    def open(self) -> None:
-        """Offer the service."""
         # Each may be the only ones; both together are counted in the call.
         fields = ("poses", "joints")
         limits = ListLimits({f"armbridge_msgs/srv/CheckGoals_Request.{field}": MAX_GOALS for field in fields})
@@ -353,7 +341,7 @@ class GoalChecks:
             raise ServiceError(f"poses and joints: {len(poses) + len(joints)} goals, the limit is {MAX_GOALS}")
         present_rad = self._current.positions_rad()
         if present_rad is None:
-            raise ServiceError("where the arm is is not known: it is not connected")
+            raise ServiceError("joint positions unknown: the arm is not connected")
         problems, results, tip = [], [], self._translator.tip
         # Each goal takes part of a millisecond; others have their turn in between, and other calls theirs afterwards.
         async with self._turn:

@@ -134,9 +134,8 @@ def _common(first: JointConstraint, second: JointConstraint, where: str) -> Join
 def read_orientation_constraint(message: Message, context: RequestContext, where: str) -> OrientationConstraint:
     """Read the orientation of a link, with the tolerances about its axes.
 
-    Args:
-        message: a moveit_msgs/OrientationConstraint; its tolerances are about the link's axes, whatever the
-            ``parameterization``: those of the two kinds differ only where they are wide about several axes.
+    They are about the link's axes whatever the ``parameterization``: those of the two kinds differ only where they are
+    wide about several axes.
     """
     link = context.link(message["link_name"])
     pose = {"position": dict.fromkeys(AXES, 0.0), "orientation": message["orientation"]}
@@ -188,9 +187,6 @@ def read_regions(message: Message, context: RequestContext, where: str) -> tuple
 
     A pose in ``primitive_poses`` without a primitive, or with an unset one, is a point to reach within the configured
     position tolerance.
-
-    Args:
-        message: a moveit_msgs/PositionConstraint.
     """
     link = context.link(message["link_name"])
     volume = message["constraint_region"]
@@ -274,11 +270,7 @@ def read_goal(messages: Sequence[Message], context: RequestContext) -> Goal:
 
 
 def read_path_constraints(message: Message, context: RequestContext, where: str = "path_constraints") -> Constraints:
-    """Read constraints that hold from start to end; the result may be :attr:`Constraints.empty`.
-
-    Args:
-        message: a moveit_msgs/Constraints.
-    """
+    """Read constraints that hold from start to end; the result may be :attr:`Constraints.empty`."""
     _refuse_visibility(message, where)
     turned = _orientations(message, context, where)
     inside = []
@@ -325,7 +317,7 @@ def _goal(
 def _link_goal(
     region: Region, turned: tuple[OrientationConstraint, ...], context: RequestContext
 ) -> PositionGoal | PoseGoal | None:
-    """Make the goal of one link, whose failure tells the nearest point; None if the constraints say more."""
+    """Make the goal of one link, whose failure names the nearest point; None if the constraints say more."""
     at = region.constraint
     if region.elongated:
         return None
@@ -339,7 +331,7 @@ def _link_goal(
 
 
 def _solvable(constraint: JointConstraint) -> JointConstraint:
-    """Widen a range to one that a search can end in."""
+    """Widen a range so that a search can end in it."""
     above = max(constraint.above_rad, LEAST_JOINT_TOLERANCE_RAD)
     below = max(constraint.below_rad, LEAST_JOINT_TOLERANCE_RAD)
     return replace(constraint, above_rad=above, below_rad=below)

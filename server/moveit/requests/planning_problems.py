@@ -40,7 +40,6 @@ from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 from server.errors import RefusedError
 from server.execution.motions import Joints, Positions, Step
-from server.moveit.durations import read_seconds
 from server.moveit.error_codes import invalid, refused
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,
@@ -58,6 +57,7 @@ from server.moveit.requests.constraints import (
 )
 from server.moveit.requests.context import RequestContext, planning_group
 from server.moveit.scene.frames import Frames
+from server.moveit.trajectories import read_seconds
 
 Problem = TypeVar("Problem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
 
@@ -111,11 +111,7 @@ class ProblemBuilder:
         return planning_group(self._robot, name, self._parameters.configured)
 
     def context(self, group: Group, start_rad: Positions) -> RequestContext:
-        """Return the context in which the fields of a request for a group are read.
-
-        Args:
-            start_rad: position of every movable joint, for frames that move with the arm [rad].
-        """
+        """Return the context in which the fields of a request for a group are read."""
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
 
     def goal(
@@ -129,7 +125,6 @@ class ProblemBuilder:
         """Build the problem of a goal that comes with nothing else: all else is as configured.
 
         Args:
-            start_rad: position of every movable joint at the start [rad].
             velocity_scaling: share of the velocity limits, above 0 to 1; 0 for the configured one. The arm's speed
                 limit holds besides.
         """
@@ -151,7 +146,6 @@ class ProblemBuilder:
 
         Args:
             request: the request; its start state is not read here, because only the first of several has one.
-            start_rad: position of every movable joint at the start [rad].
         """
         pipeline = check_pipeline(request["pipeline_id"])
         _check_unread(request)
@@ -197,11 +191,7 @@ class ProblemBuilder:
         return lambda start_rad: self.motion_plan(request, start_rad).problem
 
     def cartesian_path(self, request: Message, start_rad: Positions) -> BuiltProblem[CartesianProblem]:
-        """Build the problem of a moveit_msgs/GetCartesianPath request.
-
-        Args:
-            start_rad: position of every movable joint at the start [rad].
-        """
+        """Build the problem of a moveit_msgs/GetCartesianPath request."""
         context = self.context(self.group(request["group_name"]), start_rad)
         max_step_m = request["max_step"]
         if not (math.isfinite(max_step_m) and max_step_m > 0.0):
@@ -226,11 +216,7 @@ class ProblemBuilder:
         return BuiltProblem(problem, tuple(context.warnings))
 
     def ik(self, request: Message, group: Group, seed_rad: Positions) -> BuiltProblem[IkQuestion]:
-        """Build the question of a moveit_msgs/PositionIKRequest.
-
-        Args:
-            seed_rad: position of every movable joint to start from, within the limits [rad].
-        """
+        """Build the question of a moveit_msgs/PositionIKRequest."""
         context = self.context(group, seed_rad)
         constraints = read_path_constraints(request["constraints"], context, "ik_request.constraints")
         question = IkQuestion(
@@ -248,9 +234,6 @@ def sequence_requests(sequence: Message) -> list[Message]:
     """Return the moveit_msgs/MotionPlanRequest of a sequence's items, in their order.
 
     The arm comes to rest after each, so a blend radius is rejected. Only the first item may have a start state.
-
-    Args:
-        sequence: a moveit_msgs/MotionSequenceRequest.
     """
     items = sequence["items"]
     if not 1 <= len(items) <= MAX_ITEMS:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
@@ -14,7 +14,11 @@ from robot.trajectory import Vector
 from server.errors import RefusedError
 from server.moveit.error_codes import refused
 from server.moveit.poses import composed, inverse, pose_of
-from server.moveit.scene.collision_objects import IDENTITY, AttachedCollisionObject, CollisionObject
+from server.moveit.scene.collision_objects import IDENTITY
+
+if TYPE_CHECKING:
+    from server.moveit.scene.planning_scene import SceneContents, SceneDraft
+    from server.moveit.scene.scene_state import SceneState
 
 # MoveIt's name of the fixed frame, which is the robot's root link here.
 WORLD = "world"
@@ -29,36 +33,8 @@ MAX_RESOLVED = 100
 MAX_LISTED = 20
 
 
-class FrameObjects(Protocol):
-    """Objects and fixed frames, which are frames beside the links."""
-
-    @property
-    def objects(self) -> Mapping[str, CollisionObject]:
-        """Collision objects by name."""
-
-    @property
-    def attached(self) -> Mapping[str, AttachedCollisionObject]:
-        """Attached collision objects by name."""
-
-    @property
-    def fixed_frames(self) -> Mapping[str, Pose]:
-        """Fixed frames by name, in the root link."""
-
-
-class SceneSource(Protocol):
-    """Scene that changes."""
-
-    @property
-    def contents(self) -> FrameObjects:
-        """Its present contents."""
-
-
 class LinkTransforms:
-    """Transforms of the links at one set of joint positions, computed at the first use.
-
-    Args:
-        positions_rad: position of every movable joint [rad], None while they are not known.
-    """
+    """Transforms of the links at one set of joint positions, computed at the first use."""
 
     def __init__(
         self, robot: RobotModel, forward: ForwardPlacements, positions_rad: Mapping[str, float] | None
@@ -92,18 +68,14 @@ class LinkTransforms:
 class Frames:
     """Look-up of frames in the present scene."""
 
-    def __init__(self, robot: RobotModel, scene_state: SceneSource) -> None:
+    def __init__(self, robot: RobotModel, scene_state: SceneState) -> None:
         self._robot = robot
         self._forward = ForwardPlacements(robot)
         self._state = scene_state
         self._latest = _Resolved(None, None, {})
 
     def resolve(self, frame_id: str, positions_rad: Mapping[str, float] | None) -> Pose:
-        """Return the pose of a frame in the root link; names and errors are those of :func:`find_frame`.
-
-        Args:
-            positions_rad: position of every movable joint [rad], None while they are not known.
-        """
+        """Return the pose of a frame in the root link; names and errors as for :func:`find_frame`."""
         latest, contents = self._latest, self._state.contents
         # The many poses of one request are in the same frame mostly.
         if (
@@ -124,12 +96,12 @@ class Frames:
 class _Resolved:
     """Poses of frames in the root link, by name, for one scene and one set of joint positions."""
 
-    contents: FrameObjects | None
+    contents: SceneContents | None
     positions_rad: Mapping[str, float] | None
     poses: dict[str, Pose]
 
 
-def find_frame(frame_id: str, around: FrameObjects, links: LinkTransforms) -> Pose:
+def find_frame(frame_id: str, around: SceneContents | SceneDraft, links: LinkTransforms) -> Pose:
     """Return the pose of a frame in the root link.
 
     The empty name, ``world`` and the root link are the root link itself; a leading slash does not matter. A subframe
@@ -174,7 +146,7 @@ def _splits(name: str) -> Iterator[tuple[str, str]]:
             yield name[:i], name[i + 1 :]
 
 
-def _object_frame(name: str, subframe: str, around: FrameObjects, links: LinkTransforms) -> Pose | None:
+def _object_frame(name: str, subframe: str, around: SceneContents | SceneDraft, links: LinkTransforms) -> Pose | None:
     """Return the pose of an object or its subframe in the root link; None if there is no such object or subframe."""
     attached = around.attached.get(name)
     found = around.objects.get(name) if attached is None else attached.collision_object

@@ -52,7 +52,7 @@ SCENE_LIMITS = ListLimits(
         "shape_msgs/msg/Mesh.triangles": MAX_SCENE_TRIANGLES,
         "shape_msgs/msg/Mesh.vertices": 3 * MAX_SCENE_TRIANGLES,
     },
-    # The matrix, and what is told of each object besides.
+    # The matrix, and the other values of each object.
     max_values=100_000,
 )
 
@@ -263,8 +263,6 @@ class MonitoredScenePublisher:
     def __init__(
         self,
         graph: Graph,
-        node: Node,
-        robot: RobotModel,
         state: SceneState,
         current: CurrentState,
         rate_hz: float,
@@ -272,8 +270,7 @@ class MonitoredScenePublisher:
         call_later: CallLater = call_later,
     ) -> None:
         self._graph = graph
-        self._node = node
-        self._robot = robot
+        self._node = Node("planning_scene")
         self._state = state
         self._current = current
         self._clock = clock
@@ -282,7 +279,7 @@ class MonitoredScenePublisher:
         self._period_s = 1.0 / rate_hz
         self._published_at_s = clock() - self._period_s
         self._timer: Timer | None = None
-        graph.advertise(node, MONITORED_TOPIC, "moveit_msgs/PlanningScene")
+        graph.advertise(self._node, MONITORED_TOPIC, "moveit_msgs/PlanningScene")
         self._latch()
         state.on_change(self._schedule)
 
@@ -301,14 +298,14 @@ class MonitoredScenePublisher:
         before, self._published = self._published, self._state.contents
         if before != self._published:
             self._graph.publish(
-                self._node, MONITORED_TOPIC, scene_diff(before, self._published, self._robot), as_it_is=True
+                self._node, MONITORED_TOPIC, scene_diff(before, self._published, self._state.robot), as_it_is=True
             )
             self._latch()
 
     def _latch(self) -> None:
         state = self._current.message()
         self._graph.latch(
-            MONITORED_TOPIC, scene_message(self._published, self._robot, state, EVERYTHING), as_it_is=True
+            MONITORED_TOPIC, scene_message(self._published, self._state.robot, state, EVERYTHING), as_it_is=True
         )
 
 
@@ -316,15 +313,8 @@ class SceneServices:
     """``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``."""
 
     def __init__(
-        self,
-        graph: Graph,
-        node: Node,
-        robot: RobotModel,
-        state: SceneState,
-        assumed: AssumedStates,
-        current: CurrentState,
+        self, graph: Graph, node: Node, state: SceneState, assumed: AssumedStates, current: CurrentState
     ) -> None:
-        self._robot = robot
         self._state = state
         self._assumed = assumed
         self._current = current
@@ -354,9 +344,9 @@ class SceneServices:
         assumed = self._assumed
         positions_rad = assumed.completed(assumed.of(call.caller), self._current.positions_rad()) or {}
         assumed.note_sent(call.caller, positions_rad)
-        state = state_message(positions_rad, self._robot.root_link, time.time())
+        state = state_message(positions_rad, self._state.robot.root_link, time.time())
         components = call.request["components"]["components"]
-        call.succeed_as_it_is({"scene": scene_message(self._state.contents, self._robot, state, components)})
+        call.succeed_as_it_is({"scene": scene_message(self._state.contents, self._state.robot, state, components)})
 
     def _apply(self, call: Call) -> None:
         scene, caller, assumed = call.request["scene"], call.caller, self._assumed
@@ -378,7 +368,7 @@ class SceneServices:
             end(error)
             return
         positions_rad = assumed.completed(assumed_rad, self._current.positions_rad())
-        # A client that has left was told of no failure: it has asked for the change, and leaves it behind.
+        # A client that has left got no failure as an answer: its change is made all the same.
         self._state.submit(self._state.diff(scene), positions_rad, end, lambda: call.ended and not call.caller_left)
 
 
@@ -388,7 +378,6 @@ class SceneInterface:
     def __init__(
         self,
         graph: Graph,
-        robot: RobotModel,
         state: SceneState,
         assumed: AssumedStates,
         current: CurrentState,
@@ -397,10 +386,10 @@ class SceneInterface:
         node = Node("planning_scene")
         self._state = state
         subscribe_to_scene_topics(graph, node, state, current)
-        SceneServices(graph, node, robot, state, assumed, current)
+        SceneServices(graph, node, state, assumed, current)
         GeometryFiles(graph, node, state, current, parameters.geometry_directory)
         rate_hz = parameters.publish_planning_scene_hz
-        self._publisher = MonitoredScenePublisher(graph, node, robot, state, current, rate_hz)
+        self._publisher = MonitoredScenePublisher(graph, state, current, rate_hz)
 
     def close(self) -> None:
         """Publish no more."""

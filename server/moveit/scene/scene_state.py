@@ -42,7 +42,7 @@ Positions = Mapping[str, float] | None
 AT_ONCE_ELEMENTS = 2_000
 OBJECT_ELEMENTS = 20
 
-# Elements of all changes that wait: those of two scenes full of meshes.
+# Elements of all changes that wait: two scenes full of meshes.
 MAX_WAITING_ELEMENTS = 1_000_000
 
 
@@ -80,7 +80,7 @@ class SceneState:
     """
 
     def __init__(self, robot: RobotModel) -> None:
-        self._robot = robot
+        self.robot = robot
         self._forward = ForwardPlacements(robot)
         self._srdf_matrix = AllowedCollisionMatrix.of_robot(robot)
         self._versions = itertools.count(EMPTY_SCENE.version + 1)
@@ -105,7 +105,7 @@ class SceneState:
         return SceneChange(lambda draft: self._apply_scene(draft, message), elements)
 
     def world(self, message: Message) -> SceneChange:
-        """Return the replacement of all collision objects by those of a moveit_msgs/PlanningSceneWorld."""
+        """Return the change that replaces all collision objects by a moveit_msgs/PlanningSceneWorld."""
 
         def change(draft: SceneDraft) -> None:
             draft.objects = {}
@@ -126,7 +126,6 @@ class SceneState:
         """Apply a change in its turn: at once if it is small and none waits.
 
         Args:
-            positions_rad: position of every movable joint [rad], None while they are not known.
             done: called once it is applied or refused.
             ended: returns True once the change is no longer to be applied; it is then refused.
         """
@@ -143,7 +142,7 @@ class SceneState:
             self._applying = asyncio.create_task(self._apply_waiting(), name="planning scene")
 
     async def change(self, change: SceneChange, positions_rad: Positions) -> None:
-        """Apply a change in its turn, and wait until it is applied; arguments are those of :meth:`submit`.
+        """Apply a change in its turn, and wait until it is applied; arguments as for :meth:`submit`.
 
         A change whose wait is cancelled is not applied any more.
         """
@@ -177,7 +176,7 @@ class SceneState:
             self._applying.cancel()
 
     def apply_diff(self, message: Message, positions_rad: Positions) -> None:
-        """Apply a moveit_msgs/PlanningScene now, ahead of changes that wait; errors are those of :meth:`apply`."""
+        """Apply a moveit_msgs/PlanningScene now, ahead of changes that wait; errors as of :meth:`apply`."""
         self.apply(self.diff(message), positions_rad)
 
     def apply(self, change: SceneChange, positions_rad: Positions) -> None:
@@ -194,8 +193,8 @@ class SceneState:
 
     def _apply_scene(self, draft: SceneDraft, message: Message) -> None:
         model = message.get("robot_model_name", "")
-        if model not in ("", self._robot.name):
-            log.warning("planning scene: robot_model_name is %r; this robot is %r", model, self._robot.name)
+        if model not in ("", self.robot.name):
+            log.warning("planning scene: robot_model_name is %r; this robot is %r", model, self.robot.name)
         apply_planning_scene(draft, message, self._srdf_matrix)
 
     async def _apply_waiting(self) -> None:
@@ -235,7 +234,7 @@ class SceneState:
         self, before: SceneContents, change: SceneChange, positions_rad: Positions
     ) -> tuple[SceneContents, Scene | None]:
         contents, scene = self._changed(before, change, positions_rad)
-        # Written here and once, for whoever is told of the scene.
+        # Written here and once, for all readers of the scene.
         for each in contents.objects.values():
             _ = each.message
         for held in contents.attached.values():
@@ -259,13 +258,13 @@ class SceneState:
         self, before: SceneContents, change: SceneChange, positions_rad: Positions
     ) -> tuple[SceneContents, Scene | None]:
         """Return changed contents, and the scene for planners unless it stays the same; called in any thread."""
-        draft = SceneDraft(before, LinkTransforms(self._robot, self._forward, positions_rad))
+        draft = SceneDraft(before, LinkTransforms(self.robot, self._forward, positions_rad))
         change.apply(draft)
         contents = draft.contents()
         if contents.looks_same(before):
             return contents, None
-        scene = contents.as_scene(next(self._versions), self._robot)
-        fault = check_whole(scene, self._robot.links)
+        scene = contents.as_scene(next(self._versions), self.robot)
+        fault = check_whole(scene, self.robot.links)
         if fault is not None:
             raise RefusedError(fault)
         return contents, scene

@@ -170,7 +170,6 @@ def first_jump(
     """Find the first jump on a path; None if there is none.
 
     Args:
-        others_rad: position of every movable joint; those of the motion's joints are not used [rad].
         step_m: length of a step of the tip [m].
     """
     configurations = _sampled(motion)

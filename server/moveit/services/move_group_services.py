@@ -215,11 +215,7 @@ async def plan_kinematic_path(context: PlanningContext, request: Message, caller
 async def explained(
     failure: PlanningFailure, problem: Problem | None, scene: Scene, context: PlanningContext
 ) -> PlanningFailure:
-    """Return a failure whose message says what would work, if anything was found.
-
-    Args:
-        problem: the problem; None when it could not be made.
-    """
+    """Return a failure whose message says what would work, if anything was found."""
     added = await with_nearest_goal(failure, problem, scene, context.pool)
     return replace(added, message=with_suggestion(added.message, added.details, context.robot))
 

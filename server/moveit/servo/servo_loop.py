@@ -33,11 +33,11 @@ from robot.arm_group import AnyArm
 from robot.trajectory import Vector
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
-from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.moveit.error_codes import invalid
 from server.moveit.parameters import ServoParameters
 from server.moveit.poses import Message, composed, matrix_of, read_pose
+from server.moveit.requests.planning_context import PlanningContext
 
 log = logging.getLogger("armbridge.servo")
 
@@ -47,9 +47,6 @@ Resolve: TypeAlias = Callable[[str, Positions], Pose]
 
 # Has the planners answer a question.
 Ask: TypeAlias = Callable[[ServoQuestion], Awaitable[ServoAnswer | PlanningFailure]]
-
-# Publishes a status with its message.
-PublishStatus: TypeAlias = Callable[[ServoStatus, str], None]
 
 UNITLESS = "unitless"
 
@@ -61,7 +58,7 @@ UNITLESS_TOLERANCE = 1e-3
 # with four, none of 16 runs came nearer than 7.8 mm.
 LEAD_S = 0.04
 
-# The planners' latency is forgotten in so many answers, more slowly than it is noticed.
+# The planners' latency counts for this number of answers: an increase counts at once, a decrease later.
 LATENCY_ANSWERS = 10
 
 # Periods after which a step is made without a command, where commands are followed when they come.
@@ -133,21 +130,13 @@ def read_joint_jog(message: Message, joints: Sequence[str], parameters: ServoPar
 
 
 def read_pose_target(message: Message, resolve: Resolve, positions_rad: Positions) -> TipTarget:
-    """Read a geometry_msgs/PoseStamped; a frame that moves with the arm is taken where it is now.
-
-    Args:
-        positions_rad: commanded position of every movable joint [rad].
-    """
+    """Read a geometry_msgs/PoseStamped; a frame that moves with the arm is taken where it is now."""
     pose = read_pose(message["pose"], "pose")
     return TipTarget(composed(resolve(message["header"]["frame_id"], positions_rad), pose))
 
 
 def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Positions) -> ServoCommand:
-    """Transform a command into the root link, as planners take it; a twist turns with its frame.
-
-    Args:
-        positions_rad: commanded position of every movable joint [rad].
-    """
+    """Transform a command into the root link, as planners take it; a twist turns with its frame."""
     if not isinstance(command, TwistCommand):
         return command
     rotation = matrix_of(resolve(command.frame_id, positions_rad))[:3, :3]
@@ -181,31 +170,42 @@ def _scaled(values: Mapping[str, float], scale: float, parameters: ServoParamete
     return [value * scale if unitless else value for value in values.values()]
 
 
+@dataclass(frozen=True)
+class ServoListener:
+    """Listener of a servo loop.
+
+    Attributes:
+        status: called after every step.
+        interrupted: called with the reason when the arm is stopped from elsewhere.
+    """
+
+    status: Callable[[ServoStatus, str], None]
+    interrupted: Callable[[str], None]
+
+
 class ServoSession:
     """Servo loop of one group of joints. It controls the arm from a command until the arm has come to rest.
 
     Args:
-        publish_status: called after every step.
-        interrupted: called with the reason when the arm is stopped from elsewhere.
-        current: positions of all joints, also of arms that are not steered; None for those of the arm.
+        planning: frames, and positions of all joints, also of arms that are not steered.
+        ask: has the planners answer; None for the planners of `planning`.
+        clock: monotonic time [s].
     """
 
     def __init__(
         self,
         arm: AnyArm,
         setup: ServoSetup,
-        ask: Ask,
-        resolve: Resolve,
-        publish_status: PublishStatus,
-        interrupted: Callable[[str], None],
+        planning: PlanningContext,
+        listener: ServoListener,
+        ask: Ask | None = None,
         clock: Callable[[], float] = time.monotonic,
-        current: CurrentState | None = None,
     ) -> None:
         self._arm = arm
-        self._current = current
+        self._current = planning.current
         self._setup = setup
-        self._ask, self._resolve = ask, resolve
-        self._publish_status, self._interrupted = publish_status, interrupted
+        self._ask, self._resolve = ask or planning.ask, planning.frames.resolve
+        self._publish_status, self._interrupted = listener.status, listener.interrupted
         self._clock = clock
         self._input: ServoInput = JointVelocities({})
         self._expires_at_s = -math.inf
@@ -227,8 +227,9 @@ class ServoSession:
         state = self._arm.state
         if state.goal_rad is None:
             return {}
-        beside = None if self._current is None else self._current.positions_rad()
-        positions = (beside or {}) | dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
+        positions = (self._current.positions_rad() or {}) | dict(
+            zip(state.joint_names, state.goal_rad.tolist(), strict=True)
+        )
         commanded = self._stream.commanded if self._stream is not None else None
         if commanded is not None:
             ahead = commanded.position_rad + (LEAD_S + self.latency_s) * commanded.velocity_rad_s
@@ -264,7 +265,7 @@ class ServoSession:
 
     async def _run(self) -> None:
         self._released = False
-        # The epoch is that of the command which has started this task.
+        # The epoch of the command that has started this task.
         self._stream = self._arm.stream(self._setup.joints, epoch=arrival_epoch())
         self._stream.ended.add_done_callback(lambda _ended: self._due.set())
         try:

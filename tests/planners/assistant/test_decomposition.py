@@ -3,18 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planners.assistant.decomposition import Limits, clipped, decompose
+from planners.assistant.decomposition import Limits, decompose
 from planners.assistant.surface import merged
 from tests.helpers.stl_arm import boxes_union, channel
 
 
 def surface(triangles):
     return merged(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
-
-
-def area_m2(corners_m):
-    across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
-    return 0.5 * np.linalg.norm(across, axis=1).sum()
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +44,3 @@ def test_bounds_give_the_closest_parts_and_their_deviation():
     found = decompose(surface(channel()), Limits(max_parts=1))
     assert len(found.parts) == 1
     assert found.deviation.outside_m == pytest.approx(0.016, abs=0.0005)
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_clipped_triangles_lie_on_their_side_and_lose_no_area(axis):
-    corners = np.random.default_rng(axis).normal(size=(300, 3, 3))
-    below, above = clipped(corners, axis, 0.2)
-    assert below[:, :, axis].max() <= 0.2
-    assert above[:, :, axis].min() >= 0.2
-    assert area_m2(below) + area_m2(above) == pytest.approx(area_m2(corners))

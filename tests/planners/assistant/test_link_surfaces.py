@@ -14,7 +14,3 @@ def test_surfaces_of_the_builtin_arm_are_the_official_meshes(robot, shared_data)
         assert set(file.files) == expected.keys()
         for name, array in expected.items():
             assert np.array_equal(file[name], array)
-
-
-def test_links_without_meshes_have_no_surface(robot) -> None:
-    assert link_surfaces(robot) == {}

@@ -59,12 +59,6 @@ def test_links_that_touch_in_every_state_always_do():
     assert UncheckedPair("post", "bar", "Always") in unchecked_pairs(contacts, 50, 0, lambda _done: None)
 
 
-def test_progress_ends_with_all_states(contacts):
-    told = []
-    unchecked_pairs(contacts, 1200, 0, told.append)
-    assert told == [500, 1000, 1200]
-
-
 def test_a_free_state_is_drawn_where_none_is_given(contacts, found):
     state, is_free = free_state(contacts, found, (np.array([0.0, 1.5, 0.0]),), 200, 0)
     assert is_free

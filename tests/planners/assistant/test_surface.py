@@ -6,10 +6,8 @@ import pytest
 from planners.assistant.surface import (
     ConvexPart,
     Surface,
-    components,
     measure,
     merged,
-    sample_with_normals,
 )
 from tests.helpers.stl_arm import boxes_union
 
@@ -20,17 +18,6 @@ def surface(triangles) -> Surface:
 
 CUBE = surface(boxes_union([((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1))]))
 RANDOM = np.random.default_rng(0)
-
-
-def test_pieces_that_do_not_touch_are_components():
-    two = surface(boxes_union([((0.0, 0.0, 0.0), (0.1, 0.1, 0.1)), ((0.2, 0.0, 0.0), (0.3, 0.1, 0.1))]))
-    assert [len(piece.triangles) for piece in components(two)] == [12, 12]
-
-
-def test_samples_lie_on_the_surface_and_normals_point_outwards():
-    points, normals = sample_with_normals(CUBE, 500, RANDOM)
-    assert np.abs(points).max(axis=1) == pytest.approx(np.full(500, 0.1))
-    assert (points * normals).sum(axis=1) == pytest.approx(np.full(500, 0.1))
 
 
 def test_a_part_that_is_too_small_leaves_the_surface_uncovered():

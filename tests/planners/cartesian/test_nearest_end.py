@@ -87,12 +87,6 @@ def test_the_same_path_can_be_planned_to_the_end_that_is_found(follower, own_pla
     assert again.stopped_by is None
 
 
-def test_the_end_that_is_found_is_planned_again_whole_where_the_path_leaves_the_reach(follower, own_planner):
-    problem = follower.problem(START, line(shifted(follower, 0.5, -0.2, 0.0)))
-    goal, _ = found(own_planner, problem)
-    assert own_planner.answer(replace(problem, segments=(Line(goal.end),))).stopped_by is None
-
-
 def test_the_end_that_is_found_is_planned_again_whole_where_its_rounding_would_touch(follower, own_planner, put):
     # Before the second wall the first end that is tried is not followed whole.
     for y_m, down_m in ((0.07897435897435898, 0.0), (0.12, 0.03)):

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -93,14 +91,6 @@ def test_on_any_arc_the_tip_stays_on_the_circle(follower, rate_limits, share, ne
     assert np.abs(np.linalg.norm(places_m - center_m, axis=1) - radius_m).max() <= BOUND_M
 
 
-def test_a_line_there_and_back_turns_at_its_end_and_comes_home(follower):
-    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.05, 0.0), shifted(follower, 0.0, 0.0, 0.0)))
-    places_m = tips_m(follower, plan) - follower.pose(START).translation
-    assert plan.fraction == 1.0
-    assert places_m[:, 1].max() == pytest.approx(0.05, abs=BOUND_M)
-    np.testing.assert_allclose(places_m[-1], 0.0, atol=BOUND_M)
-
-
 def test_corners_of_waypoints_are_passed_without_a_stop(follower):
     corners = [(0.0, 0.03, 0.0), (0.0, 0.03, -0.03), (0.0, 0.0, -0.03)]
     plan = follower.plan(follower.problem(START, *(shifted(follower, *corner) for corner in corners)))
@@ -166,15 +156,6 @@ def wall(follower, beside_m):
 
 def to_the_left(follower, **asked):
     return follower.problem(START, shifted(follower, 0.0, 0.12, 0.0), **asked)
-
-
-def test_the_nearer_an_obstacle_the_less_of_the_path_is_followed(follower, put):
-    fractions = []
-    for beside_m in (0.08, 0.09, 0.11, 0.14, 0.17):
-        put(follower.collision, wall(follower, beside_m))
-        fractions.append(follower.plan(to_the_left(follower)).fraction)
-    assert all(first <= second + 0.02 for first, second in pairwise(fractions))
-    assert fractions[0] < fractions[-1] == 1.0
 
 
 @pytest.mark.parametrize(

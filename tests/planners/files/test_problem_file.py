@@ -241,19 +241,6 @@ def test_a_wrong_file_is_refused_with_its_field(tmp_path, fields, field, words) 
     assert words in error.reason
 
 
-def test_the_shared_files_are_read_whole(shared_data) -> None:
-    for path in sorted((shared_data / "planning_problems").glob("*.json")):
-        fields = json.loads(path.read_text())
-        file = problem_file.read(path, ROBOT)
-        lists = ("joint_problems", "position_problems", "infeasible")
-        assert [one.id for one in file.problems] == [entry["id"] for key in lists for entry in fields[key]]
-        assert len(file.scene.objects) == len(fields["objects"])
-        np.testing.assert_array_equal(
-            [file.problems[0].problem.start_rad[name] for name in fields["joint_names"]],
-            fields["joint_problems"][0]["start"],
-        )
-
-
 def test_limits_of_the_robot_that_failed_are_those_of_the_robot_that_is_read(tmp_path) -> None:
     elbow = ROBOT.joints["elbow_flex"]
     elbow = replace(elbow, lower=-1.0, upper=0.5, max_velocity=0.2, max_acceleration=0.3)

@@ -82,17 +82,6 @@ def test_near_is_nearer_than_the_margin_of_each_pair(crowded, margin_m):
             assert broadphase.near_among(q, range(0, count, 2), margins_m) == [pair for pair in near if pair % 2 == 0]
 
 
-def test_padded_pairs_touch_before_they_overlap(crowded):
-    build, states = crowded
-    plain, padded = build(0.0), build(0.02)
-    count = len(plain._pairs)
-    for q in states:
-        apart_m = distances_m(plain, count, q)
-        if abs(apart_m.min() - 0.02) > 1e-5:
-            assert padded.touches(q) == (apart_m.min() < 0.02)
-        np.testing.assert_allclose(distances_m(padded, count, q), apart_m - 0.02, atol=1e-9)
-
-
 # Two small tetrahedra at the ends of the boom: between them is only their hull.
 CORNERS_M = 0.02 * np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]

@@ -11,7 +11,6 @@ from tests.planners.scenes import around_the_arm, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
 HOME = np.zeros(5)
-READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("ends", BLOCKED_LINES)
@@ -19,10 +18,6 @@ def test_lines_through_the_arm_are_blocked_from_either_side(joint_space, ends):
     start, end = map(np.array, ends)
     assert not joint_space.line_free(start, end)
     assert not joint_space.line_free(end, start)
-
-
-def test_a_line_between_free_poses_is_free(joint_space):
-    assert joint_space.line_free(HOME, READY)
 
 
 @pytest.mark.parametrize("seed", range(2))

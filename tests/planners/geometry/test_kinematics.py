@@ -34,16 +34,6 @@ def test_continuous_joints_get_one_turn_either_way(crane):
     assert model_of_crane.upperPositionLimit[turn] == pytest.approx(math.pi)
 
 
-def test_links_are_where_collision_checks_have_them(robot, collision):
-    forward = ForwardKinematics(robot, collision.joint_names)
-    for q in np.random.default_rng(2).uniform(collision.lower_rad, collision.upper_rad, (10, 6)):
-        forward.place(q)
-        for link in robot.links:
-            np.testing.assert_allclose(
-                forward.placement(link).translation, collision.tip_positions([q], link)[0], atol=1e-12
-            )
-
-
 def test_joints_may_come_in_any_order(robot, collision):
     names = collision.joint_names
     forward, backward = ForwardKinematics(robot, names), ForwardKinematics(robot, names[::-1])

@@ -30,11 +30,6 @@ from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 
 
-def test_few_corners_stay_as_they_are():
-    hull = enclosing(np.vstack((CUBE, 0.5 * CUBE + 0.2)))
-    assert {tuple(corner) for corner in hull.points()} == {tuple(corner) for corner in CUBE}
-
-
 @examples(20)
 @given(st.integers(0, 1000), st.tuples(*[st.floats(0.01, 1.0)] * 3))
 def test_many_points_are_enclosed_by_few_corners(seed, size_m):

@@ -20,13 +20,6 @@ SHARE = 4
 NEAR_CONTACTS = Path(__file__).parents[3] / "benchmarks" / "scenes" / "near_contacts.json"
 
 
-# Circles of the balls in each direction.
-AROUND = 60
-
-# Half the diagonal of the cells of the grid that files have [m].
-ACCURACY_M = 0.5 * np.sqrt(3.0) * surfaces.UNIT_M
-
-
 def test_packing_drops_what_is_twice_or_has_no_extent() -> None:
     vertices = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 1e-7, 0.0]])
     _, triangles = surfaces.packed(vertices, np.array([[0, 1, 2], [2, 0, 1], [0, 3, 2], [0, 1, 3]]))

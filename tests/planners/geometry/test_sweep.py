@@ -105,20 +105,6 @@ def test_the_earliest_of_several_contacts_is_told():
     assert -1.0 + 2.0 * at == pytest.approx(-0.55, abs=2.0 * EARLIEST_STEP_M)
 
 
-def test_only_what_threatened_a_wider_range_is_looked_at_again():
-    looked_at = []
-
-    class Watched(Discs):
-        def candidate_pairs(self, points, joint_travel, among):
-            looked_at.extend(known for known in among if known is not None)
-            return super().candidate_pairs(points, joint_travel, among)
-
-    around = Watched((0.0, 0.02, 0.01), (5.0, 5.0, 0.1))
-    assert line_is_free(around, np.array([-1.0, 0.0]), np.array([1.0, 0.0]), FINEST_STEP_M)
-    assert first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M) is None
-    assert set(looked_at) == {(0,)}
-
-
 def test_a_line_run_through_at_any_speed_is_straight():
     start, end = np.array([0.1, 0.2]), np.array([0.7, -0.4])
     shares = np.array([[0.0, 0.0, 0.1, 0.2], [0.2, 0.3, 0.9, 1.0]])

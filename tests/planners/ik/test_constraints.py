@@ -3,9 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import strategies as st
 
-from planners.geometry.kinematics import Placements
 from planners.goals import (
     AxisGoal,
     Constraints,
@@ -24,9 +22,6 @@ from planners.ik.constraints import (
     rotation,
 )
 from planners.scene import Pose
-
-angles = st.floats(-3.0, 3.0)
-vectors = st.tuples(angles, angles, angles).map(np.array)
 
 
 def placed(turn, position_m=(0.0, 0.0, 0.0)):
@@ -61,22 +56,6 @@ def test_axis_does_not_mind_turns_about_itself():
     condition = AxisCondition("tip", np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]), np.array([0.1, 0.1, np.pi]))
     assert not condition.violation(condition.error(placed([0.0, 0.0, 3.0]))).any()
     assert condition.violation(condition.error(placed([0.2, 0.0, 0.0]))).any()
-
-
-@pytest.mark.parametrize(
-    "condition",
-    [
-        point(offset_m=np.array([0.1, 0.0, 0.2]), center_m=np.array([0.3, 0.1, 0.0])),
-        TurnCondition("tip", pin.exp3(np.array([0.3, 0.2, 0.1])), np.full(3, 0.1)),
-        AxisCondition("tip", np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), 0.1),
-    ],
-)
-def test_distances_of_many_placements_are_the_lengths_of_the_errors(condition):
-    rng = np.random.default_rng(1)
-    places = [placed(rng.uniform(-1.5, 1.5, 3), rng.uniform(-1, 1, 3)) for _ in range(20)]
-    many = Placements(np.array([p.rotation for p in places]), np.array([p.translation for p in places]))
-    lengths = [np.linalg.norm(condition.error(p)) for p in places]
-    np.testing.assert_allclose(condition.distances(many), lengths, atol=1e-7)
 
 
 TIP = "gripper_frame_link"

@@ -31,13 +31,6 @@ def test_the_solution_keeps_every_inequality_and_is_optimal(seed):
     assert (pushes >= -1e-5).all()
 
 
-def test_without_inequalities_it_is_the_damped_least_squares_solution():
-    matrix, wanted, damping, _, _ = problem(1)
-    x, active = bounded_least_squares(matrix, wanted, damping, np.zeros((0, 5)), np.zeros(0))
-    assert x == pytest.approx(np.linalg.solve(matrix.T @ matrix + damping**2 * np.eye(5), matrix.T @ wanted))
-    assert not active.size
-
-
 def test_a_task_of_lower_priority_changes_nothing_about_the_first_and_keeps_the_limit():
     chance = np.random.default_rng(2)
     jacobian, angular = chance.normal(size=(2, 3, 6))

@@ -22,11 +22,7 @@ from planners.goals import (
 from planners.ik.constraints import ConditionSet, goal_conditions
 from planners.ik.goal_states import (
     DISTINCT_RAD,
-    FRUITLESS_RESTARTS,
-    HOPELESS_RESTARTS,
     MAX_SOLUTIONS,
-    PREFERENCE_SLACK_RAD,
-    DescentResults,
     GoalQuery,
     GoalStates,
 )
@@ -37,36 +33,10 @@ from tests.planners.invariants import never
 
 TIP = "gripper_frame_link"
 HOME = np.zeros(6)
-FOLDED = np.array([0.0, -1.7, 1.69, 1.2, 0.0, 0.0])
-# Turning the last joint of the arm moves the tip by less than a millimetre.
-ROLL = np.eye(6)[4]
 
 
 def query(arm, should_stop=never, constraints=None, **options):
     return GoalQuery(arm, HOME, constraints, Budget(time.monotonic, 5.0, should_stop), **options)
-
-
-@pytest.fixture
-def results(goal_states, collision, joints):
-    def make(center, tolerance_m=0.1):
-        goal = PositionGoal(TIP, tuple(collision.tip_positions([center], TIP)[0]), tolerance_m)
-        return DescentResults(goal_states.forward, collision, goal_conditions(goal, joints))
-
-    return make
-
-
-def test_patience_ends_sooner_once_there_is_a_solution(results):
-    found, hopeless = results(HOME), results(HOME + 0.5, tolerance_m=0.001)
-    found.add(HOME)
-    hopeless.add(HOME)
-    for _ in range(FRUITLESS_RESTARTS):
-        found.add(HOME)
-        hopeless.add(HOME)
-    assert found.enough(wanted=6)
-    assert not hopeless.enough(wanted=6)
-    for _ in range(HOPELESS_RESTARTS):
-        hopeless.add(HOME)
-    assert hopeless.enough(wanted=6)
 
 
 @pytest.fixture(scope="module")
@@ -120,18 +90,6 @@ def test_solutions_differ_and_the_soonest_comes_first(search, arm, joints, free_
             assert all(np.max(np.abs(q - other)) >= DISTINCT_RAD for other in solutions[:i])
 
 
-def test_solutions_of_a_preference_are_about_equally_good(search, arm, joints, free_states):
-    rng = np.random.default_rng(6)
-    for state in free_states[:15]:
-        orientation = rng.normal(size=4)
-        pose = Pose(pose_of(search.forward, state).position_m, tuple(orientation / np.linalg.norm(orientation)))
-        wanted = goal_conditions(PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02)), joints)
-        found = search.search(wanted, query(arm))
-        assert found.solutions
-        turned = [ConditionSet(search.forward, wanted.preferred).violation_m(q) for q in found.solutions]
-        assert max(turned) - min(turned) <= 0.1 * PREFERENCE_SLACK_RAD + 1e-9
-
-
 def test_nearest_orientation_is_as_near_as_sampling_finds_it(search, arm, joints, collision, free_states):
     rng = np.random.default_rng(7)
     target_m = np.array([0.25, 0.1, 0.15])
@@ -163,13 +121,6 @@ def test_contacts_do_not_matter_when_they_are_not_minded(search, arm, joints):
     wanted = goal_conditions(PositionGoal(TIP, (0.0, 0.0, 0.02), 0.01), joints)
     assert search.search(wanted, query(arm)).colliding
     assert search.search(wanted, query(arm, avoid_collisions=False)).solutions
-
-
-def test_same_question_has_the_same_answer(robot, collision, search, arm, joints):
-    wanted = goal_conditions(PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001), joints)
-    answers = [each.search(wanted, query(arm)).solutions for each in (search, GoalStates(robot, collision), search)]
-    np.testing.assert_array_equal(answers[0], answers[1])
-    np.testing.assert_array_equal(answers[0], answers[2])
 
 
 TIP_AT_HOME = (0.3914, 0.0, 0.2264)
@@ -218,10 +169,10 @@ def test_a_search_that_is_stopped_names_the_nearest_point_so_far(find):
     assert failure.details["distance_m"] > 0.1
 
 
-def test_alternatives_are_sorted_by_time_and_told_apart(find):
+def test_states_of_all_alternatives_are_sorted_by_time(find):
     states = find(AnyOf((PositionGoal(TIP, (0.0, 0.3, 0.2), 0.001), JointGoal({"wrist_roll": 0.2}))))
-    assert states[0].alternative == 1
-    assert {state.alternative for state in states} == {0, 1}
+    assert states[0].q[4] == 0.2
+    assert len(states) > 1
 
 
 def test_alternatives_of_which_none_can_be_had_are_refused_together(find):
@@ -238,12 +189,6 @@ def test_states_found_for_a_constraint_goal_meet_it(find, joints, collision):
     for state in find(ConstraintGoal(constraints)):
         assert abs(state.q[joints.names.index("wrist_roll")] - 0.5) <= 0.051
         assert np.all(np.abs(collision.tip_positions([state.q], TIP)[0] - (0.25, 0.1, 0.2)) <= (0.0501, 0.0501, 0.0101))
-
-
-def test_goal_of_joint_constraints_alone_is_at_their_positions(find, joints):
-    column = joints.names.index("elbow_flex")
-    states = find(ConstraintGoal(Constraints(joints=(JointConstraint("elbow_flex", 0.5, 0.01, 0.01),))))
-    assert states[0].q[column] == pytest.approx(0.5, abs=2e-3)
 
 
 def test_constraints_that_contradict_each_other_are_refused_with_what_does_not_hold(find):

@@ -101,17 +101,6 @@ def test_the_goal_of_a_nearby_configuration_is_reached(arm_name, kind, request):
     assert reached >= 23
 
 
-def test_preferred_orientation_does_not_cost_the_point(so101):
-    rng = np.random.default_rng(4)
-    for q in 0.8 * so101.states(20):
-        orientation = rng.normal(size=4)
-        pose = Pose(pose_of(so101.forward, q).position_m, tuple(orientation / np.linalg.norm(orientation)))
-        goal = PoseGoal(TIP, pose, 0.001, (0.02, 0.02, 0.02))
-        end = so101.descend(goal, q)
-        wanted = ConditionSet(so101.forward, goal_conditions(goal, so101.joints).required)
-        assert wanted.deviation(end).position_m < 2e-4
-
-
 def test_tolerances_are_used_where_the_middle_cannot_be_had(so101):
     # To the middle of the region the arm would have to turn the other way than its joint may.
     region = PositionConstraint(TIP, Pose((0.3, -0.4, 0.2)), half_size_m=(0.5, 0.7, 0.5))

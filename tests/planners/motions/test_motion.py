@@ -96,14 +96,6 @@ def test_a_motion_that_would_take_too_long_is_refused_before_it_is_sampled(task_
     assert failure.details["least_s"] > MAX_DURATION_S
 
 
-def test_no_move_is_one_sample_at_time_zero_whatever_the_limits(task_between):
-    task = task_between(READY, READY)
-    slow = replace(task, limits=replace(task.limits, velocity_rad_s=1e-9 * task.limits.velocity_rad_s))
-    motion = find_motion(slow, unlimited())
-    np.testing.assert_array_equal(motion.trajectory.positions_rad, [READY])
-    assert motion.trajectory.duration_s == 0.0
-
-
 @pytest.mark.parametrize("blocked", BLOCKED_LINES)
 @pytest.mark.parametrize("method", [VIA_POINT, "RRTConnect"])
 def test_a_searched_motion_goes_around_within_the_limits(
@@ -180,17 +172,6 @@ def test_an_arm_too_fast_to_stop_is_refused_at_once(task_between, joint_space, r
     assert "joint limits" in failure.message
 
 
-@pytest.mark.parametrize("line", [(HOME, READY), *BLOCKED_LINES])
-def test_jerk_limits_are_kept(task_between, collision, rate_limits, at_home, line):
-    limits = RateLimits(rate_limits.velocity_rad_s, rate_limits.acceleration_rad_s2, np.full(5, 40.0))
-    trajectory = find_motion(task_between(*line, limits=limits, optimization_time_s=0.012), unlimited()).trajectory
-    assert_from_rest_to_rest(trajectory, *line)
-    assert_keeps_rates(trajectory, limits)
-    accelerations = np.array([trajectory.sample(t)[2] for t in np.arange(0.0, trajectory.duration_s, 0.001)])
-    assert np.abs(np.diff(accelerations, axis=0)).max() <= 0.001 * 40.0 * 1.001
-    assert_touches_nothing(trajectory, collision, at_home)
-
-
 def test_a_moving_start_with_jerk_limits_is_left_without_a_step(task_between, rate_limits):
     limits = RateLimits(rate_limits.velocity_rad_s, rate_limits.acceleration_rad_s2, np.full(5, 60.0))
     velocity = 0.3 * rate_limits.velocity_rad_s
@@ -199,6 +180,8 @@ def test_a_moving_start_with_jerk_limits_is_left_without_a_step(task_between, ra
     np.testing.assert_array_equal(trajectory.velocities_rad_s[0], velocity)
     np.testing.assert_allclose(trajectory.sample(1e-6)[2], np.zeros(5), atol=1e-2)
     assert_keeps_rates(trajectory, limits)
+    accelerations = np.array([trajectory.sample(t)[2] for t in np.arange(0.0, trajectory.duration_s, 0.001)])
+    assert np.abs(np.diff(accelerations, axis=0)).max() <= 0.001 * 60.0 * 1.001
 
 
 def test_a_search_ends_when_its_time_is_up_or_nobody_waits_for_it(task_between):

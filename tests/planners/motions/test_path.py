@@ -13,7 +13,6 @@ from planners.motions.path import (
     curve_free,
     line_free_sparsely,
     projected_search,
-    reachable,
     search,
     without_detours,
 )
@@ -88,20 +87,6 @@ def test_detours_that_a_free_line_passes_by_are_left_out(joint_space):
 
 def test_a_path_that_is_not_free_after_all_is_none(joint_space, blocked):
     assert without_detours(joint_space, np.array(blocked), STEP_M) is None
-
-
-def test_a_tree_has_the_goal_where_the_way_is_free_and_only_free_points(joint_space):
-    points = reachable(Query(joint_space, HOME, [READY], STEP_M), lambda point: point, 3, after(joint_space, 2000))
-    np.testing.assert_array_equal(points[0], HOME)
-    assert any(np.array_equal(point, READY) for point in points)
-    assert len(points) > 20
-    assert all(joint_space.free(point) for point in points)
-
-
-def test_a_tree_grows_without_goals_until_it_is_stopped(joint_space):
-    assert len(reachable(Query(joint_space, HOME, [], STEP_M), lambda point: point, 3, after(joint_space, 2000))) > 20
-    points = reachable(Query(joint_space, HOME, [READY], STEP_M), lambda point: point, 3, lambda: True)
-    np.testing.assert_array_equal(points, [HOME])
 
 
 LIMITS = RateLimits(np.full(5, 3.0), np.full(5, 10.0))

@@ -3,10 +3,8 @@
 from itertools import pairwise
 
 import numpy as np
-import pytest
 
-from planners.motions.path import Query
-from planners.motions.via_point import MOST_CHECKS, via_point
+from planners.motions.path import MOST_CHECKS, Query, via_point
 from tests.planners.invariants import BLOCKED_LINES, never
 
 STEP_M = 0.1
@@ -46,15 +44,6 @@ def test_the_path_leads_through_the_gap_from_the_start_to_the_goal():
     on_it = np.concatenate([first + shares * (last - first) for first, last in pairwise(path)])
     # Between two points that were checked the path may be a step deep in the wall.
     assert all(Walled(0.3 - STEP_M, 0.9 + STEP_M).free(point) or abs(point[0]) > 0.1 - STEP_M for point in on_it)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_of_two_gaps_the_path_takes_the_nearer_one(seed):
-    class TwoGaps(Walled):
-        def free(self, point):
-            return super().free(point) or -0.5 < point[1] < -0.2
-
-    assert found(query(TwoGaps(0.7, 0.95), RIGHT), seed)[1, 1] < 0.0
 
 
 def test_where_no_line_is_free_the_search_gives_up_after_some_checks():

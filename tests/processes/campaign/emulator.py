@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robot.hardware.interface import StatusFlag
+from tests.helpers.terminal_servos import RunningEmulator
 from tests.helpers.write_log import Entry, read_entries
 from tests.processes.campaign.scenario import NAMES, START_RAD, Scenario, calm
-from tests.robot.conftest import RunningEmulator
 
 
 @dataclass

@@ -325,15 +325,6 @@ async def test_the_wait_for_an_arm_that_does_not_start_ends_at_its_timeout() -> 
     await arm.close()
 
 
-async def test_a_number_that_cannot_be_does_not_end_the_arm_process() -> None:
-    arm = Arm(
-        replace(CONFIG, hardware=FeetechConfig(CALIBRATION, "/dev/nothing"), state_rate_hz=0.0), lambda _state: None
-    )
-    await arm.start(SOON_S)
-    assert "/dev/nothing does not exist" in arm.state.reason
-    await arm.close()
-
-
 async def test_a_port_that_does_not_exist_is_reported_and_tried_again() -> None:
     states: list[ArmState] = []
     arm = Arm(replace(CONFIG, hardware=FeetechConfig(CALIBRATION, "/dev/does-not-exist")), states.append)

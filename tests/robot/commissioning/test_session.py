@@ -104,6 +104,38 @@ def test_a_joint_that_met_one_stop_only_is_named_and_taken_on_the_persons_word()
     assert "its zero is wrong by half of what is missing" in session.findings[0]
 
 
+SHORT_OF_STOP = STOPS[3][1] - round(0.19 * (STOPS[3][1] - STOPS[3][0]))
+
+
+def swept_but_short():
+    session, hand = begun(motions={})
+    hand.sweep((1, 2, 4, 6))
+    for ticks in (STOPS[3][0], SHORT_OF_STOP, MIDDLE):
+        hand.move(3, ticks)
+    return session, hand
+
+
+def test_a_sweep_that_turned_round_before_a_stop_is_noticed():
+    session, _ = swept_but_short()
+    with pytest.raises(CalibrationError, match=r"elbow_flex has \d+% of the .*: move it to both stops once more"):
+        session.answer(DONE)
+
+
+@pytest.mark.parametrize(("upper", "accepted"), [(SHORT_OF_STOP, True), (SHORT_OF_STOP - 60, False)])
+def test_a_short_range_is_taken_where_both_of_its_ends_were_met_twice(upper, accepted):
+    session, hand = swept_but_short()
+    for ticks in (STOPS[3][0], upper, MIDDLE):
+        hand.move(3, ticks)
+    assert {each.joint: each.done for each in session.ranges()}["elbow_flex"] is accepted
+
+
+def test_a_stop_behind_an_end_that_was_met_twice_counts_from_the_first_visit_on():
+    session, hand = swept_but_short()
+    for ticks in (STOPS[3][0], SHORT_OF_STOP, MIDDLE, SHORT_OF_STOP + 60, MIDDLE):
+        hand.move(3, ticks)
+    assert not {each.joint: each.done for each in session.ranges()}["elbow_flex"]
+
+
 def test_a_joint_that_was_not_touched_is_refused_all_the_same():
     session, hand = begun()
     hand.sweep((1, 2, 4, 6))
@@ -124,7 +156,7 @@ def test_a_gripper_is_mirrored_if_it_opens_towards_lower_ticks(by_ticks, mirrore
     assert any("gripper is mirrored" in finding for finding in session.findings) is mirrored
 
 
-def test_a_mirrored_joint_of_the_arm_is_a_finding_that_names_the_sign():
+def test_a_mirrored_joint_of_the_arm_is_named_with_its_sign_and_nothing_is_written():
     session, hand = begun()
     to_directions(session, hand)
     to_direction_of(session, "elbow_flex")
@@ -133,6 +165,8 @@ def test_a_mirrored_joint_of_the_arm_is_a_finding_that_names_the_sign():
     session.answer(DONE)
     assert any("elbow_flex turned the other way" in each and "sign = -1" in each for each in session.findings)
     session.answer(SKIP_ALL)
+    assert session.step.answers == (AGAIN,)
+    assert "mend elbow_flex first" in session.step.instruction
     assert {joint.drive_mode for joint in session.calibration.joints} == {0}
 
 

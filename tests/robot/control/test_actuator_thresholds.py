@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -73,8 +71,3 @@ def test_a_quick_protection_makes_stalls_be_told_sooner() -> None:
     assert made.stall_time_s == pytest.approx(0.1)
     assert (made.stall_time_s < made.relieve_after_s).all()
     assert (made.relieve_after_s < 0.4).all()
-
-
-def test_what_is_assumed_is_finite_where_the_controller_compares_readings() -> None:
-    made = ActuatorThresholds.of(LIMITS, unprotected(1), np.ones(1))
-    assert all(math.isfinite(value) for value in (*made.goal_tolerance_rad, *made.stall_current_a, *made.stall_time_s))

@@ -3,12 +3,8 @@ from __future__ import annotations
 import time
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from robot.control.pacing import MAX_TICK_S, PERIOD_S, TICKS_KEPT, LoopClock, SimulationClock
-
-GAPS = st.lists(st.floats(min_value=0.0, max_value=2.0), max_size=30)
 
 
 def ticked(*gaps_s: float) -> SimulationClock:
@@ -44,17 +40,6 @@ def test_simulated_time_passes_as_the_machines_up_to_the_bound_of_a_tick(gaps_s:
     assert clock() == clock() == pytest.approx(50.0 + passed_s)
 
 
-@given(GAPS)
-def test_no_tick_lets_more_simulated_time_pass_than_its_bound(gaps_s: list[float]) -> None:
-    machine_s = before_s = 50.0
-    clock = SimulationClock(machine_s)
-    for gap_s in gaps_s:
-        machine_s += gap_s
-        clock.start_tick(machine_s)
-        assert -1e-9 <= clock() - before_s <= min(gap_s, MAX_TICK_S) + 1e-9
-        before_s = clock()
-
-
 def test_a_machines_clock_that_goes_back_takes_no_time_back() -> None:
     clock = ticked(PERIOD_S)
     clock.start_tick(20.0)
@@ -73,11 +58,6 @@ def test_a_machines_clock_that_goes_back_takes_no_time_back() -> None:
 )
 def test_the_real_time_factor_is_the_share_of_the_machines_time_that_passed(gaps_s: list[float], factor: float) -> None:
     assert ticked(*gaps_s).real_time_factor == pytest.approx(factor)
-
-
-@given(GAPS)
-def test_the_real_time_factor_is_a_share(gaps_s: list[float]) -> None:
-    assert 0.0 < ticked(*gaps_s).real_time_factor <= 1.0
 
 
 def test_ticks_that_were_skipped_on_purpose_lose_no_time() -> None:

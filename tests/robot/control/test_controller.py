@@ -15,7 +15,7 @@ from robot.control.controller import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, 
 from robot.control.guards import Temperatures
 from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import Actuation, StatusFlag
+from robot.hardware.interface import Actuation
 from robot.messages import (
     ChangePace,
     Continuation,
@@ -143,19 +143,6 @@ def test_joints_outside_the_motion_keep_their_goals() -> None:
     assert np.array(rig.goals)[:, 1:] == pytest.approx(np.tile([0.1, 0.2, 0.3, 0.4, 0.5], (len(rig.goals), 1)))
 
 
-@given(st.floats(min_value=0.0, max_value=1.9))
-def test_a_stop_ends_the_motion_at_rest_short_of_its_goal(stop_after_s: float) -> None:
-    rig = Rig()
-    rig.controller.execute(Execute(1, PAN))
-    while rig.now_s - 100.0 < stop_after_s:
-        rig.tick()
-    rig.controller.stop()
-    ended, seconds = rig.until_end()
-    assert ended.outcome is Outcome.STOPPED
-    assert seconds < 0.6
-    assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN).all()
-
-
 def test_an_arm_that_stays_behind_ends_the_motion_and_is_held_where_it_is(rig: Rig) -> None:
     rig.controller.execute(Execute(1, move(elbow_flex=(0.0, 1.0))))
     blocked = np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
@@ -169,59 +156,6 @@ def test_an_arm_that_stays_behind_ends_the_motion_and_is_held_where_it_is(rig: R
     rig.run(200)
     assert rig.controller.goal_rad == pytest.approx(blocked)
     assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN + 1e-12).all()
-
-
-def test_a_short_lag_does_not_end_the_motion(rig: Rig) -> None:
-    rig.controller.execute(Execute(1, move(elbow_flex=(0.0, 1.0))))
-    behind = np.array([0.0, 0.0, -0.5, 0.0, 0.0, 0.0])
-    for _ in range(round(LIMITS.tracking_time_s / PERIOD_S) - 1):
-        assert rig.tick(lag=behind) is None
-    assert rig.until_end()[0].outcome is Outcome.REACHED
-
-
-def test_the_end_of_an_arm_that_does_not_settle_has_joint_and_distance(rig: Rig) -> None:
-    rig.controller.execute(Execute(1, move(elbow_flex=(0.0, 1.0))))
-    ended, seconds = rig.until_end(lag=np.array([0.0, 0.0, -1.5 * LIMITS.goal_tolerance_rad, 0.0, 0.0, 0.0]))
-    assert ended.outcome is Outcome.NOT_SETTLED
-    assert "elbow_flex" in ended.message
-    assert seconds == pytest.approx(2.0 + LIMITS.settle_timeout_s, abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("others_age_s", "words"), [(0.0, "elbow_flex"), (LIMITS.silent_after_s * 1.1, "no servo has answered")]
-)
-def test_a_servo_or_a_bus_that_falls_silent_brakes_the_motion(rig: Rig, others_age_s: float, words: str) -> None:
-    rig.move_pan(50)
-    ended, seconds = rig.until_rest(age_s=LIMITS.silent_after_s * 1.1, others_age_s=others_age_s)
-    assert ended.outcome is Outcome.BUS_LOST
-    assert words in ended.message
-    assert 0.1 < seconds < 0.5
-    assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN).all()
-
-
-@pytest.mark.parametrize("simulated", [False, True])
-def test_a_simulated_arm_that_brakes_for_a_silent_servo_refuses_motions_without_advice_on_cables(
-    simulated: bool,
-) -> None:
-    rig = Rig(simulated=simulated)
-    rig.move_pan(50)
-    rig.tick(age_s=LIMITS.silent_after_s * 1.1)
-    assert rig.controller.moving
-    assert rig.controller.fault.simulated is simulated
-    refused = rig.controller.execute(Execute(2, move(gripper=(0.0, 0.5))))
-    assert ("bring it online" in refused.message) is simulated
-
-
-def test_an_arm_rests_when_nothing_moves_and_nothing_is_about_to(rig: Rig) -> None:
-    assert rig.controller.resting
-    rig.controller.execute(Execute(1, PAN))
-    assert not rig.controller.resting
-    rig.until_end()
-    assert rig.controller.resting
-    rig.controller.hold(np.array([0.5, 0, 0, 0, 0, 0]), reading(np.zeros(6)))
-    assert not rig.controller.resting
-    rig.controller.release()
-    assert rig.controller.resting
 
 
 def test_a_late_tick_is_not_made_up_for(rig: Rig) -> None:
@@ -272,30 +206,12 @@ def test_an_arm_found_outside_its_soft_limits_may_be_brought_back_inside() -> No
     assert np.array(rig.goals)[:, 0].max() <= outside
 
 
-def test_a_curve_that_swings_beyond_a_limit_between_its_samples_is_refused() -> None:
-    limit = float(BOUNDS.upper_rad[0])
-    rig = Rig([limit - 0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
-    positions = limit - np.array([[0.02], [0.01], [0.01], [0.02]])
-    out_and_in = np.array([[0.0], [0.2], [-0.2], [0.0]])
-    time_s = np.array([0.0, 0.3, 0.7, 1.0])
-    swinging = Trajectory(("shoulder_pan",), time_s, positions, out_and_in, np.zeros((4, 1)))
-    assert swinging.sample(0.5)[0][0] > limit + 0.009
-    refused = rig.controller.execute(Execute(1, swinging))
-    assert refused.message.startswith("joint shoulder_pan would go to 1.930 rad, beyond its limits")
-
-
 def test_progress_is_reported_while_moving(rig: Rig) -> None:
     rig.move_pan(100, 9)
     motion = rig.controller.motion
     assert motion.motion_id == 9
     assert motion.fraction == pytest.approx(0.5, abs=0.02)
     assert motion.remaining_s == pytest.approx(1.0, abs=0.02)
-
-
-def test_an_abandoned_motion_is_answered_once(rig: Rig) -> None:
-    rig.controller.execute(Execute(4, PAN))
-    assert rig.controller.abandon(Outcome.BUS_LOST, "unplugged") == [MotionEnded(4, Outcome.BUS_LOST, "unplugged")]
-    assert rig.controller.abandon(Outcome.BUS_LOST, "unplugged") == []
 
 
 BLOCKED_RAD = 0.4
@@ -365,36 +281,6 @@ LEROBOT = Actuation(
 PUSHING = [0, 0, 0, 0, 0, -0.45]
 
 
-def test_a_gripper_with_a_low_overload_threshold_squeezes_below_it() -> None:
-    rig = Rig([0.0, 0.0, 0.0, 0.0, 0.0, 1.5], actuation=LEROBOT)
-    rig.controller.execute(Execute(1, smooth_move({"gripper": (1.5, 0.0)}, duration_s=2.0), gripping=True))
-    ended = None
-    for _ in range(300):
-        lag = np.zeros(6)
-        lag[5] = max(0.0, 0.8 - rig.controller.goal_rad[5])
-        ended = rig.tick(lag=lag, load=PUSHING if lag[5] > 0.05 else 0.0)
-        if ended is not None:
-            break
-    assert ended.outcome is Outcome.GRIPPED
-    assert rig.controller.torque_limit[5] < 0.25
-
-
-def test_a_joint_that_pushes_on_is_relieved_before_its_protection_latches() -> None:
-    rig = Rig(actuation=LEROBOT)
-    pushed_s = 0.0
-    while rig.controller.torque_limit[5] >= 0.25:
-        rig.tick(load=PUSHING)
-        pushed_s += PERIOD_S
-        assert pushed_s < 2.0
-    assert rig.controller.torque_limit[:5] == pytest.approx(0.8)
-    assert rig.controller.fault is None
-
-
-def test_a_joint_that_is_strong_enough_for_ever_is_never_relieved(rig: Rig) -> None:
-    rig.run(300, load=PUSHING)
-    assert rig.controller.torque_limit[5] == pytest.approx(0.5)
-
-
 def test_the_next_motion_of_a_relieved_joint_has_its_full_torque() -> None:
     rig = Rig(actuation=LEROBOT)
     rig.run(300, load=PUSHING)
@@ -430,13 +316,6 @@ def test_only_a_graver_fault_takes_the_place_of_another(
     rig.controller.latch(Fault(latched, "it was found"))
     rig.tick(**readings)  # type: ignore[arg-type]
     assert rig.controller.fault.code is then
-
-
-def test_an_overloaded_servo_ends_the_motion_at_once(rig: Rig) -> None:
-    rig.controller.execute(Execute(1, PAN))
-    ended = rig.tick(status=[0, int(StatusFlag.OVERLOAD), 0, 0, 0, 0])
-    assert ended.outcome is Outcome.FAULT
-    assert "shoulder_lift" in ended.message
 
 
 POSITIONS = st.lists(st.floats(min_value=-2.0, max_value=2.0), min_size=6, max_size=6)
@@ -482,15 +361,6 @@ def test_a_paused_motion_waits_and_goes_back_and_on_as_it_is_reported(rig: Rig) 
     rig.controller.change_pace(ChangePace(direction=PlaybackDirection.FORWARD))
     assert rig.until_end()[0].outcome is Outcome.REACHED
     assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN + 1e-9).all()
-
-
-def test_a_stop_ends_a_paused_motion_at_once(rig: Rig) -> None:
-    rig.move_pan(50)
-    rig.controller.change_pace(ChangePace(direction=PlaybackDirection.PAUSED))
-    rig.run(100)
-    rig.controller.stop()
-    ended = rig.tick()
-    assert ended.outcome is Outcome.STOPPED
 
 
 def test_a_speed_factor_holds_for_motions_to_come_and_a_pause_ends_with_its_motion(rig: Rig) -> None:
@@ -571,22 +441,6 @@ def test_a_stream_of_joints_that_are_none_is_refused(names: tuple[str, ...]) -> 
     assert refused.outcome is Outcome.REFUSED
 
 
-def test_a_fault_ends_a_stream(rig: Rig) -> None:
-    rig.controller.stream(Stream(7, ("shoulder_pan",)))
-    steer(rig, 0.5, 20)
-    rig.controller.steer(Setpoint(7, np.array([0.5])))
-    ended = rig.tick(temperature_c=90.0)
-    assert (ended.motion_id, ended.outcome) == (7, Outcome.FAULT)
-
-
-def test_a_hot_arm_is_steered_at_half_the_speed(rig: Rig) -> None:
-    rig.controller.stream(Stream(7, ("shoulder_pan",)))
-    for _ in range(50):
-        rig.controller.steer(Setpoint(7, np.array([0.5])))
-        rig.tick(temperature_c=61.0)
-    assert rig.controller.commanded[0].velocity_rad_s == pytest.approx([0.5 * SLOW_RATE])
-
-
 def test_a_motion_takes_the_place_of_another_without_a_stop(rig: Rig) -> None:
     rig.move_pan(100, 7)
     ended = rig.controller.execute(Execute(8, PAN, continues=Continuation(7, 0.0)))
@@ -596,14 +450,6 @@ def test_a_motion_takes_the_place_of_another_without_a_stop(rig: Rig) -> None:
     np.testing.assert_allclose(rig.goals[-1] - rig.goals[-2], before, atol=1e-4)
     ended, _ = rig.until_end()
     assert (ended.motion_id, ended.outcome) == (8, Outcome.REACHED)
-
-
-def test_a_motion_that_cannot_take_anothers_place_leaves_it_alone(rig: Rig) -> None:
-    rig.move_pan(100, 7)
-    ended = rig.controller.execute(Execute(8, move(shoulder_pan=(0.0, -1.0)), continues=Continuation(7, 0.0)))
-    assert (ended.motion_id, ended.outcome) == (8, Outcome.REFUSED)
-    ended, _ = rig.until_end()
-    assert (ended.motion_id, ended.outcome) == (7, Outcome.REACHED)
 
 
 LIMIT = 0.1

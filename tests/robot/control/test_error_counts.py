@@ -32,12 +32,6 @@ def test_a_flag_counts_each_time_it_comes_up_and_not_while_it_stays(counts: Erro
     assert counts.of(0) == {}
 
 
-def test_a_flag_that_joins_another_counts_alone(counts: ErrorCounts) -> None:
-    counts.observe(flagged(StatusFlag.VOLTAGE))
-    counts.observe(flagged(StatusFlag.VOLTAGE | StatusFlag.CURRENT))
-    assert counts.of(ELBOW) == {"voltage": 1, "current": 1}
-
-
 def test_a_finding_that_repeats_is_one_error_until_it_has_gone(counts: ErrorCounts) -> None:
     for now_s in (1.0, 2.0, 3.0, 3.0 + 2 * SAME_ERROR_S):
         counts.add_finding(RELAXED, now_s)
@@ -48,11 +42,6 @@ def test_a_servo_that_rebooted_is_not_counted_as_relaxed_as_well(counts: ErrorCo
     counts.add_finding(REBOOTED, 1.0)
     counts.add_finding(RELAXED, 2.0)
     assert counts.of(ELBOW) == {"servo_rebooted": 1}
-
-
-def test_a_finding_of_the_whole_arm_is_no_joint_s_error(counts: ErrorCounts) -> None:
-    counts.add_finding(Fault(FaultCode.TORQUE_LOST, "the arm was found relaxed"), 1.0)
-    assert [dict(counts.of(joint)) for joint in range(6)] == [{}] * 6
 
 
 def test_the_arm_s_report_has_the_errors_of_each_joint_until_the_hardware_is_opened_again() -> None:

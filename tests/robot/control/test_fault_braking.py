@@ -104,16 +104,6 @@ def test_a_fault_is_latched_and_reported_at_once_while_the_joints_brake() -> Non
     assert moving.rig.state.motions == ()
 
 
-def test_nothing_moves_after_the_braking_of_a_fault() -> None:
-    moving = moving_into_fault(FaultCode.VOLTAGE_LOW, {"voltage": {"3": 4.0}})
-    moving.rig.until(lambda: not moving.controller.moving, timeout_s=0.5)
-    stood_rad = moving.controller.goal_rad
-    moving.run(2.0)
-    assert moving.controller.goal_rad == pytest.approx(stood_rad)
-    assert moving.controller.resting
-    assert len(moving.rig.ended) == 1
-
-
 def test_a_stalled_joint_yields_while_the_others_brake() -> None:
     moving = Moving()
     moving.rig.emulator.command(obstacle={"1": CALIBRATION.joints[PAN].ticks_from_rad(OBSTACLE_RAD)})

@@ -86,10 +86,6 @@ def test_a_joint_behind_that_does_not_push_or_does_move_is_not_stalled(readings:
     assert never(at(1, 0.2), **readings)
 
 
-def test_a_joint_that_pushes_near_its_goal_is_not_stalled() -> None:
-    assert never(at(1, 0.05), load=at(1, 0.8))
-
-
 def test_a_yielding_joint_may_stall_and_is_flagged() -> None:
     checked, yielding = guards(), np.array(at(5, 1)) > 0
     for tick in range(50):
@@ -122,14 +118,6 @@ def test_every_threshold_can_be_set() -> None:
     assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.06), strict) == pytest.approx(LIMITS.tracking_time_s)
 
 
-def test_an_arm_of_12_v_may_need_more() -> None:
-    checked = guards(GuardLimits(min_voltage_v=9.0), np.full(6, 14.0))
-    faults = [checked.check(GOAL, reading(GOAL, voltage_v=8.9), FULL, tick * PERIOD_S) for tick in range(30)]
-    fault = faults[-1]
-    assert fault.code is FaultCode.VOLTAGE_LOW
-    assert "has 8.9 V; it needs 9 V at least" in fault.message
-
-
 def jumped(step_rad: float, gap_s: float) -> bool:
     checked = guards()
     checked.check(GOAL, reading(GOAL), FULL, 1.0)
@@ -141,20 +129,6 @@ def test_a_joint_that_cannot_have_turned_so_far_has_jumped() -> None:
     assert jumped(JUMP_RAD * 1.2, PERIOD_S)
     assert not jumped(JUMP_RAD * 0.9, PERIOD_S)
     assert not jumped(JUMP_RAD * 1.2, 0.1)
-
-
-def test_a_reading_that_grows_old_is_no_jump() -> None:
-    checked = guards()
-    checked.check(GOAL, reading(GOAL), FULL, 1.0)
-    assert checked.check(GOAL, reading(GOAL, age_s=0.09), FULL, 1.01) is None
-
-
-def test_silence_of_an_arm_that_is_well_names_the_silent_joint_that_is_farthest_from_its_goal() -> None:
-    checked = guards()
-    assert checked.check(GOAL, reading(GOAL), FULL, 1.0) is None
-    silent = np.array([0.0, 0.2, 0.0, 0.2, 0.0, 0.0])
-    fault = checked.check(GOAL, reading([0.05, 0.01, 0.0, 0.02, 0.0, 0.0], age_s=silent), FULL, 1.01)
-    assert (fault.code, fault.joint) == (FaultCode.SERVO_SILENT, "wrist_flex")
 
 
 def found_in_silence(age_s: list[float], measured: Measured | None = None) -> Fault | None:

@@ -46,15 +46,6 @@ def test_simulated_hardware_opens_and_can_be_read_at_once(config: ArmConfig) -> 
     assert measured.position_rad == pytest.approx([0.0] * 6, abs=0.002)
 
 
-def test_simulated_joints_are_where_they_were_when_they_are_opened_again() -> None:
-    source = hardware_source(
-        ArmConfig(ROBOT, EmulatedConfig(CALIBRATION, start_rad={"elbow_flex": 0.4})), SteppedClock()
-    )
-    first = source.open().read()
-    again = source.open().read()
-    assert first.position_rad[2] == again.position_rad[2] == pytest.approx(0.4, abs=0.002)
-
-
 @pytest.mark.parametrize(
     ("config", "error"),
     [

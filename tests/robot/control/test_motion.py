@@ -46,13 +46,6 @@ def allowed_rad_s2(duration_s: float) -> np.ndarray:
     return MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 60.0 * way_rad / duration_s**3 * 2.0 * PERIOD_S
 
 
-def test_played_to_the_end_it_arrives_at_the_end() -> None:
-    playback, goals = play(stop_after_s=99.0)
-    assert playback.completed
-    assert playback.fraction == 1.0
-    assert goals[-1] == pytest.approx([1.2, -0.4])
-
-
 @settings(max_examples=50)
 @given(st.floats(min_value=0.0, max_value=1.95), st.floats(min_value=1.3, max_value=4.0))
 def test_a_stop_stays_on_the_path_and_within_the_acceleration_limits(stop_after_s: float, duration_s: float) -> None:
@@ -61,28 +54,6 @@ def test_a_stop_stays_on_the_path_and_within_the_acceleration_limits(stop_after_
     accelerations = np.abs(np.diff(goals, n=2, axis=0)) / PERIOD_S**2
     assert (accelerations <= allowed_rad_s2(duration_s)).all()
     assert playback.remaining_s >= 0.0
-
-
-def test_a_stop_comes_to_rest_before_the_end_of_the_motion() -> None:
-    playback, goals = play(stop_after_s=0.5)
-    assert not playback.completed
-    assert 0.0 < playback.fraction < 0.7
-    assert np.abs(goals[-1] - goals[-2]).max() < 0.002
-
-
-def test_the_first_tick_after_a_stop_is_slower_than_the_last_one_before() -> None:
-    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
-    goals = [playback.advance(PERIOD_S) for _ in range(100)]
-    playback.stop()
-    goals += [playback.advance(PERIOD_S)]
-    before, after = np.abs(goals[-2] - goals[-3]), np.abs(goals[-1] - goals[-2])
-    assert (after < before).all()
-
-
-def test_time_that_does_not_pass_changes_nothing() -> None:
-    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
-    playback.stop()
-    assert playback.advance(0.0) == pytest.approx([0.0, 0.5])
 
 
 @settings(max_examples=50)
@@ -100,21 +71,6 @@ def test_at_any_pace_the_arm_stays_on_the_path_and_within_the_acceleration_limit
     assert distance_from_line(points) == pytest.approx(np.zeros(len(points)), abs=1e-9)
     accelerations = np.abs(np.diff(points, n=2, axis=0)) / PERIOD_S**2
     assert (accelerations <= allowed_rad_s2(duration_s)).all()
-
-
-def test_at_pace_0_the_arm_waits_on_its_path_and_goes_on_from_there() -> None:
-    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
-    for _ in range(100):
-        playback.advance(PERIOD_S)
-    playback.pace = 0.0
-    waiting = [playback.advance(PERIOD_S) for _ in range(200)]
-    assert waiting[-1] == pytest.approx(waiting[-50])
-    assert not playback.finished
-    assert 0.4 < playback.fraction < 0.8
-    playback.pace = 1.0
-    for _ in range(200):
-        playback.advance(PERIOD_S)
-    assert playback.completed
 
 
 def test_the_way_back_ends_at_rest_where_the_path_began_and_is_not_the_end() -> None:
@@ -149,15 +105,6 @@ def test_a_path_that_begins_in_motion_is_gone_back_without_a_jerk_at_its_start()
     accelerations = np.abs(np.diff(goals, n=2, axis=0)) / PERIOD_S**2
     assert (accelerations <= MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 0.5).all()
     assert goals[-1] == pytest.approx(cut.positions_rad[0], abs=0.01)
-
-
-def test_a_hot_servo_bounds_every_pace() -> None:
-    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
-    playback.ceiling, playback.pace = 0.5, 1.0
-    for _ in range(200):
-        playback.advance(PERIOD_S)
-    assert playback.fraction == pytest.approx(0.5, abs=0.02)
-    assert playback.remaining_s == pytest.approx(2.0, abs=0.1)
 
 
 def test_where_the_joints_settle_there_is_no_way_back() -> None:

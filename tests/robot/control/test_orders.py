@@ -105,24 +105,6 @@ def test_an_overload_that_stays_asks_for_a_power_cut_of_a_real_arm(
     assert message.endswith(f"wrist_flex (id 4) still complains of overload{remedy}")
 
 
-def test_an_overload_that_torque_off_clears_is_cleared_by_the_reset(emulator: SteppedEmulator, rig: ArmRig) -> None:
-    emulator.servo_bus.servos[3].protection._latched = StatusFlag.OVERLOAD
-    rig.run(0.1)
-    assert rig.bus.read(4, Register.STATUS) == StatusFlag.OVERLOAD
-    latch(rig, FaultCode.OVERLOAD)
-    assert rig.order(Order.RESET_FAULT).done
-    assert rig.bus.read(4, Register.STATUS) == 0
-    assert rig.torque() == [0] * 6
-
-
-def test_an_emergency_stop_of_an_arm_that_is_silent_is_answered(rig: ArmRig, emulator: SteppedEmulator) -> None:
-    emulator.command(offline=IDS)
-    rig.run(0.2)
-    answer = rig.order(Order.EMERGENCY_STOP)
-    assert not answer.done
-    assert "could not be verified at shoulder_pan" in answer.message
-
-
 def test_without_a_fault_there_is_nothing_to_reset(rig: ArmRig) -> None:
     assert rig.order(Order.RESET_FAULT).message == "there is no fault"
 
@@ -244,12 +226,6 @@ def test_an_arm_with_a_new_calibration_in_its_servos_is_not_enabled_with_the_old
     rig.order(Order.RESET_FAULT)
     assert not rig.order(Order.ENABLE).done
     assert rig.torque() == [0] * len(IDS)
-
-
-def test_the_offsets_that_are_reported_are_those_that_were_written(rig: ArmRig) -> None:
-    rig.order(Order.WRITE_CALIBRATION, other_elbow())
-    rig.run(1.5)
-    assert [joint.registers["HOMING_OFFSET"] for joint in rig.health.joints] == [offset for offset, _, _ in NEW]
 
 
 def test_an_arm_whose_calibration_was_written_back_is_enabled(rig: ArmRig) -> None:

@@ -39,13 +39,6 @@ def test_missed_ticks_are_skipped_never_made_up_for(late_s: list[float]) -> None
         started_s = now_s
 
 
-def test_lateness_is_kept_for_the_latest_ticks() -> None:
-    pacer = Pacer(0.0)
-    for late_s in (0.001, 0.002, 0.003):
-        pacer.start_tick(pacer.deadline_s + late_s)
-    assert pacer.latest(2) == pytest.approx((0.002, 0.003))
-
-
 def test_a_tick_that_is_skipped_puts_off_the_next_and_none_is_late() -> None:
     pacer = Pacer(0.0)
     pacer.skip(1)
@@ -53,13 +46,6 @@ def test_a_tick_that_is_skipped_puts_off_the_next_and_none_is_late() -> None:
     pacer.start_tick(pacer.deadline_s)
     assert pacer.latest(1) == pytest.approx((0.0,))
     assert pacer.deadline_s == pytest.approx(3 * PERIOD_S)
-
-
-def test_a_skipped_tick_that_is_needed_after_all_is_taken_back() -> None:
-    pacer = Pacer(0.0)
-    pacer.skip(1)
-    pacer.cancel_skip(1, 0.004)
-    assert pacer.deadline_s == pytest.approx(PERIOD_S)
 
 
 def test_a_tick_that_is_needed_when_its_time_is_over_is_due_now_and_not_late() -> None:
@@ -139,17 +125,3 @@ def test_memory_that_the_system_refuses_to_lock_is_logged(
     with caplog.at_level(logging.INFO):
         assert not lock_memory()
     assert "memory is not locked: mlockall: Cannot allocate memory" in caplog.text
-
-
-@pytest.mark.parametrize("real_time", [False, True])
-def test_memory_is_locked_only_with_real_time_priority(monkeypatch: pytest.MonkeyPatch, *, real_time: bool) -> None:
-    locks = MemoryLocks()
-    monkeypatch.setattr("ctypes.CDLL", locks)
-    monkeypatch.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    monkeypatch.setattr("robot.control.realtime.take_priority", lambda: real_time)
-    try:
-        assert enter_realtime() == Scheduling(real_time, real_time)
-    finally:
-        gc.enable()
-        gc.unfreeze()
-    assert bool(locks.flags) == real_time

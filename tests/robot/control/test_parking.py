@@ -157,16 +157,6 @@ def test_what_ends_parking_relaxes_the_arm_with_the_reason(
     assert words in caplog.text
 
 
-def test_a_motion_that_began_elsewhere_is_braked_and_not_played_back(rig: ArmRig) -> None:
-    rig.execute(smooth_move({"wrist_roll": (0.0, 0.3)}, 1.0), motion_id=1)
-    rig.until(lambda: bool(rig.ended))
-    rig.execute(pan(), motion_id=2)
-    rig.run(1.0)
-    lose_server(rig)
-    assert sinks(rig)
-    assert rig.state.position_rad[0] > 0.3
-
-
 def test_a_paused_motion_is_not_set_going_by_the_end(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
     rig.execute(pan())
     rig.run(1.0)
@@ -184,13 +174,6 @@ def test_an_emergency_stop_ends_parking(rig: ArmRig) -> None:
     until_ended(rig)
     assert rig.torque() == [0] * 6
     assert rig.fault_code == "emergency_stop"
-
-
-def test_a_relaxed_arm_stays_where_it_is(rig: ArmRig) -> None:
-    rig.order(Order.RELAX)
-    lose_server(rig)
-    assert sinks(rig)
-    assert rig.ended == []
 
 
 def test_an_arm_at_its_rest_pose_is_relaxed_at_once(rig: ArmRig) -> None:

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot.control.motion import Motion, splice, splice_refusal
+from robot.control.motion import Motion, splice_refusal
 from robot.control.streaming import Streaming
 from robot.description.limits import JointBounds
-from robot.messages import Continuation, Execute, GuardLimits, Outcome
+from robot.messages import Continuation, Execute, GuardLimits
 from robot.trajectory import Trajectory
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101
@@ -36,23 +36,6 @@ def since(from_s: float, **changes: tuple[float, float]) -> Trajectory:
 def asked(motions: list[Motion | Streaming], trajectory: Trajectory, number: int = 7, from_s: float = 0.9) -> str:
     command = Execute(8, trajectory, continues=Continuation(number, from_s))
     return splice_refusal(motions, command, NAMES, BOUNDS, np.array([0.5, -0.25, 0.0]))
-
-
-def test_a_motion_that_is_the_same_for_now_takes_the_place_and_the_former_ends() -> None:
-    motions = in_progress()
-    former = motions[0]
-    assert asked(motions, since(0.9)) == ""
-    successor = Motion(Execute(8, since(0.9), continues=Continuation(7, 0.9)), NAMES, BOUNDS, LIMITS)
-    ended = splice(motions, successor)
-    assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
-    assert motions == []
-    np.testing.assert_allclose(successor.step(0.01, 1.0, 1.0), former.step(0.01, 1.0, 1.0), atol=1e-9)
-
-
-def test_a_motion_that_continues_none_ends_none() -> None:
-    motions = in_progress()
-    assert splice(motions, Motion(Execute(8, PATH), NAMES, BOUNDS, LIMITS)) is None
-    assert len(motions) == 1
 
 
 REFUSED = {

@@ -53,14 +53,6 @@ def test_at_any_target_no_joint_leaves_its_limits(steps) -> None:
     assert (positions >= BOUNDS.lower_rad - 1e-6).all()
 
 
-def test_a_target_is_reached_and_kept() -> None:
-    tracking = VelocityTracking(BOUNDS, np.zeros(2))
-    tracking.set_target(np.array([0.5, -0.3]))
-    for _ in range(40):
-        tracking.advance(PERIOD_S)
-    assert tracking.velocity_rad_s == pytest.approx([0.5, -0.3])
-
-
 def test_a_joint_at_its_limit_waits_there_while_the_other_goes_on() -> None:
     tracking = VelocityTracking(BOUNDS, np.zeros(2))
     tracking.set_target(np.array([0.3, 1.2]))
@@ -96,13 +88,6 @@ def run(stream: Streaming, seconds: float, velocity: tuple[float, float] | None 
         stream.step(PERIOD_S, rate, 1.0)
 
 
-def test_its_joints_take_the_velocities_of_the_setpoints(stream) -> None:
-    run(stream, 0.5, (0.4, -0.2))
-    assert stream.commanded.velocity_rad_s == pytest.approx([0.4, -0.2])
-    assert list(stream.columns) == [4, 0]
-    assert stream.end(NOWHERE, NOWHERE, 0.0) is None
-
-
 def test_without_setpoints_it_comes_to_rest_and_ends(stream) -> None:
     run(stream, 0.5, (0.4, -0.2))
     run(stream, SETPOINT_LASTS_S - PERIOD_S)
@@ -119,14 +104,6 @@ def test_a_setpoint_that_comes_while_it_brakes_lets_it_go_on(stream) -> None:
     run(stream, SETPOINT_LASTS_S + 0.05)
     run(stream, 0.5, (1.0, 0.0))
     assert stream.commanded.velocity_rad_s == pytest.approx([1.0, 0.0])
-
-
-def test_a_stop_ends_it_whatever_setpoints_come(stream) -> None:
-    run(stream, 0.5, (0.4, -0.2))
-    stream.stop()
-    run(stream, 0.5, (0.4, -0.2))
-    assert stream.finished
-    assert stream.end(NOWHERE, NOWHERE, 0.0).message == "stopped"
 
 
 @pytest.mark.parametrize("bad", [[np.nan, 0.0], [np.inf, 0.0], [0.1], [0.1, 0.1, 0.1]])

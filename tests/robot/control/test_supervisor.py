@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from robot.control.cycle import ControlCycle
-from robot.control.pacing import PERIOD_S, Pacer, SimulationClock
+from robot.control.pacing import PERIOD_S, Pacer
 from robot.control.realtime import Scheduling
-from robot.control.supervisor import SILENCE_BURST, SILENCE_LINES_PER_S, arm_health, arm_state, disconnected
-from robot.faults import Fault, FaultCode
+from robot.control.supervisor import SILENCE_BURST, SILENCE_LINES_PER_S, arm_health, arm_state
+from robot.faults import FaultCode
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import Feetech
@@ -44,37 +44,12 @@ def arm(emulator: SteppedEmulator, bus: Bus) -> ControlCycle:
     )
 
 
-def test_a_disconnected_arm_has_a_reason_and_keeps_its_fault() -> None:
-    fault = Fault(FaultCode.EMERGENCY_STOP, "emergency stop")
-    state = disconnected(NAMES, "unplugged", fault, 12.5)
-    assert (state.mode, state.reason, state.fault) == (Mode.DISCONNECTED, "unplugged", fault)
-    assert (state.joint_names, state.clock_s) == (NAMES, 12.5)
-
-
 def test_an_arm_that_was_not_read_has_no_positions(arm: ControlCycle, emulator: SteppedEmulator) -> None:
     state = arm_state(arm, Mode.CONNECTED, None, "", (), emulator.clock())
     assert state.position_rad is None
     health = arm_health(arm, state, "port", Pacer(0.0), emulator.clock, Scheduling())
     assert all(math.isnan(joint.position_rad) for joint in health.joints)
     assert all(joint.warnings for joint in health.joints)
-
-
-def test_an_arm_that_is_not_driven_has_its_positions_for_goals(arm: ControlCycle) -> None:
-    arm.tick()
-    state = arm_state(arm, Mode.RELAXED, None, "", (), 7.0)
-    assert state.position_rad is not None
-    assert state.goal_rad == pytest.approx(state.position_rad)
-    assert state.current_a is not None
-    assert (state.clock_s, state.torque_enabled) == (7.0, False)
-
-
-def test_the_real_time_factor_is_that_of_the_loops_clock(arm: ControlCycle) -> None:
-    clock = SimulationClock(0.0)
-    clock.start_tick(0.04)
-    state = arm_state(arm, Mode.CONNECTED, None, "", (), clock())
-    health = arm_health(arm, state, "port", Pacer(0.0), clock, Scheduling(real_time=True, memory_locked=True))
-    assert health.real_time_factor == pytest.approx(0.5)
-    assert (health.real_time, health.memory_locked) == (True, True)
 
 
 def test_what_the_hardware_does_not_have_or_measure_is_not_in_its_health() -> None:
@@ -414,28 +389,6 @@ def test_skipped_ticks_make_states_no_rarer(start_rig: Start) -> None:
         rig.supervisor.tick(rig.pacer, ticks=2, server_gone=False)
     assert sum(isinstance(each, ArmState) for each in rig.sent) == 100
     assert sum(isinstance(each, ArmHealth) for each in rig.sent) == 2
-
-
-def test_states_report_the_loops_clock_and_driven(start_rig: Start) -> None:
-    rig = start_rig(start_enabled=False)
-    rig.until_mode(Mode.RELAXED)
-    rig.run(0.1)
-    assert not rig.state.torque_enabled
-    assert rig.state.clock_s == pytest.approx(rig.clock(), abs=0.02)
-    rig.order(Order.ENABLE)
-    rig.run(0.1)
-    assert rig.state.torque_enabled
-
-
-def test_the_remedy_of_a_simulated_arm_that_lost_its_bus_names_no_cables(start_rig: Start) -> None:
-    rig = start_rig(hardware=EmulatedConfig(CALIBRATION))
-    rig.until_mode(Mode.HOLDING)
-    rig.execute(PAN)
-    rig.run(0.2)
-    rig.supervisor.disconnect("a command to the emulator unplugged it")
-    (ended,) = rig.ended
-    assert "reconnects as soon as it is plugged in" in ended.message
-    assert "cable" not in ended.message
 
 
 @pytest.mark.parametrize("order", [Order.EMERGENCY_STOP, Order.RELAX])

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from robot.description import model
 from robot.description.gravity import LinkWeights
-from tests.helpers.moveit import SEVEN
 from tests.helpers.robots import so101
 
 with warnings.catch_warnings(action="ignore"):  # of its own imports
@@ -44,8 +43,3 @@ def test_a_torque_is_the_gradient_of_the_links_energy(angles):
 def test_a_prismatic_joint_carries_all_that_hangs_on_it():
     hoist = model.parse(HOIST_URDF, HOIST_SRDF)
     assert LinkWeights(hoist).holding_torques({"lift": 0.3}) == {"lift": pytest.approx(19.62)}
-
-
-def test_links_without_mass_weigh_nothing():
-    positions = dict.fromkeys(SEVEN.joints, 0.4)
-    assert set(LinkWeights(SEVEN).holding_torques(positions).values()) == {0.0}

@@ -88,10 +88,6 @@ def test_more_arms_have_a_group_of_all() -> None:
     assert BOTH_ARMS not in whole.groups
 
 
-def test_one_arm_alone_has_no_group_of_both() -> None:
-    assert not {BOTH_ARMS, ALL_ARMS} & joined("one", {"left": PlacedArm(LEFT)}).groups.keys()
-
-
 @pytest.mark.parametrize("apart_m", [0.4, 2.0])
 def test_arms_are_checked_against_each_other_unless_they_cannot_meet(apart_m: float) -> None:
     between = {frozenset(each) for each in itertools.product(LEFT.links, RIGHT.links)}

@@ -9,7 +9,6 @@ import pytest
 
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
-from robot.description.model import JointLimits
 from robot.errors import DescriptionError
 from tests.helpers.resources import shared_data
 from tests.helpers.robots import so101
@@ -92,13 +91,6 @@ def test_another_robot_is_read_from_its_files(tmp_path: Path) -> None:
     assert robot.named_states == {"g": {"up": {"ab": 1.0}}}
     assert robot.disabled_pairs == {frozenset("ab")}
     assert robot.mesh_directory == tmp_path
-
-
-def test_limits_beside_the_urdf_replace_its_own() -> None:
-    limits = {"shoulder_lift": JointLimits(lower=-1.0, max_velocity=2.0, max_acceleration=7.0, max_jerk=50.0)}
-    joint = model.parse(so101().urdf, so101().srdf, limits=limits).joints["shoulder_lift"]
-    assert (joint.lower, joint.upper) == (-1.0, so101().joints["shoulder_lift"].upper)
-    assert (joint.max_velocity, joint.max_acceleration, joint.max_jerk) == (2.0, 7.0, 50.0)
 
 
 BROKEN = {

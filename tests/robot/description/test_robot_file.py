@@ -61,13 +61,6 @@ def test_everything_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
     assert len(problems(tmp_path, "[robot]\nurd = 'x'\n[gripper]\nopen = 1\n[joints.a]\nmax_jerk = -1")) == 4
 
 
-def test_a_servo_s_keys_are_proposed_where_one_is_unknown(tmp_path: Path) -> None:
-    servo = "[[hardware.servos]]\njoint = 'a'\nid = 1\nmodel = 'x'\nsgn = 1\nzero = { tick = 5, angl_rad = 2 }"
-    found = problems(tmp_path, f"[hardware]\nkind = 'feetech'\n{servo}")
-    assert "hardware.servos[0].sgn: there is no such key; did you mean sign?" in found
-    assert "hardware.servos[0].zero.angl_rad: there is no such key; did you mean angle_rad?" in found
-
-
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(RobotFileError, match=r"robot\.toml cannot be read"):
         read(tmp_path / "robot.toml")

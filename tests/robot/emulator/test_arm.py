@@ -17,7 +17,7 @@ from robot.description.gravity import LinkWeights
 from robot.emulator.arm import EmulatedArm, weight_of
 from robot.emulator.dynamixel import emulated_dynamixel_arm
 from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos, emulated_feetech_arm
-from robot.errors import PortError, StartupError
+from robot.errors import StartupError
 from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import HardwareInterface, run_to_end
@@ -26,7 +26,6 @@ from tests.helpers import arm_rig, dynamixel
 from tests.helpers.emulated_family import run
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration, so101
-from tests.helpers.server import read_write_log
 
 STEP_S = 0.01
 
@@ -99,16 +98,6 @@ def test_servos_go_on_while_the_hardware_is_closed(arm: Arm, clock: SteppedClock
     assert found(source).driven.all()
 
 
-@OF_BOTH_FAMILIES
-def test_an_unplugged_port_cannot_be_opened_until_it_is_plugged_in(arm: Arm, clock: SteppedClock) -> None:
-    source = arm.start(clock)
-    source.port.unplug()
-    with pytest.raises(PortError, match="unplugged"):
-        source.open()
-    source.port.plug_in()
-    assert source.open().joint_names == tuple(joint.joint for joint in arm.calibration.joints)
-
-
 def lost_replies(source: EmulatedArm[Any], clock: SteppedClock) -> list[int]:
     """Replies that are missing in each of some cycles."""
     hardware = source.open()
@@ -161,17 +150,6 @@ def logged(clock: SteppedClock, write_log: Path) -> Iterator[Callable[..., Emula
         yield start
 
 
-def test_every_write_is_on_record(
-    logged: Callable[..., EmulatedArm[Any]], clock: SteppedClock, write_log: Path
-) -> None:
-    hardware = logged().open()
-    run_to_end(hardware.switch_off())
-    assert read_write_log(write_log) == []
-    run_to_end(hardware.survey())
-    run_to_end(hardware.enable([0]), clock.advance)
-    assert {servo for entry in read_write_log(write_log) for servo in entry["data"]} == {"1"}
-
-
 @pytest.mark.parametrize(("resumes", "lines"), [(False, []), (True, ["{}"])])
 def test_only_servos_that_were_there_before_go_on_with_their_record(
     logged: Callable[..., EmulatedArm[Any]], write_log: Path, resumes: bool, lines: list[str]
@@ -187,21 +165,6 @@ def test_servos_with_a_shifted_zero_start_relaxed_and_are_refused_torque(clock: 
     assert not run_to_end(hardware.driven()).any()
     with pytest.raises(StartupError, match="the zero has shifted since the calibration at shoulder_pan"):
         run_to_end(hardware.enable(range(6)))
-
-
-def test_servos_that_are_found_again_are_where_they_were_read(clock: SteppedClock) -> None:
-    first = SO101.start(clock, population="ros2_driver", start_rad={"elbow_flex": 0.5})
-    names = [joint.joint for joint in SO101.calibration.joints]
-    seen = dict(zip(names, position_rad(first.open()).tolist(), strict=True))
-    again = SO101.start(clock, population="ros2_driver", start_rad=seen, resumes=True)
-    assert position_rad(again.open()) == pytest.approx(list(seen.values()), abs=0.002)
-
-
-def test_the_hardware_knows_that_its_servos_are_emulated(clock: SteppedClock) -> None:
-    source = SO101.start(clock)
-    source.bus.faults.offline = {3}
-    with pytest.raises(Exception, match=r"no answer from elbow_flex \(id 3\)$"):
-        found(source)
 
 
 @pytest.fixture

@@ -66,13 +66,6 @@ def test_switches_reach_bus_and_adapter_and_go_on_and_off(emulation, command):
         assert emulation.adapter.frozen is on
 
 
-def test_a_command_is_put_on_record(command, log_path):
-    command(push={"2": 50})
-    command(push={"9": 50})
-    (line,) = map(json.loads, log_path.read_text().splitlines())
-    assert line["command"] == {"push": {"2": 50}}
-
-
 def test_every_command_is_documented_with_an_example_that_is_carried_out(emulation):
     lines = COMMANDS_HELP.split("\n\n")[1].splitlines()
     assert [next(iter(json.loads(line.split("  ")[0]))) for line in lines] == list(LiveCommand.model_fields)
@@ -150,17 +143,6 @@ def test_torque_and_goal_of_a_servo_after_commands(command, servo, commands, tor
     assert (servo.value(Register.TORQUE_ENABLE), servo.value(Register.GOAL_POSITION)) == torque_and_goal
 
 
-def test_an_overload_can_be_made_to_last_until_a_power_cycle(command, servo):
-    command(overload_latches=[3], obstacle={"3": 2060})
-    servo.write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, 2600))
-    run(servo, 2.5)
-    command(torque_off=[3])
-    run(servo, 0.1)
-    assert servo.error == StatusFlag.OVERLOAD
-    command(power_cycle=[3])
-    assert servo.error == 0
-
-
 @pytest.mark.parametrize(("name", "offset", "at", "goal"), [("obstacle", -40, 2100, 2400), ("hand", 40, 1900, 2048)])
 def test_an_obstacle_or_a_hand_is_at_a_tick_of_the_present_position_until_it_ends(
     command, servo, name, offset, at, goal
@@ -183,9 +165,3 @@ def test_the_rest_reaches_the_servo(command, servo):
     assert (servo.motor.temperature_c, servo.voltage_v) == (66.0, 4.2)
     run(servo, 0.02)
     assert servo.error == StatusFlag.ENCODER
-
-
-def test_a_mirrored_horn_turns_the_other_way(emulation, command):
-    assert not emulation.bus.servos[5].mirrored
-    assert command(mirror=["gripper"]) == {"ok": True}
-    assert emulation.bus.servos[5].mirrored

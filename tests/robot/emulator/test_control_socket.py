@@ -19,7 +19,6 @@ from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import so101
-from tests.helpers.server import read_write_log
 
 STEP_S = 0.01
 
@@ -131,13 +130,6 @@ def test_commands_are_carried_out_and_answered_in_their_order_in_the_next_cycle(
     assert controlled.servos.bus.faults.offline == {3}
 
 
-def test_a_command_that_makes_no_sense_is_answered_with_the_reason(controlled, connect):
-    controller = connect()
-    controller.send(b'{"explode": 1}\n')
-    controlled.cycle()
-    assert "unknown command" in str(controller.answer()["error"])
-
-
 def test_several_controllers_are_served(controlled, connect):
     controllers = [connect(), connect()]
     for number, controller in enumerate(controllers):
@@ -205,14 +197,3 @@ def test_a_file_in_the_place_of_the_socket_is_left_alone(make, tmp_path):
     with pytest.raises(OSError, match="in use"):
         make(control=path)
     assert path.read_text() == "mine"
-
-
-def test_a_live_command_is_on_record_among_the_writes(make, clock, tmp_path, write_log):
-    path = tmp_path / "control"
-    controlled = Controlled(make(control=path, write_log=write_log), clock, path)
-    with contextlib.closing(Controller(path)) as controller:
-        controlled.cycle()
-        controller.send(b'{"push": {"2": 50}}\n')
-        controlled.cycle()
-    (line,) = read_write_log(write_log)
-    assert (line["command"], line["t"]) == ({"push": {"2": 50}}, pytest.approx(clock()))

@@ -154,15 +154,6 @@ def test_a_stopped_servo_takes_no_goal_until_its_watchdog_is_cleared() -> None:
     assert write(servo, Register.GOAL_POSITION, 2100) == 0
 
 
-def test_instructions_keep_the_watchdog_quiet() -> None:
-    servo = holding()
-    write(servo, Register.BUS_WATCHDOG, 10)
-    for _ in range(100):
-        servo.hear()
-        run(servo, 0.01)
-    assert read(servo, Register.BUS_WATCHDOG) == 10
-
-
 def test_the_watchdog_of_a_relaxed_servo_does_not_trip() -> None:
     servo = servo_at()
     write(servo, Register.BUS_WATCHDOG, 10)
@@ -203,15 +194,6 @@ def test_heat_and_a_wrong_supply_are_hardware_errors_until_a_reboot(quantity: st
     assert read(servo, Register.HARDWARE_ERROR_STATUS) == bit
     servo.power_up()
     assert read(servo, Register.HARDWARE_ERROR_STATUS) == 0
-
-
-def test_a_power_up_clears_watchdog_and_limits_and_keeps_the_offset() -> None:
-    servo = servo_at()
-    for register, value in ((Register.HOMING_OFFSET, 55), (Register.BUS_WATCHDOG, 25), (Register.GOAL_PWM, 100)):
-        assert write(servo, register, value) == 0
-    servo.power_up()
-    kept = (Register.HOMING_OFFSET, Register.BUS_WATCHDOG, Register.GOAL_PWM)
-    assert [read(servo, register) for register in kept] == [55, 0, 885]
 
 
 @pytest.mark.parametrize("address", [66, 300])

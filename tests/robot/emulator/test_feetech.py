@@ -44,15 +44,6 @@ def get(servo, register):
     return decode(register, servo.read(register, LAYOUT[register].size))
 
 
-def test_at_power_up_the_eprom_is_locked_and_the_torque_limit_that_of_the_eprom():
-    servo = servo_at()
-    put(servo, Register.LOCK, 0)
-    put(servo, Register.MAX_TORQUE, 500)
-    servo.power_up()
-    assert (get(servo, Register.LOCK), get(servo, Register.TORQUE_LIMIT)) == (1, 500)
-    assert (get(servo, Register.MODEL_NUMBER), get(servo, Register.ID)) == (777, 4)
-
-
 @pytest.mark.parametrize(("goal", "reached"), [(100, 800), (4000, 3300)])
 def test_a_goal_beyond_the_angle_limits_ends_at_the_limit(goal, reached):
     servo = servo_at()
@@ -181,14 +172,6 @@ def test_eprom_outlives_a_power_cut_only_when_written_unlocked(lock, kept):
     assert servo.value(Register.P_GAIN) == 16
     servo.power_up()
     assert servo.value(Register.P_GAIN) == kept
-
-
-def test_an_id_written_to_a_locked_servo_is_lost_with_its_power():
-    servo = servo_at()
-    put(servo, Register.ID, 9)
-    assert servo.servo_id == 9
-    servo.power_up()
-    assert servo.servo_id == 4
 
 
 def test_without_a_backup_a_restore_brings_back_what_was_there_at_first_except_the_id():

@@ -121,17 +121,6 @@ def test_a_frozen_adapter_keeps_no_more_than_a_pseudo_terminal(at_once):
     assert len(at_once.port.receive(1.0)) == MAX_WAITING_BYTES // len(ping) * len(ping)
 
 
-@pytest.mark.parametrize("frozen", [False, True])
-def test_an_adapter_that_is_plugged_in_again_has_dropped_its_queue(at_once, frozen):
-    at_once.command(frozen=frozen)
-    at_once.port.writePort(packet(1, PING))
-    at_once.command(plugged=False)
-    at_once.command(frozen=False)
-    at_once.command(plugged=True)
-    at_once.port.check()
-    assert at_once.port.receive(1.0) == b""
-
-
 def test_an_unplugged_adapter_is_lost_to_reader_and_writer_and_cannot_be_opened(at_once):
     at_once.command(plugged=False)
     with pytest.raises(PortLost, match="simulated"):
@@ -140,14 +129,6 @@ def test_an_unplugged_adapter_is_lost_to_reader_and_writer_and_cannot_be_opened(
         at_once.open_bus().ping(1)
     with pytest.raises(PortError, match="unplugged"):
         at_once.port.check()
-
-
-def test_the_servos_keep_their_registers_while_the_adapter_is_unplugged(at_once):
-    bus = at_once.open_bus()
-    bus.write(1, Register.TORQUE_LIMIT, 321)
-    at_once.command(plugged=False)
-    assert at_once.command(plugged="renamed") == {"ok": True, "port": "simulated"}
-    assert bus.read(1, Register.TORQUE_LIMIT) == 321
 
 
 def test_frames_of_usb_hold_replies_up_where_time_passes_on_the_wire(emulator):

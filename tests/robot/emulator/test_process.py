@@ -205,16 +205,6 @@ def test_the_bus_is_as_asked_for(tmp_path):
     assert json.loads(log.read_text())["command"] == {}
 
 
-def test_bytes_take_their_time_on_the_wire_unless_that_is_not_wanted():
-    options, ping = parser().parse_args([]), bytes([0xFF, 0xFF, 1, 2, 1, 0xFB])
-    due_s = []
-    with contextlib.ExitStack() as resources:
-        for wire_time in (True, False):
-            (reply,) = build_bus(options, resources, 0.0, wire_time=wire_time).receive(ping, 1.0)
-            due_s.append(reply.due_s)
-    assert due_s[0] > due_s[1] == 1.0
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

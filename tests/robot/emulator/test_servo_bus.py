@@ -8,18 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from dynamixel_sdk import INST_REBOOT
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.dynamixel import CRC_ERROR, INSTRUCTION_ERROR, REBOOT_S
-from robot.emulator.dynamixel import DYNAMIXEL as DYNAMIXEL_CODEC
+from robot.emulator.dynamixel import CRC_ERROR, INSTRUCTION_ERROR
 from robot.emulator.faults import Faults
 from robot.emulator.feetech import FEETECH as FEETECH_CODEC
 from robot.emulator.feetech import FeetechServo, build_servos
 from robot.emulator.servo_bus import PARTIAL_PACKET_S, Instruction, InstructionParser, ServoBus, superimposed
 from robot.emulator.write_log import WriteLog
-from robot.hardware.dynamixel.packets import ALERT
 from robot.hardware.feetech.registers import Register, encode
 from tests.helpers.emulated_family import ALL, DYNAMIXEL, FEETECH, IDS, OF_BOTH_FAMILIES, Family
 from tests.helpers.emulator import (
@@ -326,19 +323,6 @@ def test_without_wire_time_every_reply_is_there_at_once_whatever_the_return_dela
     assert said(bus, packet(1, PING), 5.0) == FEETECH_CODEC.status_packet(1, 0)
 
 
-@pytest.mark.parametrize(("hand_ticks", "moves"), [(1000, True), (None, False)], ids=["moving", "at rest"])
-def test_the_weight_is_put_on_at_once_and_again_as_the_arm_moves(hand_ticks, moves):
-    times = []
-    bus = bus_with(weigh=lambda: times.append(1))
-    assert len(times) == 1
-    bus.advance(0.1)
-    bus.servos[0].plant.hand_ticks = hand_ticks
-    before = len(times)
-    for k in range(1, 11):
-        bus.advance(0.1 + 0.01 * k)
-    assert (len(times) > before) is moves
-
-
 # Feetech alone.
 
 
@@ -423,21 +407,6 @@ def dynamixels() -> Wire:
     return Wire(DYNAMIXEL)
 
 
-def test_a_hardware_error_raises_the_alert_of_every_reply(dynamixels):
-    dynamixels.servos[1].fail(0x01)
-    assert dynamixels.ask(2, READ, DYNAMIXEL.block("LED")) == dynamixels.status(2, b"\x00", error=ALERT)
-    refused = dynamixels.ask(2, WRITE, DYNAMIXEL.assignment("GOAL_PWM", 886))
-    assert refused == dynamixels.status(2, error=ALERT | 6)
-
-
-def test_a_rebooted_servo_is_silent_for_a_while(dynamixels):
-    assert dynamixels.ask(2, INST_REBOOT) == dynamixels.status(2)
-    dynamixels.now_s = 0.5 * REBOOT_S
-    assert dynamixels.ask(2, PING) == b""
-    dynamixels.now_s = 1.1 * REBOOT_S
-    assert dynamixels.ask(2, PING) != b""
-
-
 def test_an_unknown_instruction_is_an_instruction_error(dynamixels):
     assert dynamixels.ask(2, 0x92, b"\x01") == dynamixels.status(2, error=INSTRUCTION_ERROR)
 
@@ -462,7 +431,3 @@ def test_every_instruction_on_the_bus_feeds_every_watchdog(dynamixels):
     assert dynamixels.values("BUS_WATCHDOG") == [5, 5, 5]
     dynamixels.bus.advance(1.0)
     assert dynamixels.values("BUS_WATCHDOG") == [-1, -1, -1]
-
-
-def test_a_reply_is_built_with_stuffed_bytes() -> None:
-    assert DYNAMIXEL_CODEC.status_packet(3, 0, b"\xff\xff\xfd").count(b"\xff\xff\xfd\xfd") == 1

@@ -50,12 +50,6 @@ def test_the_registers_wholly_written_are_named_and_decoded(tmp_path):
     }
 
 
-def test_a_live_command_is_a_line_among_the_writes(tmp_path):
-    (line,) = lines_of(tmp_path / "log", lambda log: log.record_command(3.0, {"push": {"3": 9}}, []))
-    assert (line["t"], line["instruction"], line["address"], line["data"]) == (3.0, "command", None, {})
-    assert line["command"] == {"push": {"3": 9}}
-
-
 @pytest.mark.parametrize(("append", "commands"), [(False, [{"new": 1}]), (True, [{"old": 1}, {"new": 1}])])
 def test_a_log_that_is_there_is_replaced_or_gone_on_with(tmp_path, append, commands):
     path = tmp_path / "log"

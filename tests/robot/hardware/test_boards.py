@@ -116,12 +116,6 @@ def test_any_board_is_found_by_its_usb_id(plugged_in: list[ListPortInfo], port: 
     assert resolve_port(port) == "/dev/ttyUSB0"
 
 
-def test_a_usb_id_of_two_devices_is_refused(plugged_in: list[ListPortInfo]) -> None:
-    plugged_in += [device("/dev/ttyUSB0", ARDUINO), device("/dev/ttyUSB1", ARDUINO)]
-    with pytest.raises(PortError, match=r"2341:0043 could be any of 2 boards: /dev/ttyUSB0 .* and /dev/ttyUSB1 "):
-        resolve_port("2341:0043")
-
-
 def test_a_usb_id_that_is_not_plugged_in_is_named(plugged_in: list[ListPortInfo]) -> None:
     plugged_in += [device("/dev/ttyACM1", CERTAIN[0], product="USB Single Serial")]
     with pytest.raises(

@@ -2,8 +2,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pytest
-
 from robot.hardware.config import (
     DynamixelConfig,
     EmulatedConfig,
@@ -34,11 +32,3 @@ def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_them
     assert IdealConfig(0.2).resumed(POSE, driven=False) == IdealConfig(0.2, start_rad=POSE, driven=False)
     for real in (FeetechConfig(CALIBRATION, "/dev/arm"), DynamixelConfig(CALIBRATION, "/dev/arm")):
         assert real.resumed(POSE, driven=True) == real
-
-
-@pytest.mark.parametrize("config", [EmulatedConfig(CALIBRATION, start_rad=POSE), IdealConfig(start_rad=POSE)])
-def test_simulated_joints_that_were_never_reported_resume_at_their_start(
-    config: EmulatedConfig | IdealConfig,
-) -> None:
-    assert config.resumed({}, driven=False).start_rad == POSE
-    assert config.resumed({"gripper": 0.1}, driven=False).start_rad == {**POSE, "gripper": 0.1}

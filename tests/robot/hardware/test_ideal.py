@@ -92,12 +92,6 @@ def test_the_lag_does_not_depend_on_the_length_of_the_ticks(ticks_s: list[float]
     assert rig.read().position_rad[SHOULDER] == pytest.approx(1e-3 * -math.expm1(-sum(ticks_s) / 0.05))
 
 
-def test_without_lag_a_joint_is_at_its_goal_within_one_tick() -> None:
-    rig = IdealRig(lag_s=0.0)
-    rig.arm.write_goals(goals(shoulder=0.015))
-    assert rig.read(PERIOD_S).position_rad[SHOULDER] == pytest.approx(0.015)
-
-
 @pytest.mark.parametrize(("joint", "goal", "most"), [("rail", 0.6, 0.25), ("shoulder", 1.5, 2.0)])
 def test_no_joint_is_faster_than_its_velocity_limit(joint: str, goal: float, most: float) -> None:
     rig = IdealRig(lag_s=0.0)
@@ -105,25 +99,6 @@ def test_no_joint_is_faster_than_its_velocity_limit(joint: str, goal: float, mos
     measured = rig.read(PERIOD_S)
     assert measured.position_rad[NAMES.index(joint)] == pytest.approx(most * PERIOD_S)
     assert measured.velocity_rad_s[NAMES.index(joint)] == pytest.approx(most)
-
-
-def test_an_arm_comes_to_its_goals_and_stands_still_there() -> None:
-    rig = IdealRig()
-    rig.arm.write_goals(goals(rail=0.4))
-    measured = rig.run(3.0)
-    assert measured.position_rad == pytest.approx([0.4, 0.0, 0.4])
-    assert measured.velocity_rad_s == pytest.approx(np.zeros(3), abs=1e-9)
-
-
-def test_a_second_reading_in_the_same_tick_is_the_same_and_a_later_one_changes_neither() -> None:
-    rig = IdealRig()
-    rig.arm.write_goals(goals(shoulder=0.5))
-    first, second = rig.read(PERIOD_S), rig.read()
-    kept = first.position_rad.tolist()
-    assert second.position_rad.tolist() == kept
-    assert second.velocity_rad_s.tolist() == first.velocity_rad_s.tolist() != [0.0] * 3
-    assert rig.read(PERIOD_S).position_rad.tolist() != kept
-    assert first.position_rad.tolist() == kept
 
 
 def test_readings_are_fresh_complain_of_nothing_and_hold_no_number_for_what_the_arm_does_not_have() -> None:
@@ -144,12 +119,6 @@ def test_a_survey_finds_an_arm_that_holds_at_its_goals_and_a_relaxed_one_without
     assert found.bounds is BOUNDS
 
 
-def test_a_relaxed_arm_does_not_follow_and_does_not_fall() -> None:
-    rig = IdealRig(driven=False)
-    rig.arm.write_goals(goals(shoulder=0.5))
-    assert rig.run(0.5).position_rad == pytest.approx(REST)
-
-
 def test_an_enabled_arm_holds_where_it_is_whatever_goals_were_written() -> None:
     rig = IdealRig(driven=False, start_rad={"shoulder": 0.3})
     written = goals(shoulder=1.0)
@@ -166,13 +135,6 @@ def test_a_joint_that_holds_keeps_its_goal_when_others_are_enabled() -> None:
     run_to_end(rig.arm.switch_off([RAIL]))
     rig.arm.write_goals(goals(rail=0.5, shoulder=0.2))
     assert run_to_end(rig.arm.enable(range(3))) == pytest.approx([0.0, 0.2, 0.4])
-
-
-def test_a_joint_that_is_not_enabled_has_its_position_as_goal() -> None:
-    rig = IdealRig(driven=False)
-    rig.arm.write_goals(goals(rail=0.5, shoulder=0.2))
-    assert run_to_end(rig.arm.enable([SHOULDER])) == pytest.approx(REST)
-    assert run_to_end(rig.arm.driven()).tolist() == [False, True, False]
 
 
 def test_relaxing_takes_a_while_and_leaves_no_torque_unless_it_is_given_up() -> None:
@@ -194,23 +156,6 @@ def test_torque_is_cut_with_the_first_step() -> None:
     next(rig.arm.cut_torque())
     before = rig.read().position_rad.tolist()
     assert rig.run(0.2).position_rad.tolist() == before
-
-
-def test_single_joints_can_be_switched_off_and_returned_flags_do_not_change() -> None:
-    rig = IdealRig()
-    flags, found = run_to_end(rig.arm.driven()), run_to_end(rig.arm.survey()).driven
-    assert run_to_end(rig.arm.switch_off([ELBOW])) == []
-    assert run_to_end(rig.arm.driven()).tolist() == [True, True, False]
-    assert flags.tolist() == found.tolist() == [True] * 3
-    assert not rig.arm.condition(ELBOW).torque_enabled
-    assert rig.arm.condition(RAIL).torque_enabled
-
-
-def test_an_ideal_arm_has_no_bus_and_no_faults_of_its_own() -> None:
-    arm = IdealRig().arm
-    assert arm.counters is None
-    assert arm.check(0.0) is None
-    assert arm.label(RAIL) == "rail"
 
 
 def test_it_is_still_there_when_it_is_opened_again() -> None:

@@ -10,7 +10,7 @@ import tty
 
 import pytest
 
-from robot.errors import PortBusy, PortError, PortLost, PortNotFound, PortPermission
+from robot.errors import PortBusy, PortLost, PortNotFound, PortPermission
 from robot.hardware.port import (
     LOCAL_LATENCY_S,
     NETWORK_LATENCY_S,
@@ -18,14 +18,7 @@ from robot.hardware.port import (
     _claim,
     _refusal,
     open_port,
-    resolve_port,
 )
-
-
-@pytest.mark.parametrize("port", ["/dev/ttyACM0", "socket://lab:2000"])
-def test_a_named_port_is_taken_as_it_is(port: str) -> None:
-    assert resolve_port(port) == port
-
 
 BAUDRATE = 1_000_000
 
@@ -58,19 +51,6 @@ def test_a_port_that_another_has_open_is_busy(line):
         open_port(path, BAUDRATE)
     first.closePort()
     open_port(path, BAUDRATE).closePort()
-
-
-def test_a_file_is_no_serial_port(tmp_path):
-    path = tmp_path / "file"
-    path.touch()
-    with pytest.raises(PortError, match="cannot be opened"):
-        open_port(str(path), BAUDRATE)
-
-
-@pytest.mark.parametrize("url", ["socket://127.0.0.1:9", "telepathy://arm", "socket://nonsense"])
-def test_a_url_that_leads_nowhere_is_refused(url):
-    with pytest.raises(PortError, match="cannot be opened"):
-        open_port(url, BAUDRATE)
 
 
 def test_a_missing_permission_names_group_and_udev_rule():

@@ -78,12 +78,6 @@ def test_a_fault_is_told_with_code_sentence_remedy_and_service(heard: Heard) -> 
     assert values["fault_remedy"] == STALLED.remedy
 
 
-def test_an_arm_that_is_not_there_is_told_with_its_reason(heard: Heard) -> None:
-    heard.topics.take_state(ArmState(0.0, Mode.DISCONNECTED, (), reason="port gone"))
-    assert heard.states[0]["level"] == 2
-    assert heard.states[0]["message"].endswith("port gone")
-
-
 def test_the_limits_are_the_descriptions_until_the_servos_own_are_known(heard: Heard) -> None:
     assert heard.limits[0]["joint_names"] == [joint.name for joint in ROBOT.movable_joints]
     heard.topics.take_health(health([(-1.0, 1.5), (0.0, 1.0)]))

@@ -9,27 +9,16 @@ import numpy as np
 import pytest
 
 from robot.calibration import save
-from robot.hardware.config import EmulatedConfig, IdealConfig
+from robot.hardware.config import IdealConfig
 from server.arm.arms import JoinedBeat, joined_robot, read_arms
 from server.arm.setup import Description
 from server.config import ArmSettings, Settings
 from server.errors import ConfigurationError
 from tests.helpers.robots import nominal_calibration, so101
 
-JOINTS = tuple(joint.name for joint in so101().movable_joints)
-
 
 def settings(**arms: dict[str, Any]) -> Settings:
     return Settings.model_validate({"arms": arms})
-
-
-def test_servos_and_calibration_of_an_arm_have_its_joints() -> None:
-    arm = read_arms(settings(left={}))["left"]
-    assert arm.joint_names == tuple(f"left_{joint}" for joint in JOINTS)
-    hardware = arm.config.hardware
-    assert isinstance(hardware, EmulatedConfig)
-    assert tuple(joint.joint for joint in hardware.calibration.joints) == arm.joint_names
-    assert tuple(servo.joint for servo in arm.description.hardware.servos) == arm.joint_names
 
 
 def test_ticks_mean_the_same_angles_below_a_name(tmp_path: Path) -> None:

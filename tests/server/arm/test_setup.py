@@ -234,11 +234,6 @@ def test_a_trim_of_a_zero_moves_the_limits_of_its_joint() -> None:
     assert trimmed.rad_from_ticks(2000) == pytest.approx(plain.rad_from_ticks(2000) + 0.02)
 
 
-def test_a_trim_of_an_unknown_joint_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"elbow.*one of the arm's joints"):
-        Description.read(ArmSettings(zero_offset_rad={"elbow": 0.02}))
-
-
 def test_a_calibration_is_found_by_the_id_that_lerobot_has_it_under(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

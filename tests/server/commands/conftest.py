@@ -1,4 +1,4 @@
-"""Commands run as they do for people: in the test's process on stepped servos, or on a pseudo terminal."""
+"""Commands run as they do for people, in the test's process on stepped servos."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import functools
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -23,11 +22,8 @@ from server.commands import options as command_options
 from server.commands.terminal import Terminal
 from tests.helpers.emulator import SteppedEmulator
 from tests.robot.conftest import (  # noqa: F401 - fixtures
-    RunningEmulator,
     bus,
     start_emulator,
-    start_terminal,
-    terminal,
     write_log,
 )
 
@@ -86,19 +82,3 @@ def typed(lines: str) -> Iterator[int]:
         yield read_end
     finally:
         os.close(read_end)
-
-
-@pytest.fixture
-def armbridge_on_terminal(terminal: RunningEmulator) -> Run:  # noqa: F811 - the fixture
-    """Runs a command as a process on servos behind a pseudo terminal."""
-
-    def run(command: str, *options: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "server.cli", command, "--serial", terminal.port, *options],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-
-    return run

@@ -11,6 +11,14 @@ from tests.helpers.robots import nominal_calibration
 from tests.helpers.server import read_write_log
 
 
+def test_an_arm_that_is_well_is_a_table_and_exit_0(armbridge):
+    answer = armbridge("scan")
+    assert answer.returncode == ExitCode.DONE
+    assert len(answer.stdout.splitlines()) == 7
+    assert "elbow_flex" in answer.stdout
+    assert answer.stderr.count("\n") == 1
+
+
 def test_a_missing_servo_is_named_with_its_cause_and_exit_3(emulator, armbridge):
     emulator.command(offline=[3, 4, 5, 6])
     answer = armbridge("scan")
@@ -38,6 +46,13 @@ QUICK = ("--cycles", "20")
 
 def findings(text):
     return {each["check"]: each for each in json.loads(text)}
+
+
+def test_every_check_and_every_question_has_a_finding(armbridge):
+    found = findings(armbridge("doctor", "--yes", "--json", *QUICK).stdout)
+    assert {experiment.name for experiment in EXPERIMENTS} < set(found)
+    assert found["servos"]["verdict"] == found["long reads"]["verdict"] == "good"
+    assert found["torque at power-up"]["says"] == "not asked"
 
 
 def test_questions_are_asked_of_the_arm_after_a_yes_each(armbridge):
@@ -107,6 +122,14 @@ def hold(bus):
 
 def torque(bus):
     return [bus.read(servo_id, Register.TORQUE_ENABLE) for servo_id in IDS]
+
+
+def test_an_arm_that_holds_is_relaxed(armbridge, bus):
+    hold(bus)
+    answer = armbridge("relax")
+    assert answer.returncode == ExitCode.DONE
+    assert answer.stderr.splitlines()[-1] == "torque is off on all servos"
+    assert torque(bus) == [0] * 6
 
 
 def test_an_arm_that_is_relaxed_is_left_alone(armbridge, write_log):

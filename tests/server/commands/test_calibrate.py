@@ -94,14 +94,22 @@ def test_on_request_the_servos_get_what_the_file_says(armbridge, person, bus, tm
     assert held(bus, ELBOW) == (elbow.homing_offset, elbow.range_min, elbow.range_max)
 
 
-def test_mirrored_joints_are_found_by_moving_them_and_told_before_anything_is_written(armbridge, person, tmp_path):
+def test_a_mirrored_gripper_is_found_by_moving_it(armbridge, person, tmp_path):
     # The gripper's servo falls when it opens.
-    shown = ["skip", "skip", {ELBOW: MIDDLE + 400}, "", "skip", "skip", {GRIPPER: MIDDLE - 400}, "", ""]
+    shown = ["skip", "skip", "skip", "skip", "skip", {GRIPPER: MIDDLE - 400}, "", ""]
     answer, joints = calibrated(armbridge, person(["", *MEASURED, *shown]), tmp_path / "arm.json")
-    assert "elbow_flex turned the other way than the model" in answer.stderr
     assert "Now open the gripper" in answer.stderr
     assert "gripper is mirrored" in answer.stderr
     assert joints[-1].drive_mode == 1
+
+
+def test_nothing_is_written_for_an_arm_with_a_mirrored_joint(armbridge, person, tmp_path):
+    shown = ["skip", "skip", {ELBOW: MIDDLE + 400}, "", "skip all"]
+    answer = armbridge("calibrate", str(tmp_path / "arm.json"), descriptor=person(["", *MEASURED, *shown]))
+    assert answer.returncode == ExitCode.PROBLEMS
+    assert "elbow_flex turned the other way than the model" in answer.stderr
+    assert "nothing is written: mend elbow_flex, then calibrate again" in answer.stderr
+    assert not (tmp_path / "arm.json").exists()
 
 
 def test_a_file_that_is_there_is_not_replaced(armbridge, tmp_path):

@@ -268,6 +268,18 @@ def test_a_servo_unplugged_while_it_is_written_is_asked_for_again_and_finished(
     assert ids(kit) == [1, 1, 1, 1, 1, 6]
 
 
+def test_an_adapter_that_was_unplugged_is_opened_again(run_setup, kit, asked):
+    def plug(joint: str) -> str:
+        asked.append(joint)
+        kit.emulator.command(plugged=len(asked) > 1)
+        kit.plug(5)
+        return "\n"
+
+    code, _ = run_setup("--joint", "gripper", "--yes", plug=plug)
+    assert (code, asked) == (ExitCode.DONE, ["gripper", "gripper"])
+    assert ids(kit) == [1, 1, 1, 1, 1, 6]
+
+
 def arm_of(kit: Kit) -> None:
     """Make the kit an arm whose servos have their ids, and nothing else right."""
     for place, servo in enumerate(SO101_SERVOS):

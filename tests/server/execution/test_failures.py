@@ -66,23 +66,8 @@ async def test_a_directory_that_cannot_be_written_is_only_logged(
     assert "is not saved" in caplog.text
 
 
-async def found(goal: Goal) -> tuple[PlanningProblem, PlanningFailure]:
-    problem = PlanningProblem("arm", HOME, goal)
-    pool = DirectPool()
-    failure = await pool.ask(problem, WALL)
-    assert isinstance(failure, PlanningFailure)
-    return problem, await with_nearest_goal(failure, problem, WALL, pool)  # type: ignore[arg-type]
-
-
 async def planned(goal: Goal) -> Any:
     return await DirectPool().ask(PlanningProblem("arm", HOME, goal), WALL)
-
-
-async def test_a_joint_goal_in_collision_gets_a_free_one_that_can_be_planned() -> None:
-    _, failure = await found(JointGoal({"shoulder_pan": -1.2}))
-    assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
-    assert failure.details["pairs"]
-    assert isinstance(await planned(JointGoal(failure.details["free_rad"])), Plan)
 
 
 async def test_a_path_of_the_tip_gets_the_end_that_is_reached_and_says_if_its_own_end_is_by_another_way() -> None:
@@ -138,13 +123,3 @@ async def test_a_failure_does_not_wait_for_planners_that_are_busy(monkeypatch: p
     monkeypatch.setattr(failures, "ASKING_TIMEOUT_S", 0.01)
     problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": -1.2}))
     assert await with_nearest_goal(FAILURE, problem, WALL, BusyPool()) is FAILURE  # type: ignore[arg-type]
-
-
-async def test_other_failures_are_unchanged() -> None:
-    failure = PlanningFailure(MoveItErrorCode.CRASH, "gone")
-    pool = DirectPool()
-    problem = PlanningProblem("arm", HOME, JointGoal({}))
-    assert await with_nearest_goal(failure, problem, WALL, pool) is failure  # type: ignore[arg-type]
-    in_collision = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "touches")
-    assert await with_nearest_goal(in_collision, None, WALL, pool) is in_collision  # type: ignore[arg-type]
-    assert pool.requests == []

@@ -57,11 +57,6 @@ def test_positions_are_those_that_the_arm_holds_and_not_those_it_droops_to():
     assert state.positions_rad() == {"shoulder_pan": 0.3, "gripper": 0.4}
 
 
-def test_a_disconnected_arm_has_no_positions_and_a_message_without_joints():
-    assert current().positions_rad() is None
-    assert current().message()["joint_state"]["name"] == []
-
-
 @dataclass
 class Read:
     """An arm as it was read last."""
@@ -128,17 +123,6 @@ def watching(place: Place) -> SceneMonitor:
 @pytest.fixture
 def place() -> Place:
     return Place()
-
-
-async def test_a_change_in_the_way_is_reported_once(place: Place) -> None:
-    watching(place)
-    place.answer = RecheckAnswer(WALL, 0.5)
-    place.change()
-    await settle()
-    place.change()
-    await settle()
-    assert place.contacts == [WALL]
-    assert place.looked == [2]
 
 
 async def test_changes_during_a_check_are_checked_together(place: Place) -> None:

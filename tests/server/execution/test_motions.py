@@ -97,12 +97,6 @@ async def test_a_step_without_a_problem_is_not_planned() -> None:
     assert (planned.failure, planned.problem, planning.starts) == (WALL, None, [])
 
 
-async def test_deviations_from_the_goal_are_noted() -> None:
-    planned = await plan_sequence([to(0.3)], START, EMPTY_SCENE, Planning(Deviation(0.0, 0.5)).ask)
-    assert len(planned.notes) == 1
-    assert "28.6 degrees" in planned.notes[0]
-
-
 UNDER_WAY = smooth_move({"a": (0.0, 1.0), "b": (0.5, -0.5)}, 2.0)
 HALF_WAY = MotionProgress(1, 0.5, 1.0)
 

@@ -217,18 +217,3 @@ async def test_no_more_than_a_share_of_the_time_left_is_spent(desk: Desk) -> Non
     desk.planners.answers = [plan_of(3.0, "RRTConnect")]
     await desk.begin(goal(), left_s=0.2)
     assert desk.planners.background[-1].optimization_time_s <= OPTIMIZATION_SHARE * 0.2
-
-
-AS_THEY_ARE: dict[str, tuple[PlanningProblem, str]] = {
-    "straight line": (problem_from(START), "straight line"),
-    "optimization time": (replace(problem_from(START), optimization_time_s=0.1), "RRTConnect"),
-    "attempts": (replace(problem_from(START), attempts=1), "RRTConnect"),
-    "planner": (replace(problem_from(START), planner_id="RRTstar"), "RRTstar"),
-}
-
-
-@pytest.mark.parametrize(("problem", "method"), AS_THEY_ARE.values(), ids=AS_THEY_ARE.keys())
-async def test_motions_that_no_time_is_spent_on(desk: Desk, problem: PlanningProblem, method: str) -> None:
-    desk.planners.answers = [plan_of(3.0, method)]
-    await desk.begin(goal(lambda start_rad: replace(problem, start_rad=start_rad)))
-    assert len(desk.planners.background) == 1

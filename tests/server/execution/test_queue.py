@@ -206,18 +206,6 @@ async def test_a_waiting_goal_reports_how_many_are_ahead(desk: Desk) -> None:
     assert desk.states == [("1", GoalState.QUEUED), ("1", GoalState.PLANNING), ("2", GoalState.QUEUED)]
 
 
-async def test_a_goal_may_come_with_a_policy_of_its_own(desk: Desk) -> None:
-    for name in "ab":
-        desk.queue.submit("/topic", desk.move(name))
-    await settle()
-    desk.queue.submit("/action", desk.move("c"), policy=GoalPolicy.PREEMPT)
-    await settle()
-    assert desk.codes() == [("2", MoveItErrorCode.PREEMPTED), ("1", MoveItErrorCode.PREEMPTED)]
-    assert desk.runner.asked == ["a", "c"]
-    # What else moves, such as the gripper, goes on.
-    assert desk.runner.stopped == []
-
-
 @pytest.mark.parametrize("number", ["1", "2"], ids=["in hand", "waiting"])
 async def test_a_cancelled_goal_is_answered_and_the_other_is_not(desk: Desk, number: str) -> None:
     await desk.submit(*"ab")
@@ -325,14 +313,6 @@ async def test_the_goals_of_some_joints_are_cancelled_alone() -> None:
     await settle()
     assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("3", MoveItErrorCode.PREEMPTED)]
     assert desk.queue.active_count == 1
-
-
-async def test_the_goal_that_ends_last_is_told() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "right")
-    desk.arms.of("left").report(Progress(GoalState.EXECUTING, "", 0.5, 4.0))
-    desk.arms.of("right").report(Progress(GoalState.EXECUTING, "", 0.5, 1.0))
-    assert desk.queue.running == RunningGoal("goal 1 from /goal", 4.0, 0)
 
 
 async def test_a_goal_preempts_waiting_goals_of_its_joints_alone() -> None:

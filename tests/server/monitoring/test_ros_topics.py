@@ -3,7 +3,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,6 @@ from robot import logs as changed
 from robot.advice import ServoAlert, ServoWarning
 from robot.faults import REMEDIES, SIMULATED_REMEDIES, Fault, FaultCode
 from robot.hardware.interface import BusCounters, StatusFlag
-from robot.logs import OUR_LOGGER
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -204,6 +203,8 @@ async def test_a_silent_servo_shows_within_seconds(client: ArmClient, served: Se
     )
 
 
+pytestmark = pytest.mark.usefixtures("levels_are_put_back")
+
 LOG = logging.getLogger("armbridge.test")
 
 
@@ -244,15 +245,6 @@ async def test_a_burst_is_bounded(heard: list[Any]) -> None:
 # Levels.
 
 CALLER = Node("caller")
-
-
-@pytest.fixture(autouse=True)
-def levels_are_put_back(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr(changed, "_changed", {})
-    before = {name: logging.getLogger(name).level for name in (OUR_LOGGER, "armbridge.gateway")}
-    yield
-    for name, level in before.items():
-        logging.getLogger(name).setLevel(level)
 
 
 @pytest.fixture

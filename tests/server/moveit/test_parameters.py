@@ -21,13 +21,6 @@ def test_parameters_of_a_planner_override_those_of_its_group_and_those_of_all(pa
     assert parameters.of("arm", "RRT").num_planning_attempts == 4
 
 
-def test_replacing_deletes_the_parameters_set_before(parameters: PlannerParameters) -> None:
-    parameters.set("arm", "", {"joint_tolerance": "0.02"}, replace=False)
-    parameters.set("arm", "", {"range": "1"}, replace=True)
-    assert parameters.of("arm") == CONFIGURED
-    assert parameters.texts("arm", "")["range"] == "1"
-
-
 @pytest.mark.parametrize(
     ("key", "value"), [("planner_id", "CHOMP"), ("allowed_planning_time", "0"), ("joint_tolerance", "x")]
 )

@@ -35,7 +35,7 @@ class Desk(ActionDesk):
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self.motions = MotionFiles(folder, ROBOT)
-        ReplayAction(self.graph, ROBOT, self.motions, self.queue, PROBLEMS).open()
+        ReplayAction(self.graph, ROBOT, self.motions, self.queue, PROBLEMS)
 
 
 @pytest.fixture

@@ -32,7 +32,6 @@ class Lesson(ServiceRig):
         super().__init__()
         self.motions = MotionFiles(folder, ROBOT)
         self.teaching = Teaching(self.graph, ROBOT, self.motions, self.pool, self.scene_state, self.current)
-        self.teaching.open()
         self.states = self.listen("/teach/state", "armbridge_msgs/TeachState")
         self.state = RELAXED
         self.teaching.take_state(self.state)
@@ -162,7 +161,7 @@ async def test_a_recording_that_would_collide_is_kept_and_says_where(lesson: Les
     lesson.state = replace(RELAXED, clock_s=lesson.state.clock_s + 1.0)
     ended = await lesson.teach("blocked")
     assert ended["success"]
-    assert "cannot be replayed as it is: at " in ended["message"]
+    assert "cannot be replayed: at " in ended["message"]
     assert "crate" in ended["message"]
     assert (await lesson.call("/teach/list")) == {"names": ["blocked", "free"]}
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from robot.control.streaming import TIME_TO_FULL_ACCELERATION_S, VelocityTracking
 from robot.description.limits import JointBounds
-from server.teleop.following import Act, Following, Observed, Phase, TrackingLimits, tracking_velocities
+from server.teleop.following import Act, Following, Phase, TrackingLimits, tracking_velocities
 
-FRESH, STALE = Observed(0.01), Observed(0.3)
+FRESH, STALE = 0.01, 0.3
 TICK_S = 0.01
 LIMITS = {"a": TrackingLimits(2.0, 6.0)}
 
@@ -71,7 +71,7 @@ def test_samples_that_stop_during_the_ramp_brake_it() -> None:
 
 def test_a_leader_that_jumps_makes_the_follower_hold_and_say_so() -> None:
     one = following()
-    assert one.tick(1.0, Observed(0.01, jump="a jumped")) is Act.BRAKE
+    assert one.tick(1.0, FRESH, jump="a jumped") is Act.BRAKE
     assert one.phase is Phase.HOLDING
     assert one.message == "a jumped: close the clutch to go on"
 
@@ -81,8 +81,8 @@ def test_a_follower_that_cannot_go_on_ends_once_from_every_phase(before: str) ->
     one = Following() if before == "ramping" else following()
     if before == "holding":
         one.set_clutch(closed=False)
-    blocked = Observed(0.01, obstacle="the arm has a fault")
-    assert [one.tick(1.0, blocked), one.tick(1.1, blocked)] == [Act.BRAKE, Act.NOTHING]
+    ticks = [one.tick(now_s, FRESH, obstacle="the arm has a fault") for now_s in (1.0, 1.1)]
+    assert ticks == [Act.BRAKE, Act.NOTHING]
     assert one.message == "the arm has a fault"
 
 

@@ -2,11 +2,8 @@
 
 from tests.server.commands.conftest import (  # noqa: F401 - fixtures
     armbridge,
-    armbridge_on_terminal,
     bus,
     emulator,
     start_emulator,
-    start_terminal,
-    terminal,
     write_log,
 )

@@ -11,14 +11,13 @@ from robot.errors import NoReply, StartupError
 from robot.faults import FaultCode
 from robot.hardware.dynamixel.family import WATCHDOG, Dynamixel
 from robot.hardware.dynamixel.registers import FULL_PWM, TICKS_S_PER_VELOCITY_UNIT, OperatingMode, Register, encode
-from robot.hardware.interface import StatusFlag, run_to_end
+from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import ServoFound
-from robot.hardware.servos.hardware import TELEMETRY_EVERY
-from robot.hardware.servos.register_checks import CYCLES_BETWEEN
+from robot.hardware.servos.hardware import CYCLES_BETWEEN, TELEMETRY_EVERY
 from robot.hardware.servos.servo_map import ServoMap
 from robot.hardware.servos.survey import survey
 from robot.hardware.servos.torque import TORQUE_ON_WITHIN_TICKS, ServoTorque
-from robot.messages import Mode, Order, Outcome
+from robot.messages import Mode, Order
 from tests.helpers.dynamixel import (
     BOUNDS,
     CALIBRATION,
@@ -245,34 +244,6 @@ def test_a_cycle_is_one_block_read_and_one_goal_write(rig: DynamixelRig) -> None
     assert arm.hardware.counters.sent - before == CYCLES_BETWEEN * 2 + 1
 
 
-def test_an_arm_follows_a_trajectory_and_is_relaxed_again(rig: DynamixelRig) -> None:
-    rig.order(Order.ENABLE)
-    rig.until_mode(Mode.HOLDING)
-    rig.execute(smooth_move({"elbow_flex": (1.1, 0.4), "wrist_roll": (0.0, 1.5)}, 2.0))
-    rig.until(lambda: bool(rig.ended))
-    assert rig.ended[0].outcome.value == "reached"
-    assert rig.state.position_rad[[2, 4]] == pytest.approx([0.4, 1.5], abs=0.02)
-    assert rig.order(Order.RELAX).done
-    assert rig.torque() == [0] * 6
-
-
-def test_a_gripper_that_closes_on_something_has_gripped_it() -> None:
-    dynamixels = SteppedDynamixels(start_rad={"gripper": 1.2})
-    rig = DynamixelRig(dynamixels)
-    rig.until_mode(Mode.HOLDING)
-    rig.run(1.0)
-    gripper = CALIBRATION.joints[5]
-    dynamixels.servo(6).plant.block(gripper.ticks_from_rad(0.7) - gripper.homing_offset)
-    rig.execute(smooth_move({"gripper": (1.2, 0.2)}, 1.5), gripping=True)
-    rig.until(lambda: bool(rig.ended))
-    assert rig.ended[0].outcome is Outcome.GRIPPED
-    assert rig.fault_code == ""
-    rig.run(3.0)
-    assert rig.mode is Mode.HOLDING
-    # Squeezing for long takes half of the torque.
-    assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == round(0.25 * 1470)
-
-
 def test_goals_of_a_servo_that_counts_turns_are_in_its_turns(dynamixels: SteppedDynamixels) -> None:
     dynamixels.servo(3)._turns_ticks += 4096
     servos = DynamixelsInUse(dynamixels)
@@ -306,12 +277,6 @@ def test_an_assumed_calibration_has_servos_without_homing_offsets(dynamixels: St
     run_to_end(servos.hardware.survey())
     with pytest.raises(StartupError, match=r"-1690 instead of -1700 ticks"):
         servos.enable()
-
-
-def test_a_hardware_error_is_read_where_a_servo_reports_one(servos: DynamixelsInUse) -> None:
-    servos.emulator.servo(3).fail(0x24)
-    measured = servos.read()
-    assert measured.status.tolist() == [0, 0, int(StatusFlag.TEMPERATURE | StatusFlag.OVERLOAD), 0, 0, 0]
 
 
 @pytest.mark.parametrize(("bits", "code"), [(0x20, FaultCode.OVERLOAD), (0x04, FaultCode.OVERHEATED)])

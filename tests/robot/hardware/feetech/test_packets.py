@@ -12,9 +12,7 @@ from robot.hardware.feetech.packets import (
     checksum,
     instruction_packet,
     parse_status_frames,
-    status_bytes,
 )
-from robot.hardware.port import wire_time_s
 
 IDS = (1, 2, 3)
 LENGTH = 15
@@ -47,11 +45,6 @@ def test_a_reply_that_holds_the_start_of_another_is_not_believed_though_all_have
 def test_replies_read_the_same_whether_or_not_noise_precedes_them(blocks, error):
     stream = b"".join(FEETECH.status_packet(i, error, block) for i, block in zip(IDS, blocks, strict=True))
     assert frames_of(stream) == frames_of(b"\x00" + stream)
-
-
-@given(PLAIN_BLOCK, st.lists(st.integers(0, 0xFE), max_size=40).map(bytes))
-def test_noise_before_a_reply_is_skipped(block, noise):
-    assert frames_of(noise + FEETECH.status_packet(2, 0, block)) == {2: StatusFrame(2, 0, block)}
 
 
 @st.composite
@@ -132,10 +125,6 @@ def test_an_instruction_longer_than_the_sdk_sends_is_refused():
     assert len(instruction_packet(1, 3, bytes(longest))) == MAX_INSTRUCTION_BYTES
     with pytest.raises(ValueError, match=f"at most {longest} bytes"):
         instruction_packet(1, 3, bytes(longest + 1))
-
-
-def test_a_byte_takes_ten_microseconds_at_one_megabaud():
-    assert wire_time_s(status_bytes(15, 6), 1_000_000) == pytest.approx(6 * 21 * 10e-6)
 
 
 def test_a_cut_reply_whose_checksum_fits_by_chance_shows_its_neighbours_header():

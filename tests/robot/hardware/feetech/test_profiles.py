@@ -4,7 +4,7 @@ import pytest
 
 from robot.description.servo_table import ProfileSpec
 from robot.errors import DescriptionError
-from robot.hardware.feetech.profiles import FACTORY, LEROBOT, ServoProfile, meaning, nearest_profile, profile_of
+from robot.hardware.feetech.profiles import FACTORY, LEROBOT, ServoProfile, nearest_profile, profile_of
 from robot.hardware.feetech.registers import SETTINGS, Register
 
 
@@ -18,21 +18,11 @@ def test_servos_of_a_profile_do_not_differ_from_it(profile: ServoProfile, grippe
     assert profile.differences(held(profile.expected(gripper=gripper)), gripper=gripper) == {}
 
 
-def test_the_gripper_of_lerobot_is_weaker_than_its_other_joints() -> None:
-    arm, gripper = LEROBOT.expected(gripper=False), LEROBOT.expected(gripper=True)
-    for register in (Register.MAX_TORQUE, Register.PROTECTION_CURRENT, Register.OVERLOAD_TORQUE):
-        assert gripper[register] < arm[register]
-
-
 @pytest.mark.parametrize("profile", [FACTORY, LEROBOT])
 def test_the_nearest_profile_is_found_though_a_setting_differs(profile: ServoProfile) -> None:
     servos = [(held(profile.expected(gripper=gripper)), gripper) for gripper in (False, False, True)]
     servos[0] = (held({**profile.expected(gripper=False), Register.D_GAIN: 40}), False)
     assert nearest_profile(servos) is profile
-
-
-def test_an_arm_without_a_profile_of_its_own_has_none() -> None:
-    assert profile_of(None) is None
 
 
 def test_a_profile_by_name_is_the_known_one() -> None:
@@ -63,8 +53,3 @@ def test_registers_of_an_arm_replace_those_of_the_base_at_every_servo() -> None:
 def test_a_register_that_cannot_be_is_refused_with_its_place(spec: ProfileSpec, words: str) -> None:
     with pytest.raises(DescriptionError, match=words):
         profile_of(spec)
-
-
-def test_a_meaning_names_the_quantity() -> None:
-    assert "1.6 A" in meaning(Register.PROTECTION_CURRENT, 250)
-    assert meaning(Register.CW_DEAD_ZONE, 3) == ""

@@ -6,9 +6,7 @@ from hypothesis import strategies as st
 
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
-    CONTROL,
     EPROM,
-    GOAL_ADDRESS,
     LAYOUT,
     SETTINGS,
     SETTINGS_BLOCK,
@@ -17,7 +15,6 @@ from robot.hardware.feetech.registers import (
     Register,
     decode,
     encode,
-    goal_block,
     parse_telemetry,
 )
 from robot.hardware.interface import status_names
@@ -80,25 +77,6 @@ def test_telemetry_is_read_as_its_registers_are(block):
         assert value == decode(register, block[at : at + LAYOUT[register].size])
     current = Register.PRESENT_CURRENT - TELEMETRY_ADDRESS
     assert parsed.current_a == decode(Register.PRESENT_CURRENT, block[current : current + 2]) * AMPERE_PER_UNIT
-
-
-def test_the_control_block_has_the_commands_written_before(bus):
-    bus.sync_write(GOAL_ADDRESS, {2: goal_block(1999, 100, 33)})
-    bus.write(2, Register.TORQUE_LIMIT, 432)
-    bus.write(2, Register.TORQUE_ENABLE, 1)
-    held = run(read_registers(bus, 2, CONTROL))
-    assert held[Register.TORQUE_ENABLE] == held[Register.LOCK] == 1
-    assert (held[Register.ACCELERATION], held[Register.GOAL_POSITION], held[Register.TORQUE_LIMIT]) == (33, 1999, 432)
-
-
-@given(st.integers(-32767, 32767), st.integers(0, 32767), st.integers(0, 255))
-def test_the_goal_block_fills_registers_41_to_47(goal, velocity, acceleration):
-    block = goal_block(goal, velocity, acceleration)
-    assert len(block) == 7
-    assert block[0] == acceleration
-    assert decode(Register.GOAL_POSITION, block[1:3]) == goal
-    assert decode(Register.GOAL_TIME, block[3:5]) == 0
-    assert decode(Register.GOAL_VELOCITY, block[5:7]) == velocity
 
 
 @given(st.integers(0, 255))

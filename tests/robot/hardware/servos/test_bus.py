@@ -6,7 +6,7 @@ import pytest
 
 from robot.errors import NoReply, PortLost, StartupError
 from robot.hardware.interface import run_to_end
-from robot.hardware.servos.bus import STEP_ATTEMPTS, read, read_block, read_registers, write_verified
+from robot.hardware.servos.bus import STEP_ATTEMPTS, read, read_registers, write_verified
 from tests.helpers.servo_families import IDS, Family
 
 
@@ -69,20 +69,6 @@ def test_a_lost_port_is_told(family: Family) -> None:
         bus.read(3, family.registers.Register.TORQUE_ENABLE)
 
 
-def test_a_ping_is_answered_with_the_model(family: Family) -> None:
-    bus = family.emulator().open_bus()
-    models = [family.value(family.emulator(), servo, "MODEL_NUMBER") for servo in IDS]
-    assert [bus.ping(servo) for servo in IDS] == models
-
-
-def test_noise_is_counted(family: Family) -> None:
-    emulator = family.emulator()
-    bus = emulator.open_bus()
-    emulator.servo_bus.faults.noise = 1.0
-    bus.read(3, family.registers.Register.TORQUE_ENABLE)
-    assert bus.counters.discarded_bytes > 0
-
-
 def test_a_sequence_asks_again_when_a_reply_is_lost(family: Family) -> None:
     emulator = family.emulator()
     bus, register = emulator.open_bus(), family.registers.Register.MODEL_NUMBER
@@ -123,10 +109,3 @@ def test_a_register_that_keeps_another_value_is_named(family: Family) -> None:
     bus = family.emulator().open_bus()
     with pytest.raises(StartupError, match=r"servo 1 does not take 5 in register PRESENT_TEMPERATURE \(\d+\)"):
         run_to_end(write_verified(bus, 1, family.registers.Register.PRESENT_TEMPERATURE, 5))
-
-
-def test_a_block_is_read_in_one_piece(family: Family) -> None:
-    bus, block = family.emulator().open_bus(), family.driver.telemetry
-    sent = bus.counters.sent
-    assert len(run_to_end(read_block(bus, 1, block.address, block.length)).data) == block.length
-    assert bus.counters.sent - sent == 1

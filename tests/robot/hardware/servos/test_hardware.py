@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -13,11 +12,9 @@ from serial.tools.list_ports_common import ListPortInfo
 
 from robot.emulator.process import UsbAdapter
 from robot.errors import PortNotFound, StartupError
-from robot.faults import FaultCode
 from robot.hardware.config import DynamixelConfig, FeetechConfig
 from robot.hardware.interface import StatusFlag, run_to_end
-from robot.hardware.servos.hardware import SerialServos, ServoHardware
-from robot.hardware.servos.register_checks import CYCLES_BETWEEN
+from robot.hardware.servos.hardware import CYCLES_BETWEEN, SerialServos, ServoHardware
 from robot.hardware.servos.tracker import MISSES_UNTIL_SILENT
 from robot.messages import GuardLimits, Mode
 from tests.helpers.servo_families import IDS, Family
@@ -32,23 +29,11 @@ FULL = np.array([0.8] * 5 + [0.5])
 PAN_A_LITTLE = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def test_relaxed_servos_have_no_goals(family: Family, servos: Any) -> None:
-    assert not servos.found.driven.any()
-    assert np.isnan(servos.found.goal_rad).all()
-    assert servos.found.max_voltage_v == pytest.approx(family.max_voltage_v)
-
-
 def test_servos_that_hold_are_found_with_their_goals(family: Family, servos: Any) -> None:
     goal_rad = servos.enable()
     found = family.in_use(servos.emulator).found
     assert found.driven.all()
     assert found.goal_rad == pytest.approx(goal_rad)
-
-
-def test_goals_are_written_in_radians(servos: Any) -> None:
-    servos.enable()
-    servos.hardware.write_goals(PAN_A_LITTLE)
-    assert servos.read(1.0).position_rad[0] == pytest.approx(0.1, abs=0.01)
 
 
 def test_a_goal_that_a_servo_has_lost_is_written_again(family: Family, servos: Any) -> None:
@@ -80,25 +65,6 @@ def test_relaxing_begins_with_the_torque_that_is_used(family: Family, servos: An
     assert family.values(servos.emulator, "TORQUE_ENABLE") == [0] * 6
 
 
-def test_single_joints_are_switched_on_and_off(family: Family, servos: Any) -> None:
-    run_to_end(servos.hardware.enable([0, 1, 5]), servos.emulator.run)
-    assert family.values(servos.emulator, "TORQUE_ENABLE") == [1, 1, 0, 0, 0, 1]
-    assert run_to_end(servos.hardware.switch_off([1, 5])) == []
-    assert run_to_end(servos.hardware.driven()).tolist() == [True, False, False, False, False, False]
-
-
-def test_torque_is_cut_with_the_first_step(family: Family, servos: Any) -> None:
-    servos.enable()
-    next(servos.hardware.cut_torque())
-    assert family.values(servos.emulator, "TORQUE_ENABLE") == [0] * 6
-
-
-def test_a_servo_that_does_not_confirm_that_torque_is_off_is_named(servos: Any) -> None:
-    servos.enable()
-    servos.emulator.servo_bus.faults.offline = {2}
-    assert run_to_end(servos.hardware.cut_torque(), servos.emulator.run) == ["shoulder_lift (id 2)"]
-
-
 @pytest.mark.parametrize("hold", [True, False])
 def test_an_overload_is_cleared_where_the_joint_is_and_it_holds_on_or_stays_relaxed(
     family: Family, servos: Any, hold: bool
@@ -120,15 +86,6 @@ def test_a_silent_servo_is_not_waited_for_by_the_check(family: Family, servos: A
     sent = servos.hardware.bus.counters.sent
     assert [servos.hardware.check(0.0) for _ in range(40)] == [None] * 40
     assert servos.hardware.bus.counters.sent == sent
-
-
-def test_before_every_servo_was_heard_there_is_no_reading(family: Family) -> None:
-    emulator = family.emulator()
-    emulator.servo_bus.faults.offline = {3}
-    hardware = family.unread(emulator)
-    assert hardware.read() is None
-    assert hardware.condition(0).age_s < 1.0
-    assert math.isinf(hardware.condition(2).age_s)
 
 
 def test_the_condition_has_torque_silence_and_the_surveys_warnings(family: Family) -> None:
@@ -187,29 +144,11 @@ def test_a_relaxed_arm_is_read_and_nothing_is_written(family: Family) -> None:
     assert written == []
 
 
-def test_positions_are_the_calibrations(family: Family, servos: Any) -> None:
-    present_rad = servos.read().position_rad
-    ticks = [joint.ticks_from_rad(at) for joint, at in zip(family.calibration.joints, present_rad, strict=True)]
-    held = run_to_end(servos.hardware.enable(range(6)), servos.emulator.run)
-    assert held == pytest.approx(servos.hardware.servos.positions_rad(ticks), abs=0.01)
-
-
 def test_changed_goals_are_written_at_once(family: Family, servos: Any) -> None:
     register = family.registers.Register.GOAL_POSITION
     for pan_rad in (0.1, 0.2):
         servos.hardware.write_goals(np.array([pan_rad, 0.0, 0.0, 0.0, 0.0, 0.0]))
         assert servos.hardware.bus.read(1, register) == family.calibration.joints[0].ticks_from_rad(pan_rad)
-
-
-def test_a_servo_that_restarts_is_noticed(family: Family, servos: Any) -> None:
-    servos.enable()
-    servos.emulator.servo_bus.servos[2].power_up()
-    turns = len(IDS) * len(family.driver.read_back)
-    faults = [servos.hardware.check(5.0) for _ in range(turns * CYCLES_BETWEEN)]
-    told = {(fault.code, fault.joint, fault.stamp_s) for fault in faults if fault is not None}
-    restarted, relaxed = ((code, "elbow_flex", 5.0) for code in (FaultCode.SERVO_REBOOTED, FaultCode.TORQUE_LOST))
-    assert restarted in told
-    assert told <= {restarted, relaxed}
 
 
 def surveyed(family: Family, emulator: Any, *, simulated: bool = False, **calibration: bool) -> Any:

@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
-from robot.faults import Fault, FaultCode
+from robot.faults import Fault
 from robot.hardware.servos.family import Limit
-from robot.hardware.servos.register_checks import CYCLES_BETWEEN, RegisterChecks
-from tests.helpers.servo_families import DYNAMIXEL, IDS, Family
+from robot.hardware.servos.hardware import CYCLES_BETWEEN, RegisterChecks
+from tests.helpers.servo_families import IDS, Family
 
 
 class Checked:
@@ -50,34 +50,6 @@ def test_every_block_of_every_servo_has_its_turn(family: Family, checked: Checke
     assert set(asked) == {(servo, block) for servo in IDS for block in family.driver.read_back}
 
 
-def test_a_servo_that_holds_what_was_written_is_no_fault(checked: Checked) -> None:
-    assert checked.check(checked.as_written) is None
-    assert checked.checks.torque_on == {2: True}
-
-
-def test_a_servo_that_was_relaxed_is_a_fault(checked: Checked) -> None:
-    fault = checked.check({**checked.as_written, checked.register("TORQUE_ENABLE"): 0})
-    assert fault is not None
-    assert (fault.code, fault.joint, fault.stamp_s) == (FaultCode.TORQUE_LOST, "shoulder_lift", 5.0)
-    assert checked.checks.torque_on == {2: False}
-
-
-@pytest.mark.parametrize("torque_on", [0, 1])
-def test_a_servo_that_is_as_after_power_up_has_restarted(checked: Checked, torque_on: int) -> None:
-    fault = checked.check({**checked.restarted, checked.register("TORQUE_ENABLE"): torque_on})
-    assert fault is not None
-    assert (fault.code, fault.joint, fault.stamp_s) == (FaultCode.SERVO_REBOOTED, "shoulder_lift", 5.0)
-    assert "has restarted" in fault.message
-    # It is told once, and its torque limit is written again.
-    assert checked.check({**checked.restarted, checked.register("TORQUE_ENABLE"): 1}) is None
-    assert checked.checks.limits_to_write(checked.limits) == {2: checked.limits[2]}
-
-
-def test_nothing_is_expected_of_a_servo_that_was_not_driven(checked: Checked) -> None:
-    checked.checks.expect({})
-    assert checked.check(checked.restarted) is None
-
-
 def test_only_changed_torque_limits_are_written_and_once(checked: Checked) -> None:
     register, value = checked.limits[6]
     wanted = {**checked.limits, 6: Limit(register, value // 2)}
@@ -87,12 +59,3 @@ def test_only_changed_torque_limits_are_written_and_once(checked: Checked) -> No
     # A servo that has lost it gets it again.
     assert checked.checks.check(6, {register: value // 3}, 0.0) is None
     assert checked.checks.limits_to_write(wanted) == {6: wanted[6]}
-
-
-def test_a_servo_that_its_watchdog_has_stopped_is_a_fault() -> None:
-    checked, watchdog = Checked(DYNAMIXEL), DYNAMIXEL.driver.watchdog
-    assert watchdog is not None
-    fault = checked.check({watchdog.register: watchdog.tripped})
-    assert fault is not None
-    assert fault.code is FaultCode.SERVO_SILENT
-    assert "0.5 s" in fault.message

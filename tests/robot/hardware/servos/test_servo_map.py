@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from robot.calibration import RAD_PER_TICK, TICKS_PER_TURN
 from robot.description.limits import FASTEST_TICKS_S
 from robot.hardware.servos.servo_map import ServoMap
-from robot.messages import GuardLimits
 from tests.helpers.servo_families import DYNAMIXEL, Family
 
 DYNAMIXELS = DYNAMIXEL.servo_map
@@ -25,21 +24,6 @@ def test_goals_are_written_as_the_calibration_turns_them_into_ticks(family: Fami
         assert ticks[joint.servo_id] == pytest.approx(joint.ticks_from_rad(goal), abs=1)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(ticks=st.lists(st.integers(min_value=100, max_value=4000), min_size=6, max_size=6))
-def test_ticks_survive_the_way_to_radians_and_back(family: Family, ticks: list[int]) -> None:
-    servos = family.servo_map
-    assert list(servos.goals_ticks(np.array(servos.positions_rad(ticks))).values()) == ticks
-    assert list(servos.goals_ticks(servos.rad_from_ticks(dict(zip(servos.ids, ticks, strict=True)))).values()) == ticks
-
-
-def test_a_goals_block_has_the_goal_between_what_the_family_writes_with_it(family: Family) -> None:
-    servos, register = family.servo_map, family.registers.Register.GOAL_POSITION
-    block = servos.goal_block(3, 1234)
-    at = register - family.driver.goal_address
-    assert family.registers.decode(register, block[at : at + family.registers.LAYOUT[register].size]) == 1234
-
-
 def test_a_servo_may_be_faster_than_its_joint_but_not_by_much_nor_beyond_what_is_safe(family: Family) -> None:
     for joint, speed in zip(family.calibration.joints, family.bounds.max_velocity, strict=True):
         needed_ticks_s = abs(joint.ticks_s_from_rad_s(float(speed)))
@@ -47,15 +31,6 @@ def test_a_servo_may_be_faster_than_its_joint_but_not_by_much_nor_beyond_what_is
         assert needed_ticks_s < cap_ticks_s < 1.4 * needed_ticks_s or cap_ticks_s == FASTEST_TICKS_S
     fast = ServoMap(family.driver, family.calibration, replace(family.bounds, max_velocity=np.full(6, 100.0)))
     assert set(fast.speed_ticks_s.values()) == {FASTEST_TICKS_S}
-
-
-def test_the_servos_push_as_hard_as_is_set_and_the_gripper_less(family: Family) -> None:
-    assert family.servo_map.full_torque == pytest.approx([0.8] * 5 + [0.5])
-    limits = GuardLimits(torque_limit=0.6, gripper_torque_limit=0.29)
-    gentle = ServoMap(family.driver, family.calibration, family.bounds, limits)
-    assert gentle.full_torque == pytest.approx([0.6] * 5 + [0.29])
-    gentle.limit_torque(np.array([1.0, 0.5, 1.0, 1.0, 1.0, 0.25]))
-    assert gentle.full_torque == pytest.approx([0.6, 0.5, 0.6, 0.6, 0.6, 0.25])
 
 
 def test_velocities_and_loads_have_the_joints_signs(family: Family) -> None:
@@ -68,18 +43,6 @@ def test_velocities_and_loads_have_the_joints_signs(family: Family) -> None:
     mirrored = ServoMap(family.driver, replace(family.calibration, joints=joints), family.bounds)
     assert mirrored.velocities_rad_s([10] * 6)[5] < 0.0
     assert mirrored.signed([0.5] * 6) == pytest.approx([0.5] * 5 + [-0.5])
-
-
-def test_soft_limits_are_ranges_of_ticks(family: Family) -> None:
-    ranges = family.servo_map.ticks_range(family.bounds)
-    each = zip(family.calibration.joints, family.bounds.lower_rad, family.bounds.upper_rad, strict=True)
-    for joint, lower, upper in each:
-        ends = joint.ticks_from_rad(float(lower)), joint.ticks_from_rad(float(upper))
-        assert ranges[joint.servo_id] == (min(ends), max(ends))
-
-
-def test_a_servo_is_named_by_its_joint(family: Family) -> None:
-    assert family.servo_map.label(3) == "elbow_flex (id 3)"
 
 
 # Dynamixel alone: turns.

@@ -52,13 +52,6 @@ def test_a_servo_that_stops_answering_is_named(family: Family, emulator: Any) ->
         run_to_end(steps)
 
 
-def test_lost_replies_do_not_hinder_a_survey(family: Family, emulator: Any) -> None:
-    emulator.servo_bus.faults.drop = emulator.servo_bus.faults.corrupt = 0.03
-    bus = emulator.open_bus()
-    assert len(run_to_end(survey(family.driver, bus, family.servo_map))) == len(IDS)
-    assert bus.counters.timeouts > 0
-
-
 def test_limits_of_another_calibration_are_a_warning(family: Family, emulator: Any) -> None:
     joint = family.calibration.joints[1]
     family.put(emulator, 2, family.lowest_limit, joint.range_min - 100)

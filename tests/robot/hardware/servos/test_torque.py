@@ -68,12 +68,6 @@ def test_torque_comes_on_without_a_jump(family: Family, emulator: Any, torque: S
     assert farthest < DROOP_TICKS
 
 
-def test_the_goals_are_the_positions(family: Family, emulator: Any, torque: ServoTorque) -> None:
-    goals = enable(torque, emulator)
-    for joint in family.calibration.joints:
-        assert goals[joint.servo_id] == pytest.approx(joint.ticks_from_rad(START.get(joint.joint, 0.0)), abs=1)
-
-
 def test_torque_begins_low_and_rises_slowly(family: Family, emulator: Any, torque: ServoTorque) -> None:
     highest_at: list[tuple[float, float]] = []
     for wait_s in torque.enable(IDS):
@@ -117,14 +111,6 @@ def test_a_half_switched_arm_is_completed(family: Family, emulator: Any, torque:
     family.put(emulator, 3, "TORQUE_ENABLE", 0)
     enable(torque, emulator)
     assert torques(family, emulator) == [1] * 6
-
-
-def test_servos_that_are_not_named_are_only_read(family: Family, emulator: Any, torque: ServoTorque) -> None:
-    before = family.value(emulator, 4, "GOAL_POSITION")
-    goals = run_to_end(torque.enable([1, 3]), emulator.run)
-    assert torques(family, emulator) == [1, 0, 1, 0, 0, 0]
-    assert set(goals) == set(IDS)
-    assert family.value(emulator, 4, "GOAL_POSITION") == before
 
 
 def test_an_arm_that_moves_is_not_switched_on(family: Family, emulator: Any, torque: ServoTorque) -> None:

@@ -21,7 +21,7 @@ from robot.hardware.servos.tracker import (
     MISSES_UNTIL_SILENT,
     ServoTracker,
 )
-from tests.helpers.servo_families import DYNAMIXEL, FEETECH, IDS, Family
+from tests.helpers.servo_families import DYNAMIXEL, IDS, Family
 
 
 @pytest.fixture
@@ -161,13 +161,6 @@ def test_a_silent_servo_that_must_be_seen_is_asked_at_once(family: Family, track
 
 
 # Feetech alone: all measurements in every reply, and status flags in its error byte.
-
-
-def test_the_error_byte_of_a_feetech_reply_counts_as_status() -> None:
-    tracker = ServoTracker(FEETECH.driver, FEETECH.servo_map)
-    told = {servo: FEETECH.frame(servo, 2048)._replace(error=int(StatusFlag.OVERLOAD)) for servo in IDS}
-    tracker.take(IDS, told, 0.0)
-    assert tracker.measured(0.0, 0.0).status[0] == StatusFlag.OVERLOAD
 
 
 # Dynamixel alone: supply and temperature now and then, turns, and an error register.

@@ -13,7 +13,7 @@ from server.execution.queue import GoalPolicy
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal
-from server.moveit.actions.move_group import MoveGroupFeedback, move_group_result, sequence_result
+from server.moveit.actions.move_group import MoveGroupFeedback, move_group_result
 from tests.helpers.fake_arm import settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import JOINTS, ActionDesk, message
@@ -130,19 +130,3 @@ def test_a_result_has_start_planned_and_executed_motion_and_time() -> None:
     assert len(result["planned_trajectory"]["joint_trajectory"]["points"]) == len(FIRST.time_s)
     assert len(result["executed_trajectory"]["joint_trajectory"]["points"]) == len(SECOND.time_s)
     assert result["planning_time"] == 0.25
-
-
-def test_a_goal_that_was_not_planned_has_a_complete_result() -> None:
-    result = message(
-        "moveit_msgs/action/MoveGroup_Result", **move_group_result(Answer(MoveItErrorCode.PREEMPTED, "no"), ROBOT)
-    )
-    assert result["error_code"]["val"] == -7
-    assert result["planned_trajectory"]["joint_trajectory"]["points"] == []
-    assert result["executed_trajectory"]["joint_trajectory"]["points"] == []
-
-
-def test_the_result_of_a_sequence_has_every_motion() -> None:
-    response = message("moveit_msgs/action/MoveGroupSequence_Result", **sequence_result(DONE, ROBOT))["response"]
-    lengths = [len(motion["joint_trajectory"]["points"]) for motion in response["planned_trajectories"]]
-    assert lengths == [len(FIRST.time_s), len(SECOND.time_s)]
-    assert response["sequence_start"]["joint_state"]["name"] == ["shoulder_pan"]

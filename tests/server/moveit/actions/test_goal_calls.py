@@ -33,7 +33,7 @@ class Desk(ActionDesk):
         super().__init__()
         self.confirmation = Confirmation(self.graph, enabled=False, timeout_s=60.0)
         self.responses: list[Response] = []
-        GoalCalls(LocalGraph(self.graph), self.queue, translator(self.arm), self.confirmation, self.context).open()
+        GoalCalls(LocalGraph(self.graph), self.queue, translator(self.arm), self.confirmation, self.context)
 
     async def ask(self, timeout_s: float | None = None, **request: Any) -> None:
         """Call, and let everything that it sets going come to rest."""
@@ -117,20 +117,9 @@ async def test_a_wrong_field_is_answered_with_its_code(
     assert words in desk.answer["message"]
 
 
-async def test_speed_and_group_are_those_of_the_request(desk: Desk) -> None:
-    await desk.ask(joints=ELBOW, group="arm", velocity_scaling=0.05, acceleration_scaling=0.7)
-    problem = desk.problem()
-    assert (problem.group, problem.velocity_scaling, problem.acceleration_scaling) == ("arm", 0.05, 0.7)
-
-
 async def test_joints_of_another_group_are_refused(desk: Desk) -> None:
     await desk.ask(group="gripper", joints=ELBOW)
     assert "no joint of group gripper is named" in desk.answer["message"]
-
-
-async def test_a_pose_is_for_the_group_of_the_request(desk: Desk) -> None:
-    await desk.ask(group="gripper", pose=POINT)
-    assert desk.problem().group == "gripper"
 
 
 async def test_a_suggestion_is_a_request_that_works(desk: Desk) -> None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
-from server.execution.motions import ExternalTrajectory, PlannedMotion
+from server.execution.motions import PlannedMotion
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
@@ -216,13 +215,6 @@ def test_a_negative_number_of_attempts_is_rejected_by_name(field: str) -> None:
     assert_refused(read, MoveItErrorCode.FAILURE, f"planning_options.{field} must be 0 or more, not -1")
 
 
-@pytest.mark.parametrize("delay_s", [-1.0, 11.0, math.nan, math.inf])
-def test_a_delay_out_of_bounds_is_rejected_with_its_limit(delay_s: float) -> None:
-    read = outcome(read_planning_options, message("moveit_msgs/msg/PlanningOptions", replan_delay=delay_s))
-    assert isinstance(read, PlanningFailure)
-    assert "replan_delay must be from 0 to 10 s" in read.message
-
-
 @pytest.fixture
 async def execution_desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
@@ -234,14 +226,6 @@ async def execution_desk() -> AsyncIterator[ActionDesk]:
 def trajectory(position_rad: float, seconds: int = 2) -> dict[str, object]:
     point = {"positions": [position_rad], "time_from_start": {"sec": seconds}}
     return {"joint_trajectory": {"joint_names": ["elbow_flex"], "points": [point]}}
-
-
-async def test_a_trajectory_is_played_and_answered(execution_desk: ActionDesk) -> None:
-    await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
-    assert isinstance(execution_desk.asked[0], ExternalTrajectory)
-    execution_desk.finish()
-    await settle()
-    assert execution_desk.results[0].values["error_code"]["val"] == 1
 
 
 async def test_a_trajectory_without_points_is_done_at_once(execution_desk: ActionDesk) -> None:

@@ -41,7 +41,6 @@ class Records:
         self._graph = Graph(REGISTRY)
         stamps = itertools.count(1000)
         self.history = GoalHistory(self._graph, ROBOT, lambda: self.scene, lambda: float(next(stamps)))
-        self.history.open()
 
     async def call(self, service: str, **request: Any) -> dict[str, Any]:
         answered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()

@@ -54,17 +54,6 @@ def test_an_unknown_named_target_is_rejected_with_those_that_exist(name: str) ->
     assert failure.details["known"] == ["Mine", "extended", "home", "ready", "rest"]
 
 
-def test_only_the_named_joints_are_in_the_goal() -> None:
-    asked = goal(TRANSLATOR.joints(joint_state(name=["wrist_roll", "elbow_flex"], position=[0.1, 0.2])))
-    assert asked == JointGoal({"wrist_roll": 0.1, "elbow_flex": 0.2}, tolerance_rad=0.01)
-
-
-def test_joints_outside_the_group_are_ignored_with_a_warning() -> None:
-    asked = TRANSLATOR.joints(joint_state(name=["knee", "elbow_flex", "gripper"], position=[1.0, 0.2, 0.5]))
-    assert goal(asked) == JointGoal({"elbow_flex": 0.2}, tolerance_rad=0.01)
-    assert "knee, gripper" in asked.warnings[0]
-
-
 BAD_JOINTS = {
     "lengths differ": (["elbow_flex"], [], "1 entries and position 0"),
     "nobody known": (["knee"], [0.1], "no joint of group arm"),
@@ -125,16 +114,6 @@ def test_a_point_is_suggested_in_the_planning_frame(key: str) -> None:
     assert found.msg["header"]["frame_id"] == ROBOT.root_link
     assert found.msg["pose"]["position"] == {"x": 0.1, "y": 0.2, "z": 0.3}
     assert "(0.100, 0.200, 0.300) m" in found.words
-
-
-def test_a_free_configuration_is_suggested_joint_by_joint() -> None:
-    found = suggestion({}, {"free_rad": {"elbow_flex": 0.25}}, ROBOT)
-    assert found is not None
-    assert found.as_data() == {
-        "topic": "/moveit_goal_joints",
-        "type": "sensor_msgs/JointState",
-        "msg": {"name": ["elbow_flex"], "position": [0.25]},
-    }
 
 
 LIFTED, PAIR = model.parse(LIFTED_URDF, LIFTED_SRDF), model.parse(PAIR_URDF, PAIR_SRDF)

@@ -76,11 +76,6 @@ def test_two_defaults_must_both_allow_it():
     assert matrix([], cup=True, base_link=False).exceptions(UNCHECKED, ["base_link", "cup"]) == {}
 
 
-def test_a_pair_that_is_named_has_no_default():
-    named = matrix(["cup", "base_link"], [False, False], [False, False], cup=True)
-    assert named.exceptions(UNCHECKED, ["base_link", "cup"]) == {}
-
-
 def test_a_name_that_is_forgotten_is_in_no_pair():
     left = matrix(["a", "b", "c"], *[[True] * 3] * 3, a=True).without("a")
     assert (left.names, left.allowed, left.defaults) == (("b", "c"), {frozenset("bc")}, {})

@@ -30,11 +30,8 @@ from server.moveit.scene.interface import (
     LINK_PADDING_AND_SCALING,
     MONITORED_TOPIC,
     OBJECT_COLORS,
-    OCTOMAP,
     SCENE_SETTINGS,
     TRANSFORMS,
-    WORLD_OBJECT_GEOMETRY,
-    WORLD_OBJECT_NAMES,
     MonitoredScenePublisher,
     SceneInterface,
     SceneServices,
@@ -80,7 +77,7 @@ SERVICES = {
 def test_the_scene_has_moveits_names_and_types():
     graph = Graph(Registry.load(), call_later=FakeClock().call_later)
     state, assumed = SceneState(ROBOT), AssumedStates(ROBOT)
-    scene = SceneInterface(graph, ROBOT, state, assumed, current_state(), MoveItParameters())
+    scene = SceneInterface(graph, state, assumed, current_state(), MoveItParameters())
     assert graph.topic_types() == TOPICS
     assert graph.services.types() == SERVICES
     scene.close()
@@ -144,13 +141,6 @@ def test_a_rejected_message_is_logged_with_its_topic(topic, caplog):
     assert "'ghost'" in caplog.text
 
 
-def test_a_malformed_message_is_logged_as_well(caplog):
-    graph, _ = opened()
-    with caplog.at_level(logging.WARNING, "armbridge"), pytest.raises(MessageError):
-        graph.publish(Node("client"), "/collision_object", {"id": 5})
-    assert "/collision_object: refused" in caplog.text
-
-
 REGISTRY = Registry.load()
 
 
@@ -162,7 +152,7 @@ class Client:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, call_later=self.clock.call_later)
         self.node = Node("client", remote=True)
-        SceneServices(self.graph, Node("scene"), ROBOT, self.state, self.assumed, current_state())
+        SceneServices(self.graph, Node("scene"), self.state, self.assumed, current_state())
 
     def another(self):
         other = copy(self)
@@ -328,7 +318,7 @@ class Watched:
         self.clock, self.state = FakeClock(), scene_state(box("table"))
         self.graph = Graph(Registry.load(), self.clock, call_later=self.clock.call_later)
         self.monitored = MonitoredScenePublisher(
-            self.graph, Node("scene"), ROBOT, self.state, current_state(), 2.0, self.clock, self.clock.call_later
+            self.graph, self.state, current_state(), 2.0, self.clock, self.clock.call_later
         )
         self.heard = []
         self.first = self.subscribe(self.heard)
@@ -429,13 +419,6 @@ def test_a_field_that_is_not_requested_is_empty(field, component):
     nothing = message("PlanningScene")
     assert told(component)[field] == told(0)[field] != nothing[field]
     assert told(EVERYTHING - component)[field] == nothing[field]
-
-
-def test_objects_are_listed_by_name_or_with_their_shapes():
-    (named,), (shaped,) = (told(c)["world"]["collision_objects"] for c in (WORLD_OBJECT_NAMES, WORLD_OBJECT_GEOMETRY))
-    assert (named["id"], named["primitives"]) == ("rack", [])
-    assert (shaped["id"], shaped["header"]["frame_id"], len(shaped["primitives"])) == ("rack", "base_link", 1)
-    assert told(OCTOMAP)["world"]["collision_objects"] == []
 
 
 def test_a_scene_sent_back_as_a_diff_or_whole_changes_nothing():

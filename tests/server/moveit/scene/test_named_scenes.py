@@ -12,7 +12,7 @@ from server.graph.permissions import Role
 from server.graph.topics import Graph
 from server.moveit.scene import named_scenes
 from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
-from tests.helpers.moveit import BENT, ROBOT, box, current_state, diff, held, scene_state
+from tests.helpers.moveit import BENT, box, current_state, diff, held, scene_state
 from tests.helpers.rules import server_rules
 
 
@@ -22,7 +22,7 @@ class Scenes:
     def __init__(self, folder, *objects):
         self.state = scene_state(*objects)
         self.graph = Graph(Registry.load())
-        scenes = NamedScenes(folder, self.state, ROBOT, self.graph.message_types)
+        scenes = NamedScenes(folder, self.state, self.graph.message_types)
         offer_named_scenes(self.graph, scenes, current_state())
 
     async def call(self, service, **request):

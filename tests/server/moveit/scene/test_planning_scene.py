@@ -33,20 +33,9 @@ from tests.helpers.moveit import (
     message,
     pose,
     rejection,
-    scene_state,
 )
 
 CUP = collision_object(**box("cup", at=pose(0.3)))
-
-
-def test_a_draft_does_not_change_its_original():
-    state = scene_state(CUP)
-    before = state.contents
-    changing = SceneDraft(before, draft().links)
-    changing.objects.clear()
-    changing.colors["cup"] = {}
-    assert list(before.objects) == ["cup"]
-    assert before.colors == {}
 
 
 def test_an_object_in_an_unknown_frame_is_rejected_with_its_name():
@@ -56,11 +45,6 @@ def test_an_object_in_an_unknown_frame_is_rejected_with_its_name():
     failure = refusal
     assert failure.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
     assert (failure.details["object"], failure.details["frame"]) == ("lid", "nowhere")
-
-
-def test_planners_get_the_whole_scene():
-    scene = scene_state(CUP).contents.as_scene(7, ROBOT)
-    assert (scene.version, [thing.name for thing in scene.objects], scene.allowed) == (7, ["cup"], {})
 
 
 OF_ROBOT = AllowedCollisionMatrix.of_robot(ROBOT)
@@ -142,12 +126,6 @@ def test_padding_and_scale_are_kept_unless_they_are_the_default():
     assert changed(diff(link_padding=padding), back).padding_m == {}
 
 
-def test_fixed_frames_are_kept_and_the_planning_frame_is_ignored():
-    wall = {"header": {"frame_id": "base_link"}, "child_frame_id": "/wall", "transform": {"translation": {"x": 2.0}}}
-    root = {"header": {"frame_id": "base_link"}, "child_frame_id": "base_link"}
-    assert changed(diff(fixed_frame_transforms=[wall, root])).fixed_frames == {"wall": Pose((2.0, 0.0, 0.0))}
-
-
 CROWD = [box(str(i)) for i in range(MAX_SHAPES + 1)]
 MANY = [{"id": str(i), "color": RED} for i in range(MAX_COLORS + 1)]
 BAD = {
@@ -216,11 +194,6 @@ def after_objects(*messages, before=(TURNED_CUP,)):
     for each in messages:
         apply_collision_object(changing, collision_object(**each), "it")
     return changing
-
-
-def test_add_transforms_an_object_from_its_frame():
-    lid = after_objects(box("lid", at=pose(0.1), frame="cup")).objects["lid"]
-    np.testing.assert_allclose(lid.pose.position_m, (0.3, 0.1, 0.0), atol=1e-12)
 
 
 def test_add_of_an_equal_object_keeps_the_present_one():
@@ -341,12 +314,6 @@ def test_attach_of_an_equal_object_keeps_the_present_one(touch_links):
     again = SceneDraft(before, LinkTransforms(ROBOT, FORWARD, None))
     apply_attached_object(again, told, "it")
     assert again.attached["tool"] is before.attached["tool"]
-
-
-def test_attach_by_name_alone_hands_an_object_from_link_to_link():
-    changing = after_attached(held("cup"), held("cup", "wrist_link"))
-    assert changing.attached["cup"].link == "wrist_link"
-    np.testing.assert_allclose(place_in_root(changing.attached["cup"])[:3, 3], (0.3, 0.0, 0.0), atol=1e-12)
 
 
 def test_append_adds_shapes_and_touch_links():

@@ -34,7 +34,7 @@ class Run:
         self.clock, self.state = FakeClock(), SceneState(ROBOT)
         types = MessageTypes(REGISTRY, self.clock)
         self.file = SceneFile(path)
-        self.saved = SavedScene(self.file, self.state, ROBOT, types, self.clock, self.clock.call_later)
+        self.saved = SavedScene(self.file, self.state, types, self.clock, self.clock.call_later)
 
     async def __aenter__(self) -> Run:
         await self.saved.start()
@@ -217,23 +217,6 @@ async def test_a_scene_that_is_too_large_is_told_once_and_leaves_no_older_one(
             await run.pass_time(DELAY_S)
         assert caplog.text.count("more than 100 bytes") == 1
         assert run.written() is None
-
-
-async def test_a_disk_that_was_full_is_written_to_at_the_next_change(
-    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def full(_path: Path, _content: bytes) -> None:
-        raise OSError(28, "No space left on device")
-
-    async with Run(path) as run:
-        with monkeypatch.context() as patched:
-            patched.setattr(files, "replace", full)
-            run.add("a")
-            await run.pass_time(DELAY_S)
-        assert "No space left" in caplog.text
-        run.add("b")
-        await run.pass_time(DELAY_S)
-        assert run.written() == ["a", "b"]
 
 
 async def test_a_second_server_keeps_its_hands_off_the_first_ones_scene(

@@ -147,14 +147,6 @@ def test_with_diff_does_not_change_the_scene():
     assert rejection(state.with_diff, diff(world={"collision_objects": [{"id": "x"}]}), BENT).details["object"] == "x"
 
 
-@pytest.mark.parametrize("name", ["gripper_link", "", "held"])
-def test_names_that_are_taken_or_empty_are_refused(name):
-    state = scene_state()
-    state.apply(state.attached_object(held("held", **box("held"))), BENT)
-    failure = rejection(state.apply_diff, diff(world={"collision_objects": [box(name)]}), BENT)
-    assert failure.code is MoveItErrorCode.INVALID_OBJECT_NAME
-
-
 def test_an_unknown_touch_link_is_refused():
     state, touching = scene_state(box("cup")), held("cup", touch_links=("hand",))
     assert rejection(state.apply, state.attached_object(touching), BENT).code is MoveItErrorCode.INVALID_LINK_NAME

@@ -38,13 +38,6 @@ def asked(rig: ServiceRig) -> CartesianProblem:
     return problem
 
 
-async def test_a_path_that_can_be_followed_is_whole(rig: ServiceRig) -> None:
-    answer = await path(rig)
-    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
-    assert answer["fraction"] == 1.0
-    assert len(answer["solution"]["joint_trajectory"]["points"]) > 2
-
-
 async def test_a_path_that_can_be_followed_in_part_says_how_far_and_why(rig: ServiceRig) -> None:
     answer = await path(rig, NEAR, FAR)
     assert 0.0 < answer["fraction"] < 1.0

@@ -9,7 +9,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from server.moveit.requests.planning_problems import MAX_LINKS, _goal_of_links
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import ROBOT, SEVEN, TIP, ServiceRig, ball, context, joint, message, point, turned
+from tests.helpers.moveit import SEVEN, TIP, ServiceRig, ball, context, joint, message, point, turned
 
 AT = point(0.25, 0.05, 0.2, w=1.0)
 
@@ -39,12 +39,6 @@ async def test_a_pose_in_a_moving_frame_is_placed_by_the_seed(rig: ServiceRig) -
     there = await tip_m(rig, seed)
     answer = await ik(rig, point(0.0, 0.0, 0.0, w=1.0), TIP, robot_state=seed)
     assert await tip_m(rig, answer["solution"]) == pytest.approx(there, abs=2e-4)
-
-
-async def test_links_and_poses_can_come_as_lists(rig: ServiceRig) -> None:
-    stamped = {"header": {}, "pose": AT}
-    answer = await rig.call("/compute_ik", ik_request={"ik_link_names": [TIP], "pose_stamped_vector": [stamped]})
-    assert await tip_m(rig, answer["solution"]) == pytest.approx((0.25, 0.05, 0.2), abs=2e-4)
 
 
 async def test_several_links_are_placed_together(rig: ServiceRig) -> None:
@@ -97,12 +91,6 @@ async def test_a_solution_in_contact_counts_unless_contacts_are_to_be_avoided(ri
 async def test_a_timeout_with_a_second_of_nanoseconds_is_refused_by_name(rig: ServiceRig) -> None:
     refused = await ik(rig, timeout={"sec": 0, "nanosec": 1_000_000_000})
     assert "ik_request.timeout.nanosec must be below 1000000000, not 1000000000" in refused["error_code"]["message"]
-
-
-async def test_every_link_is_in_the_response_if_none_is_named(rig: ServiceRig) -> None:
-    answer = await rig.call("/compute_fk")
-    assert answer["fk_link_names"] == list(ROBOT.links)
-    assert len(answer["pose_stamped"]) == len(ROBOT.links)
 
 
 async def test_poses_are_in_the_requested_frame(rig: ServiceRig) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
-import numpy as np
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
@@ -19,19 +19,19 @@ from planners.servo.question import (
     ServoLimits,
     ServoQuestion,
     ServoStatus,
-    TipTarget,
 )
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
+from server.execution.monitors import CurrentState
 from server.moveit.error_codes import refused
 from server.moveit.parameters import ServoParameters
 from server.moveit.servo.servo_loop import (
     REST_S,
+    ServoListener,
     ServoSession,
     ServoSetup,
     TwistCommand,
     read_joint_jog,
-    read_pose_target,
     read_twist,
 )
 from tests.helpers.clock import FakeClock
@@ -73,14 +73,6 @@ def test_unitless_commands_are_scaled_to_speeds() -> None:
     assert read.linear_m_s == pytest.approx((0.1, 0.0, 0.0))
     assert read.angular_rad_s == pytest.approx((0.0, 0.0, -0.8))
     assert read_joint_jog(jog(["elbow_flex"], [0.5]), STEERED_JOINTS, UNITLESS) == JointVelocities({"elbow_flex": 0.25})
-
-
-def test_a_target_in_a_frame_is_one_in_the_root_link() -> None:
-    values = {"header": {"frame_id": "tool"}, "pose": {"position": {"x": 0.2}}}
-    read = read_pose_target(message("geometry_msgs/PoseStamped", values), resolve, {})
-    assert isinstance(read, TipTarget)
-    assert read.pose.position_m == pytest.approx((0.1, 0.2, 0.0))
-    assert np.linalg.norm(read.pose.orientation) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -133,10 +125,12 @@ class Rig:
         self.session = ServoSession(
             self.arm.as_arm,
             ServoSetup("arm", JOINTS, "gripper_frame_link", ServoLimits(), period_s, TIMEOUT_S, at_once),
+            cast(
+                "Any",
+                SimpleNamespace(frames=SimpleNamespace(resolve=self._resolve), current=CurrentState(self.arm, ROBOT)),
+            ),
+            ServoListener(lambda status, message: self.told.append((status, message)), self.interruptions.append),
             self._ask,
-            self._resolve,
-            lambda status, message: self.told.append((status, message)),
-            self.interruptions.append,
             self.clock,
         )
 
@@ -208,16 +202,6 @@ async def test_every_question_has_velocity_and_anchor_of_the_last_answer(rig: Ri
     await rig.until_asked(2)
     assert (rig.questions[0].velocity_rad_s, rig.questions[0].anchor) == ({}, None)
     assert (rig.questions[1].velocity_rad_s, rig.questions[1].anchor) == (MOVING, KEPT)
-    await rig.session.close()
-
-
-async def test_the_anchor_of_a_twist_is_not_used_for_joints(rig: Rig) -> None:
-    rig.session.set_command(NORTH)
-    await rig.until_asked(2)
-    rig.session.set_command(JointVelocities({"elbow_flex": 0.2}))
-    await rig.until_asked(4)
-    first = next(question for question in rig.questions if isinstance(question.command, JointVelocities))
-    assert first.anchor is None
     await rig.session.close()
 
 

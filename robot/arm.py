@@ -475,7 +475,7 @@ class Arm(ArmClock):
     async def _start_again(self, ran_s: float) -> None:
         """Replace a process that has ended, which has sent states for ``ran_s``."""
         await self._process.kill()
-        # A fault stays latched. An arm that holds is adopted; one that was relaxed, perhaps by an emergency stop, must
+        # A fault stays latched. An arm that holds is adopted; a relaxed arm, perhaps relaxed by an emergency stop, must
         # not be switched on.
         last = self._last_connected
         hardware = self._config.hardware.resumed(_position_rad(last), driven=last.torque_enabled)

@@ -120,7 +120,7 @@ class Calibration:
     """Calibration of an arm."""
 
     joints: tuple[JointCalibration, ...]  # its joints from base to gripper
-    measured: bool = field(default=True, compare=False)  # False for one that was assumed rather than read from a file
+    measured: bool = field(default=True, compare=False)  # False if it was assumed rather than read from a file
     # False if it does not say which homing offsets the servos should have.
     offsets_known: bool = field(default=True, compare=False)
 

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-# Whoever writes a file is done in milliseconds, on a memory card in some tenths of a second.
+# A process writes a file in milliseconds, on a memory card in some tenths of a second.
 LOCK_TIMEOUT_S = 2.0
 LOCK_POLL_S = 0.02
 

@@ -1,9 +1,10 @@
 """Logging of the server and of its child processes, which share one terminal.
 
 Lines are plain text or JSON. Tokens are blotted out, control characters escaped, and long messages cut, since clients
-choose what is quoted in them. :class:`LogLimiter` keeps repeated lines from filling the disk; a filter applies it to
-every place in the program that logs. Levels of loggers can be changed while the server runs, in every process at once.
-Child processes send their lines to the server as well, where the last ones are kept (:class:`LineHandler`).
+choose the texts that are quoted in them. :class:`LogLimiter` keeps repeated lines from filling the disk; a filter
+applies it to every place in the program that logs. Levels of loggers can be changed while the server runs, in every
+process at once. Child processes send their lines to the server as well, where the last ones are kept
+(:class:`LineHandler`).
 """
 
 from __future__ import annotations
@@ -240,7 +241,7 @@ def change(level: LoggerLevel) -> bool:
 
 
 def follow(child: Follower) -> None:
-    """Send a child all changes of levels, from before and from now on, for as long as it is referenced."""
+    """Send a child all changes of levels, from before and from now on, until it is no longer referenced."""
     _followers.add(child)
     for level in _changed.values():
         child.send(level)
@@ -257,7 +258,7 @@ MAX_LINE_CHARACTERS = 3000
 
 @dataclass(frozen=True)
 class LogLine:
-    """Line of a process's log, as it is passed on to where the last lines are kept."""
+    """Line of a process's log, on its way to the place that keeps the last lines."""
 
     at_s: float  # wall-clock time [s since the epoch]
     level: int  # level, numbered as Python does

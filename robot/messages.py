@@ -98,7 +98,7 @@ class ArmConfig:
     robot: RobotModel
     hardware: HardwareConfig
     state_rate_hz: float = 50.0
-    start_enabled: bool = True  # True to enable the arm as soon as it is connected; else it stays relaxed
+    start_enabled: bool = True  # True to enable the arm once it is connected; else it stays relaxed
     watchdog_s: float = 0.5  # silence of the server after which the arm is stopped [s]; a simulated arm waits longer
     on_server_lost: EndState = EndState.HOLD  # policy for the arm then, and when the server's process is gone
     on_exit: EndState = EndState.HOLD

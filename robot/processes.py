@@ -43,9 +43,9 @@ OF_SERVICE_MANAGER = frozenset({"NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"
 # The start of a child takes five: its socket pair, /dev/null, and the pipe by which exec reports its error.
 RESERVED_DESCRIPTORS = 8
 
-# Delays before a process is started in place of one that has ended soon: a tight loop of starts would take a core, and
-# memory or descriptors that are used up are back within seconds or not soon. A start takes half a second; a process
-# that has run for twice that is replaced at once.
+# Delays before a process is started in place of a process that has ended soon: a tight loop of starts would take a
+# core, and memory or descriptors that are used up are back within seconds or not soon. A start takes half a second; a
+# process that has run for twice that is replaced at once.
 FIRST_RESTART_S = 0.2
 LONGEST_RESTART_S = 10.0
 SHORT_RUN_S = 1.0
@@ -97,7 +97,7 @@ class RestartDelay:
         self._next_s = first_s
 
     def after(self, ran_s: float) -> float:
-        """Return the time to wait [s] after a process ran for a time [s]; 0 for one that could not be started."""
+        """Return the time to wait [s] after a process ran for a time [s]; 0 for a failed start."""
         if ran_s >= SHORT_RUN_S:
             self._next_s = self._first_s
             return 0.0

@@ -2,7 +2,7 @@
 
 Every stop of an arm begins a new epoch. A request that may move an arm keeps the epoch in which it arrived, however
 long it then waits; an arm refuses a request from an epoch before its own last stop. The count is shared by all arms of
-a process, so that one number tells the order of a request and of the stops of each arm.
+a process, so that one number orders a request and the stops of each arm.
 """
 
 from __future__ import annotations

@@ -35,17 +35,30 @@ class RobotFiles:
     def find(self, name: str) -> Path:
         """Find a file.
 
+        Args:
+            name: a ``package://`` URL, or a path within the folder of the URDF. That folder's own name does as well as
+                the package's name, as it does for the planners.
+
         Raises:
             ServiceError: there is no such file, or it is of another kind or elsewhere.
         """
         for url, folder in self._mesh_folders.items():
             if name.startswith(f"{url}/"):
                 return _checked(folder, name.removeprefix(f"{url}/"), name, f"{url}/")
-        return find_file(self._robot.mesh_directory, self._package, name)
+        directory = self._robot.mesh_directory
+        if directory is None:
+            raise ServiceError(f"name: {name!r} is not here: this robot's description names no files")
+        return _checked(
+            directory, _within(directory.resolve(), self._package, name), name, f"{_PACKAGE}{self._package}/"
+        )
 
     def read(self, name: str) -> bytes:
         """Read a file; argument and errors as for :meth:`find`."""
-        return _read(self.find(name), name)
+        path = self.find(name)
+        try:
+            return path.read_bytes()
+        except OSError as error:
+            raise ServiceError(f"name: {name!r} cannot be read: {error.strerror}") from error
 
     @cached_property
     def _mesh_folders(self) -> dict[str, Path]:
@@ -77,22 +90,6 @@ def with_package_urls(urdf: str, package: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def find_file(directory: Path | None, package: str, name: str) -> Path:
-    """Find one of the robot's files.
-
-    Args:
-        directory: folder of the URDF; nothing outside it is served.
-        package: the name in package URLs; the directory's own name does as well, as it does for the planners.
-        name: a ``package://`` URL, or a path within the directory.
-
-    Raises:
-        ServiceError: there is no such file, or it is of another kind or outside the directory.
-    """
-    if directory is None:
-        raise ServiceError(f"name: {name!r} is not here: this robot's description names no files")
-    return _checked(directory, _within(directory.resolve(), package, name), name, f"{_PACKAGE}{package}/")
-
-
 def _checked(directory: Path, inner: str, name: str, url: str) -> Path:
     nowhere = f"name: {name!r} is no file below {url}"
     try:
@@ -110,18 +107,6 @@ def _checked(directory: Path, inner: str, name: str, url: str) -> Path:
     if size_bytes > MAX_FILE_BYTES:
         raise FileTooLargeError(f"name: {name!r} has {size_bytes} bytes, the limit is {MAX_FILE_BYTES}")
     return path
-
-
-def read_file(directory: Path | None, package: str, name: str) -> bytes:
-    """Read one of the robot's files; arguments and errors as for :func:`find_file`."""
-    return _read(find_file(directory, package, name), name)
-
-
-def _read(path: Path, name: str) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ServiceError(f"name: {name!r} cannot be read: {error.strerror}") from error
 
 
 def _hidden(path: Path) -> bool:

@@ -202,6 +202,7 @@ class FileProblem:
     id: str  # its name in the file
     problem: PlanningProblem
     accept_codes: tuple[int, ...]  # values of moveit_msgs/MoveItErrorCodes that are right answers
+    failed_code: int | None = None  # error code of the failure that a server saved; None for other problems
 
     @property
     def feasible(self) -> bool:
@@ -235,6 +236,7 @@ class _Entry(BaseModel):
     id: str
     start: list[float]
     accept_codes: list[int] = [int(MoveItErrorCode.SUCCESS)]
+    error_code: int | None = None
     goal: list[float] | dict[str, Any] | None = None
     position: Point | None = None
     tolerance: float = 0.005
@@ -323,7 +325,8 @@ class _Reader:
         for key in ("joint_problems", "position_problems", "goal_problems", "infeasible"):
             entries: tuple[_Entry, ...] = getattr(self._fields, key)
             for i, entry in enumerate(entries):
-                yield FileProblem(entry.id, self._problem(f"{key}.{i}", entry), tuple(entry.accept_codes))
+                problem = self._problem(f"{key}.{i}", entry)
+                yield FileProblem(entry.id, problem, tuple(entry.accept_codes), entry.error_code)
 
     def _problem(self, where: str, entry: _Entry) -> PlanningProblem:
         start = self._of_joint(f"{where}.start", entry.start)

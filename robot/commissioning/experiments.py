@@ -124,7 +124,7 @@ class ServoRig:
         self.set(Register.GOAL_POSITION, goal_ticks)
 
     def require_relaxed(self) -> None:
-        """Raise StartupError for a servo that holds; relax one that is overloaded."""
+        """Raise StartupError for a servo that holds; relax an overloaded servo."""
         if self.read(Register.STATUS) & StatusFlag.OVERLOAD:
             self.set(Register.TORQUE_ENABLE, 0)
         elif self.read(Register.TORQUE_ENABLE):

@@ -71,7 +71,7 @@ class SweptRange:
     highest: int  # highest position [ticks]
     expected_width: int  # width of its range in the URDF [ticks]
     done: bool
-    note: str  # what is missing; empty for nothing
+    note: str  # the missing part; empty for none
 
 
 class CalibrationSession:
@@ -158,7 +158,7 @@ class CalibrationSession:
     def answer(self, answer: str) -> Act | None:
         """Take the answer to the present step; return the act that is now due, if any.
 
-        Raises CalibrationError where it cannot go on so; the step stays, and the text names what is missing.
+        Raises CalibrationError where it cannot go on so; the step stays, and the text names the missing part.
         """
         step = self.step
         if step is None or answer not in step.answers:

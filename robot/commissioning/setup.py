@@ -203,8 +203,8 @@ def choose_profile(
 def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> tuple[Change, ...]:
     """Return the registers to change for a servo to turn a joint.
 
-    Angle limits and homing offset of a servo that has the joint's id are its calibration, and stay. Those of any other
-    belong to another joint and are cleared.
+    Angle limits and homing offset of a servo that has the joint's id are its calibration, and stay. Limits and offset
+    of any other belong to another joint and are cleared.
     """
     held = servo.registers
     wanted = {
@@ -245,7 +245,7 @@ def needs_writing(servo: FoundServo, changes: Sequence[Change]) -> bool:
 
 
 def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> FoundServo:
-    """Relax a servo and write its changes, each read back; return it as it is afterwards.
+    """Relax a servo and write its changes, each read back; return it as read afterwards.
 
     Its EPROM is locked at the end, also after a failure. Raises StartupError where it keeps another value.
     """
@@ -333,7 +333,7 @@ def _candidates(
 ) -> list[FoundServo]:
     """Return the candidates for a joint: the servo with its id, else the servos without a calibration or another's id.
 
-    The first joint has the id of new servos; its calibration tells it from one of these.
+    The first joint has the id of new servos; its calibration distinguishes it from a new servo.
     """
     own = [servo for servo in found if servo.servo_id == joint.servo_id]
     others = {servo.servo_id for servo in arm} - {FACTORY_ID}

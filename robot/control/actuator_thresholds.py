@@ -1,8 +1,8 @@
 """Thresholds of the controller for each joint, which follow from the strength to which its actuator is set.
 
-A servo with half the position gain droops twice as far, and one that protects itself from 25 % of its torque on must
-not be asked to hold with more. The settings of the program hold for servos as the factory leaves them; here they are
-adapted to the servos that were found. Pure.
+A servo with half the position gain droops twice as far, and a servo that protects itself from 25 % of its torque on
+must not be asked to hold with more. The settings of the program hold for servos as the factory leaves them; here they
+are adapted to the servos that were found. Pure.
 """
 
 from __future__ import annotations

@@ -355,7 +355,7 @@ class ArmController:
     def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
         """React to a fault: latch it, or yield; return the ends of motions.
 
-        A latched fault is replaced only by one that takes torque off.
+        A latched fault is replaced only by a fault that takes torque off.
         """
         if self.fault is None or (found.code in RELAXING and self.fault.code not in RELAXING):
             return self.latch(found, measured)

@@ -114,7 +114,7 @@ class Playback:
         if self._rate == wanted and wanted >= 0.0:
             return
         if wanted < 0.0:
-            # A path may begin in motion: the way back then ends in time for what is left of it, tick by tick.
+            # A path may begin in motion: the way back then ends in time for the rest of it, tick by tick.
             fastest = min(self._largest_change(elapsed_s, direction) for direction in (1.0, -1.0))
             change = fastest * elapsed_s
             wanted = max(wanted, 0.5 * change - math.sqrt(0.25 * change**2 + 2.0 * fastest * self._path_time_s))
@@ -141,7 +141,7 @@ class Playback:
 class Motion(Playback):
     """Motion in progress: the playback of a command until its joints have settled or stopped.
 
-    The goal tolerance is of each of the arm's joints, shape (joints,) [rad]; None for that of the limits.
+    The goal tolerance is of each of the arm's joints, shape (joints,) [rad]; None for the limits' tolerance.
     """
 
     def __init__(
@@ -224,7 +224,7 @@ class Motion(Playback):
     def end(self, goal_rad: Vector, position_rad: Vector, now_s: float) -> MotionEnded | None:
         """Return the regular end, None while in progress: stopped, or settled at the goal, or not settled in time.
 
-        Goals and measured positions are those of all joints of the arm [rad].
+        Goals and measured positions are of all joints of the arm [rad].
         """
         if not self.finished:
             return None

@@ -17,11 +17,11 @@ REAL_TIME_PRIORITY = 1
 # Tried where real-time priority is not permitted.
 NICENESS = -10
 
-# Flags of mlockall(2) on x86 and ARM (linux/mman.h): what is mapped, what will be, and each page when it is first used.
+# Flags of mlockall(2) on x86 and ARM (linux/mman.h): present mappings, future ones, and each page at its first use.
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 
 # Least RLIMIT_MEMLOCK under which memory is locked. All that the process maps counts against it, whether it is used or
-# not: 180 MB at its start, of which it uses 36.
+# not: 180 MB at its start, 36 of them used.
 MIN_LOCKABLE_BYTES = 1 << 30
 
 

@@ -26,7 +26,7 @@ def arm_state(
 ) -> ArmState:
     """Build the state of the arm at its latest reading.
 
-    The reason is a sentence on an arm that is connected but not ready; lateness is that of the ticks since the last
+    The reason is a sentence on an arm that is connected but not ready; the lateness is of the ticks since the last
     state.
     """
     measured, controller = arm.measured, arm.controller

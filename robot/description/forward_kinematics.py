@@ -64,7 +64,7 @@ class ForwardPlacements:
 class _Step:
     """Joint with its fixed transform to the parent link and its axis, and the joint that it follows, as all do.
 
-    Most follow themselves; one that does not move follows none.
+    Most follow themselves; a fixed joint follows no joint.
     """
 
     parent: str

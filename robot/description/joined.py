@@ -217,7 +217,7 @@ def reach_m(robot: RobotModel) -> float:
 
 
 def _extent_m(link: ET.Element, robot: RobotModel) -> float:
-    """Return a distance from a link's frame beyond which none of its collision shapes comes [m]."""
+    """Return a distance from a link's frame that no collision shape of it exceeds [m]."""
     hull = robot.hulls.get(link.get("name", ""))
     if hull is not None and len(hull.vertices):
         return max(math.hypot(*vertex) for vertex in hull.vertices.tolist())

@@ -78,7 +78,7 @@ class RobotModel:
     # Link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in the link's
     # frame; for the cases in which a hull is too wide.
     parts: Mapping[str, tuple[NDArray[np.float64], ...]] = field(default_factory=dict)
-    # Link name -> its surface, which decides what is inside the link.
+    # Link name -> its surface, which decides the inside of the link.
     surfaces: Mapping[str, LinkSurface] = field(default_factory=dict)
     # Name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
     planning_frame: str = ""
@@ -111,7 +111,7 @@ def load(
     """Read a robot from files.
 
     Args:
-        package_directories: folders for ``package://``, beside those of the ROS environment and around the URDF.
+        package_directories: folders for ``package://``, beside the ROS environment's and the folders around the URDF.
         needs_meshes: False for a robot that gets hulls, so that its meshes need not be there.
     """
     return parse(
@@ -140,7 +140,7 @@ def parse(
     """Read a robot from the texts of its URDF and SRDF.
 
     Args:
-        limits: limits by joint that replace those of the URDF.
+        limits: limits by joint that replace the URDF's.
         held: joints that are not driven, and the positions at which they stay; they become fixed [rad or m].
         needs_meshes: True to check that the meshes are there, where they have a directory.
         sources: names of the URDF and of the SRDF, for errors.
@@ -180,7 +180,7 @@ def _passive_positions(tree: Tree, semantics: Semantics) -> dict[str, float]:
 
 
 def _following_positions(tree: Tree, still: Mapping[str, float]) -> dict[str, float]:
-    """Return the positions of the joints that mimic one that stays."""
+    """Return the positions of the joints that mimic a joint that stays."""
     return {
         joint.name: joint.mimic.multiplier * still[joint.mimic.joint] + joint.mimic.offset
         for joint in tree.joints.values()

@@ -186,7 +186,7 @@ def read(path: Path) -> RobotFile:
 
 
 def _sentence(error: ErrorDetails) -> str:
-    """Return what is wrong with one value, by its key."""
+    """Return a sentence on an invalid value, by its key."""
     place = [part for part in error["loc"] if not str(part).startswith(("literal[", "ZeroTable", "constrained"))]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     if error["type"] == "extra_forbidden":

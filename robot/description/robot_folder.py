@@ -161,7 +161,7 @@ class _Problems:
         return bool(self._sentences)
 
     def of(self, read: Callable[[], Read], instead: Read) -> Read:
-        """Read something; keep the problem and return what is given instead when that fails."""
+        """Read something; when that fails, keep the problem and return the substitute."""
         try:
             return read()
         except DescriptionError as error:

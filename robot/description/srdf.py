@@ -177,7 +177,7 @@ class _Reader:
         if not all(joint in path for joint in driven):
             return driven[0].parent, ""
         first = next(joint for joint in path if joint in members)
-        # What is fixed to the last joint and in the group goes on to the tip, as long as it does not branch.
+        # Links fixed to the last joint and in the group go on to the tip, as long as they do not branch.
         beyond = [joint for joint in members if driven[-1] in self._path(joint.child)]
         farthest = max(beyond, key=lambda joint: len(self._path(joint.child)))
         tip = farthest if all(joint in self._path(farthest.child) for joint in beyond) else driven[-1]

@@ -172,7 +172,7 @@ def _mimic(element: ET.Element, where: str) -> Mimic | None:
 
 
 def _with_leader(joint: Joint, joints: Mapping[str, Joint], source: str) -> Joint:
-    """Return a joint that mimics one with a position of its own, where it mimics one that mimics another."""
+    """Return a joint that mimics the last joint of its chain of mimicking joints, which has a position of its own."""
     passed = [joint.name]
     while joint.mimic is not None:
         leader = joints.get(joint.mimic.joint)

@@ -2,7 +2,7 @@
 
 ``armbridge emulate`` or ``python -m robot.emulator`` runs Feetech's on a pseudo terminal, byte by byte as on a serial
 port; the arm process runs either inside itself. One servo (``servo``), one bus (``servo_bus``) and one plant serve both
-families; ``feetech`` and ``dynamixel`` add registers and packets. docs/simulation.md lists what is modelled.
+families; ``feetech`` and ``dynamixel`` add registers and packets. docs/simulation.md lists the modelled effects.
 
 Whether switching torque off clears an overload (here it does, unless configured otherwise) can only be measured on a
 real arm; servos of other makers are reported to ignore torque off then. At a wrong baud rate there is silence, where a

@@ -110,7 +110,7 @@ _WRITABLE = frozenset(range(Register.ID, MEMORY_BYTES)) - {
 class FeetechServo(EmulatedServo[Register]):
     """STS3215 on the bus, from power-up on.
 
-    The EPROM that it is given has the registers that differ from those of a new servo.
+    The EPROM that it is given has the registers that differ from a new servo's.
     """
 
     table = TABLE

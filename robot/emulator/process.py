@@ -74,7 +74,7 @@ class UsbAdapter(Adapter):
 
     @property
     def baudrate(self) -> int:
-        """Baud rate that the host has set; 0 for one that no servo has, or while unplugged."""
+        """Baud rate that the host has set; 0 for a rate without servos, or while unplugged."""
         return 0 if self._terminal is None else _BAUDRATES.get(termios.tcgetattr(self._terminal[1])[_OSPEED], 0)
 
     def plug_in(self, *, renamed: bool = False) -> None:

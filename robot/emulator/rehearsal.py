@@ -60,7 +60,7 @@ class TimedCommand:
 class Rehearsal:
     """Schedule of commands in the order of their times, perhaps without any.
 
-    Raises ValueError for one that repeats, but is shorter than :data:`MIN_REPEATED_S`.
+    Raises ValueError for a schedule that repeats, but is shorter than :data:`MIN_REPEATED_S`.
     """
 
     def __init__(self, commands: Sequence[TimedCommand] = (), *, repeats: bool = False) -> None:

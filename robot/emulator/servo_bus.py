@@ -170,8 +170,8 @@ class ServoBus(Generic[S]):
         """Receive bytes from the host at a monotonic time [s]; return the replies, which a collision may cut.
 
         Bytes that collide with replies still on the wire are lost, and so is the rest of those replies. Instructions
-        that arrive together wait for the replies to the one before: the gaps between them are not known here. A baud
-        rate of 0 is one that no servo has.
+        that arrive together wait for the replies to the one before: the gaps between them are not known here. No servo
+        has a baud rate of 0.
         """
         self.advance(now_s)
         if self._on_wire and now_s < self._on_wire[-1].end_s:

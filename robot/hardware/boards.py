@@ -113,7 +113,7 @@ def _stable_name(info: ListPortInfo) -> str:
 
 
 def _explain_missing(plugged_in: Sequence[ListPortInfo]) -> str:
-    """Return what is plugged in instead, and what a person can do."""
+    """Return the devices that are plugged in instead, and the remedy."""
     if plugged_in:
         others = ", ".join(
             f"{info.device} ({usb_id_text((info.vid, info.pid))}, {info.product or 'without a name'})"

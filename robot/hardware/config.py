@@ -16,7 +16,7 @@ from robot.hardware.feetech.profiles import ServoProfile
 class _ServosConfig:
     """Servos of an arm."""
 
-    calibration: Calibration  # servos of the joints, whose order is that of every array
+    calibration: Calibration  # servos of the joints, in the order of every array
 
     def joint_names(self, _robot: RobotModel) -> tuple[str, ...]:
         """Return the joints that have a servo."""
@@ -68,7 +68,7 @@ class FeetechConfig(_SerialConfig):
 
     baud: ClassVar[int] = 1_000_000  # bits per second
 
-    # Settings that they should have; None for those of the known profile that is nearest.
+    # Settings that they should have; None for the nearest known profile.
     profile: ServoProfile | None = None
 
 
@@ -76,7 +76,7 @@ class FeetechConfig(_SerialConfig):
 class EmulatedConfig(_EmulatedBusConfig, _ServosConfig):
     """Feetech servos emulated inside the arm process."""
 
-    # Settings that the servos should have; None for those of the known profile that is nearest.
+    # Settings that the servos should have; None for the nearest known profile.
     profile: ServoProfile | None = None
     population: str = "factory"  # state in which the servos are found (:mod:`robot.emulator.populations`)
     write_log: Path | None = None  # log file with a line of JSON for every write to a servo; None for no log

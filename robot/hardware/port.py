@@ -46,8 +46,8 @@ READ_BYTES = 4096
 MAX_CLEARING_READS = 16
 
 # Latency of replies through the host's own serial port (USB frames, scheduling) and through a network. Behind a pseudo
-# terminal is a program, which replies when it gets its turn: on two cores of which a virtual machine's host took half,
-# one reply in a hundred came 0.2 s late.
+# terminal is a program, which replies when it gets its turn: on two cores, half of them taken by a virtual machine's
+# host, one reply in a hundred came 0.2 s late.
 LOCAL_LATENCY_S = 0.005
 NETWORK_LATENCY_S = 0.05
 TERMINAL_LATENCY_S = 0.3
@@ -100,7 +100,7 @@ def wire_time_s(byte_count: int, baudrate: int) -> float:
 
 
 def resolve_port(port: str) -> str:
-    """Find the device to open: a path or URL as it is, or the board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``.
+    """Find the device to open: a path or URL unchanged, or the board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``.
 
     Raises PortError for no such board, and for several.
     """
@@ -248,7 +248,7 @@ def _refusal(port: str, code: int | None, reason: str) -> PortError:
 def _owning_group(port: str) -> str:
     """Return the group that may open a device, its number if it has no name here.
 
-    A device of root alone, or one that cannot be asked, gets Debian's group, which udev rules give it.
+    A device of root alone, or without an answer, gets Debian's group, which udev rules give it.
     """
     try:
         number = os.stat(port).st_gid  # noqa: PTH116 - a port may be a URL

@@ -41,9 +41,7 @@ class PendingRequest(Generic[End]):
         for callback in self._when_ended:
             try:
                 callback(end)
-            except (
-                Exception
-            ):  # an error of one listener must not keep the end from the others, of which one stops the arm
+            except Exception:  # an error of one listener must not keep the others from stopping the arm
                 log.exception("the end of a request could not be told to everybody")
 
 

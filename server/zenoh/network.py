@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import fnmatch
-import functools
 import logging
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -12,13 +11,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
 
 from protocol import type_descriptions
-from protocol.errors import InterfaceError
+from protocol.codecs import cdr
+from protocol.errors import InterfaceError, MessageError
 from protocol.registry import Registry
 from robot.logs import LogLimiter
 from server.gateway.turns import Background, Threads
+from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.zenoh.decoding import Decoder
 from server.zenoh.rmw import Endpoint, LivelinessTokens, is_name
 from server.zenoh.session import SessionThread
 
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 log = logging.getLogger("armbridge.zenoh")
 
 SharedKind: TypeAlias = Literal["msg", "srv"]
+
+# Called in the event loop with the message, or with the reason why there is none.
+Decoded: TypeAlias = Callable[[ReceivedMessage | MessageError], None]
 
 _HASHES: Mapping[SharedKind, Callable[[Registry, str], str]] = {
     "msg": type_descriptions.message_hash,
@@ -133,11 +136,6 @@ class Network:
     background: Background = field(default_factory=Threads)
     warnings: LogLimiter = field(default_factory=lambda: LogLimiter(max_keys=MAX_WARNINGS))
 
-    @functools.cached_property
-    def decoder(self) -> Decoder:
-        """Decoder of the messages of other machines."""
-        return Decoder(self.graph.message_types, self.background)
-
     @property
     def registry(self) -> Registry:
         """Message and service types of the graph."""
@@ -176,3 +174,24 @@ class Network:
     def is_own_publication(self, topic: str) -> bool:
         """Return True if the server itself publishes a topic of the graph."""
         return any(not node.remote for node in self.graph.publishers(topic))
+
+    def decode(self, type_name: str, octets: bytes, decoded: Decoded) -> None:
+        """Decode a message of another machine: a small one at once, a large one by a thread, which delays nobody."""
+        if len(octets) <= BYTES_AT_ONCE:
+            decoded(self._completed(type_name, octets))
+            return
+        failed = MessageError(type_name, "a message that cannot be decoded")
+        self.background.run(
+            lambda: self._completed(type_name, octets),
+            lambda message, _cost_s: decoded(message),
+            lambda: decoded(failed),
+        )
+
+    def _completed(self, type_name: str, octets: bytes) -> ReceivedMessage | MessageError:
+        try:
+            message = cdr.deserialize(self.registry, type_name, octets)
+        except MessageError as error:
+            return error
+        received = ReceivedMessage(message, len(octets))
+        received.complete(self.graph.message_types, type_name)
+        return received

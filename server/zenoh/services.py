@@ -147,7 +147,7 @@ class OfferedServices:
             else:
                 network.graph.services.call(network.node, name, request, respond)
 
-        network.decoder.decode(f"{call.service.endpoint.type_name}_Request", call.octets, take)
+        network.decode(f"{call.service.endpoint.type_name}_Request", call.octets, take)
 
     def _fail(self, call: IncomingCall, reason: str) -> None:
         response = Response(ok=False, values=f"Service {call.service.name}: {reason}")
@@ -232,7 +232,7 @@ class CalledService:
             except MessageError as error:
                 call.fail(f"Service {self._name} gave a response that does not fit {self.endpoint.type_name}: {error}")
 
-        self._network.decoder.decode(f"{self.endpoint.type_name}_Response", octets, take)
+        self._network.decode(f"{self.endpoint.type_name}_Response", octets, take)
 
 
 class CalledServices:

@@ -311,7 +311,7 @@ class IncomingTopics:
             if topic.waiting:
                 self._publish((topic, topic.waiting.popleft()))
 
-        self._network.decoder.decode(topic.source.endpoint.type_name, octets, take)
+        self._network.decode(topic.source.endpoint.type_name, octets, take)
 
     def _deliver(self, topic: IncomingTopic, message: ReceivedMessage | MessageError) -> None:
         if self._topics.get(topic.name) is not topic:

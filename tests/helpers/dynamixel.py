@@ -11,8 +11,7 @@ from robot.description import robot_folder
 from robot.description.limits import JointBounds, within_calibration
 from robot.emulator.dynamixel import DynamixelServo, emulated_dynamixel_arm
 from robot.hardware.config import DynamixelConfig, EmulatedDynamixelConfig
-from robot.hardware.dynamixel.bus import Bus
-from robot.hardware.dynamixel.family import Dynamixel
+from robot.hardware.dynamixel.family import Bus, Dynamixel
 from robot.hardware.dynamixel.registers import Register
 from robot.hardware.interface import HardwareInterface, Measured, Survey, run_to_end
 from robot.hardware.servos.hardware import ServoHardware

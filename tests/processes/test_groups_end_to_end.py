@@ -124,67 +124,6 @@ async def test_a_pose_goal_is_met_with_its_orientation(lifted: FrameClient, grou
     assert turn_rad(reached, wanted) < TURN_RAD
 
 
-async def test_a_pose_goal_without_orientation_is_refused(lifted: FrameClient) -> None:
-    pose = {"position": {"x": 0.4, "y": 0.0, "z": 0.9}, "orientation": dict.fromkeys("xyzw", 0.0)}
-    result = await lifted.goal("/moveit_goal_pose", {"header": {"frame_id": "base"}, "pose": pose})
-    assert result["val"] == -16
-    assert "must be a unit quaternion" in result["message"]
-
-
-async def test_goals_are_checked_with_their_orientation(lifted_server: RunningServer, lifted: FrameClient) -> None:
-    at = await joints_goal(lifted, BENT)
-    good = pose_message(ForwardPlacements(LIFTED).transforms({**at, "a1": 0.4})["tool"])
-    bad = {**good, "pose": {**good["pose"], "orientation": dict.fromkeys("xyzw", 0.0)}}
-    async with arm_client(lifted_server.url) as client:
-        results = (await client.call("/check_goals", poses=[good, bad]))["results"]
-    assert [result["reachable"] for result in results] == [True, False]
-    assert results[0]["orientation_error_rad"] < TURN_RAD
-
-
-async def test_a_cartesian_path_is_followed(lifted_server: RunningServer, lifted: FrameClient) -> None:
-    at = await joints_goal(lifted, BENT)
-    placed = ForwardPlacements(LIFTED).transforms(at)["tool"]
-    placed[2, 3] += 0.08
-    path = {
-        "header": {"frame_id": "base"},
-        "group_name": "arm_with_torso",
-        "waypoints": [pose_message(placed)["pose"]],
-        "max_step": 0.01,
-        "avoid_collisions": True,
-    }
-    async with arm_client(lifted_server.url) as client:
-        answer = await client.call("/compute_cartesian_path", **path)
-        assert answer["fraction"] == 1.0, answer["error_code"]
-        action, type_name = "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory"
-        done = await client.result(await client.send_goal(action, type_name, {"trajectory": answer["solution"]}))
-    assert done["values"]["error_code"]["val"] == 1, done
-    reached = ForwardPlacements(LIFTED).transforms(await lifted.positions())["tool"]
-    np.testing.assert_allclose(reached[:3, 3], placed[:3, 3], atol=POSITION_M)
-
-
-async def test_a_box_in_the_way_is_gone_around(lifted_server: RunningServer, lifted: FrameClient) -> None:
-    await joints_goal(lifted, {**BENT, "a1": -0.6})
-    box = {
-        "id": "wall",
-        "header": {"frame_id": "base"},
-        "primitives": [{"type": 1, "dimensions": [0.5, 0.02, 0.4]}],
-        "primitive_poses": [{"position": {"x": 0.5, "y": 0.0, "z": 0.75}, "orientation": {"w": 1.0}}],
-    }
-    async with arm_client(lifted_server.url) as client:
-        assert (await client.call("/apply_planning_scene", scene=scene_of(box)))["success"]
-        seen = len(lifted.messages("/joint_states"))
-        joints = await joints_goal(lifted, {**BENT, "a1": 0.6})
-        assert joints["a1"] == pytest.approx(0.6, abs=ARRIVED)
-        path = [dict(zip(one["name"], one["position"], strict=True)) for one in lifted.messages("/joint_states")[seen:]]
-        assert max(abs(one[name] - BENT[name]) for one in path for name in BENT if name != "a1") > 0.1
-        gone = {"id": "wall", "operation": 1}
-        assert (await client.call("/apply_planning_scene", scene=scene_of(gone)))["success"]
-
-
-def scene_of(box: dict[str, Any]) -> dict[str, Any]:
-    return {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [box]}}
-
-
 def moving(client: FrameClient, joint: str) -> list[float]:
     """Times at which a joint was seen to move [s]."""
     states = client.messages("/joint_states")

@@ -95,14 +95,6 @@ def feedback(client: ArmClient) -> list[dict[str, Any]]:
     return [each for all_ in client.feedback.values() for each in all_]
 
 
-async def test_rosapi_tells_of_the_action(client: ArmClient) -> None:
-    assert NAME in (await client.call("/rosapi/action_servers"))["action_servers"]
-    assert (await client.call("/rosapi/action_type", action=NAME))["type"] == ACTION_TYPE
-    goal = (await client.call("/rosapi/action_goal_details", type=ACTION_TYPE))["typedefs"][0]
-    assert goal["fieldnames"][:3] == ["named", "joints", "pose"]
-    assert ACTION_TYPE in (await client.call("/rosapi/interfaces"))["interfaces"]
-
-
 async def test_a_ros1_client_gets_its_log_and_its_serialization(server: RunningServer, client: ArmClient) -> None:
     url = server.url.replace("?x=1", "?ros=1")
     async with connect(url, max_size=None) as old, connect(url, max_size=None) as raw:

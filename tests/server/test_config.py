@@ -89,14 +89,31 @@ def refusal_of(**arms: dict[str, object]) -> str:
     return str(refused.value)
 
 
-@pytest.mark.parametrize("name", ["Left", "2nd", "le ft", "", "a" * 40, "le/ft"])
-def test_the_name_of_an_arm_must_begin_names_of_topics_and_joints(name: str) -> None:
-    assert "the name of an arm must be a to z, 0 to 9 and _" in refusal_of(**{name: {}})
+REFUSED_ARMS: dict[str, tuple[dict[str, dict[str, object]], str]] = {
+    **{
+        f"name {name!r}": ({name: {}}, "the name of an arm must be a to z, 0 to 9 and _")
+        for name in ("Left", "2nd", "le ft", "", "a" * 40, "le/ft")
+    },
+    **{
+        f"reserved name {name}": ({name: {}}, f"an arm cannot have the name {name!r}")
+        for name in ("arm", "moveit", "rosapi", "servo_node", "teleop", "world")
+    },
+    "port found by itself": ({"left": {"serial": "auto"}, "right": {}}, "name each"),
+    "names that begin alike": ({"left": {}, "left_2": {}}, "arms.left_2: begins as names of arms.left do"),
+    "unknown key": ({"left": {"seriel": "/dev/x"}}, "arms.left.seriel: unknown; did you mean serial?"),
+    "parked at the end": ({"left": {"on_exit": "park"}}, "on_exit: one of several arms cannot be parked"),
+    "relaxed without clients": ({"left": {"on_last_client": "relax"}}, "on_last_client: must be nothing"),
+    "too many": ({f"a{number:02}": {} for number in range(33)}, "there are 33 arms, the limit is 32"),
+    "settles too long": (
+        {"left": {"guards": {"settle_timeout_s": 5.0}}},
+        "arms.left.guards.settle_timeout_s must be below",
+    ),
+}
 
 
-@pytest.mark.parametrize("name", ["arm", "moveit", "rosapi", "servo_node", "teleop", "world"])
-def test_an_arm_cannot_have_a_name_of_the_server(name: str) -> None:
-    assert f"an arm cannot have the name {name!r}" in refusal_of(**{name: {}})
+@pytest.mark.parametrize(("arms", "words"), REFUSED_ARMS.values(), ids=REFUSED_ARMS.keys())
+def test_several_arms_that_cannot_be_are_refused(arms: dict[str, dict[str, object]], words: str) -> None:
+    assert words in refusal_of(**arms)
 
 
 def test_two_arms_cannot_share_a_port_whatever_it_is_called(tmp_path) -> None:
@@ -107,35 +124,9 @@ def test_two_arms_cannot_share_a_port_whatever_it_is_called(tmp_path) -> None:
     assert said.startswith(f"settings: arms.right.serial: {alias} is the port of arms.left already")
 
 
-def test_the_port_of_one_of_several_arms_is_named() -> None:
-    assert "name each" in refusal_of(left={"serial": "auto"}, right={})
-    assert load(None, {"arms": {"left": {"serial": "auto"}}}).arms["left"].serial == "auto"
-
-
-def test_the_names_of_two_arms_cannot_be_mixed_up() -> None:
-    assert "arms.left_2: begins as names of arms.left do" in refusal_of(left={}, left_2={})
-
-
 def test_with_several_arms_the_section_of_the_single_one_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="each has its settings in its own section"):
         load(None, {"arm": {"robot": "so101"}, "arms": {"left": {}}})
-
-
-def test_an_unknown_key_of_an_arm_is_named_with_the_one_that_was_meant() -> None:
-    assert "arms.left.seriel: unknown; did you mean serial?" in refusal_of(left={"seriel": "/dev/ttyACM0"})
-
-
-def test_one_of_several_arms_is_not_parked_at_its_end() -> None:
-    assert "on_exit: one of several arms cannot be parked" in refusal_of(left={"on_exit": "park"})
-    assert "on_last_client: must be nothing" in refusal_of(left={"on_last_client": "relax"})
-
-
-def test_there_are_at_most_32_arms() -> None:
-    assert "there are 33 arms, the limit is 32" in refusal_of(**{f"a{number:02}": {} for number in range(33)})
-
-
-def test_an_arm_settles_within_the_margin_as_a_single_one_does() -> None:
-    assert "arms.left.guards.settle_timeout_s must be below" in refusal_of(left={"guards": {"settle_timeout_s": 5.0}})
 
 
 def test_arms_come_from_the_environment_too(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,11 +12,12 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from dynamixel_sdk import INST_REBOOT, PacketHandler
+
 from robot.advice import ServoAlert, ServoWarning
 from robot.calibration import JointCalibration
 from robot.errors import NoReply, StartupError
-from robot.hardware.dynamixel.bus import Bus, reboot
-from robot.hardware.dynamixel.packets import ALERT
+from robot.hardware.dynamixel.packets import ALERT, instruction_packet, parse_status_frames, status_bytes, stuffed_bytes
 from robot.hardware.dynamixel.registers import (
     AMPERE_PER_UNIT,
     FULL_PWM,
@@ -38,7 +39,7 @@ from robot.hardware.dynamixel.registers import (
     status_of,
 )
 from robot.hardware.interface import StatusFlag, Steps
-from robot.hardware.servos.bus import ServoBus, StatusFrame, read, write_verified
+from robot.hardware.servos.bus import Sdk, ServoBus, StatusFrame, read, write_verified
 from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, Watchdog, label
 from robot.hardware.servos.registers import Block, Telemetry
 from robot.hardware.servos.survey import limits_warnings
@@ -46,7 +47,7 @@ from robot.hardware.servos.survey import limits_warnings
 # Register PROFILE_ACCELERATION, 39 rad/s^2: smoothness comes from the trajectory, and any less adds lag.
 PROFILE_ACCELERATION = round(25400 / TICKS_S2_PER_ACCELERATION_UNIT)
 
-# 0.5 s without an instruction stop a driven servo where it is. Shorter pauses are those of a busy computer, and goals
+# 0.5 s without an instruction stop a driven servo where it is. A busy computer makes shorter pauses, and goals
 # are streamed, so that a servo is never far from its last one.
 SILENCE_S = 0.5
 WATCHDOG = round(SILENCE_S / WATCHDOG_UNIT_S)
@@ -75,6 +76,53 @@ _SURVEYED = (
     Register.MAX_VOLTAGE_LIMIT,
     Register.PWM_LIMIT,
 )
+
+
+PROTOCOL = 2.0
+
+# Longest delay of a reply, register RETURN_DELAY_TIME of 254; the factory's 250 is hardly less.
+LONGEST_RETURN_DELAY_S = 254 * 2e-6
+
+
+class Bus(ServoBus):
+    """Bus of any number of Dynamixel servos: packets of protocol 2.0.
+
+    Replies are received without the SDK, which polls for up to 34 ms for each, more than three ticks.
+    """
+
+    registers = TABLE
+    word_bytes = 2
+
+    def _make_sdk(self) -> Sdk:
+        sdk: Sdk = PacketHandler(PROTOCOL)
+        return sdk
+
+    def _packet(self, servo_id: int, instruction: int, parameters: Sequence[int]) -> list[int]:
+        return instruction_packet(servo_id, instruction, parameters)
+
+    def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
+        return parse_status_frames(received, ids, data_length)
+
+    def _reply_bytes(self, data_length: int, replies: int) -> int:
+        return status_bytes(data_length, replies)
+
+    def _added_bytes(self, received: bytes) -> int:
+        return stuffed_bytes(received)
+
+    def _answer_delay_s(self, replies: int) -> float:
+        return replies * LONGEST_RETURN_DELAY_S
+
+    def _instruction_error(self, error: int) -> int:
+        """Return 4 and 6 for a value out of its range, 7 for a register that cannot be written now.
+
+        E-manual, DYNAMIXEL Protocol 2.0, Status Packet, Error.
+        """
+        return error & ~ALERT
+
+    def _note_disturbance(self) -> None:
+        super()._note_disturbance()
+        # A reply that has not come yet may still come.
+        self._last_byte_s = self._clock()
 
 
 class Dynamixel(ServoFamily):
@@ -201,7 +249,7 @@ class Dynamixel(ServoFamily):
         """Reboot the servo, the only way to clear an error."""
         yield 0.0
         with contextlib.suppress(NoReply):
-            reboot(bus, joint.servo_id)
+            bus.ask(joint.servo_id, instruction_packet(joint.servo_id, INST_REBOOT), attempts=1)
         yield REBOOT_S
         for _ in range(REBOOT_TRIES - 1):
             with contextlib.suppress(NoReply):

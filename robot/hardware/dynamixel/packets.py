@@ -64,7 +64,7 @@ def packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
 def instruction_packet(servo_id: int, instruction: int, parameters: Sequence[int] = ()) -> list[int]:
     """Build an instruction for ``txPacket`` of ``dynamixel_sdk``, which adds header and CRC.
 
-    Raises ValueError for a longer packet than the SDK sends, and for one that needs a stuffed byte: version 4.1.0
+    Raises ValueError for a longer packet than the SDK sends, and for a packet that needs a stuffed byte: version 4.1.0
     computes it and sends the packet without it.
     """
     size = PREFIX_BYTES + LENGTH_OVERHEAD + len(parameters)

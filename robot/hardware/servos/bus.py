@@ -99,7 +99,7 @@ class ServoBus(ABC):
 
     @abstractmethod
     def _packet(self, servo_id: int, instruction: int, parameters: Sequence[int]) -> list[int]:
-        """Build an instruction for the SDK, which completes it; raise ValueError for one that it cannot send."""
+        """Build an instruction for the SDK, which completes it; raise ValueError where it cannot send it."""
 
     @abstractmethod
     def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
@@ -180,7 +180,7 @@ class ServoBus(ABC):
         self._send(self._write_packet(BROADCAST_ID, self.registers.torque_enable, 0))
 
     def sync_write(self, address: int, data_by_id: dict[int, bytes]) -> None:
-        """Write the same block of several servos in one packet, which none of them acknowledges.
+        """Write the same block of several servos in one packet, which is not acknowledged.
 
         The dict must not be changed afterwards. Raises ValueError for bytes of several lengths.
         """

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
+from typing import Any
 
 import numpy as np
 
 from robot.calibration import Calibration
 from robot.description.limits import JointBounds
 from robot.errors import NoReply, PortLost, StartupError
-from robot.faults import Fault
+from robot.faults import Fault, FaultCode
 from robot.hardware.config import DynamixelConfig, FeetechConfig
 from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, Steps, Survey
 from robot.hardware.port import resolve_port
 from robot.hardware.servos import torque
 from robot.hardware.servos.bus import ServoBus
-from robot.hardware.servos.family import Limit, ServoFamily, ServoFound
-from robot.hardware.servos.register_checks import RegisterChecks
+from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values
+from robot.hardware.servos.registers import Block
 from robot.hardware.servos.servo_map import ServoMap
 from robot.hardware.servos.survey import calibration_refusal, change_refusal, survey
 from robot.hardware.servos.torque import ServoTorque
@@ -35,6 +37,10 @@ NEEDS_SURVEY = (
 
 # Supply and temperature are read ten times a second where the reply is shorter without them.
 TELEMETRY_EVERY = 10
+
+
+# Cycles between register checks: each of six servos is checked about once a second.
+CYCLES_BETWEEN = 16
 
 
 class SerialServos:
@@ -63,7 +69,7 @@ class SerialServos:
 class ServoHardware(HardwareInterface):
     """Servos of one arm on an open bus, which it closes; emulated ones have no cable and supply to check.
 
-    The order of every array is that of the calibration's joints; the clock is the control loop's [s].
+    Every array is in the order of the calibration's joints; the clock is the control loop's [s].
     """
 
     def __init__(
@@ -269,3 +275,63 @@ class ServoHardware(HardwareInterface):
         if shares != self._shares:
             self._shares, self._limits = shares, self._torque.limits(self.servos.by_servo(torque_share))
         return self._limits
+
+
+class RegisterChecks:
+    """Comparison of driven servos' registers with what was written to them; the servos are surveyed later.
+
+    A servo whose supply dips reboots, with torque off and its torque limit at the maximum. A servo that its watchdog
+    has stopped ignores its goals. Telemetry shows neither, so the registers of one servo at a time are read back.
+    """
+
+    def __init__(self, family: ServoFamily, servos: ServoMap, found: Mapping[int, ServoFound]) -> None:
+        self._family = family
+        self._servos = servos
+        self._found = found
+        self._turn = cycle((servo, block) for block in family.read_back for servo in servos.ids)
+        self._cycle = 0
+        self._expected: dict[int, Limit] = {}
+        self.torque_on: dict[int, bool] = {}
+
+    def due(self) -> tuple[int, Block[Any]] | None:
+        """Return the servo and the block to read back in this cycle, if any."""
+        self._cycle += 1
+        return None if self._cycle % CYCLES_BETWEEN else next(self._turn)
+
+    def expect(self, limits: Mapping[int, Limit]) -> None:
+        """Expect these torque limits, which were written to the servos, by id."""
+        self._expected = dict(limits)
+        self.torque_on.clear()
+
+    def limits_to_write(self, limits: Mapping[int, Limit]) -> dict[int, Limit]:
+        """Return the torque limits that differ from the expected ones, and expect them, by id."""
+        if limits == self._expected:
+            return {}
+        changed = {servo: limit for servo, limit in limits.items() if self._expected.get(servo) != limit}
+        self._expected.update(changed)
+        return changed
+
+    def check(self, servo_id: int, values: Values, stamp_s: float) -> Fault | None:
+        """Compare registers of a driven servo with what was written to it.
+
+        Return the fault, at a wall-clock time [s since the epoch], of a servo that has rebooted, was relaxed, or was
+        stopped by its watchdog.
+        """
+        limit, joint = self._expected.get(servo_id), self._servos.by_id[servo_id].joint
+        torque_on = values.get(self._family.registers.torque_enable)
+        if torque_on is not None:
+            self.torque_on[servo_id] = torque_on == 1
+        if limit is not None:
+            watchdog = self._family.watchdog
+            if watchdog is not None and values.get(watchdog.register) == watchdog.tripped:
+                silence = f"{watchdog.silence_s:g} s"
+                message = f"the servo of joint {joint} has stopped by itself, since it heard nothing for {silence}"
+                return Fault(FaultCode.SERVO_SILENT, message, joint, stamp_s)
+            restarted = self._family.has_restarted(self._found[servo_id], values, limit)
+            if restarted or values.get(limit.register, limit.value) != limit.value:
+                self._expected.pop(servo_id)
+            if restarted:
+                return Fault(FaultCode.SERVO_REBOOTED, f"the servo of joint {joint} has restarted", joint, stamp_s)
+        if torque_on not in (None, 1):
+            return Fault(FaultCode.TORQUE_LOST, f"the servo of joint {joint} was found relaxed", joint, stamp_s)
+        return None

@@ -85,7 +85,7 @@ class RegisterTable(Generic[RegisterT]):
         return self._ranges[register]
 
     def encode(self, register: RegisterT, value: int) -> bytes:
-        """Encode a value as the bytes of its register; raises ValueError for one that it cannot hold."""
+        """Encode a value as the bytes of its register; raises ValueError for a value that it cannot hold."""
         layout, (lowest, highest) = self.layout[register], self._ranges[register]
         if not lowest <= value <= highest:
             raise ValueError(f"{register.name} holds {lowest} to {highest}, not {value}")

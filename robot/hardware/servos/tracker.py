@@ -1,7 +1,7 @@
 """Readings of the servos, their ages, and the servos to read next.
 
-A servo that does not answer must not hold up the others, nor silence them: one that has just missed its turn is asked
-last, since servos wait for the reply before theirs, and one that stays silent is asked now and then.
+A servo that does not answer must not hold up the others, nor silence them: a servo that has just missed its
+turn is asked last, since servos wait for the reply before theirs, and a servo that stays silent is asked now and then.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class ServoTracker:
         return speaking if self._cycle % every else speaking + silent
 
     def is_silent(self, servo_id: int) -> bool:
-        """Return True for a servo that has missed so many reads in a row that it is read less often."""
+        """Return True for a servo that is read less often, because it has missed many reads in a row."""
         return self._misses_in_row[servo_id] >= MISSES_UNTIL_SILENT
 
     def ask_again(self, servo_id: int) -> None:

@@ -61,12 +61,6 @@ def test_another_is_told_of_a_goal_whose_end_is_not_known_and_of_those_behind_it
     ) in str(leased.lease.drive(leased.b, 20.0))
 
 
-def test_a_client_that_leaves_without_control_changes_nothing(leased: Leased) -> None:
-    leased.lease.drive(leased.a, 0.0)
-    leased.lease.leave(leased.b)
-    assert leased.lease.holder is leased.a
-
-
 def test_an_idle_holder_loses_control(leased: Leased) -> None:
     leased.lease.drive(leased.a, 0.0)
     leased.lease.drive(leased.a, 5.0)

@@ -16,7 +16,7 @@ from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
 from server.moveit.description import FILE_SERVICE, SRDF_TOPIC, URDF_TOPIC, RobotDescription
-from server.robot_files import RobotFiles, find_file, package_name, read_file, with_package_urls
+from server.robot_files import RobotFiles, package_name, with_package_urls
 from tests.helpers.robots import so101
 
 REGISTRY = Registry.load()
@@ -82,6 +82,10 @@ def test_a_description_without_mesh_paths_is_unchanged() -> None:
     assert with_package_urls(ROBOT.urdf, PACKAGE) == ROBOT.urdf
 
 
+def files_in(directory: Path | None) -> RobotFiles:
+    return RobotFiles(replace(ROBOT, mesh_directory=directory))
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -99,39 +103,39 @@ def test_a_description_without_mesh_paths_is_unchanged() -> None:
 )
 def test_only_files_below_the_description_are_served(files: Path, name: str) -> None:
     with pytest.raises(ServiceError, match="name: "):
-        read_file(files, PACKAGE, name)
+        files_in(files).read(name)
 
 
 def test_a_file_that_is_too_large_is_refused_with_the_limit(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
     with pytest.raises(FileTooLargeError, match="5 bytes, the limit is 4"):
-        read_file(files, PACKAGE, "assets/base.stl")
+        files_in(files).read("assets/base.stl")
 
 
 def test_a_description_without_files_serves_none() -> None:
     with pytest.raises(ServiceError, match="names no files"):
-        read_file(None, PACKAGE, "assets/base.stl")
+        files_in(None).read("assets/base.stl")
 
 
 @pytest.mark.parametrize("name", ["id_rsa", f"package://{PACKAGE}/id_rsa", "arm.urdf"])
 def test_only_meshes_and_textures_are_served(files: Path, name: str) -> None:
     with pytest.raises(ServiceError, match="neither mesh nor texture"):
-        read_file(files, PACKAGE, name)
+        files_in(files).read(name)
 
 
 @pytest.mark.parametrize(
     "name", ["assets/base.stl", f"package://{PACKAGE}/assets/base.stl", "package://robot/assets/base.stl"]
 )
 def test_the_package_may_have_the_name_of_the_robot_or_of_its_folder(files: Path, name: str) -> None:
-    assert find_file(files, PACKAGE, name) == files / "assets" / "base.stl"
+    assert files_in(files).find(name) == files / "assets" / "base.stl"
 
 
 def test_a_folder_within_is_a_package_as_well(files: Path) -> None:
     inner = files / PACKAGE / "base.stl"
     inner.parent.mkdir()
     inner.write_bytes(b"solid")
-    assert find_file(files, PACKAGE, f"package://{PACKAGE}/base.stl") == inner
-    assert find_file(files, PACKAGE, "package://assets/base.stl") == files / "assets" / "base.stl"
+    assert files_in(files).find(f"package://{PACKAGE}/base.stl") == inner
+    assert files_in(files).find("package://assets/base.stl") == files / "assets" / "base.stl"
 
 
 @pytest.fixture

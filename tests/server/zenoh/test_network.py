@@ -8,6 +8,9 @@ from typing import Any, cast
 
 import pytest
 
+from protocol.codecs import cdr
+from protocol.errors import MessageError
+from server.graph.message_types import BYTES_AT_ONCE, MessageTypes, ReceivedMessage
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
@@ -121,3 +124,89 @@ async def test_a_type_of_the_users_packages_has_an_endpoint(alone: Network) -> N
     user = replace(alone, graph=Graph(load_registry([INTERFACES])))
     assert user.endpoint("/a", "lab_msgs/msg/Sample", "msg") is not None
     assert user.endpoint("/a", "lab_msgs/srv/Measure", "srv") is not None
+
+
+# Decoding.
+
+STRING = "std_msgs/msg/String"
+
+
+class Waiting:
+    """Threads whose jobs are done when the test says so."""
+
+    def __init__(self) -> None:
+        self.jobs: list[Callable[[], None]] = []
+
+    def run(self, job: Callable[[], Any], done: Callable[[Any, float], None], failed: Callable[[], None]) -> None:
+        def work() -> None:
+            try:
+                result = job()
+            except RuntimeError:
+                failed()
+            else:
+                done(result, 0.0)
+
+        self.jobs.append(work)
+
+    def encode(self, encoded: Any, ready: Callable[[], None]) -> None:
+        raise AssertionError
+
+
+class Decoding:
+    """A network whose messages such threads decode, and the decoded messages."""
+
+    def __init__(self, network: Network) -> None:
+        self.background = Waiting()
+        self.decoded: list[ReceivedMessage | MessageError] = []
+        self._network = replace(network, background=self.background)
+
+    def take(self, octets: bytes, type_name: str = STRING) -> None:
+        self._network.decode(type_name, octets, self.decoded.append)
+
+    def work(self) -> None:
+        """Have the threads do what they were given, which is one job."""
+        (job,) = self.background.jobs
+        job()
+
+
+@pytest.fixture
+async def decoding(alone: Network) -> Decoding:
+    return Decoding(alone)
+
+
+def octets_of(text: str) -> bytes:
+    return cdr.serialize(REGISTRY, STRING, {"data": text})
+
+
+async def test_a_small_message_is_decoded_at_once(decoding: Decoding) -> None:
+    decoding.take(octets_of("a"))
+    assert decoding.background.jobs == []
+    assert isinstance(decoding.decoded[0], ReceivedMessage)
+    assert MessageTypes(REGISTRY).complete(STRING, decoding.decoded[0]) == {"data": "a"}
+
+
+async def test_a_large_message_is_decoded_and_completed_by_a_thread(decoding: Decoding) -> None:
+    text = "x" * BYTES_AT_ONCE
+    decoding.take(octets_of(text))
+    assert decoding.decoded == []
+    decoding.work()
+    assert isinstance(decoding.decoded[0], ReceivedMessage)
+    assert decoding.decoded[0].completed(STRING) == {"data": text}
+
+
+async def test_of_octets_that_are_no_message_the_reason_is_told(decoding: Decoding) -> None:
+    decoding.take(b"\0\0", "std_msgs/msg/Header")
+    assert isinstance(decoding.decoded[0], MessageError)
+    decoding.take(b"\xff" * (BYTES_AT_ONCE + 1))
+    decoding.work()
+    assert isinstance(decoding.decoded[1], MessageError)
+
+
+async def test_a_thread_that_fails_leaves_a_reason(decoding: Decoding, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError
+
+    monkeypatch.setattr(cdr, "deserialize", fail)
+    decoding.take(b"x" * (BYTES_AT_ONCE + 1))
+    decoding.work()
+    assert isinstance(decoding.decoded[0], MessageError)

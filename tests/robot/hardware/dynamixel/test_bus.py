@@ -3,12 +3,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pytest
-from dynamixel_sdk import INST_READ
+from dynamixel_sdk import INST_READ, INST_REBOOT
 
 from robot.emulator.dynamixel import ACCESS_ERROR, DATA_LIMIT_ERROR, DYNAMIXEL, REBOOT_S
 from robot.errors import NoReply, StartupError
-from robot.hardware.dynamixel.bus import Bus, reboot
-from robot.hardware.dynamixel.packets import packet
+from robot.hardware.dynamixel.family import Bus
+from robot.hardware.dynamixel.packets import instruction_packet, packet
 from robot.hardware.dynamixel.registers import Register, encode
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.bus import write_verified
@@ -39,7 +39,7 @@ def test_a_hardware_error_is_no_error_of_the_instruction(bus: Bus, servos: Stepp
 
 def test_a_rebooted_servo_is_silent_for_a_while_and_forgets(bus: Bus, servos: SteppedDynamixels) -> None:
     bus.write(3, Register.BUS_WATCHDOG, 25)
-    reboot(bus, 3)
+    bus.ask(3, instruction_packet(3, INST_REBOOT), attempts=1)
     with pytest.raises(NoReply):
         bus.ping(3, attempts=1)
     servos.run(REBOOT_S + 0.01)

@@ -13,8 +13,7 @@ from robot.hardware.dynamixel.family import WATCHDOG, Dynamixel
 from robot.hardware.dynamixel.registers import FULL_PWM, TICKS_S_PER_VELOCITY_UNIT, OperatingMode, Register, encode
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import ServoFound
-from robot.hardware.servos.hardware import TELEMETRY_EVERY
-from robot.hardware.servos.register_checks import CYCLES_BETWEEN
+from robot.hardware.servos.hardware import CYCLES_BETWEEN, TELEMETRY_EVERY
 from robot.hardware.servos.servo_map import ServoMap
 from robot.hardware.servos.survey import survey
 from robot.hardware.servos.torque import TORQUE_ON_WITHIN_TICKS, ServoTorque

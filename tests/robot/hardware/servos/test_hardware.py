@@ -14,8 +14,7 @@ from robot.emulator.process import UsbAdapter
 from robot.errors import PortNotFound, StartupError
 from robot.hardware.config import DynamixelConfig, FeetechConfig
 from robot.hardware.interface import StatusFlag, run_to_end
-from robot.hardware.servos.hardware import SerialServos, ServoHardware
-from robot.hardware.servos.register_checks import CYCLES_BETWEEN
+from robot.hardware.servos.hardware import CYCLES_BETWEEN, SerialServos, ServoHardware
 from robot.hardware.servos.tracker import MISSES_UNTIL_SILENT
 from robot.messages import GuardLimits, Mode
 from tests.helpers.servo_families import IDS, Family

@@ -6,7 +6,7 @@ import pytest
 
 from robot.faults import Fault
 from robot.hardware.servos.family import Limit
-from robot.hardware.servos.register_checks import CYCLES_BETWEEN, RegisterChecks
+from robot.hardware.servos.hardware import CYCLES_BETWEEN, RegisterChecks
 from tests.helpers.servo_families import IDS, Family
 
 

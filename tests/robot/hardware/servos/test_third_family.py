@@ -7,8 +7,7 @@ import pytest
 
 from robot.faults import FaultCode
 from robot.hardware.interface import StatusFlag, Survey, run_to_end
-from robot.hardware.servos.hardware import ServoHardware
-from robot.hardware.servos.register_checks import CYCLES_BETWEEN
+from robot.hardware.servos.hardware import CYCLES_BETWEEN, ServoHardware
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION
 from tests.helpers.emulator import SteppedClock

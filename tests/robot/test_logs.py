@@ -125,17 +125,6 @@ def nothing_is_changed_yet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logs, "_changed", {})
 
 
-def test_a_change_holds_here_and_in_children_from_before_and_after() -> None:
-    before, after = Child(), Child()
-    logs.follow(before)
-    changes = [LoggerLevel(NAME, logging.DEBUG), LoggerLevel(NAME, logging.ERROR)]
-    for each in changes:
-        assert logs.change(each)
-    logs.follow(after)
-    assert logging.getLogger(NAME).level == logging.ERROR
-    assert (before.heard, after.heard) == (changes, changes[1:])
-
-
 def test_an_unreferenced_child_is_forgotten() -> None:
     count = len(logs._followers)
     child = Child()
@@ -162,18 +151,6 @@ def test_not_more_loggers_are_changed_than_there_may_be() -> None:
 )
 def test_lines_are_due_in_bursts_and_then_at_a_rate(limiter: LogLimiter, lines: list[tuple[str, float, bool]]) -> None:
     assert [limiter.due(key, now_s) for key, now_s, _ in lines] == [due for _, _, due in lines]
-
-
-def test_suppressed_lines_are_counted_up_to_the_next_due_one() -> None:
-    limiter = LogLimiter(burst=1, lines_per_s=1.0)
-    assert limiter.suppressed("elbow") == 0
-    for now_s in (0.0, 0.1, 0.2):
-        limiter.due("elbow", now_s)
-    assert limiter.suppressed("elbow") == 0
-    assert limiter.due("elbow", 1.5)
-    assert limiter.suppressed("elbow") == 2
-    assert limiter.due("elbow", 2.6)
-    assert limiter.suppressed("elbow") == 0
 
 
 LOG = logging.getLogger("armbridge.test")

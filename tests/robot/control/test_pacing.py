@@ -105,23 +105,21 @@ def test_memory_is_locked_as_it_is_used(monkeypatch: pytest.MonkeyPatch, limit_b
     assert locks.flags == [MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT]
 
 
-def test_under_a_low_limit_memory_is_not_locked_and_the_limit_is_logged(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(
+    ("limit_bytes", "error", "words"),
+    [
+        (8 << 20, 0, "RLIMIT_MEMLOCK is 8388608 bytes"),
+        (resource.RLIM_INFINITY, errno.ENOMEM, "memory is not locked: mlockall: Cannot allocate memory"),
+    ],
+    ids=["a low limit", "refused by the system"],
+)
+def test_memory_that_cannot_be_locked_is_logged_with_the_cause(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, limit_bytes: int, error: int, words: str
 ) -> None:
-    locks = MemoryLocks()
+    locks = MemoryLocks(error)
     monkeypatch.setattr("ctypes.CDLL", locks)
-    monkeypatch.setattr("resource.getrlimit", lambda _: (8 << 20, 8 << 20))
+    monkeypatch.setattr("resource.getrlimit", lambda _: (limit_bytes, limit_bytes))
     with caplog.at_level(logging.INFO):
         assert not lock_memory()
-    assert not locks.flags
-    assert "RLIMIT_MEMLOCK is 8388608 bytes" in caplog.text
-
-
-def test_memory_that_the_system_refuses_to_lock_is_logged(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr("ctypes.CDLL", MemoryLocks(errno.ENOMEM))
-    monkeypatch.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    with caplog.at_level(logging.INFO):
-        assert not lock_memory()
-    assert "memory is not locked: mlockall: Cannot allocate memory" in caplog.text
+    assert bool(locks.flags) is bool(error)
+    assert words in caplog.text

@@ -130,16 +130,21 @@ def positions(dynamixels: SteppedDynamixels) -> list[float]:
     return [servo.plant.position_ticks for servo in dynamixels.servo_bus.servos]
 
 
-def test_a_servo_that_counts_turns_holds_where_it_is(dynamixels: SteppedDynamixels) -> None:
+def test_a_servo_that_counts_turns_holds_where_it_is_and_goes_to_goals_in_its_turns(
+    dynamixels: SteppedDynamixels,
+) -> None:
     dynamixels.servo(3)._turns_ticks += 2 * 4096
     before = positions(dynamixels)
-    goals = enable(DynamixelsInUse(dynamixels).hardware._torque, dynamixels)
+    servos = DynamixelsInUse(dynamixels)
+    goals = enable(servos.hardware._torque, dynamixels)
     dynamixels.run(0.5)
     assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
     assert goals[3] == pytest.approx(CALIBRATION.joints[2].ticks_from_rad(1.1), abs=1)
+    servos.hardware.write_goals(np.array([0.0, 0.0, 1.2, 0.0, 0.0, 0.0]))
+    assert servos.read(0.4).position_rad[2] == pytest.approx(1.2, abs=0.01)
 
 
-def test_the_gripper_is_limited_by_its_current_and_the_rest_by_duty(
+def test_servos_that_hold_have_watchdog_and_profile_and_limits_of_duty_or_for_the_gripper_of_current(
     torque: ServoTorque, dynamixels: SteppedDynamixels
 ) -> None:
     enable(torque, dynamixels)
@@ -147,6 +152,10 @@ def test_the_gripper_is_limited_by_its_current_and_the_rest_by_duty(
     assert modes == [OperatingMode.EXTENDED_POSITION] * 5 + [OperatingMode.CURRENT_BASED_POSITION]
     assert dynamixels.registers(Register.GOAL_PWM) == [round(0.8 * FULL_PWM)] * 5 + [FULL_PWM]
     assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == 735
+    assert dynamixels.registers(Register.BUS_WATCHDOG) == [WATCHDOG] * 6
+    assert min(dynamixels.registers(Register.PROFILE_ACCELERATION)) > 0
+    for servo, velocity in zip(IDS, dynamixels.registers(Register.PROFILE_VELOCITY), strict=True):
+        assert velocity == math.ceil(SERVOS.speed_ticks_s[servo] / TICKS_S_PER_VELOCITY_UNIT)
 
 
 def test_limits_of_the_servo_itself_are_kept(dynamixels: SteppedDynamixels) -> None:
@@ -156,16 +165,6 @@ def test_limits_of_the_servo_itself_are_kept(dynamixels: SteppedDynamixels) -> N
     enable(DynamixelsInUse(dynamixels).hardware._torque, dynamixels)
     assert dynamixels.servo(3).value(Register.GOAL_PWM) == 500
     assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == 600
-
-
-def test_every_servo_that_holds_has_its_profile_and_its_watchdog(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
-    enable(torque, dynamixels)
-    assert dynamixels.registers(Register.BUS_WATCHDOG) == [WATCHDOG] * 6
-    assert min(dynamixels.registers(Register.PROFILE_ACCELERATION)) > 0
-    for servo, velocity in zip(IDS, dynamixels.registers(Register.PROFILE_VELOCITY), strict=True):
-        assert velocity == math.ceil(SERVOS.speed_ticks_s[servo] / TICKS_S_PER_VELOCITY_UNIT)
 
 
 def test_a_firmware_without_watchdog_is_driven_without(dynamixels: SteppedDynamixels) -> None:
@@ -233,23 +232,6 @@ def rig(dynamixels: SteppedDynamixels) -> DynamixelRig:
     made = DynamixelRig(dynamixels, start_enabled=False)
     made.until_mode(Mode.RELAXED)
     return made
-
-
-def test_a_cycle_is_one_block_read_and_one_goal_write(rig: DynamixelRig) -> None:
-    rig.order(Order.ENABLE)
-    arm = rig.supervisor.arm
-    before = arm.hardware.counters.sent
-    for _ in range(CYCLES_BETWEEN):
-        arm.tick()
-    assert arm.hardware.counters.sent - before == CYCLES_BETWEEN * 2 + 1
-
-
-def test_goals_of_a_servo_that_counts_turns_are_in_its_turns(dynamixels: SteppedDynamixels) -> None:
-    dynamixels.servo(3)._turns_ticks += 4096
-    servos = DynamixelsInUse(dynamixels)
-    servos.enable()
-    servos.hardware.write_goals(np.array([0.0, 0.0, 1.2, 0.0, 0.0, 0.0]))
-    assert servos.read(0.4).position_rad[2] == pytest.approx(1.2, abs=0.01)
 
 
 def test_supply_and_temperature_are_read_less_often(servos: DynamixelsInUse) -> None:

@@ -17,8 +17,7 @@ from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Limit, ServoFound
 from robot.hardware.servos.servo_map import ServoMap
 from robot.hardware.servos.survey import survey
-from robot.messages import Mode
-from tests.helpers.arm_rig import BOUNDS, CALIBRATION, ArmRig, run
+from tests.helpers.arm_rig import BOUNDS, CALIBRATION, run
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.feetech import FeetechsInUse
 from tests.helpers.server import read_write_log
@@ -108,18 +107,6 @@ def test_an_arm_is_surveyed_in_few_transactions(bus: Bus) -> None:
 
 
 # Hardware.
-
-
-def test_a_cycle_is_one_block_read_and_one_goal_write(emulator: SteppedEmulator) -> None:
-    rig = ArmRig(emulator)
-    rig.until_mode(Mode.HOLDING)
-    arm = rig.supervisor.arm
-    assert arm is not None
-    before = rig.bus.counters.sent
-    for _ in range(16):
-        arm.tick()
-    # Every sixteenth cycle one servo is read back.
-    assert rig.bus.counters.sent - before == 16 * 2 + 1
 
 
 def test_the_soft_limits_are_narrowed_to_what_the_servos_allow(emulator: SteppedEmulator) -> None:

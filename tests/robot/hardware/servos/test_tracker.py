@@ -160,9 +160,6 @@ def test_a_silent_servo_that_must_be_seen_is_asked_at_once(family: Family, track
     assert 3 in tracker.ids_to_ask()
 
 
-# Feetech alone: all measurements in every reply, and status flags in its error byte.
-
-
 # Dynamixel alone: supply and temperature now and then, turns, and an error register.
 
 

@@ -12,9 +12,10 @@ from robot.errors import StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech
 from robot.hardware.feetech.profiles import LEROBOT, ServoProfile
-from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Limit, ServoFound
+from robot.hardware.servos.hardware import CYCLES_BETWEEN
 from robot.hardware.servos.servo_map import ServoMap
 from robot.hardware.servos.survey import survey
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, run
@@ -135,6 +136,18 @@ def test_goals_are_written_with_acceleration_and_velocity_cap(emulator: SteppedE
     ticks, cap = CALIBRATION.joints[0].ticks_from_rad(0.0), servos.hardware.servos.speed_ticks_s[1]
     block = servos.hardware.bus.sync_read((1,), GOAL_ADDRESS, 7)[1].data
     assert block == goal_block(ticks, int(np.ceil(cap)), 254)
+
+
+def test_torque_limits_that_servos_have_lost_are_written_again(emulator: SteppedEmulator) -> None:
+    servos = FeetechsInUse(emulator)
+    servos.enable()
+    servos.hardware.write_torque_shares(servos.hardware.full_torque)
+    for servo in emulator.servo_bus.servos:
+        servo.write(Register.TORQUE_LIMIT, encode(Register.TORQUE_LIMIT, 200))
+    for _ in range(len(IDS) * len(FAMILY.read_back) * CYCLES_BETWEEN):
+        assert servos.hardware.check(0.0) is None
+    servos.hardware.write_torque_shares(servos.hardware.full_torque)
+    assert [servo.value(Register.TORQUE_LIMIT) for servo in emulator.servo_bus.servos] == [800] * 5 + [500]
 
 
 # Torque.

@@ -1,13 +1,14 @@
-"""JSON files by name in one folder, which several servers may share: taught motions, saved scenes."""
+"""JSON files that several servers may share; with names in one folder: taught motions, saved scenes."""
 
 from __future__ import annotations
 
 import asyncio
+import json
 import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from robot import files
 from server.errors import ServiceError
@@ -24,6 +25,39 @@ TIMEOUT_S = 5.0
 SUFFIX = ".json"
 
 Result = TypeVar("Result")
+
+
+async def in_thread(path: Path, failure: str, work: Callable[[], Result]) -> Result:
+    """Do work that waits for the disk.
+
+    Raises:
+        ServiceError: it failed; its sentence begins with `failure`.
+    """
+    try:
+        return await asyncio.wait_for(asyncio.to_thread(work), TIMEOUT_S)
+    except TimeoutError as error:
+        raise ServiceError(f"{failure} within {TIMEOUT_S:g} s: the disk does not answer") from error
+    except OSError as error:
+        raise ServiceError(f"{failure}: {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise ServiceError(f"{failure}: {error}") from error
+
+
+def read_json(path: Path, max_bytes: int) -> Any:
+    """Return the content of a JSON file.
+
+    Raises:
+        ValueError: it is too large, or no JSON.
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        text = file.read(max_bytes + 1)
+    if len(text) > max_bytes:
+        raise ValueError(f"it has more than {max_bytes} bytes")
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("it nests too deep") from error
 
 
 class NamedFiles:
@@ -52,19 +86,8 @@ class NamedFiles:
         return self._folder / f"{name}{SUFFIX}"
 
     async def in_thread(self, failure: str, work: Callable[[], Result]) -> Result:
-        """Do work that waits for the disk.
-
-        Raises:
-            ServiceError: it failed; its sentence begins with `failure`.
-        """
-        try:
-            return await asyncio.wait_for(asyncio.to_thread(work), TIMEOUT_S)
-        except TimeoutError as error:
-            raise ServiceError(f"{failure} within {TIMEOUT_S:g} s: the disk does not answer") from error
-        except OSError as error:
-            raise ServiceError(f"{failure}: {self._folder}: {error.strerror}") from error
-        except ValueError as error:
-            raise ServiceError(f"{failure}: {error}") from error
+        """Do work that waits for the disk, as :func:`in_thread`."""
+        return await in_thread(self._folder, failure, work)
 
     def names(self) -> list[str]:
         """Return the names of the files, in alphabetical order."""

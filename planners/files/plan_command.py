@@ -123,8 +123,13 @@ class Outcome:
 
     @property
     def expected(self) -> bool:
-        """True when the file accepts the answer."""
-        return self.code in self.file_problem.accept_codes
+        """True when the file accepts the answer, or a saved failure fails again in the same way."""
+        return self.code in self.file_problem.accept_codes or self.failed_as_before
+
+    @property
+    def failed_as_before(self) -> bool:
+        """True when a failure that a server saved has the same error code here."""
+        return self.code == self.file_problem.failed_code
 
 
 def run(options: Options, robot: RobotModel, output: TextIO, errors: TextIO) -> int:
@@ -143,6 +148,8 @@ def run(options: Options, robot: RobotModel, output: TextIO, errors: TextIO) -> 
     wrong = sum(not outcome.expected for outcome in outcomes)
     expecting = "the file expects" if len(options.paths) == 1 else "their files expect"
     output.write(f"{len(outcomes) - wrong} of {len(outcomes)} answered as {expecting}\n")
+    if again := sum(outcome.failed_as_before for outcome in outcomes):
+        output.write(f"{again} of them failed as on the server that saved the problem\n")
     return EXIT_UNEXPECTED if wrong else EXIT_EXPECTED
 
 

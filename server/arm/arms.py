@@ -189,12 +189,12 @@ class ServedArm:
 
 
 # Shares of a period: arms whose states come later than that after the others are not waited for, and in a burst the
-# next state is not told earlier.
+# next state is not published earlier.
 LATE, EARLY = 1.5, 0.5
 
 
 class JoinedBeat:
-    """Beat in which the states of several arms, whose clocks are their own, are told as one.
+    """Beat in which the states of several arms, each with a clock of its own, are passed on as one.
 
     Args:
         period_s: time between two states of an arm [s].
@@ -208,10 +208,10 @@ class JoinedBeat:
         self._told_s = -math.inf
 
     def takes(self, name: str, now_s: float) -> bool:
-        """Return True if the state that an arm has sent is to be told with those of the others.
+        """Return True if the state that an arm has sent is to be passed on with the states of the others.
 
-        It is when each arm has sent one that is not silent, or some are late. A busy machine brings the states of one
-        arm in bursts, which are told once.
+        It is when each arm that is not silent has sent one, or some are late. A busy machine brings the states of one
+        arm in bursts, which are passed on once.
         """
         self._fresh.add(name)
         since_s = now_s - self._told_s
@@ -259,7 +259,7 @@ class Arms:
             self._feed.take_state("", self.whole.arm.state)
 
     def _take_health(self, name: str, health: ArmHealth) -> None:
-        """Pass the report on, and that of all arms with the first arm's, which comes once a second."""
+        """Pass the report on, and the report of all arms with the first arm's, which comes once a second."""
         self._feed.take_health(name, health)
         if not name:
             return

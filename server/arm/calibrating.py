@@ -34,7 +34,7 @@ HOMING_OFFSET = "HOMING_OFFSET"
 
 @dataclass(frozen=True)
 class Recalibrated:
-    """New calibration of the arm, with which the server starts anew.
+    """New calibration of the arm, with which the server starts again.
 
     Attributes:
         arm: name of one of several arms; else empty.
@@ -179,7 +179,7 @@ class CalibrationProcedure:
         if not done.done or calibration is None:
             # Some servos may have it already: it is to be written again, not swept again under other offsets.
             raise OrderRefused(
-                f"the servos did not all take the calibration: {done.message}. Its file was not written; calibrate anew"
+                f"some servos did not take the calibration: {done.message}. Its file was not written; calibrate again"
             )
         try:
             await asyncio.wait_for(
@@ -189,7 +189,7 @@ class CalibrationProcedure:
             reason = str(error) or f"it took more than {WRITING_TIMEOUT_S:g} s"
             raise ProcedureFailed(
                 f"the servos have the new calibration, and {self._file} was not written: {reason}. Make room or name "
-                "another calibration, and calibrate anew"
+                "another calibration, and calibrate again"
             ) from error
         self._session.finish()
 

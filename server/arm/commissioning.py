@@ -142,7 +142,7 @@ class Dialogue:
             )
         if answer not in self.step.answers:
             raise ServiceError(
-                f"answer {answer[:MAX_TOLD]!r} is none of step {step!r}: it takes {', '.join(self.step.answers)}"
+                f"answer {answer[:MAX_TOLD]!r} is no answer of step {step!r}: it takes {', '.join(self.step.answers)}"
             )
         try:
             self._accept(answer)
@@ -154,7 +154,7 @@ class Dialogue:
         """Have the procedure end."""
         if not self._failure.done():
             self._failure.set_exception(ProcedureFailed(reason))
-            # One that ends of itself at the same time does not ask for it.
+            # A procedure that ends of itself at the same time does not ask for it.
             self._failure.exception()
 
 

@@ -54,12 +54,12 @@ class Description:
 
     @classmethod
     def read(cls, settings: ArmSettings) -> Description:
-        """Read the files named in the settings, or those of the built-in arm.
+        """Read the files named in the settings, or the built-in arm's files.
 
         A URDF alone means an ideal arm: only a robot's folder, a serial port or a calibration say that it has servos.
 
         Raises:
-            ConfigurationError: a file that cannot be used, or one that the arm has no use for.
+            ConfigurationError: a file that cannot be used, or that the arm has no use for.
         """
         try:
             alone = settings.robot is None and settings.serial is None and settings.calibration is None

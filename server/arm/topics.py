@@ -88,7 +88,7 @@ class ArmStateTopics:
         """Publish a state when it says something new.
 
         Args:
-            last_stop: stop epoch of the arm's last stop; another one tells every client of the stop.
+            last_stop: stop epoch of the arm's last stop; a new one is published for every client.
         """
         told = state.mode, state.reason, state.fault, state.pace, last_stop
         if told != self._told:
@@ -144,7 +144,7 @@ def status(state: ArmState, robot_name: str) -> dict[str, Any]:
 
 
 def joint_limits(robot: RobotModel, ranges_rad: dict[str, tuple[float, float]]) -> dict[str, Any]:
-    """The moveit_msgs/KinematicSolverInfo with the limits of joints, the type that holds those of several joints.
+    """The moveit_msgs/KinematicSolverInfo with the limits of joints, the type that holds limits of several joints.
 
     Args:
         robot: gives velocity and acceleration [rad/s, rad/s^2].

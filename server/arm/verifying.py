@@ -129,7 +129,7 @@ class VerificationProcedure:
             raise ProcedureFailed(f"the arm cannot be switched on: {done.message}")
 
     async def _reach(self, dialogue: Dialogue, pose: VerificationPose) -> None:
-        """Move to the first candidate that can be reached; one that is refused moves nothing."""
+        """Move to the first candidate that can be reached; a refused candidate moves nothing."""
         dialogue.tell(f"moving to {pose.name}", "The arm moves slowly: keep hands off.")
         reasons: list[str] = []
         for candidate in pose.candidates:

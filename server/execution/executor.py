@@ -202,7 +202,7 @@ class GoalExecutor:
         for _ in range(request.attempts - 1):
             if goal.reason or answer.code not in REPLANNED:
                 break
-            goal.report(Progress(GoalState.PLANNING, f"planning anew: {answer.message}"))
+            goal.report(Progress(GoalState.PLANNING, f"planning again: {answer.message}"))
             await goal.unless_cancelled(asyncio.sleep(request.delay_s))
             answer = await _answered(self._attempt(goal, request))
         return answer
@@ -214,7 +214,7 @@ class GoalExecutor:
             return None
         if len(request.steps) != 1 or request.scene is not None or request.confirm:
             return None
-        # Whether a motion may touch another in progress cannot be told in time.
+        # There is no time to check contacts with another motion in progress.
         if self._in_progress.beside(request.joints):
             return None
         point, scene = outgoing.splice_point, self._scene.scene
@@ -291,7 +291,7 @@ class GoalExecutor:
             raise RefusedError(PlanningFailure(MoveItErrorCode.CONTROL_FAILED, message))
 
     async def _plan(self, goal: Goal, request: PlannedMotion) -> PlannedSequence:
-        """Plan from where the arm holds, and anew when it was moved meanwhile.
+        """Plan from where the arm holds, and again when it was moved meanwhile.
 
         Other groups may be moving: they are planned for at the end of their motions.
         """
@@ -386,7 +386,7 @@ class GoalExecutor:
             question = meeting_question(motion, other, self._expected_rad(frozenset(motion.joint_names)))
             answer = await self._pool.ask(question, self._scene.scene)
             if isinstance(answer, PlanningFailure):
-                message = f"whether the motion is free of {other.title} cannot be told: {answer.message}"
+                message = f"contact with {other.title} cannot be checked: {answer.message}"
                 failure = PlanningFailure(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, answer.details)
                 raise RefusedError(failure)
             if answer.contact is not None:
@@ -411,8 +411,8 @@ class GoalExecutor:
         """Return the positions that the arm holds, not those it droops to: a motion then starts without a step."""
         held_rad = self._current.positions_rad()
         if held_rad is None:
-            # This arm is connected by now: it is another one that is not.
-            message = "where the joints of another arm are is not known: it was not connected yet"
+            # This arm is connected by now: another arm is not.
+            message = "joint positions of another arm unknown: it was not connected yet"
             raise RefusedError(PlanningFailure(MoveItErrorCode.ROBOT_STATE_STALE, message))
         return held_rad
 

@@ -1,4 +1,4 @@
-"""Goals that cannot be planned: files for ``armbridge plan``, and the nearest ones that can."""
+"""Goals that cannot be planned: files for ``armbridge plan``, and the nearest goals that can be planned."""
 
 from __future__ import annotations
 

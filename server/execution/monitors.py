@@ -161,7 +161,7 @@ class SceneMonitor:
                 break
         self._checked_version = scene.version
         if isinstance(answer, PlanningFailure):
-            message = f"whether the motion is free cannot be told: {answer.message}"
+            message = f"the motion cannot be checked for contacts: {answer.message}"
             raise RefusedError(PlanningFailure(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, answer.details))
         if answer.contact is not None:
             raise RefusedError(answer.contact)

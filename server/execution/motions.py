@@ -249,7 +249,7 @@ def splice_point_of(
     """Return the point at which a motion can be replaced; None if it is paused, reverses or ends soon.
 
     Args:
-        progress: its progress by the arm's latest state; None for one that is not in progress.
+        progress: its progress by the arm's latest state; None where it is not in progress.
         age_s: time since the state came [s].
     """
     if progress is None or pace.direction is not PlaybackDirection.FORWARD:
@@ -315,7 +315,7 @@ def _too_far(motion: Trajectory, held: np.ndarray, worst: int, robot: RobotModel
         PlanningFailure(
             MoveItErrorCode.CONTROL_FAILED,
             f"the motion starts with joint {name} at {start_rad:.4f} {unit}, but the arm holds it at {held_rad:.4f}"
-            f" {unit} (tolerance {START_TOLERANCE_RAD} {unit}): plan it anew from here",
+            f" {unit} (tolerance {START_TOLERANCE_RAD} {unit}): plan it again from here",
             {"joint": name, "start_rad": start_rad, "held_rad": held_rad, "tolerance_rad": START_TOLERANCE_RAD},
         )
     )

@@ -27,7 +27,7 @@ class MotionInProgress:
 
 
 class MotionsInProgress:
-    """Motions of all goals, by which the motions of some joints are planned around those of others.
+    """Motions of all goals, by which motions of some joints are planned around motions of others.
 
     Attributes:
         turn: held by the goal that is being planned, so that the next one knows where its motions end.

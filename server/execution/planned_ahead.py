@@ -32,7 +32,7 @@ class PlannedAhead:
 
     def __init__(self, pool: Planners) -> None:
         self._pool = pool
-        # Goal, end of the motion before it, and version of the scene; None to begin anew.
+        # Goal, end of the motion before it, and version of the scene; None to begin again.
         self._made_for: tuple[Motion, Positions, int] | None = None
         self._problem: PlanningProblem | None = None
         self._scene_version = 0
@@ -88,13 +88,13 @@ class PlannedAhead:
                 # The planners had something else to plan: the next report of the motion in progress tries again.
                 self._made_for = None
         except RefusedError:
-            # It is told in the goal's turn, if it is still true then.
+            # The goal is refused in its turn, if the reason still holds then.
             pass
         except Exception:  # a bug must cost this plan only
             log.exception("planning ahead failed")
 
     async def _shortened(self, plan: Plan, problem: PlanningProblem, scene: Scene, until_s: float) -> Plan:
-        """Return the shorter of a plan and one that more time was spent on; the latter is given up in time."""
+        """Return the shorter of a plan and another that more time was spent on; the latter is given up in time."""
         optimization_s = min(LONGEST_OPTIMIZATION_S, OPTIMIZATION_SHARE * (until_s - time.monotonic()))
         if optimization_s <= problem.optimization_time_s or not _may_be_shortened(plan, problem):
             return plan

@@ -56,7 +56,7 @@ class CheckedMotion:
 
         Args:
             from_s: time of it from which on [s].
-            positions_rad: of the joints, of which those of the motion do not count [rad].
+            positions_rad: of the joints; the positions of the motion's joints do not count [rad].
         """
         moving = self.trajectory.joint_names
         others_rad = {name: value for name, value in positions_rad.items() if name not in moving}
@@ -203,7 +203,7 @@ class Player:
         progress = None if self._just_begun else self._arm.progress(ended)
         point = splice_point_of(motion.trajectory, progress, self._arm.state.pace, self._arm.state_age_s)
         self.outgoing = OutgoingMotion(motion, ended, point, self._clock() + HORIZON_S - SENDING_S)
-        # Braked then, whatever becomes of the other motion; one that has been replaced by then is not concerned.
+        # Braked then, whatever becomes of the other motion; a motion that was replaced by then goes on.
         asyncio.get_running_loop().call_later(HORIZON_S, self._arm.stop, ended)
         return Answer(MoveItErrorCode.PREEMPTED, goal.reason)
 
@@ -218,7 +218,7 @@ class Player:
 def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:
     """Return a sentence that names the joint, of some, that is farthest from its goal."""
     if state.goal_rad is None or state.position_rad is None:
-        return "where its joints are is not known"
+        return "its joint positions are unknown"
     error_rad = np.abs(state.goal_rad - state.position_rad)
     lags = {name: float(error_rad[state.joint_names.index(name)]) for name in joints}
     worst = max(lags, key=lambda name: lags[name])

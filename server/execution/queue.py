@@ -155,7 +155,7 @@ class GoalQueue:
             on_progress: called with its progress, besides the queue's own.
             on_answer: called once, likewise, perhaps before this returns.
             client: its client, who is named to those who wait for the goal's end; None when it is unknown.
-            epoch: stop epoch in which it was requested; None for that of the request in progress.
+            epoch: stop epoch in which it was requested; None for the epoch of the request in progress.
         """
         name = "" if client is None else str(client)
         epoch = arrival_epoch() if epoch is None else epoch

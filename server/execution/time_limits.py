@@ -48,7 +48,7 @@ class ArmClock:
     """Stopwatch on the arm's clock, which runs no faster than this machine's.
 
     A busy machine slows a simulated arm's clock down. A server that stood still itself receives all the arm's time at
-    once, also the time before the arm was told to do something.
+    once, also the time before the arm got its order.
     """
 
     def __init__(self, arm: AnyArm, clock: Callable[[], float] = time.monotonic) -> None:

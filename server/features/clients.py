@@ -1,4 +1,4 @@
-"""Clients of the server: the ports that they connect to, and what the server tells them about itself."""
+"""Clients of the server: the ports that they connect to, and the tokens for them."""
 
 from __future__ import annotations
 

@@ -19,7 +19,6 @@ from server.moveit.actions.goal_calls import GoalCalls
 from server.moveit.actions.gripper import ACTIONS as GRIPPER_ACTIONS
 from server.moveit.actions.gripper import GripperActions
 from server.moveit.actions.joint_trajectory_controller import (
-    ControllerStatePublisher,
     JointTrajectoryController,
     TrajectoryContext,
 )
@@ -147,7 +146,7 @@ class ArmGoals(Feature):
 
 
 class _GoalsOfArm:
-    """Goals of one arm; those of several arms are published by the names of each arm that they move as well."""
+    """Goals of one arm; goals of several arms are published by the names of each arm that they move as well."""
 
     def __init__(self, arm: ArmContext) -> None:
         graph, goals, planning = arm.graph, arm.goals, arm.planning
@@ -157,7 +156,7 @@ class _GoalsOfArm:
         GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
         default = planning_group(planning.robot, "", arm.parameters).name
         trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)
-        self._controllers, self._controller_states = [], []
+        self._controllers = []
         for group in arm.robot.groups.values():
             name = group.name.removeprefix(arm.served.prefix)
             self._controllers.append(
@@ -165,7 +164,6 @@ class _GoalsOfArm:
                     graph, group, arm.served.arm, trajectories, name, industrial=group.name == default
                 )
             )
-            self._controller_states.append(ControllerStatePublisher(graph, group, name))
         if arm.gripper is not None:
             GripperActions(graph, arm.gripper)
         names = [name for each in self._controllers for name in each.actions]
@@ -175,8 +173,6 @@ class _GoalsOfArm:
     def take_state(self, state: ArmState) -> None:
         for controller in self._controllers:
             controller.take_state(state)
-        for publisher in self._controller_states:
-            publisher.take_state(state)
 
     def on_progress(self, goal: Goal, progress: Progress) -> None:
         if self._is_here(goal):
@@ -233,7 +229,7 @@ class Servo(Feature):
 
 
 def slow_to_brake(robot: RobotModel) -> dict[str, float]:
-    """Return the joints of which steering counts on more braking than they have, with their times to brake [s]."""
+    """Return the joints that brake more slowly than steering expects, with their times to brake [s]."""
     brakes_s = {joint.name: joint.max_velocity / joint.max_acceleration for joint in robot.movable_joints}
     return {name: time_s for name, time_s in brakes_s.items() if time_s > BRAKES_WITHIN_S}
 

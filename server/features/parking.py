@@ -223,7 +223,7 @@ class Parking:
         plan = await self._pool.ask(bounded, self._scene.scene)
         if place.version != self._scene.scene.version:
             return
-        # Of one that failed as well: it is not tried again before something has changed.
+        # Also after a failure: the way is not planned again before something has changed.
         self._place = place
         if not isinstance(plan, Plan):
             log.warning(

@@ -37,7 +37,7 @@ class Recording(Feature):
             self.recorder.start()
 
     async def stop(self) -> None:
-        """Write the last messages, also those of the stop."""
+        """Write the last messages, also the messages of the stop."""
         if self.recorder is not None:
             await self.recorder.close()
 

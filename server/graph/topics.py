@@ -74,7 +74,8 @@ class Subscriber:
     """Subscription of a node to a topic.
 
     Attributes:
-        deliver: called with every message, at once and in order.
+        deliver: called with every message, at once and in order. It raises GraphError for a message that the server
+            refuses: the other subscribers get it, and the publisher gets the sentence.
         refused: called with the error when somebody publishes what the topic's type does not allow.
         turned_away: called with a message, empty when it cannot be read, whose sender may not publish it, with the
             sender, and with a sentence that says why.
@@ -300,7 +301,8 @@ class Graph:
             A sentence about a message that could not be latched: it is delivered, and lost to who subscribes later.
 
         Raises:
-            GraphError: nobody has said what type the topic has, or the client publishes on too many.
+            GraphError: nobody has said what type the topic has, the client publishes on too many, or a subscriber
+                refuses the message.
             MessageError: the message does not fit the type; the topic's local subscribers get the error as well.
         """
         topic = self._topic(name)
@@ -355,8 +357,14 @@ class Graph:
         published.sequence_number = topic.published_count
         for watch in self._watchers:
             watch(published, topic.keeps(node))
+        refusal: GraphError | None = None
         for subscriber in tuple(topic.subscribers.values()):
-            subscriber.deliver(published)
+            try:
+                subscriber.deliver(published)
+            except GraphError as error:
+                refusal = error
+        if refusal is not None:
+            raise refusal
         # Afterwards, when it is known how large the message is.
         if topic.latching and topic.keeps(node):
             return self._latch(published, node if node.remote else None)

@@ -10,7 +10,6 @@ from protocol.messages import Stamp
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.messages import ArmState
-from robot.trajectory import Trajectory
 from server.execution.monitors import state_message
 from server.execution.motions import Performed
 from server.graph.node import Node
@@ -55,13 +54,10 @@ class DisplayTopics:
         self._graph.advertise(self._node, PIPELINE_TOPIC, "moveit_msgs/PipelineState")
 
     def performed(self, performed: Performed) -> None:
-        """Show motions that are about to be executed."""
-        self.planned(performed.planned, performed.start_rad)
-
-    def planned(self, motions: Sequence[Trajectory], start_rad: Mapping[str, float]) -> None:
-        """Show planned motions, one after the other."""
+        """Show motions that are about to be executed, one after the other."""
         root = self._robot.root_link
-        self.trajectories([to_message(motion, root) for motion in motions], state_message(dict(start_rad), root, 0.0))
+        start = state_message(dict(performed.start_rad), root, 0.0)
+        self.trajectories([to_message(motion, root) for motion in performed.planned], start)
 
     def trajectories(self, trajectories: Sequence[Message], start: Message) -> None:
         """Show planned motions, one after the other, that are written already.
@@ -81,15 +77,14 @@ class DisplayTopics:
 
     def contacts_of(self, details: Mapping[str, Any]) -> None:
         """Show the contacts in the details of a failure; do nothing when there are none."""
-        pairs = details.get("pairs")
-        if pairs:
-            self.contacts(pairs)
+        if details.get("pairs"):
+            self.contacts(details["pairs"])
 
     def contacts(self, pairs: Sequence[Mapping[str, Any]]) -> None:
-        """Show contacts in place of those before, `MAX_CONTACTS` of them.
+        """Show contacts in place of the contacts before, `MAX_CONTACTS` of them.
 
         Args:
-            pairs: as in the details of a failure: ``first``, ``second``, ``depth_m``, ``point_m``.
+            pairs: each with ``first``, ``second``, ``depth_m``, ``point_m``.
         """
         header = {"stamp": Stamp(0, 0).as_message(), "frame_id": self._robot.root_link}
         clear = {"header": header, "ns": "", "action": DELETE_ALL}
@@ -114,7 +109,7 @@ def _marker(header: Mapping[str, Any], index: int, pair: Mapping[str, Any]) -> d
 
 
 class TransformsTopics:
-    """Transforms of the arm: those of movable joints with the joint states, the others once.
+    """Transforms of the arm: transforms of movable joints with the joint states, the others once.
 
     Args:
         rate_hz: limit of the rate of those that move [Hz].

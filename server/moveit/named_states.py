@@ -1,6 +1,6 @@
 """Named states of the SRDF and of users: their store, their file, and MoveIt's warehouse services.
 
-Names and types of the services are those of moveit_ros_warehouse's node warehouse_services.
+The services have the names and types of moveit_ros_warehouse's node warehouse_services.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, Rule
 from server.graph.services import Answered, ServiceFunction
 from server.graph.topics import Graph
+from server.named_files import in_thread, read_json
 
 log = logging.getLogger("armbridge.named_states")
 
@@ -38,11 +39,8 @@ MAX_NAME_LENGTH = 100
 # Names less alike than this are no slips.
 MIN_SIMILARITY = 0.6
 
-# A thousand states of a large robot; what comes after it in the file makes it invalid JSON.
+# A thousand states of a large robot.
 MAX_FILE_BYTES = 10_000_000
-
-# A memory card that takes longer is at its end; another process has the file's lock for files.LOCK_TIMEOUT_S at most.
-WRITING_TIMEOUT_S = 5.0
 
 NAMED_STATES_TOPIC = "/named_states"
 
@@ -101,7 +99,7 @@ class NamedStates:
         return sorted(self._of(group))
 
     def select_group(self, group: str) -> None:
-        """Have the states of the SRDF be those of a planning group."""
+        """Choose the planning group whose states of the SRDF count."""
         self._described = self._states_of_groups.get(group, {})
         self._changed()
 
@@ -197,7 +195,7 @@ class NamedStates:
             listener()
 
     def _usable(self, states: Mapping[str, Positions]) -> dict[str, Positions]:
-        """Return the states of this arm: a file may have those of another arm of the same name."""
+        """Return the states of this arm: a file may have states of another arm of the same name."""
         usable: dict[str, Positions] = {}
         for name, positions_rad in states.items():
             with contextlib.suppress(ServiceError):
@@ -266,7 +264,7 @@ class NamedStatesFile:
             return self._read()
         except OSError as error:
             log.warning("saved states cannot be read from %s: %s", self._path, error)
-        except ValidationError:
+        except ValueError:
             # Read once more under the lock: another server may have put a good file in its place.
             try:
                 with files.locked(self._path):
@@ -286,14 +284,7 @@ class NamedStatesFile:
         Raises:
             ServiceError: the states cannot be changed so, the file cannot be written, or another process has it.
         """
-        try:
-            return await asyncio.wait_for(asyncio.to_thread(self._change, change), WRITING_TIMEOUT_S)
-        except TimeoutError as error:
-            raise ServiceError(f"{self._path} was not written within {WRITING_TIMEOUT_S:g} s") from error
-        except files.FileLockedError as error:
-            raise ServiceError(f"the state cannot be kept: {self._path} {error.strerror}") from error
-        except OSError as error:
-            raise ServiceError(f"the state cannot be kept in {self._path}: {error.strerror}") from error
+        return await in_thread(self._path, "the state cannot be kept", lambda: self._change(change))
 
     def _change(self, change: Change) -> States:
         with files.locked(self._path):
@@ -303,19 +294,19 @@ class NamedStatesFile:
 
     def _read(self) -> States:
         try:
-            with self._path.open("rb") as file:
-                text = file.read(MAX_FILE_BYTES)
+            return _Content.model_validate(read_json(self._path, MAX_FILE_BYTES)).states
         except FileNotFoundError:
             return {}
-        return _Content.model_validate_json(text).states
 
     def _read_or_set_aside(self) -> States:
         """Read the states; rename an invalid file, whose lock is held."""
         try:
             return self._read()
-        except ValidationError as error:
-            first = error.errors()[0]
-            reason = ": ".join((*(str(part) for part in first["loc"]), first["msg"]))
+        except ValueError as error:
+            reason: object = error
+            if isinstance(error, ValidationError):
+                first = error.errors()[0]
+                reason = ": ".join((*(str(part) for part in first["loc"]), first["msg"]))
             aside = files.set_aside(self._path)
             log.warning("saved states in %s cannot be used: %s; the file is now %s", self._path, reason, aside)
             return {}
@@ -375,7 +366,7 @@ class NamedStatesServices:
             raise ServiceError(f"state.joint_state: {len(names)} names and {len(positions)} positions")
         positions_rad: Positions | None = dict(zip(names, positions, strict=True)) or self._current.positions_rad()
         if positions_rad is None:
-            raise ServiceError("state: has no joints, and where the arm is is not known")
+            raise ServiceError("state: has no joints, and joint positions unknown: the arm is not connected")
         await self._states.save(request["name"], positions_rad)
         return {"success": True}
 

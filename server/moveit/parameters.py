@@ -135,7 +135,7 @@ class MoveItParameters(SettingsSection):
     kinematics_solver_timeout: float = Field(default=0.5, ge=0.001, le=MAX_KINEMATICS_TIMEOUT_S)
     """time for an inverse kinematics whose caller names none [s]."""
     publish_planning_scene_hz: float = Field(default=4.0, ge=0.1, le=50.0)
-    """rate of ``/monitored_planning_scene``; changes that come faster are told together [Hz]."""
+    """rate of ``/monitored_planning_scene``; changes that come faster are published together [Hz]."""
     geometry_directory: Path | None = None
     """where the services that save and load the scene's geometry have their files; None for nowhere."""
     servo: ServoParameters = ServoParameters()
@@ -152,7 +152,7 @@ class MoveItParameters(SettingsSection):
 class PlannerParameters:
     """Parameters of planners, kept in memory by planning group and planner.
 
-    Keys other than `KNOWN_KEYS`, such as those of OMPL's planners, are kept and returned, and have no effect.
+    Keys other than `KNOWN_KEYS`, such as the keys of OMPL's planners, are kept and returned, and have no effect.
     """
 
     def __init__(self, configured: MoveItParameters) -> None:

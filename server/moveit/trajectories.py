@@ -16,16 +16,25 @@ from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError
 from server.execution.motions import ExternalTrajectory, Positions
-from server.moveit.durations import NANOSECONDS_PER_S
-from server.moveit.error_codes import refused
+from server.moveit.error_codes import invalid, refused
 from server.moveit.poses import Message
 
-# Scripts that join motions repeat the end of one as the start of the next, equal but for rounding.
+NANOSECONDS_PER_S = 1_000_000_000
+
+# Scripts that join motions repeat the end of one as the start of the next, equal within rounding.
 SAME_TIME_S = 1e-6
 SAME_POSITION_RAD = 1e-4
 
 # A hundred seconds at 100 Hz, ten minutes at 16 Hz. They are read and checked in 20 ms.
 MAX_POINTS = 10_000
+
+
+def read_seconds(message: Message, where: str) -> float:
+    """Read a builtin_interfaces/Duration or Time [s]."""
+    nanosec: int = message["nanosec"]
+    if nanosec >= NANOSECONDS_PER_S:
+        raise invalid(f"{where}.nanosec must be below {NANOSECONDS_PER_S}, not {nanosec}", field=f"{where}.nanosec")
+    return float(message["sec"]) + nanosec / NANOSECONDS_PER_S
 
 
 def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]:
@@ -211,7 +220,7 @@ def _check_times(time_s: Vector, kept: Vector) -> None:
     if late.size:
         before, index = (int(each) for each in kept[late[0] : late[0] + 2])
         raise _invalid(
-            f"points[{index}].time_from_start, {time_s[index]:g} s, must be after that of the point before,"
+            f"points[{index}].time_from_start, {time_s[index]:g} s, must be after the time of the point before,"
             f" {time_s[before]:g} s",
             index=index,
         )

@@ -17,7 +17,7 @@ MAX_RATE_HZ = 100.0
 class TeachingRecorder:
     """Recording of some joints: of the arm's measured positions while it is relaxed, else of its commanded ones.
 
-    Time is that of the control loop, which a simulated arm on a busy machine does not outrun.
+    Time is the control loop's, which a simulated arm on a busy machine does not outrun.
     """
 
     def __init__(self, name: str, joint_names: tuple[str, ...]) -> None:
@@ -48,7 +48,7 @@ class TeachingRecorder:
         if state.mode is Mode.DISCONNECTED or state.position_rad is None:
             return f"the arm is not connected: {state.reason}" if state.reason else "the arm is not connected"
         if self._time_s and state.clock_s < self._time_s[-1]:
-            return "the arm was started anew"
+            return "the arm was started again"
         if self._time_s and state.clock_s - self._time_s[-1] < 0.5 / MAX_RATE_HZ:
             return ""
         if self._time_s and state.clock_s - self._time_s[0] > MAX_DURATION_S:
@@ -60,7 +60,7 @@ class TeachingRecorder:
 
 
 def joints_to_teach(robot: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the joints that are recorded: those of a group, without a name those of the default one and the gripper.
+    """Return the joints to record: a group's joints; without a name the default group's and the gripper's.
 
     Raises:
         ServiceError: there is no such group.

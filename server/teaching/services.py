@@ -77,10 +77,10 @@ class Teaching:
         self._closing = False
         self._shown_at_s = 0.0
         self._told = f"nothing is recorded: {BEGIN} begins"
-        # The recording that is being made a motion, whoever waits for it.
+        # The recording that is being made a motion.
         self._finishing: asyncio.Task[dict[str, Any]] | None = None
         self._graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/TeachState", latch=True)
-        # To record moves nothing; the client that teaches is one that may also drive.
+        # To record moves nothing; a client that teaches may also drive.
         self._offer(BEGIN, "armbridge_msgs/srv/BeginTeaching", self._begin, WORKING)
         self._offer(END, "armbridge_msgs/srv/EndTeaching", self._end, WORKING)
         self._offer(DISCARD, "std_srvs/srv/Trigger", self._discard, WORKING)
@@ -253,10 +253,10 @@ class Teaching:
             return "it was not checked: the server is ending"
         held_rad = self._current.positions_rad()
         if held_rad is None:
-            return "it was not checked: where the arm is is not known"
+            return "it was not checked: joint positions unknown: the arm is not connected"
         answer = await self._pool.ask(motion.problem(held_rad, speed, CHECK_TIME_S), self._scene.scene)
         if isinstance(answer, PlanningFailure):
-            return f"it cannot be replayed as it is: {answer.message}"
+            return f"it cannot be replayed: {answer.message}"
         return answer
 
     # Messages.

@@ -23,7 +23,7 @@ from server.moveit.trajectories import MAX_POINTS, read_joint_trajectory
 # A joint that has moved by less rests: a hand trembles, and gears have play.
 REST_RAD = 0.01
 
-# What is kept of the rest before and after a motion.
+# Rest that is kept before and after a motion.
 KEPT_REST_S = 0.2
 
 # As long as the longest motion that is played unless goals.max_trajectory_duration_s says otherwise.
@@ -47,7 +47,7 @@ SMOOTHINGS = ((0.4, 0.1), (0.2, 0.1), (0.1, 0.04), (0.06, 0.04), (0.04, 0.02), (
 # Time over which one window goes over into another [s].
 BLEND_S = 0.2
 
-# The recording is brought to this rate before it is averaged: that of the arm's states.
+# The recording is brought to the rate of the arm's states before it is averaged.
 GRID_S = 0.02
 
 # Digits of times and positions in files and messages: microseconds, and a thousandth of a servo's tick.
@@ -221,7 +221,7 @@ def smoothed(
 
 
 def _average(column: Vector, half: int) -> Vector:
-    """Return the mean of each value with so many on both sides; the ends go on as they end."""
+    """Return the mean of each value with `half` values on both sides; the ends go on as they end."""
     padded = np.pad(column, half, mode="edge")
     sums = np.concatenate(([0.0], np.cumsum(padded)))
     width = 2 * half + 1

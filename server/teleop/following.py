@@ -160,7 +160,7 @@ class TrackingLimits:
 def tracking_velocity(error_rad: float, leader_rad_s: float, limits: TrackingLimits, latency_s: float) -> float:
     """Return the velocity with which a joint follows [rad/s].
 
-    It is that of the leader and a part that closes the error, never faster than the joint can brake within it.
+    It is the leader's velocity and a part that closes the error, never faster than the joint can brake within it.
 
     Args:
         error_rad: from the joint's goal to its target [rad].

@@ -1,4 +1,4 @@
-"""Map of a leader's joints to those of its follower: by name, scaled and mirrored."""
+"""Map of a leader's joints to its follower's joints: by name, scaled and mirrored."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class JointMap:
     links: tuple[JointLink, ...]
 
     def targets_rad(self, leader_rad: Positions) -> dict[str, float]:
-        """Return the position of each following joint within its limits [rad]; one that is not known is left out.
+        """Return the position of each following joint within its limits [rad]; an unknown position is left out.
 
         Args:
             leader_rad: positions of the leader's joints [rad].
@@ -79,7 +79,7 @@ def joint_map(
     mirror: bool = False,
     pairs: tuple[Sequence[str], Sequence[str]] = ((), ()),
 ) -> JointMap:
-    """Map a leader's joints to those of a follower.
+    """Map a leader's joints to a follower's joints.
 
     Args:
         prefix: with which names of its joints begin; they may be given without.
@@ -109,7 +109,7 @@ def joint_map(
         leaders = followers = [name for name in own if name in led]
         if not leaders:
             raise ServiceError(
-                f"leader: has none of the follower's joints {', '.join(own)}, but {', '.join(led)}: "
+                f"leader: has no joint of the follower's {', '.join(own)}, but {', '.join(led)}: "
                 "name pairs by leader_joints and follower_joints"
             )
     turned = mirrored_joints(robot) if mirror else frozenset()

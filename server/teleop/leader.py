@@ -58,7 +58,7 @@ class LeaderPose:
 
 
 class JitterBuffer:
-    """Samples of the last moments, told with the delay that their jitter asks for.
+    """Samples of the last moments, with the delay that their jitter asks for.
 
     The clock of a leader elsewhere has any offset to this one; the offset is taken from the samples that came fastest.
 
@@ -77,7 +77,7 @@ class JitterBuffer:
         self._jump = ""
 
     def add(self, sample: LeaderSample, now_s: float) -> None:
-        """Take a sample; one that is not newer than the last is dropped, unless the leader's clock was set back."""
+        """Take a sample; an older one than the last is dropped, unless the leader's clock was set back."""
         last = self._samples[-1] if self._samples else None
         if last is not None:
             if last.stamp_s - SET_BACK_S < sample.stamp_s <= last.stamp_s:

@@ -245,7 +245,7 @@ class FollowingSession:
             return
 
         def take(answer: asyncio.Future[Answer]) -> None:
-            # A ramp that was given up tells nothing on the one after it.
+            # The end of a ramp that was given up does not count for the next ramp.
             if self._ramp is ramp:
                 self._ramp = None
                 reached = answer.result().code is MoveItErrorCode.SUCCESS

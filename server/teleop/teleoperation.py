@@ -102,7 +102,7 @@ class Leader:
             )
 
     def take_message(self, published: PublishedMessage) -> None:
-        """Take a message of the topic; while one client sends, those of others are not followed."""
+        """Take a message of the topic; while one client sends, messages of others are not followed."""
         now_s = self._clock()
         if published.publisher is not self._publisher and self.samples.age_s(now_s) <= STALE_S:
             self.complain(f"{published.publisher} publishes as well, and is not followed")
@@ -119,7 +119,7 @@ class Leader:
         self._take(sample)
 
     def complain(self, text: str) -> None:
-        """Log what is wrong with the topic, once in `LOGGED_AGAIN_S`."""
+        """Log a fault of the topic, once in `LOGGED_AGAIN_S`."""
         now_s = self._clock()
         if now_s - self._logged_at_s > LOGGED_AGAIN_S:
             self._logged_at_s = now_s
@@ -233,7 +233,7 @@ class Teleoperation:
                 f"leader: must be an arm that leads ({known}) or a topic that begins with /, not {name[:80]!r}"
             )
         if name.startswith("/") and self._own_topic(name):
-            raise ServiceError(f"leader: must not be {name}, which tells where this server's arms are")
+            raise ServiceError(f"leader: must not be {name}, which has the positions of this server's arms")
         leader = Leader(name, self._watched(follower, name), self._clock)
         following = self._followings[follower.name] = _Following(leader, Node(f"teleop of {follower.name}"))
         try:
@@ -418,6 +418,6 @@ def _and(names: Collection[str]) -> str:
 
 
 def _verb(names: Collection[str], verb: str) -> str:
-    """Return a verb as it is with so many followers."""
+    """Return a verb in the number of the followers."""
     one = f"{verb}es" if verb.endswith("o") else f"{verb}s"
     return one if len(names) == 1 else verb

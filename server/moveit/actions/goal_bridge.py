@@ -48,7 +48,7 @@ def submit_goal(
 
 
 def cancel_with_goal(goal: Goal, cancel: Callable[[str], None]) -> None:
-    """Cancel what is done for a goal when a client asks for it, and when the goal ends in any other way.
+    """Cancel the work for a goal when a client asks for it, and when the goal ends in any other way.
 
     A goal may end before its motion: its time is over, or a part of the server has failed.
     """

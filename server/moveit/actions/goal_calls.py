@@ -139,7 +139,7 @@ class GoalCalls:
     # Both.
 
     def _read(self, request: Message, end: Callable[[Mapping[str, Any]], None]) -> ReadGoal | None:
-        """Read a request; end one that cannot be carried out, and return None."""
+        """Read a request; end a request that cannot be carried out, and return None."""
         message: Message = {}
         try:
             message, translate = self._goal_of(request)

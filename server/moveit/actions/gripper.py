@@ -282,7 +282,7 @@ class GripperCommandMessages:
     """Messages of control_msgs/action/GripperCommand.
 
     The position of a gripper with two sliding fingers is the gap between them, the sum of the joints' positions, as
-    for Fetch's driver; otherwise it is that of each joint.
+    for Fetch's driver; otherwise it is the position of each joint.
     """
 
     type_name = "control_msgs/action/GripperCommand"

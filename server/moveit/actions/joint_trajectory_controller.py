@@ -21,7 +21,7 @@ from robot.arm_group import AnyArm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Vector
-from server.errors import RefusedError
+from server.errors import GraphError, RefusedError
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import Positions
 from server.execution.queue import GoalPolicy, GoalQueue
@@ -32,12 +32,11 @@ from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.graph.topics import Subscriber
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
-from server.moveit.durations import read_seconds
 from server.moveit.error_codes import refused
 from server.moveit.poses import Message
 from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.trajectories import check_speed, external_motion, external_trajectory
+from server.moveit.trajectories import check_speed, external_motion, external_trajectory, read_seconds
 
 log = logging.getLogger("armbridge.actions")
 
@@ -102,10 +101,10 @@ class TrajectoryContext:
 
 
 class JointTrajectoryController:
-    """The actions and the topic.
+    """The actions, the topic for trajectories, and the topics of the controller's state.
 
     Args:
-        name: of the controller, before ``_controller``; None for that of the group.
+        name: of the controller, before ``_controller``; None for the group's name.
         industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
     """
 
@@ -119,6 +118,7 @@ class JointTrajectoryController:
         *,
         industrial: bool,
     ) -> None:
+        self._graph = graph
         self._robot = context.planning.robot
         self._group = group
         self._arm = arm
@@ -126,11 +126,17 @@ class JointTrajectoryController:
         self._queue = context.queue
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
+        # Publisher whose latest trajectory was refused.
+        self._refused: object = None
         name = group.name if name is None else name
         self._topic = f"/{name}_controller/joint_trajectory"
         action = f"/{name}_controller/follow_joint_trajectory"
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
-        node = Node(f"{group.name} controller")
+        node = self._node = Node(f"{group.name} controller")
+        # ROS 2's name, and ROS 1's.
+        self._state_topics = (f"/{name}_controller/controller_state", f"/{name}_controller/state")
+        for topic in self._state_topics:
+            graph.advertise(node, topic, STATE_TYPE)
         for each in self.actions:
             graph.offer_action(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS, rule=GOAL)
         check = TRAJECTORY_LIMITS.check(graph.message_types.registry, "trajectory_msgs/msg/JointTrajectory")
@@ -139,9 +145,27 @@ class JointTrajectoryController:
         )
 
     def take_state(self, state: ArmState) -> None:
-        """Check the tolerances of all goals against a state of the arm."""
+        """Check the tolerances of all goals against a state of the arm; publish it while there are subscribers."""
         for number, trajectory_goal in list(self._goals.items()):
             trajectory_goal.take_state(state, functools.partial(self._queue.cancel, number))
+        wanted = [topic for topic in self._state_topics if self._graph.subscribers(topic)]
+        message = self._state_message(state) if wanted else None
+        for topic in wanted if message is not None else ():
+            self._graph.publish(self._node, topic, message)
+
+    def _state_message(self, state: ArmState) -> dict[str, Any] | None:
+        if state.goal_rad is None or state.position_rad is None or state.velocity_rad_s is None:
+            return None
+        columns = [state.joint_names.index(name) for name in self._group.joints]
+        reference, feedback = state.goal_rad[columns], state.position_rad[columns]
+        return {
+            "header": {"stamp": Stamp.from_seconds(state.stamp_s).as_message(), "frame_id": ""},
+            "joint_names": list(self._group.joints),
+            "reference": point(reference),
+            "feedback": {**point(feedback), "velocities": state.velocity_rad_s[columns].tolist()},
+            "error": point(reference - feedback),
+            "speed_scaling_factor": state.pace.speed_factor,
+        }
 
     def _start(self, goal: Goal) -> None:
         try:
@@ -173,7 +197,10 @@ class JointTrajectoryController:
         cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
 
     def _play(self, published: PublishedMessage) -> None:
-        """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm."""
+        """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm.
+
+        The publisher hears of every refusal. All clients hear of the first one in a row: streams come at 30 Hz.
+        """
         trajectory = published.msg
         if not trajectory["points"]:
             self._queue.cancel_all(f"stopped by an empty trajectory on {self._topic}", self._group.joints)
@@ -181,8 +208,11 @@ class JointTrajectoryController:
         try:
             self._check(trajectory)
         except RefusedError as error:
-            self._queue.reject(self._topic, error.failure)
-            return
+            if published.publisher is not self._refused:
+                self._queue.reject(self._topic, error.failure)
+            self._refused = published.publisher
+            raise GraphError("topic", self._topic, error.failure.message) from error
+        self._refused = None
         motion = external_motion(trajectory, self._robot)
         self._queue.submit(self._topic, motion, policy=GoalPolicy.PREEMPT, client=published.publisher)
 
@@ -259,47 +289,6 @@ class TrajectoryGoal:
             self._goal.finish(GoalStatus.ABORTED, result(FollowCode.PATH_TOLERANCE_VIOLATED, self._path_violation))
         else:
             self._goal.finish(goal_status(answer.code), result(follow_code(answer), answer.message))
-
-
-class ControllerStatePublisher:
-    """Publisher of the controller's state, with every state of the arm, while there are subscribers.
-
-    Args:
-        name: of the controller; None for that of the group.
-    """
-
-    def __init__(self, graph: LocalGraph, group: Group, name: str | None = None) -> None:
-        self._graph = graph
-        self._joints = group.joints
-        self._node = Node(f"{group.name} controller")
-        # ROS 2's name, and ROS 1's.
-        name = group.name if name is None else name
-        self._topics = (f"/{name}_controller/controller_state", f"/{name}_controller/state")
-        for topic in self._topics:
-            graph.advertise(self._node, topic, STATE_TYPE)
-
-    def take_state(self, state: ArmState) -> None:
-        """Publish a state of the arm."""
-        message: dict[str, Any] | None = None
-        for topic in self._topics:
-            if self._graph.subscribers(topic):
-                message = message or self._message(state)
-                if message is not None:
-                    self._graph.publish(self._node, topic, message)
-
-    def _message(self, state: ArmState) -> dict[str, Any] | None:
-        if state.goal_rad is None or state.position_rad is None or state.velocity_rad_s is None:
-            return None
-        columns = [state.joint_names.index(name) for name in self._joints]
-        reference, feedback = state.goal_rad[columns], state.position_rad[columns]
-        return {
-            "header": {"stamp": Stamp.from_seconds(state.stamp_s).as_message(), "frame_id": ""},
-            "joint_names": list(self._joints),
-            "reference": point(reference),
-            "feedback": {**point(feedback), "velocities": state.velocity_rad_s[columns].tolist()},
-            "error": point(reference - feedback),
-            "speed_scaling_factor": state.pace.speed_factor,
-        }
 
 
 def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:

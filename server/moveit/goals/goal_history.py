@@ -43,7 +43,7 @@ class GoalRecord:
         stamp_s: time of the answer [s since 1970].
         summary: methods and times of the plan, a sentence; empty without a plan.
         planning_time_s: time spent on planning [s].
-        problem: problem that failed, else the first one; None for a goal without one that a file can hold.
+        problem: problem that failed, else the first one; None where no file can hold it.
         scene: in which it was planned; None once it is forgotten.
     """
 
@@ -124,7 +124,7 @@ class GoalHistory:
         goal_id = request["goal_id"]
         record = self._records.get(goal_id)
         if record is None:
-            text = f"goal_id: {goal_id[:40]!r} is none of the last {MAX_GOALS} goals that were answered"
+            text = f"goal_id: {goal_id[:40]!r} is not among the last {MAX_GOALS} goals that were answered"
             return _response(success=False, message=text)
         text = json.dumps(record.asked, default=str)[:MAX_ASKED_CHARACTERS]
         return _response(
@@ -152,7 +152,7 @@ class GoalHistory:
 
 
 def _problem(request: Motion | None, answer: Answer, scene: Scene) -> tuple[PlanningProblem | None, Scene]:
-    """Return the problem that failed, else the first one, with its scene; None for one that no file can hold."""
+    """Return the problem that failed, else the first one, with its scene; None where no file can hold the problem."""
     performed = answer.performed
     if performed is None or not isinstance(request, PlannedMotion):
         return None, scene

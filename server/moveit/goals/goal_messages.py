@@ -299,7 +299,7 @@ def with_suggestion(message: str, details: Mapping[str, Any], robot: RobotModel)
 
 
 def _point(position_m: list[float], message: Message, root: str, what: str) -> Suggestion | None:
-    """Return the pose goal at another point, its orientation that of the message; None if that is in another frame."""
+    """Return the pose goal at another point, with the message's orientation; None if that is in another frame."""
     orientation = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
     if "pose" in message and message["pose"]["orientation"] != orientation:
         if message["header"]["frame_id"].lstrip("/") not in ("", root):

@@ -110,7 +110,7 @@ class Confirmation:
         subscriber = Subscriber(
             lambda published: self._take_decision(go=published.msg["data"]),
             lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),
-            # The client that confirms may be another than the one that drives.
+            # Another client may confirm than the driving one.
             rule=WORKING,
         )
         self._graph.subscribe(self._node, CONFIRM_TOPIC, "std_msgs/Bool", subscriber)
@@ -250,7 +250,7 @@ class GoalTopics:
         self._take_goals(POSE_TOPIC, POSE_TYPE, self._translator.pose)
         self._graph.advertise(self._node, GROUP_TOPIC, GROUP_TYPE, latch=True)
         self._publish_group()
-        # The client that chooses the group is the one that drives.
+        # The driving client chooses the group.
         self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group, rule=SWITCHING))
         self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel, rule=CANCELLING))
         self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop, rule=STOPPING))
@@ -341,7 +341,7 @@ class GoalChecks:
             raise ServiceError(f"poses and joints: {len(poses) + len(joints)} goals, the limit is {MAX_GOALS}")
         present_rad = self._current.positions_rad()
         if present_rad is None:
-            raise ServiceError("where the arm is is not known: it is not connected")
+            raise ServiceError("joint positions unknown: the arm is not connected")
         problems, results, tip = [], [], self._translator.tip
         # Each goal takes part of a millisecond; others have their turn in between, and other calls theirs afterwards.
         async with self._turn:

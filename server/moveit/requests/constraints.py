@@ -317,7 +317,7 @@ def _goal(
 def _link_goal(
     region: Region, turned: tuple[OrientationConstraint, ...], context: RequestContext
 ) -> PositionGoal | PoseGoal | None:
-    """Make the goal of one link, whose failure tells the nearest point; None if the constraints say more."""
+    """Make the goal of one link, whose failure names the nearest point; None if the constraints say more."""
     at = region.constraint
     if region.elongated:
         return None
@@ -331,7 +331,7 @@ def _link_goal(
 
 
 def _solvable(constraint: JointConstraint) -> JointConstraint:
-    """Widen a range to one that a search can end in."""
+    """Widen a range so that a search can end in it."""
     above = max(constraint.above_rad, LEAST_JOINT_TOLERANCE_RAD)
     below = max(constraint.below_rad, LEAST_JOINT_TOLERANCE_RAD)
     return replace(constraint, above_rad=above, below_rad=below)

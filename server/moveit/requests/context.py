@@ -38,7 +38,7 @@ class RequestContext:
         return chooses_orientation(self.group)
 
     def link(self, name: str) -> str:
-        """Return the name of a link; that of the tip for an empty name."""
+        """Return the name of a link; the tip's for an empty name."""
         if not name:
             return checked_tip(tip_link(self.robot, self.group, self.parameters), self.group)
         if name not in self.robot.links:

@@ -1,4 +1,4 @@
-"""Limits of the lists in requests of MoveIt's clients, of which no client's own come near."""
+"""Limits of the lists in requests of MoveIt's clients; no client's own lists come near."""
 
 from __future__ import annotations
 

@@ -30,16 +30,10 @@ from server.moveit.scene.scene_state import AssumedStates, SceneState
 MAX_START_BOUNDS_ERROR_RAD = 0.05
 
 
-@dataclass(frozen=True)
-class StartState:
-    """Start state of a motion."""
-
-    positions_rad: Mapping[str, float]
-    warnings: tuple[str, ...] = ()
-
-
-def start_positions(message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel) -> StartState:
-    """Read the start state of a motion.
+def start_positions(
+    message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Read the start state of a motion; return positions, and a sentence for each part that is changed or ignored.
 
     Joints that it does not name are at their present positions. A state without joints is the present one, whatever
     its ``is_diff``. Positions beyond a limit by no more than ``MAX_START_BOUNDS_ERROR_RAD`` are moved to it.
@@ -66,13 +60,13 @@ def start_positions(message: Message, current_rad: Mapping[str, float] | None, r
             positions[joint.name] = inside
     if message["multi_dof_joint_state"]["joint_names"]:
         warnings.append("multi_dof_joint_state is ignored: the robot has no such joint")
-    return StartState(positions, tuple(warnings))
+    return positions, tuple(warnings)
 
 
 def state_positions(message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel) -> dict[str, float]:
     """Read the position of every movable joint in a state, which may lie beyond the limits [rad].
 
-    Arguments and errors are those of :func:`start_positions`.
+    Arguments and errors as for :func:`start_positions`.
     """
     names, values = message["joint_state"]["name"], message["joint_state"]["position"]
     if len(names) != len(values):
@@ -167,8 +161,8 @@ class PlanningContext:
         Args:
             caller: the client; positions that it assumes complete the state.
         """
-        start = start_positions(state, self._known_rad(caller), self.robot)
-        return PlanningStart(start.positions_rad, self.scene_of(state, start.positions_rad), start.warnings)
+        start_rad, warnings = start_positions(state, self._known_rad(caller), self.robot)
+        return PlanningStart(start_rad, self.scene_of(state, start_rad), warnings)
 
     def positions_rad(self, state: Message, caller: Node) -> Mapping[str, float]:
         """Read the position of every movable joint in a state, which may lie beyond the limits [rad]."""

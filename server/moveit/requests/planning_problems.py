@@ -40,7 +40,6 @@ from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 from server.errors import RefusedError
 from server.execution.motions import Joints, Positions, Step
-from server.moveit.durations import read_seconds
 from server.moveit.error_codes import invalid, refused
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,
@@ -58,6 +57,7 @@ from server.moveit.requests.constraints import (
 )
 from server.moveit.requests.context import RequestContext, planning_group
 from server.moveit.scene.frames import Frames
+from server.moveit.trajectories import read_seconds
 
 Problem = TypeVar("Problem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
 

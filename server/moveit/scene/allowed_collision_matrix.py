@@ -80,7 +80,7 @@ class AllowedCollisionMatrix:
         count = len(self.allowed ^ disabled) + len(self.defaults) * len(known)
         if count > MAX_EXCEPTIONS:
             raise invalid(
-                f"allowed_collision_matrix has {count} pairs, with those of its default entries and {len(known)} links"
+                f"allowed_collision_matrix has {count} pairs, with its default entries for {len(known)} links"
                 f" and objects; the limit is {MAX_EXCEPTIONS}"
             )
         exceptions = dict.fromkeys(self.allowed - disabled, True)

@@ -85,7 +85,7 @@ class CollisionObject:
         )
 
     def equals_message(self, message: Message) -> bool:
-        """Compare a moveit_msgs/CollisionObject in the object's frame with the one that adds this object."""
+        """Compare a moveit_msgs/CollisionObject in the object's frame with the message that adds this object."""
         return message == {**self.message, "header": message["header"]}
 
     def equals(self, other: CollisionObject) -> bool:
@@ -133,7 +133,7 @@ class AttachedCollisionObject:
         }
 
     def equals_message(self, message: Message) -> bool:
-        """Compare a moveit_msgs/AttachedCollisionObject with the one that attaches this object."""
+        """Compare a moveit_msgs/AttachedCollisionObject with the message that attaches this object."""
         return (
             message["object"]["header"]["frame_id"] == self.link
             and all(value == self.message[field] for field, value in message.items() if field != "object")
@@ -157,7 +157,7 @@ def has_geometry(message: Message) -> bool:
 def read_collision_object(message: Message, frame: str, where: str) -> CollisionObject:
     """Read a moveit_msgs/CollisionObject that has geometry; its pose stays in the frame of its header.
 
-    As in MoveIt, an object without a pose gets that of its shape if it has just one.
+    As in MoveIt, an object without a pose gets its shape's pose if it has just one shape.
     """
     name = message["id"]
     if not has_geometry(message):
@@ -184,7 +184,7 @@ def read_shape_poses(message: Message, where: str) -> tuple[Pose, ...]:
 
 
 def with_object_pose(pose: Pose, shapes: Shapes) -> tuple[Pose, Shapes]:
-    """Return the pose of an object and its shapes; a single shape's pose becomes that of an object without one."""
+    """Return the pose of an object and its shapes; a single shape's pose becomes the pose of an object without one."""
     if pose != IDENTITY or len(shapes) != 1:
         return pose, shapes
     ((shape, shape_pose),) = shapes
@@ -201,7 +201,7 @@ def read_bounded_pose(message: Message, where: str) -> Pose:
 
 
 def _read_shapes(message: Message, where: str) -> Shapes:
-    """Read every shape with its pose; a shape without a pose has that of its object."""
+    """Read every shape with its pose; a shape without a pose has its object's pose."""
     found = []
     for field, poses_field, read in GEOMETRY_KINDS:
         geometry, poses = message[field], message[poses_field]

@@ -75,7 +75,7 @@ class Frames:
         self._latest = _Resolved(None, None, {})
 
     def resolve(self, frame_id: str, positions_rad: Mapping[str, float] | None) -> Pose:
-        """Return the pose of a frame in the root link; names and errors are those of :func:`find_frame`."""
+        """Return the pose of a frame in the root link; names and errors as for :func:`find_frame`."""
         latest, contents = self._latest, self._state.contents
         # The many poses of one request are in the same frame mostly.
         if (

@@ -285,7 +285,7 @@ def file_within(directory: Path | None, name: str) -> Path:
 
 
 async def _success(service: str, work: Awaitable[None]) -> Message:
-    """Wait for the work of a service; the response has no room for a reason, so a failure is logged and told."""
+    """Wait for the work of a service; a failure is logged, because the response has no field for its reason."""
     try:
         await work
     except RefusedError as error:

@@ -52,7 +52,7 @@ SCENE_LIMITS = ListLimits(
         "shape_msgs/msg/Mesh.triangles": MAX_SCENE_TRIANGLES,
         "shape_msgs/msg/Mesh.vertices": 3 * MAX_SCENE_TRIANGLES,
     },
-    # The matrix, and what is told of each object besides.
+    # The matrix, and the other values of each object.
     max_values=100_000,
 )
 
@@ -368,7 +368,7 @@ class SceneServices:
             end(error)
             return
         positions_rad = assumed.completed(assumed_rad, self._current.positions_rad())
-        # A client that has left was told of no failure: it has asked for the change, and leaves it behind.
+        # A client that has left got no failure as an answer: its change is made all the same.
         self._state.submit(self._state.diff(scene), positions_rad, end, lambda: call.ended and not call.caller_left)
 
 

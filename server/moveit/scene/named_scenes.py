@@ -19,10 +19,9 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, WORKING, Rule
 from server.graph.topics import Graph
 from server.moveit.poses import Message
-from server.moveit.scene.planning_scene import SceneContents
-from server.moveit.scene.saved_scene import complete_scene, encoded_bounded, kept_message, read_bounded
+from server.moveit.scene.saved_scene import complete_scene, encoded_bounded, kept_message
 from server.moveit.scene.scene_state import SceneState
-from server.named_files import NamedFiles
+from server.named_files import NamedFiles, read_json
 
 log = logging.getLogger("armbridge.scene")
 
@@ -65,8 +64,11 @@ class NamedScenes:
         path = self._files.path(name)
         await self._state.settled()
         contents = self._state.contents
-        failure = f"the scene {name!r} cannot be saved"
-        await self._files.in_thread(failure, lambda: self._files.write(path, self._encoded(contents)))
+
+        def write() -> None:
+            self._files.write(path, encoded_bounded(kept_message(contents, self._state.robot), MAX_SCENE_BYTES))
+
+        await self._files.in_thread(f"the scene {name!r} cannot be saved", write)
         count = len(contents.objects) + len(contents.attached)
         return f"the scene {name!r} is saved, with {objects_in_words(count)}"
 
@@ -79,7 +81,9 @@ class NamedScenes:
         path = self._files.path(name)
         failure = f"the scene {name!r} cannot be loaded"
         try:
-            content = await self._files.in_thread(failure, lambda: self._files.read(path, _read))
+            content = await self._files.in_thread(
+                failure, lambda: self._files.read(path, lambda file: read_json(file, MAX_SCENE_BYTES))
+            )
             message = complete_scene(self._message_types, content)
             await self._state.change(self._state.diff(message), positions_rad)
         except (MessageError, RefusedError) as error:
@@ -96,13 +100,6 @@ class NamedScenes:
         path = self._files.path(name)
         await self._files.in_thread(f"the scene {name!r} cannot be deleted", lambda: self._files.delete(path))
         return f"the scene {name!r} is deleted"
-
-    def _encoded(self, contents: SceneContents) -> bytes:
-        return encoded_bounded(kept_message(contents, self._state.robot), MAX_SCENE_BYTES)
-
-
-def _read(path: Path) -> object:
-    return read_bounded(path, MAX_SCENE_BYTES)
 
 
 def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState) -> None:

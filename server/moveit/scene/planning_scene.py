@@ -119,7 +119,7 @@ class SceneDraft:
     Attributes:
         before: the contents to start from; an object of theirs that is only repeated stays the same object.
         links: as given.
-    The other attributes are those of :class:`SceneContents`.
+    The other attributes are as in :class:`SceneContents`.
     """
 
     def __init__(self, contents: SceneContents, links: LinkTransforms) -> None:
@@ -208,7 +208,7 @@ def appended(draft: SceneDraft, present: CollisionObject, message: Message, wher
     """Return an object with the shapes and subframes of a message appended, at the poses that these have there.
 
     Args:
-        message: moveit_msgs/CollisionObject; its pose need not be that of the object.
+        message: moveit_msgs/CollisionObject; its pose may differ from the object's.
     """
     more = draft.in_planning_frame(read_collision_object(message, message["header"]["frame_id"], where))
     own_pose = draft.in_planning_frame(present).pose
@@ -228,7 +228,7 @@ def appended(draft: SceneDraft, present: CollisionObject, message: Message, wher
 
 
 def _add(draft: SceneDraft, message: Message, where: str) -> None:
-    """Add an object; one that equals the one before the change stays the same object."""
+    """Add an object; an object that equals its state before the change stays the same object."""
     frame_id, known = message["header"]["frame_id"], draft.before.objects.get(message["id"])
     if known is not None and draft.is_root(frame_id) and known.equals_message(message):
         draft.objects[known.name] = known
@@ -303,7 +303,7 @@ def apply_attached_object(draft: SceneDraft, message: Message, where: str) -> No
 
 
 def _attach(draft: SceneDraft, message: Message, where: str) -> None:
-    """Attach an object to a link; one that equals the one before the change stays the same object."""
+    """Attach an object to a link; an object that equals its state before the change stays the same object."""
     name = message["object"]["id"]
     known = draft.before.attached.get(name)
     if known is None or not known.equals_message(message):
@@ -361,7 +361,7 @@ def _detach(draft: SceneDraft, name: str, link: str, where: str) -> None:
 
 
 def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: AllowedCollisionMatrix) -> None:
-    """Apply a moveit_msgs/PlanningScene, in MoveIt's order: attached objects before those of the world."""
+    """Apply a moveit_msgs/PlanningScene, in MoveIt's order: attached objects before objects of the world."""
     scene = {**EMPTY_DIFF, **message}
     if not scene["is_diff"]:
         draft.clear(srdf_matrix)
@@ -390,7 +390,7 @@ def apply_world(draft: SceneDraft, world: Message, where: str) -> None:
 
 
 def _apply_attached_objects(draft: SceneDraft, robot_state: Message, *, whole: bool) -> None:
-    """Apply the attached objects of a moveit_msgs/RobotState; one that is no diff detaches all others.
+    """Apply the attached objects of a moveit_msgs/RobotState; a state that is no diff detaches all others.
 
     A state that is no diff, without joints and objects, is a field that the client has left out: it changes nothing.
     """

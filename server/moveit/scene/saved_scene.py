@@ -25,6 +25,7 @@ from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.interface import EVERYTHING, NO_MATRIX, NO_STATE, scene_message
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
+from server.named_files import read_json
 from server.timers import CallLater, Timer, call_later
 
 log = logging.getLogger("armbridge.scene")
@@ -49,19 +50,7 @@ class SceneFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._lock = files.FileLock(path)
-
-    def open(self) -> None:
-        """Take the file for this process; a server that is just ending is waited for.
-
-        Raises:
-            OSError: another process has it for longer, or its directory cannot be written.
-        """
-        self._lock.acquire(files.LOCK_TIMEOUT_S)
-
-    def close(self) -> None:
-        """Give the file back."""
-        self._lock.release()
+        self.lock = files.FileLock(path)
 
     def read(self) -> Any:
         """Return the content, as JSON has it; None when there is no file.
@@ -71,7 +60,7 @@ class SceneFile:
             OSError: it cannot be read.
         """
         try:
-            return read_bounded(self.path, MAX_FILE_BYTES)
+            return read_json(self.path, MAX_FILE_BYTES)
         except FileNotFoundError:
             return None
 
@@ -117,7 +106,8 @@ class SavedScene:
         """Restore the scene, and keep its changes from now on; nothing that is wrong with the file prevents a start."""
         path = self._file.path
         try:
-            await asyncio.to_thread(self._file.open)
+            # A server that is just ending is waited for.
+            await asyncio.to_thread(self._file.lock.acquire, files.LOCK_TIMEOUT_S)
         except files.FileLockedError as error:
             remedy = "give one of the two servers a scene.file of its own"
             log.warning("the planning scene is not kept: %s %s; %s", path, error.strerror, remedy)
@@ -128,7 +118,7 @@ class SavedScene:
         try:
             self._restore()
         except OSError as error:
-            self._file.close()
+            self._file.lock.release()
             log.warning("the planning scene is not kept: %s cannot be read: %s", path, error.strerror)
             return
         self._open = True
@@ -149,7 +139,7 @@ class SavedScene:
             if self._state.contents is not self._kept:
                 await self._write()
         finally:
-            self._file.close()
+            self._file.lock.release()
 
     def _restore(self) -> None:
         """Apply the scene in the file; set a file aside that has none."""
@@ -225,23 +215,6 @@ def complete_scene(message_types: MessageTypes, content: Any) -> Message:
     message["world"]["collision_objects"] = [complete(OBJECT_TYPE, each) for each in world]
     message["robot_state"]["attached_collision_objects"] = [complete(ATTACHED_TYPE, each) for each in held]
     return message
-
-
-def read_bounded(path: Path, max_bytes: int) -> Any:
-    """Return the content of a JSON file.
-
-    Raises:
-        ValueError: it is too large, or no JSON.
-        OSError: it cannot be read.
-    """
-    with path.open("rb") as file:
-        text = file.read(max_bytes + 1)
-    if len(text) > max_bytes:
-        raise ValueError(f"it has more than {max_bytes} bytes")
-    try:
-        return json.loads(text)
-    except RecursionError as error:
-        raise ValueError("it nests too deep") from error
 
 
 def encoded_bounded(message: Message, max_bytes: int) -> bytes:

@@ -42,7 +42,7 @@ Positions = Mapping[str, float] | None
 AT_ONCE_ELEMENTS = 2_000
 OBJECT_ELEMENTS = 20
 
-# Elements of all changes that wait: those of two scenes full of meshes.
+# Elements of all changes that wait: two scenes full of meshes.
 MAX_WAITING_ELEMENTS = 1_000_000
 
 
@@ -105,7 +105,7 @@ class SceneState:
         return SceneChange(lambda draft: self._apply_scene(draft, message), elements)
 
     def world(self, message: Message) -> SceneChange:
-        """Return the replacement of all collision objects by those of a moveit_msgs/PlanningSceneWorld."""
+        """Return the change that replaces all collision objects by a moveit_msgs/PlanningSceneWorld."""
 
         def change(draft: SceneDraft) -> None:
             draft.objects = {}
@@ -142,7 +142,7 @@ class SceneState:
             self._applying = asyncio.create_task(self._apply_waiting(), name="planning scene")
 
     async def change(self, change: SceneChange, positions_rad: Positions) -> None:
-        """Apply a change in its turn, and wait until it is applied; arguments are those of :meth:`submit`.
+        """Apply a change in its turn, and wait until it is applied; arguments as for :meth:`submit`.
 
         A change whose wait is cancelled is not applied any more.
         """
@@ -176,7 +176,7 @@ class SceneState:
             self._applying.cancel()
 
     def apply_diff(self, message: Message, positions_rad: Positions) -> None:
-        """Apply a moveit_msgs/PlanningScene now, ahead of changes that wait; errors are those of :meth:`apply`."""
+        """Apply a moveit_msgs/PlanningScene now, ahead of changes that wait; errors as of :meth:`apply`."""
         self.apply(self.diff(message), positions_rad)
 
     def apply(self, change: SceneChange, positions_rad: Positions) -> None:
@@ -234,7 +234,7 @@ class SceneState:
         self, before: SceneContents, change: SceneChange, positions_rad: Positions
     ) -> tuple[SceneContents, Scene | None]:
         contents, scene = self._changed(before, change, positions_rad)
-        # Written here and once, for whoever is told of the scene.
+        # Written here and once, for all readers of the scene.
         for each in contents.objects.values():
             _ = each.message
         for held in contents.attached.values():

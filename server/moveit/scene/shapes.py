@@ -76,7 +76,7 @@ def _ears(corners: Sequence[Corner]) -> list[tuple[int, int, int]] | None:
 
 
 def _is_ear(corners: Sequence[Corner], points: Vector, around: tuple[int, int, int]) -> bool:
-    """Tell if three consecutive corners turn to the left, and none of the points is inside them or on an edge."""
+    """Tell if three consecutive corners turn to the left, and no point is inside them or on an edge."""
     a, b, c = (corners[k] for k in around)
     if _area((a, b, c)) <= 0.0:
         return False
@@ -94,7 +94,7 @@ def _area(corners: Sequence[Corner]) -> float:
 
 
 def read_primitive(message: Message, where: str) -> Shape:
-    """Read a shape_msgs/SolidPrimitive; dimensions beyond those of its type are ignored, as in MoveIt.
+    """Read a shape_msgs/SolidPrimitive; dimensions beyond its type's are ignored, as in MoveIt.
 
     Args:
         message: the shape.
@@ -119,7 +119,7 @@ def read_primitive(message: Message, where: str) -> Shape:
 
 
 def read_mesh(message: Message, where: str) -> Shape:
-    """Read a shape_msgs/Mesh; arguments and errors are those of :func:`read_primitive`."""
+    """Read a shape_msgs/Mesh; arguments and errors as for :func:`read_primitive`."""
     # Counted first: arrays of a hostile message could fill the memory.
     count, points = len(message["triangles"]), len(message["vertices"])
     if count > MAX_TRIANGLES or points > 3 * MAX_TRIANGLES:
@@ -137,7 +137,7 @@ def read_mesh(message: Message, where: str) -> Shape:
 def read_plane(message: Message, where: str) -> Shape:
     """Read a shape_msgs/Plane, a x + b y + c z + d = 0, solid on the side its normal points away from.
 
-    Arguments and errors are those of :func:`read_primitive`.
+    Arguments and errors as for :func:`read_primitive`.
     """
     a, b, c, d = message["coef"]
     length = math.hypot(a, b, c)

@@ -58,7 +58,7 @@ UNITLESS_TOLERANCE = 1e-3
 # with four, none of 16 runs came nearer than 7.8 mm.
 LEAD_S = 0.04
 
-# The planners' latency is forgotten in so many answers, more slowly than it is noticed.
+# The planners' latency counts for this number of answers: an increase counts at once, a decrease later.
 LATENCY_ANSWERS = 10
 
 # Periods after which a step is made without a command, where commands are followed when they come.
@@ -188,7 +188,7 @@ class ServoSession:
 
     Args:
         planning: frames, and positions of all joints, also of arms that are not steered.
-        ask: has the planners answer; None to ask those of `planning`.
+        ask: has the planners answer; None for the planners of `planning`.
         clock: monotonic time [s].
     """
 
@@ -265,7 +265,7 @@ class ServoSession:
 
     async def _run(self) -> None:
         self._released = False
-        # The epoch is that of the command which has started this task.
+        # The epoch of the command that has started this task.
         self._stream = self._arm.stream(self._setup.joints, epoch=arrival_epoch())
         self._stream.ended.add_done_callback(lambda _ended: self._due.set())
         try:

@@ -76,7 +76,7 @@ HUMBLE_NUMBERS = {
 # A client repeats a rejected command many times a second.
 LOGGED_AGAIN_S = 5.0
 
-# An epoch that is earlier than that of any stop.
+# An epoch before every stop.
 BEFORE_EVERY_STOP = -1
 
 # A client in control sends many commands a second.
@@ -132,29 +132,6 @@ class StatusPublisher:
             log.warning("servo: %s", message)
 
 
-class Ownership:
-    """Control by one client at a time, until it leaves or sends no more commands."""
-
-    def __init__(self, present: Callable[[object], bool]) -> None:
-        self._present = present
-        self._owner: object = None
-        self._heard_s = 0.0
-
-    def owner(self, now_s: float) -> object:
-        """Return the client in control; None if there is none."""
-        if self._owner is not None and (now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self._owner)):
-            self._owner = None
-        return self._owner
-
-    def take(self, client: object, now_s: float) -> bool:
-        """Take or keep control; returns true if the client has it now."""
-        owner = self.owner(now_s)
-        if owner is not None and owner is not client:
-            return False
-        self._owner, self._heard_s = client, now_s
-        return True
-
-
 @dataclass(frozen=True)
 class CommandRejection:
     """Reason for not following a command; ``from_owner`` is true if it is from the client in control."""
@@ -164,7 +141,7 @@ class CommandRejection:
 
 
 class CommandGate:
-    """Gate for commands: those of the client in control, of the selected type, while the arm is free.
+    """Gate for commands: it lets commands of the client in control pass, of the selected type, while the arm is free.
 
     Args:
         timeout_s: after a silence of this time a stick counts as released [s].
@@ -178,7 +155,9 @@ class CommandGate:
     def __init__(
         self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str], arm: AnyArm
     ) -> None:
-        self._ownership = Ownership(present)
+        self._present = present
+        # The client in control, until it leaves or sends no more commands.
+        self._owner: object = None
         self._timeout_s = timeout_s
         self._busy = busy
         self._arm = arm
@@ -219,12 +198,13 @@ class CommandGate:
 
     def rejection(self, client: object, kind: CommandType, now_s: float) -> CommandRejection | None:
         """Check a command; None if it is to be followed."""
-        owner = self._ownership.owner(now_s)
-        if owner is None and self._heard_s > -float("inf"):
+        left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self._owner)
+        if self._owner is not None and left:
             # The selection of a client ends with its control.
-            self._selected, self._heard_s = None, -float("inf")
-        if not self._ownership.take(client, now_s):
-            return CommandRejection(f"{client} cannot steer the arm: {owner} does", from_owner=False)
+            self._owner, self._selected, self._heard_s = None, None, -float("inf")
+        if self._owner not in (None, client):
+            return CommandRejection(f"{client} cannot steer the arm: {self._owner} does", from_owner=False)
+        self._owner = client
         silence_s, self._heard_s = now_s - self._heard_s, now_s
         last_stop, epoch = self._arm.last_stop, arrival_epoch()
         pressed = self._presses.get(client, epoch) >= last_stop
@@ -259,7 +239,7 @@ class CommandTimeouts:
         self._chosen_s: dict[object, float] = {}
 
     def choose(self, client: object, timeout_s: float, present: Container[object]) -> None:
-        """Set the timeout of a client, and forget those of clients that have left.
+        """Set the timeout of a client, and forget the timeouts of clients that have left.
 
         Args:
             timeout_s: time after which its commands expire [s].

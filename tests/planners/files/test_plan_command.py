@@ -11,8 +11,10 @@ import pytest
 
 from planners.errors import PlottingError
 from planners.files import plan_command, problem_file
-from planners.files.plan_command import EXIT_UNEXPECTED, EXIT_USAGE, Options
-from planners.problem import MoveItErrorCode
+from planners.files.plan_command import EXIT_EXPECTED, EXIT_UNEXPECTED, EXIT_USAGE, Options
+from planners.goals import JointGoal
+from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
+from planners.scene import EMPTY_SCENE
 from robot.trajectory import Trajectory
 from tests.helpers.robots import so101
 
@@ -115,6 +117,15 @@ def test_the_table_has_a_line_for_each_problem(path) -> None:
 def test_an_unexpected_answer_is_exit_1(path) -> None:
     path.write_text(path.read_text().replace("-16", "-12"))
     assert Run(Options([path], every=True)).code == EXIT_UNEXPECTED
+
+
+def test_a_saved_failure_that_fails_again_in_the_same_way_is_exit_0(path, tmp_path) -> None:
+    problem = PlanningProblem("arm", dict.fromkeys(ROBOT.joints, 0.0), JointGoal(dict.fromkeys(ARM, 9.0)))
+    failure = PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "beyond the limits")
+    saved = tmp_path / "goal-7.json"
+    saved.write_text(problem_file.text("goal-7", problem, EMPTY_SCENE, ROBOT, failure))
+    run = Run(Options([saved]))
+    assert (run.code, run.lines[-1]) == (EXIT_EXPECTED, "1 of them failed as on the server that saved the problem")
 
 
 def test_a_scene_that_cannot_be_used_is_the_answer_to_every_problem(path) -> None:

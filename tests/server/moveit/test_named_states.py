@@ -191,7 +191,7 @@ async def test_a_file_that_cannot_be_read_is_not_overwritten(path: Path, monkeyp
 
     with monkeypatch.context() as patched:
         patched.setattr(NamedStatesFile, "_read", unreadable)
-        with pytest.raises(ServiceError, match=r"cannot be kept in .*: Input/output error"):
+        with pytest.raises(ServiceError, match=r"cannot be kept: .*: Input/output error"):
             await states.save("yours", BENT)
     assert set(NamedStatesFile(path).load()) == {"mine"}
 
@@ -280,7 +280,7 @@ async def test_the_present_positions_are_saved_and_published(office: Office) -> 
 async def test_unknown_positions_cannot_be_saved(office: Office) -> None:
     answer = await office.call("/save_robot_state", name="mine")
     assert not answer.ok
-    assert "not known" in answer.values
+    assert "joint positions unknown" in answer.values
 
 
 async def test_a_state_in_the_request_is_saved_and_returned(office: Office) -> None:

@@ -44,7 +44,7 @@ def test_states_that_come_twice_count_once() -> None:
     ("state", "says"),
     [
         (replace(RELAXED, clock_s=1.0 + MAX_DURATION_S + 0.1), "600 s at most"),
-        (replace(RELAXED, clock_s=0.5), "started anew"),
+        (replace(RELAXED, clock_s=0.5), "started again"),
         (replace(RELAXED, clock_s=2.0, mode=Mode.DISCONNECTED, reason="unplugged"), "not connected: unplugged"),
         (replace(RELAXED, clock_s=2.0, position_rad=None), "not connected"),
     ],

@@ -161,7 +161,7 @@ async def test_a_recording_that_would_collide_is_kept_and_says_where(lesson: Les
     lesson.state = replace(RELAXED, clock_s=lesson.state.clock_s + 1.0)
     ended = await lesson.teach("blocked")
     assert ended["success"]
-    assert "cannot be replayed as it is: at " in ended["message"]
+    assert "cannot be replayed: at " in ended["message"]
     assert "crate" in ended["message"]
     assert (await lesson.call("/teach/list")) == {"names": ["blocked", "free"]}
 

@@ -42,7 +42,7 @@ def test_pairs_name_who_follows_whom() -> None:
 @pytest.mark.parametrize(
     ("leader", "pairs", "scale", "said"),
     [
-        (["a"], ([], []), 1.0, "leader: has none of the follower's joints"),
+        (["a"], ([], []), 1.0, "leader: has no joint of the follower's"),
         (["a"], (["x"], ["wrist_roll"]), 1.0, "leader_joints: must be of a, not 'x'"),
         (["a"], (["a"], ["x"]), 1.0, "follower_joints: must be of shoulder_pan, .*, not 'x'"),
         (["a"], (["a"], []), 1.0, "follower_joints: must have as many names as leader_joints, 1, not 0"),

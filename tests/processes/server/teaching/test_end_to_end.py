@@ -149,7 +149,7 @@ async def test_a_replay_that_a_box_has_come_into_the_way_of_is_refused_with_wher
         assert "s of the motion would touch" in refused["message"]
         assert "crate" in refused["message"]
         again = await taught(client, arm, "blocked too")
-        assert "cannot be replayed as it is: at " in again["message"]
+        assert "cannot be replayed: at " in again["message"]
         assert "crate" in again["message"]
         await remove_crate(client)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import AsyncIterator
 from dataclasses import replace
@@ -13,7 +14,7 @@ import pytest
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.registry import Registry
 from robot.messages import ArmState, Outcome
-from server.errors import RefusedError
+from server.errors import GraphError, RefusedError
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import ExternalTrajectory, Performed
 from server.execution.time_limits import TimeLimits
@@ -21,10 +22,8 @@ from server.graph.actions import Goal, GoalStatus, Result
 from server.graph.local_graph import LocalGraph
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
 from server.moveit.actions.joint_trajectory_controller import (
     INDUSTRIAL_ACTION,
-    ControllerStatePublisher,
     FollowCode,
     JointTrajectoryController,
     SegmentTolerances,
@@ -105,11 +104,20 @@ TOO_LONG_WORDS = "trajectory.points[0].time_from_start is 601 s, longer than goa
 async def test_a_trajectory_that_takes_too_long_is_refused_and_the_motion_continues(desk: Desk) -> None:
     await desk.send(ACTION, trajectory=TRAJECTORY)
     await desk.send(ACTION, trajectory=TOO_LONG)
-    await desk.publish(**TOO_LONG)
+    with pytest.raises(GraphError, match="601 s, longer than"):
+        await desk.publish(**TOO_LONG)
     assert desk.codes == [(GoalStatus.ABORTED, FollowCode.INVALID_GOAL)]
     assert desk.results[0].values["error_string"] == TOO_LONG_WORDS
     assert desk.refused == [TOO_LONG_WORDS] * 2
     assert len(desk.asked) == 1
+
+
+async def test_the_publisher_hears_of_each_refusal_of_a_stream_and_others_of_the_first_in_a_row(desk: Desk) -> None:
+    for stream in ([TOO_LONG] * 3, [TRAJECTORY], [TOO_LONG] * 3):
+        for trajectory in stream:
+            with pytest.raises(GraphError) if trajectory is TOO_LONG else contextlib.nullcontext():
+                await desk.publish(**trajectory)
+    assert desk.refused == [TOO_LONG_WORDS] * 2
 
 
 async def test_leaving_the_path_tolerance_ends_the_goal(desk: Desk) -> None:
@@ -316,14 +324,10 @@ STATE = replace(FakeArm().state, goal_rad=np.full(len(JOINTS), 0.3), position_ra
 
 
 @pytest.mark.parametrize("name", ["state", "controller_state"])
-async def test_subscribers_get_reference_and_feedback_of_the_joints(name: str) -> None:
-    graph = Graph(Registry.load())
-    told = ControllerStatePublisher(LocalGraph(graph), GROUP)
-    heard: list[Any] = []
-    subscriber = Subscriber(lambda published: heard.append(published.msg))
-    graph.subscribe(Node("client"), f"/arm_controller/{name}", None, subscriber)
-    told.take_state(STATE)
-    told.take_state(replace(STATE, goal_rad=None))
+async def test_subscribers_get_reference_and_feedback_of_the_joints(desk: Desk, name: str) -> None:
+    heard = desk.listen(f"/arm_controller/{name}", "control_msgs/JointTrajectoryControllerState")
+    desk.controller.take_state(STATE)
+    desk.controller.take_state(replace(STATE, goal_rad=None))
     assert len(heard) == 1
     assert heard[0]["joint_names"] == list(GROUP.joints)
     assert heard[0]["reference"]["positions"] == [0.3] * len(GROUP.joints)

@@ -100,7 +100,7 @@ async def test_the_check_fails_while_the_arms_position_is_unknown(desk: Desk) ->
     desk.arm.lose_positions()
     answer = await desk.check(poses=[point(0.3, 0.0, 0.2)])
     assert not answer.ok
-    assert "not known" in answer.values
+    assert "joint positions unknown" in answer.values
 
 
 class Slow:

@@ -12,7 +12,17 @@ from typing import Any
 import pytest
 
 from robot import logs
-from robot.logs import MAX_CHANGED_LOGGERS, MAX_KEYS, JsonFormatter, LoggerLevel, LogLimiter, PlainFormatter
+from robot.logs import (
+    BURST,
+    LINES_PER_S,
+    MAX_CHANGED_LOGGERS,
+    MAX_KEYS,
+    FloodFilter,
+    JsonFormatter,
+    LoggerLevel,
+    LogLimiter,
+    PlainFormatter,
+)
 
 ROOT = Path(__file__).parents[2]
 
@@ -185,3 +195,26 @@ def test_keys_that_clients_choose_are_bounded_and_the_end_is_told(caplog: pytest
 def test_a_line_names_the_place_that_writes_it(caplog: pytest.LogCaptureFixture) -> None:
     LogLimiter().write(LOG, logging.WARNING, "refused: no", "x")
     assert caplog.records[0].pathname == __file__
+
+
+def test_the_next_line_has_the_number_of_suppressed_ones() -> None:
+    now_s = [0.0]
+    flood = FloodFilter(lambda: now_s[0])
+    for _ in range(BURST + 3):
+        flood.filter(record("hot"))
+    now_s[0] = 1.0 / LINES_PER_S
+    after = record("hot")
+    assert flood.filter(after)
+    line = PlainFormatter().format(after)
+    assert line.endswith("hot (3 more lines like this were left out before)")
+    assert PlainFormatter().format(record("hot")).endswith("hot")
+
+
+def test_every_process_logs_through_it() -> None:
+    root = logging.getLogger()
+    former, root.handlers = root.handlers, []
+    try:
+        logs.configure("INFO", "plain")
+        assert [type(each) for each in root.handlers[0].filters] == [FloodFilter]
+    finally:
+        root.handlers = former

@@ -21,7 +21,6 @@ from robot.messages import (
     ArmHealth,
     ArmState,
     Command,
-    EmergencyPolicy,
     EndState,
     GuardLimits,
     Heartbeat,
@@ -151,18 +150,6 @@ def test_an_emergency_stop_that_cannot_be_verified_names_the_servo(emulator: Ste
     assert not answer.done
     assert "shoulder_lift (id 2)" in answer.message
     assert rig.fault_code == "emergency_stop_unverified"
-
-
-def test_an_emergency_stop_may_be_configured_to_hold(start_rig: Start) -> None:
-    rig = start_rig(on_emergency_stop=EmergencyPolicy.HOLD)
-    rig.until_mode(Mode.HOLDING)
-    rig.execute(PAN)
-    rig.run(0.4)
-    assert rig.order(Order.EMERGENCY_STOP).done
-    assert rig.torque() == [1] * 6
-    goal = rig.state.goal_rad
-    rig.run(0.1)
-    assert rig.state.goal_rad == pytest.approx(goal, abs=0.03)
 
 
 def test_an_emergency_stop_interrupts_every_other_order(start_rig: Start) -> None:

@@ -7,6 +7,7 @@ surface decides that.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -262,8 +263,13 @@ class RobotParts:
         if not self.available:
             return
         if urdf is None and has_meshes:
-            urdf = _urdf_shapes(robot, model)
-        meshes = _by_link(model, urdf or ())
+            # Hulls and parts do without the meshes that they were made of.
+            with contextlib.suppress(*([ShapeError] if robot.parts else [])):
+                urdf = urdf_shapes(robot, model)
+        by_link: dict[str, list[pin.GeometryObject]] = {}
+        for shape in urdf or ():
+            by_link.setdefault(link_name(model, shape), []).append(shape)
+        meshes = {link: parts_of(shapes) for link, shapes in by_link.items()}
         enclosed_by: dict[str, TriangleSurface | Parts] = {**meshes, **dict(surfaces.load(robot.surfaces, model))}
         self._links = (
             meshes
@@ -277,23 +283,6 @@ class RobotParts:
     def of_link(self, link: str) -> Parts:
         """The parts of a link."""
         return self._links[link]
-
-
-def _urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
-    try:
-        return urdf_shapes(robot, model)
-    except ShapeError:
-        # Hulls and parts do without the meshes that they were made of.
-        if robot.parts:
-            return []
-        raise
-
-
-def _by_link(model: pin.Model, shapes: Iterable[pin.GeometryObject]) -> dict[str, Parts]:
-    links: dict[str, list[pin.GeometryObject]] = {}
-    for shape in shapes:
-        links.setdefault(link_name(model, shape), []).append(shape)
-    return {name: parts_of(found) for name, found in links.items()}
 
 
 class PartPair:

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from protocol.dialect import Dialect
 from protocol.limits import Limits
@@ -97,7 +97,7 @@ class Connection:
         budget: SendBudget,
         *,
         takes_goals_along: bool,
-        ros_version: Literal[1, 2] = 2,
+        ros_version: int = 2,
     ) -> None:
         self._transport = transport
         # Made when something has to wait: most clients hardly ever hear so much.

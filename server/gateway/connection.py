@@ -6,9 +6,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from typing import Literal, NamedTuple, Protocol
-
-from websockets.exceptions import ConnectionClosed
+from typing import NamedTuple, Protocol
 
 from protocol.dialect import Dialect
 from protocol.limits import Limits
@@ -19,8 +17,8 @@ from server.access.authorization import Access
 from server.gateway.client import Client
 from server.gateway.client_auth import AuthContext
 from server.gateway.client_context import ClientContext
-from server.gateway.client_transport import ClientTransport
 from server.gateway.inbox import Scheduling
+from server.gateway.transport import Transport
 from server.graph.node import Node
 from server.graph.permissions import Role, display_name
 from server.graph.topics import Graph
@@ -111,7 +109,7 @@ class Connection:
 
     def __init__(
         self,
-        transport: ClientTransport,
+        transport: Transport,
         graph: Graph,
         limits: Limits,
         access: Access,
@@ -120,7 +118,7 @@ class Connection:
         budget: SendBudget,
         *,
         takes_goals_along: bool,
-        ros_version: Literal[1, 2] = 2,
+        ros_version: int = 2,
     ) -> None:
         self._transport = transport
         # Made when something has to wait: most clients hardly ever hear so much.
@@ -212,15 +210,11 @@ class Connection:
 
     async def _read(self) -> None:
         try:
-            async for frame in self._transport:
-                self._client.receive_frame(frame)
-        except (ConnectionClosed, ConnectionError) as closed:
-            # A program that ends often leaves without a close frame (RFC 6455, 7.1.5: code 1006).
-            breaks_off = isinstance(closed, ConnectionClosed) and closed.rcvd is None and closed.sent is None
-            if breaks_off or isinstance(closed, ConnectionResetError):
-                log.info("%s left without a word", self._client.node, extra=self._fields)
-            else:
-                log.warning("%s: connection closed: %s", self._client.node, closed, extra=self._fields)
+            await self._transport.read_to_end()
+        except ConnectionResetError:
+            log.info("%s left without a word", self._client.node, extra=self._fields)
+        except ConnectionError as closed:
+            log.warning("%s: connection closed: %s", self._client.node, closed, extra=self._fields)
         else:
             log.info("%s left", self._client.node, extra=self._fields)
 
@@ -293,7 +287,7 @@ class Connection:
         if identity is None:
             limit_bytes = MAX_UNKNOWN_BYTES
         elif identity.role is Role.VIEW:
-            limit_bytes = min(MAX_VIEW_BYTES, limit_bytes or MAX_VIEW_BYTES)
+            limit_bytes = min(MAX_VIEW_BYTES, limit_bytes)
         self._transport.max_message_bytes = limit_bytes
 
     def _check_authenticated(self) -> None:
@@ -309,7 +303,7 @@ class Connection:
     async def _close(self, reason: str) -> None:
         """Close the connection with a reason, and end it even if the client reads nothing."""
         told = reason.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
-        with contextlib.suppress(TimeoutError, ConnectionClosed):
+        with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._transport.close(POLICY_VIOLATION, told), CLOSE_TIMEOUT_S)
         self._transport.abort()
 

@@ -20,7 +20,6 @@ from pathlib import Path, PurePath
 from typing import TypeAlias
 from urllib.parse import unquote
 
-from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
@@ -370,12 +369,14 @@ class HttpHandler:
         self._descriptions = _descriptions(robot) if robot else {}
         self._log = LogLimiter()
         self._unread_bytes = 0
-        self._readers: set[asyncio.Task[None]] = set()
 
-    async def process_request(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Answer a request; None for one that wants to become a WebSocket."""
-        if names(request.headers, "Upgrade", "websocket"):
-            return None
+    async def answer(self, request: Request, send: Callable[[Response], Awaitable[None]]) -> None:
+        """Answer a request.
+
+        Args:
+            request: one that does not ask for a WebSocket.
+            send: sends the response, and returns when the client has read it.
+        """
         if request.method not in METHODS:
             text = f"{request.method[:20]} is not for this address: {' and '.join(METHODS)} are"
             answer = HttpResponse.of_text(HTTPStatus.METHOD_NOT_ALLOWED, text, {"Allow": ", ".join(METHODS)})
@@ -390,22 +391,14 @@ class HttpHandler:
         is_route = _name(request.path) in self._routes
         if not is_route and self._unread_bytes + len(response.body) > MAX_UNREAD_BYTES:
             text = f"clients leave {self._unread_bytes} bytes unread, the limit is {MAX_UNREAD_BYTES}; ask again later"
-            return HttpResponse.of_text(HTTPStatus.SERVICE_UNAVAILABLE, text, {"Retry-After": "5"}).response(request)
-        self._count(connection, len(response.body))
-        return response
-
-    def _count(self, connection: ServerConnection, size_bytes: int) -> None:
-        """Count a body as unread until the connection has ended."""
-
-        def read(reader: asyncio.Task[None]) -> None:
-            self._readers.discard(reader)
-            self._unread_bytes -= size_bytes
-
-        self._unread_bytes += size_bytes
-        # The event loop keeps no task by itself.
-        reader = asyncio.create_task(connection.wait_closed())
-        self._readers.add(reader)
-        reader.add_done_callback(read)
+            refused = HttpResponse.of_text(HTTPStatus.SERVICE_UNAVAILABLE, text, {"Retry-After": "5"})
+            await send(refused.response(request))
+            return
+        self._unread_bytes += len(response.body)
+        try:
+            await send(response)
+        finally:
+            self._unread_bytes -= len(response.body)
 
     async def _answer(self, request: Request) -> HttpResponse:
         name = _name(request.path)

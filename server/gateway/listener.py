@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import functools
 import logging
 import resource
 import socket
@@ -16,11 +15,7 @@ import ssl
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
-
-from websockets.asyncio.server import Server, ServerConnection, serve
-from websockets.http11 import Request, Response
-from websockets.protocol import State
+from typing import Any, NamedTuple
 
 from protocol.messages import Stamp
 from protocol.send_budget import SendBudget
@@ -32,17 +27,16 @@ from server.errors import ConfigurationError, StartError
 from server.gateway.admission import (
     AdmissionPolicy,
     ConnectionLimiter,
-    HandshakeRequest,
     check_exposure,
 )
-from server.gateway.client_transport import ClientTransport
 from server.gateway.connection import Connection, Traffic
-from server.gateway.http import HttpHandler, HttpResponse, names
+from server.gateway.http import HttpHandler
 from server.gateway.inbox import Scheduling
-from server.gateway.raw_tcp import TcpListener
+from server.gateway.raw_tcp import TcpStream, keep_alive
 from server.gateway.settings import ServerSettings
-from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
+from server.gateway.transport import Transport
 from server.gateway.turns import Threads, Turns, call_soon
+from server.gateway.websocket import WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.timers import CallLater, Timer, call_later
@@ -218,25 +212,12 @@ class ClientList:
         self._graph.publish(self._node, LIST_TOPIC, {"clients": list(self._clients.values())})
 
 
-WEBSOCKETS_LOG = logging.getLogger("websockets.server")
-
-# A message up to this many times the limit is still read, to be refused by the session while the connection lives on;
-# beyond it the socket is closed (1009) before it is read.
-OVERSIZE = 2
-
-# websockets counts an answer over HTTP as part of the handshake, and cuts it short when the time is up, without a word.
-# The largest mesh, 20 MB, takes so long at 170 kB/s, over a poor wireless link.
-OPEN_TIMEOUT_S = 120.0
-
 # Browsers close at once; a client that does not must not hold up the end of the server.
 CLOSE_TIMEOUT_S = 0.5
 
 # RFC 8446 needs two round trips; a slow device computes for a second.
 TLS_HANDSHAKE_TIMEOUT_S = 10.0
 TLS_SHUTDOWN_TIMEOUT_S = 1.0
-
-# Lines of websockets' log for each answer over HTTP: it takes every answer for a failed handshake.
-_HTTP_LINES = ("connection rejected", "HTTP response sent")
 
 # Connections that wait to be accepted; a flood of one client's must not keep another's out of the queue.
 BACKLOG = 1024
@@ -250,13 +231,6 @@ _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
 # Files besides the clients': planners, the arm, recordings, the page, connections that are refused, and those whose
 # TLS handshake is not done. A server that may open few files keeps half of them for that.
 SPARE = 256
-
-
-class _WebSocketsLog(logging.LoggerAdapter[logging.Logger]):
-    """Log of websockets without its debug lines: they contain every address and every message, and so every token."""
-
-    def isEnabledFor(self, level: int) -> bool:  # noqa: N802 - logging's name
-        return level > logging.DEBUG and super().isEnabledFor(level)
 
 
 class Place(NamedTuple):
@@ -309,20 +283,16 @@ class Listener:
         self._limits = settings.limits.limits()
         self._takes_goals_along = takes_goals_along
         self._sockets: list[socket.socket] = []
+        self._tcp_sockets: list[socket.socket] = []
         # One a listening socket.
-        self._servers: list[Server] = []
+        self._servers: list[asyncio.Server] = []
         # Each connection from its `connection_made` to its `connection_lost`.
-        self._connections: set[WebSocket] = set()
+        self._transports: set[Transport] = set()
         self._clients = ClientList(graph)
         self._threads = Threads()
         self._scheduling = Scheduling(Turns(call_soon, time.monotonic), self._threads)
         self._budget = SendBudget(settings.max_queued_bytes)
         self.traffic = Traffic()
-        self._tcp_sockets: list[socket.socket] = []
-        self._tcp: TcpListener | None = None
-        if settings.tcp_port is not None:
-            context, anonymous = None if self._tls is None else self._tls.context, self._access.tokens.anonymous
-            self._tcp = TcpListener(settings, self._limiter, anonymous, context, self._serve_client)
 
     @property
     def port(self) -> int:
@@ -387,6 +357,8 @@ class Listener:
         self._port = self._sockets[0].getsockname()[1]
         if self._settings.tcp_port is not None:
             self._tcp_sockets = listen(places, self._host, self._settings.tcp_port, "--tcp-port")
+            for each in self._tcp_sockets:
+                keep_alive(each, self._settings.ping_interval_s, self._settings.ping_timeout_s)
 
     async def open(self) -> None:
         """Begin to serve clients."""
@@ -396,50 +368,30 @@ class Listener:
         if possible < self._settings.max_clients:
             self._limiter.reduce(possible)
         self._clients.open()
-        WEBSOCKETS_LOG.addFilter(tells_of_more_than_http)
-        for listening in self._sockets:
-            self._servers.append(await self._serve_on(listening))
-        if self._tcp is not None:
-            await self._tcp.open(
-                self._tcp_sockets,
-                ssl_handshake_timeout=TLS_HANDSHAKE_TIMEOUT_S,
-                ssl_shutdown_timeout=TLS_SHUTDOWN_TIMEOUT_S,
-            )
+        for sockets, make_transport in ((self._sockets, self._make_websocket), (self._tcp_sockets, self._make_stream)):
+            for each in sockets:
+                self._servers.append(await self._serve_on(each, make_transport))
 
-    def _serve_on(self, listening: socket.socket) -> Server:
-        options: dict[str, Any] = {}
+    async def _serve_on(self, listening: socket.socket, make_transport: Callable[[], Transport]) -> asyncio.Server:
+        # asyncio refuses the time limits of TLS without it.
+        tls: dict[str, Any] = {}
         if self._tls is not None:
-            options = {
+            tls = {
                 "ssl": self._tls.context,
                 "ssl_handshake_timeout": TLS_HANDSHAKE_TIMEOUT_S,
                 "ssl_shutdown_timeout": TLS_SHUTDOWN_TIMEOUT_S,
             }
-        create_connection = functools.partial(
-            WebSocket,
-            limiter=self._limiter,
-            connections=self._connections,
-            admit=self._admit,
-            serve=self._handle_connection,
+        loop = asyncio.get_running_loop()
+        return await loop.create_server(make_transport, sock=listening, backlog=BACKLOG, **tls)
+
+    def _make_websocket(self) -> Transport:
+        return WebSocket(
+            self._settings, self._limiter, self._transports, self._serve_client, self.admission, self._http
         )
-        return serve(
-            self._handle_connection,
-            sock=listening,
-            backlog=BACKLOG,
-            # websockets' documentation allows for a wrapper, its annotation does not.
-            create_connection=cast("type[ServerConnection]", create_connection),
-            process_request=self._process_request,
-            server_header=None,
-            # As in rosbridge_server: deflate doubles the cost of every message.
-            compression=None,
-            max_size=OVERSIZE * self._limits.max_message_bytes,
-            write_limit=WRITE_LIMIT_BYTES,
-            open_timeout=OPEN_TIMEOUT_S,
-            close_timeout=CLOSE_TIMEOUT_S,
-            ping_interval=self._settings.ping_interval_s,
-            ping_timeout=self._settings.ping_timeout_s,
-            logger=_WebSocketsLog(WEBSOCKETS_LOG),
-            **options,
-        )
+
+    def _make_stream(self) -> Transport:
+        anonymous = self._access.tokens.anonymous
+        return TcpStream(self._settings, self._limiter, self._transports, self._serve_client, anonymous)
 
     def reload_certificate(self) -> None:
         """Read the certificate again, for connections from now on."""
@@ -453,52 +405,20 @@ class Listener:
         self._clients.close()
         for server in self._servers:
             server.close()
-        if self._tcp is not None:
-            self._tcp.close()
-        # `close` starts a task, which has stopped the server from accepting when this turn of the loop is over. Clients
-        # that have not sent their request by then are not waited for.
-        await asyncio.sleep(0)
-        for websocket in [each for each in self._connections if each.state is State.CONNECTING]:
-            websocket.transport.abort()
+        leaving = list(self._transports)
+        for transport in leaving:
+            transport.leave()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(2 * CLOSE_TIMEOUT_S):
-                for server in self._servers:
-                    await server.wait_closed()
-                if self._tcp is not None:
-                    await self._tcp.wait_closed()
+                for transport in leaving:
+                    await transport.wait_ended()
+        for transport in list(self._transports):
+            transport.abort()
         for each in (*self._sockets, *self._tcp_sockets):
             each.close()
         self._threads.close()
 
-    async def _process_request(self, connection: ServerConnection, request: Request) -> Response | None:
-        websocket = cast(WebSocket, connection)
-        rejection = websocket.rejection or self._admit(websocket, request)
-        return rejection or await self._http.process_request(websocket, request)
-
-    def _admit(self, websocket: WebSocket, request: Request) -> Response | None:
-        """Check a request; return the answer to one that is refused."""
-        rejection = None if websocket.slot is None else websocket.slot.rejection
-        if rejection is not None:
-            return rejection.response(request)
-        admitted = self.admission.check(
-            HandshakeRequest(
-                websocket.peer[0],
-                request.path,
-                request.headers,
-                upgrade=names(request.headers, "Upgrade", "websocket"),
-                encrypted=self._tls is not None,
-            )
-        )
-        if isinstance(admitted, HttpResponse):
-            return admitted.response(request)
-        websocket.identity = admitted
-        return None
-
-    async def _handle_connection(self, server_connection: ServerConnection) -> None:
-        websocket = cast(WebSocket, server_connection)
-        await self._serve_client(websocket)
-
-    async def _serve_client(self, transport: ClientTransport) -> None:
+    async def _serve_client(self, transport: Transport) -> None:
         """Serve a client until it leaves."""
         connection = Connection(
             transport,
@@ -641,8 +561,3 @@ def raise_file_limit(max_clients: int) -> int:
         max_clients,
     )
     return clients
-
-
-def tells_of_more_than_http(record: logging.LogRecord) -> bool:
-    """Return True for a line of websockets' log that is about more than an answer over HTTP."""
-    return not str(record.msg).startswith(_HTTP_LINES)

@@ -20,12 +20,12 @@ class ServerSettings(SettingsSection):
     """address to listen on."""
     port: int = Field(default=9090, ge=0, le=65535)
     """TCP port; 0 takes a free one."""
-    ros_version: Literal[1, 2] = 2
+    ros_version: int = Field(default=2, ge=1, le=2)
     """generation of ROS in whose spelling clients get messages whose URL has no ``ros``: 1 has seq, secs and nsecs."""
     tcp_port: int | None = Field(default=None, ge=0, le=65535)
     """one more port, for clients that speak rosbridge over raw TCP; 0 takes a free one, None for no such port."""
     # That of ROSIntegration's default, and of the rosbridge_tcp for which such clients were written.
-    tcp_ros_version: Literal[1, 2] = 1
+    tcp_ros_version: int = Field(default=1, ge=1, le=2)
     """generation of ROS in whose spelling clients of tcp_port get messages: 1 has seq, secs and nsecs."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """least level of the log."""

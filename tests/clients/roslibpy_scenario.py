@@ -64,6 +64,7 @@ def main(port: int) -> dict[str, Any]:
         "joint states": first_message(client, "/joint_states", "sensor_msgs/JointState").wait("joint states"),
         "relayed": relayed(client, other),
         "offered service": offered_service(client, other),
+        "failed service": failed_service(client, other),
         "unknown service": unknown_service(client),
         "goal": goal(client),
         "action": action(client, other),
@@ -96,6 +97,17 @@ def offered_service(client: roslibpy.Ros, other: roslibpy.Ros) -> dict[str, Any]
     roslibpy.Service(client, "/switch", "std_srvs/SetBool").advertise(switch)
     time.sleep(0.3)
     caller = roslibpy.Service(other, "/switch", "std_srvs/SetBool")
+    return dict(caller.call(roslibpy.ServiceRequest({"data": True}), timeout=STEP_TIMEOUT_S))
+
+
+def failed_service(client: roslibpy.Ros, other: roslibpy.Ros) -> dict[str, Any]:
+    def refuse(_request: dict[str, Any], response: roslibpy.ServiceResponse) -> bool:
+        response["message"] = "busy"
+        return False
+
+    roslibpy.Service(client, "/refuse", "std_srvs/SetBool").advertise(refuse)
+    time.sleep(0.3)
+    caller = roslibpy.Service(other, "/refuse", "std_srvs/SetBool")
     return dict(caller.call(roslibpy.ServiceRequest({"data": True}), timeout=STEP_TIMEOUT_S))
 
 

@@ -130,8 +130,7 @@ class OverTcp(SocketPlayer):
 
 def streams_of(listener: Listener) -> set[TcpStream]:
     """The connections of raw TCP that are open."""
-    assert listener._tcp is not None
-    return listener._tcp._streams
+    return {each for each in listener._transports if isinstance(each, TcpStream)}
 
 
 async def until_read(listener: Listener, client: RawClient) -> None:

@@ -20,8 +20,10 @@ def test_the_environment_overrides_the_file_and_the_command_line_both(
     file.write_text('[server]\nhost = "file"\nport = 1\nlog_level = "error"\n[goals]\npolicy = "preempt"\n')
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
     monkeypatch.setenv("ARMBRIDGE_SERVER__LOG_LEVEL", "debug")
+    monkeypatch.setenv("ARMBRIDGE_SERVER__TCP_ROS_VERSION", "2")
     settings = load(file, {"server": {"log_level": "info"}})
     assert (settings.server.host, settings.server.port, settings.server.log_level) == ("file", 2, "info")
+    assert settings.server.tcp_ros_version == 2
     assert settings.goals.policy is GoalPolicy.PREEMPT
 
 

@@ -17,6 +17,7 @@ FULL = np.array([0.8] * 5 + [0.5])
 JUMP_RAD = float(PLAIN.jump_rad[0])
 PERIOD_S = 0.01
 LIMITS = GuardLimits()
+FLAGGED = int(StatusFlag.VOLTAGE)
 
 
 def at(joint: int, value: float, else_value: float = 0.0) -> list[float]:
@@ -60,21 +61,22 @@ def test_some_readings_are_a_fault_at_once_and_name_the_joint(code: FaultCode) -
     assert fault.remedy
 
 
-def test_the_servos_own_temperature_bit_counts_as_well() -> None:
-    assert seconds_until(FaultCode.OVERHEATED, status=int(StatusFlag.TEMPERATURE)) == 0.0
+BEARABLE = {
+    "the servo's own temperature flag": (FaultCode.OVERHEATED, GOAL, {"status": int(StatusFlag.TEMPERATURE)}, 0.0),
+    "far behind": (FaultCode.TRACKING_LOST, at(1, 0.4), {}, LIMITS.tracking_time_s),
+    "pushes without moving": (FaultCode.STALLED, at(1, 0.2), {"load": at(1, 0.7)}, LIMITS.stall_time_s),
+    "much current": (FaultCode.STALLED, at(1, 0.2), {"current_a": at(1, -2.0)}, LIMITS.stall_time_s),
+    "low supply, as a motor starts": (FaultCode.VOLTAGE_LOW, GOAL, {"voltage_v": 4.4}, LOW_VOLTAGE_TIME_S),
+    "supply flag, too high": (FaultCode.VOLTAGE_HIGH, GOAL, {"voltage_v": 12.0, "status": FLAGGED}, VOLTAGE_BIT_TIME_S),
+    "supply flag, too low": (FaultCode.VOLTAGE_LOW, GOAL, {"voltage_v": 5.0, "status": FLAGGED}, VOLTAGE_BIT_TIME_S),
+}
 
 
-def test_a_joint_far_behind_is_lost_after_a_while() -> None:
-    assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.4)) == pytest.approx(LIMITS.tracking_time_s)
-
-
-def test_a_joint_that_pushes_without_moving_is_stalled_before_the_servo_cuts_its_torque() -> None:
-    assert seconds_until(FaultCode.STALLED, at(1, 0.2), load=at(1, 0.7)) == pytest.approx(LIMITS.stall_time_s)
-    assert LIMITS.stall_time_s < 2.0
-
-
-def test_current_alone_shows_a_stall() -> None:
-    assert seconds_until(FaultCode.STALLED, at(1, 0.2), current_a=at(1, -2.0)) == pytest.approx(LIMITS.stall_time_s)
+@pytest.mark.parametrize(("code", "position", "readings", "bearable_s"), BEARABLE.values(), ids=BEARABLE.keys())
+def test_some_readings_are_a_fault_when_they_last(
+    code: FaultCode, position: Any, readings: dict[str, Any], bearable_s: float
+) -> None:
+    assert seconds_until(code, position, **readings) == pytest.approx(bearable_s)
 
 
 @pytest.mark.parametrize(
@@ -92,16 +94,6 @@ def test_a_yielding_joint_may_stall_and_is_flagged() -> None:
         measured = reading(at(5, 0.2), load=at(5, 0.5))
         assert checked.check(GOAL, measured, FULL, tick * PERIOD_S, yielding) is None
     assert checked.stalled.tolist() == yielding.tolist()
-
-
-def test_a_low_supply_is_tolerated_while_a_motor_starts() -> None:
-    assert seconds_until(FaultCode.VOLTAGE_LOW, voltage_v=4.4) == pytest.approx(LOW_VOLTAGE_TIME_S)
-
-
-@pytest.mark.parametrize(("volts", "code"), [(12.0, FaultCode.VOLTAGE_HIGH), (5.0, FaultCode.VOLTAGE_LOW)])
-def test_the_supply_flag_of_a_servo_is_tolerated_for_a_while(volts: float, code: FaultCode) -> None:
-    waited_s = seconds_until(code, voltage_v=volts, status=int(StatusFlag.VOLTAGE))
-    assert waited_s == pytest.approx(VOLTAGE_BIT_TIME_S)
 
 
 def test_every_threshold_can_be_set() -> None:

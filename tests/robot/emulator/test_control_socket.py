@@ -130,15 +130,6 @@ def test_commands_are_carried_out_and_answered_in_their_order_in_the_next_cycle(
     assert controlled.servos.bus.faults.offline == {3}
 
 
-def test_several_controllers_are_served(controlled, connect):
-    controllers = [connect(), connect()]
-    for number, controller in enumerate(controllers):
-        controller.send(b'{"offline": [%d]}\n' % (3 + number))
-    controlled.cycle()
-    assert [controller.answer() for controller in controllers] == [{"ok": True}] * 2
-    assert controlled.servos.bus.faults.offline == {3, 4}
-
-
 def test_a_controller_that_goes_away_makes_room_for_others(controlled, connect):
     for _ in range(MAX_CONTROLLERS):
         connect().close()

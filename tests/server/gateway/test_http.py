@@ -36,7 +36,7 @@ from server.gateway.http import (
     names,
     page_is_built,
 )
-from server.gateway.listener import OPEN_TIMEOUT_S
+from server.gateway.websocket import ANSWER_TIMEOUT_S
 from tests.helpers.gateway import listening
 from tests.helpers.robots import so101
 
@@ -335,7 +335,7 @@ async def test_clients_that_do_not_read_take_a_bounded_part_of_memory(
 
 def test_the_largest_mesh_has_the_time_it_needs_over_a_poor_wireless_link() -> None:
     poor_link_bytes_s = 200_000
-    assert robot_files.MAX_FILE_BYTES / poor_link_bytes_s < OPEN_TIMEOUT_S
+    assert robot_files.MAX_FILE_BYTES / poor_link_bytes_s < ANSWER_TIMEOUT_S
 
 
 FILE = StoredFile(b"content", '"name"', gzipped=True)

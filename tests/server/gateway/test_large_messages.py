@@ -15,7 +15,7 @@ from protocol.registry import Registry
 from server.access.settings import SessionSettings
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
-from server.gateway.transport import WebSocket
+from server.gateway.transport import Transport
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import listening
@@ -158,8 +158,8 @@ async def test_clients_that_leave_return_what_waited_for_them() -> None:
 
 async def test_a_message_that_has_waited_for_many_clients_is_in_memory_once(monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[EncodedMessage] = []
-    monkeypatch.setattr(WebSocket, "send_at_once", lambda _self, _encoded: False)
-    monkeypatch.setattr(WebSocket, "send_all", lambda _self, messages: sent.extend(messages))
+    monkeypatch.setattr(Transport, "send_at_once", lambda _self, _encoded: False)
+    monkeypatch.setattr(Transport, "send_all", lambda _self, messages: sent.extend(messages))
     async with world_with() as world:
         for _ in range(5):
             await world.deaf()

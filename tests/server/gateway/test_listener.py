@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import errno
 import json
-import logging
 import resource
 import socket
 import ssl
@@ -37,7 +36,6 @@ from server.gateway.listener import (
     listen,
     raise_file_limit,
     resolve,
-    tells_of_more_than_http,
 )
 from server.gateway.settings import ServerSettings
 from server.graph.node import Node
@@ -225,7 +223,7 @@ async def test_a_connection_that_gets_no_answer_ends_at_once_and_is_not_read(
             writer.write(request(*UPGRADE))
             assert await is_ended(reader)
             writer.close()
-        assert not listener._connections
+        assert not listener._transports
     assert "Error" not in caplog.text
 
 
@@ -388,15 +386,6 @@ async def test_closing_ends_every_connection(listener: Listener) -> None:
     await asyncio.wait_for(listener.close(), TIMEOUT_S)
     await asyncio.wait_for(websocket.wait_closed(), TIMEOUT_S)
     assert websocket.close_code == 1001
-
-
-@pytest.mark.parametrize(
-    ("line", "told"),
-    [("connection rejected (%d %s)", False), ("HTTP response sent (%d %s)", False), ("connection open", True)],
-)
-def test_pages_that_load_are_no_news(line: str, told: bool) -> None:
-    record = logging.LogRecord("websockets.server", logging.INFO, "", 0, line, (200, "OK"), None)
-    assert tells_of_more_than_http(record) is told
 
 
 IPV4, IPV6 = Place(socket.AF_INET, "127.0.0.1", 0), Place(socket.AF_INET6, "::1", 0)

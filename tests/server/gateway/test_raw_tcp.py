@@ -5,7 +5,7 @@ import itertools
 import json
 import socket
 import ssl
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from protocol.stream import StreamSplitter
 from server.access.authorization import Access
 from server.access.settings import AccessSettings, SessionSettings
 from server.errors import StartError
-from server.gateway import connection, raw_tcp
+from server.gateway import connection, transport
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
@@ -112,7 +112,7 @@ def test_any_cut_of_the_stream_gives_the_same_answers(cuts: list[int], speaks_bs
 async def test_a_flood_is_carried_out_in_order_however_long_a_turn_is(
     listener: Listener, monkeypatch: pytest.MonkeyPatch, turn_s: float, *, speaks_bson: bool
 ) -> None:
-    monkeypatch.setattr(raw_tcp, "TURN_S", turn_s)
+    monkeypatch.setattr(transport, "TURN_S", turn_s)
     async with await RawClient.connect(port_of(listener), speaks_bson=speaks_bson) as client:
         client.send(op="subscribe", topic="/numbers", type="std_msgs/String")
         for number in range(300):
@@ -209,9 +209,9 @@ class TurnsOfTheLoop:
         self._turn += 1
         asyncio.get_running_loop().call_soon(self._count)
 
-    def write(self, data: bytes) -> None:
-        self.turns.append(self._turn)
-        self._real.write(data)
+    def writelines(self, frames: Sequence[bytes]) -> None:
+        self.turns += [self._turn for _ in frames]
+        self._real.writelines(frames)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._real, name)
@@ -251,7 +251,7 @@ async def test_a_client_that_has_said_its_last_still_gets_its_answers(
     listener: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A call a turn, so that most of them wait when the client's end is seen.
-    monkeypatch.setattr(raw_tcp, "TURN_S", 0.0)
+    monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with await RawClient.connect(port_of(listener)) as client:
         for number in range(50):
             client.send(op="call_service", service="/trigger", id=str(number))
@@ -281,7 +281,7 @@ async def test_a_client_that_goes_on_sending_is_told_why_it_is_closed(listener: 
 async def test_a_client_that_never_closes_its_side_is_closed(
     listener: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(raw_tcp, "END_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(transport, "END_TIMEOUT_S", 0.05)
     async with await RawClient.connect(port_of(listener)) as client:
         client.write(b"####")
         await until_empty(listener)
@@ -290,7 +290,7 @@ async def test_a_client_that_never_closes_its_side_is_closed(
 async def test_a_client_that_closes_its_side_is_not_waited_for_any_longer(
     listener: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(raw_tcp, "END_TIMEOUT_S", 10 * TIMEOUT_S)
+    monkeypatch.setattr(transport, "END_TIMEOUT_S", 10 * TIMEOUT_S)
     async with await RawClient.connect(port_of(listener)) as client:
         client.send(op="call_service", service="/trigger")
         await client.receive()
@@ -435,7 +435,7 @@ async def test_the_system_asks_idle_clients_whether_they_are_there_and_delays_no
 
 
 async def test_closing_ends_every_connection_at_once(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(raw_tcp, "END_TIMEOUT_S", 10 * TIMEOUT_S)
+    monkeypatch.setattr(transport, "END_TIMEOUT_S", 10 * TIMEOUT_S)
     client = await RawClient.connect(port_of(listener))
     client.send(op="call_service", service="/nobody")
     await client.receive()

@@ -5,7 +5,6 @@ import contextlib
 import gc
 import json
 import logging
-import time
 import weakref
 from collections.abc import AsyncIterator
 from typing import NamedTuple
@@ -22,11 +21,12 @@ from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.gateway import listener as listener_module
-from server.gateway import transport
-from server.gateway.connection import Connection
+from server.gateway import transport, websocket
+from server.gateway.connection import MAX_UNKNOWN_BYTES, Connection
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
-from server.gateway.transport import WRITE_LIMIT_BYTES, WebSocket
+from server.gateway.transport import OUT_OF_MEMORY, WRITE_LIMIT_BYTES
+from server.gateway.websocket import WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import (
@@ -44,6 +44,7 @@ from tests.helpers.gateway import (
 from tests.helpers.waiting import until
 
 TALKER = Node("talker")
+NUMBERS = [str(number) for number in range(1000)]
 
 
 class Link(NamedTuple):
@@ -67,49 +68,83 @@ async def linked() -> AsyncIterator[Link]:
     graph = Graph(Registry.load())
     graph.advertise(TALKER, "/t", "std_msgs/String")
     async with listening(graph=graph) as listener, connect(listener.url, compression=None) as client:
-        (websockets_server,) = listener._servers
-        (server,) = websockets_server.connections
+        (server,) = listener._transports
         assert isinstance(server, WebSocket)
         yield Link(client, server, graph)
 
 
-NUMBERS = [str(number) for number in range(1000)]
+def frame(data: bytes, opcode: Opcode = Opcode.TEXT, *, fin: bool = True) -> bytes:
+    """A frame as clients send it."""
+    return Frame(opcode, data, fin).serialize(mask=True)
+
+
+def publication(data: str) -> bytes:
+    return json.dumps({"op": "publish", "topic": "/t", "msg": {"data": data}}).encode()
+
+
+def flood_of(numbers: list[str]) -> bytes:
+    return b"".join(frame(publication(number)) for number in numbers)
+
+
+FLOOD = flood_of(NUMBERS)
 
 
 @pytest.mark.parametrize("turn_s", [0.0, 0.0001, 60.0])
-async def test_a_flood_is_carried_out_in_order_however_long_a_turn_is(
-    monkeypatch: pytest.MonkeyPatch, turn_s: float
+@pytest.mark.parametrize("piece_bytes", [1, 7, 10_000, len(FLOOD)])
+async def test_a_flood_is_carried_out_in_order_however_it_is_cut_and_however_long_a_turn_is(
+    monkeypatch: pytest.MonkeyPatch, turn_s: float, piece_bytes: int
 ) -> None:
     monkeypatch.setattr(transport, "TURN_S", turn_s)
+    numbers = NUMBERS if piece_bytes > 7 else NUMBERS[:30]
+    flood = flood_of(numbers)
     async with linked() as link:
         await link.subscribe()
-        frames = (json.dumps({"op": "publish", "topic": "/t", "msg": {"data": number}}) for number in NUMBERS)
-        link.client.transport.write(
-            b"".join(Frame(Opcode.TEXT, frame.encode()).serialize(mask=True) for frame in frames)
-        )
-        assert await link.received(len(NUMBERS)) == NUMBERS
+        for begin in range(0, len(flood), piece_bytes):
+            link.server.data_received(flood[begin : begin + piece_bytes])
+        assert await link.received(len(numbers)) == numbers
+        assert not link.server._data
 
 
-async def test_frames_behind_a_fragmented_one_wait_and_do_not_overtake_it() -> None:
-    frame = Frame(Opcode.TEXT, b"{}").serialize(mask=True)
-    pieces = Frame(Opcode.TEXT, b"{", fin=False).serialize(mask=True) + Frame(Opcode.CONT, b"}").serialize(mask=True)
+@pytest.mark.parametrize("piece_bytes", [1, 10_000])
+async def test_long_messages_fragments_and_pings_keep_their_order_among_whole_messages(piece_bytes: int) -> None:
+    wanted = ["one", "x" * 70_000, "two", "in pieces", "", "three"]
+    whole = [frame(publication(data)) for data in wanted]
+    pieces = [publication("in pieces")[begin : begin + 30] for begin in range(0, 90, 30)]
+    whole[3] = (
+        frame(pieces[0], fin=False)
+        + frame(b"", Opcode.CONT, fin=False)
+        + frame(b"still there?", Opcode.PING)
+        + frame(pieces[1], Opcode.CONT, fin=False)
+        + frame(pieces[2], Opcode.CONT)
+    )
+    sent = b"".join(whole)
     async with linked() as link:
         await link.subscribe()
-        delivered: list[str | bytes] = []
-        link.server.start_delivery(delivered.append)
-        for data in (frame, pieces, frame):
-            link.server.data_received(data)
-        assert delivered == ["{}"]
-        assert len(link.server.recv_messages.frames) == 3
+        for begin in range(0, len(sent), piece_bytes):
+            link.server.data_received(sent[begin : begin + piece_bytes])
+        assert await link.received(len(wanted)) == wanted
+
+
+async def test_frames_that_come_along_with_the_request_are_carried_out() -> None:
+    call = frame(b'{"op": "call_service", "service": "/none", "id": "a"}')
+    async with listening() as listener:
+        for lines in (UPGRADE, (*UPGRADE, "Sec-WebSocket-Protocol: any")):
+            reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+            for part in (request(*lines)[:-3], request(*lines)[-3:] + call[:5], call[5:]):
+                writer.write(part)
+                await writer.drain()
+            async with asyncio.timeout(TIMEOUT_S):
+                assert b" 101 " in await reader.readuntil(b"\r\n\r\n")
+                assert b'"id":"a"' in await reader.readuntil(b"}")
+            writer.close()
 
 
 async def test_a_connection_that_is_held_reads_on_where_it_stopped() -> None:
     async with linked() as link:
         await link.subscribe()
         link.server.hold_reading()
-        flood = flood_of(len(NUMBERS))
-        link.server.data_received(flood)
-        assert link.server._unread == flood
+        link.server.data_received(FLOOD)
+        assert link.server._data == FLOOD
         link.server.release_reading()
         assert await link.received(len(NUMBERS)) == NUMBERS
 
@@ -117,68 +152,39 @@ async def test_a_connection_that_is_held_reads_on_where_it_stopped() -> None:
 class FullMemory(bytes):
     """Bytes to which none can be added."""
 
+    def __getitem__(self, _: object) -> FullMemory:  # type: ignore[override]
+        return self
+
     def __add__(self, _: bytes) -> bytes:  # type: ignore[override]
         raise MemoryError
 
 
-class FullReader:
-    """Reader of frames that finds no memory for one."""
-
-    def next(self, *_: object) -> None:
-        raise MemoryError
+def full(*_: object, **__: object) -> None:
+    raise MemoryError
 
 
 async def refused_for_memory(link: Link, caplog: pytest.LogCaptureFixture) -> None:
     await asyncio.wait_for(link.client.wait_closed(), TIMEOUT_S)
     await until(lambda: warnings_of(caplog))
     (line,) = warnings_of(caplog)
-    assert transport.OUT_OF_MEMORY in line
+    assert OUT_OF_MEMORY in line
 
 
-async def test_a_connection_whose_bytes_cannot_be_kept_is_closed_with_one_line(
-    caplog: pytest.LogCaptureFixture,
+@pytest.mark.parametrize("place", ["kept", "read", "thread"])
+async def test_a_connection_whose_message_finds_no_memory_is_closed_with_one_line(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
     async with linked() as link:
         await link.subscribe()
-        link.server.hold_reading()
-        link.server._unread = FullMemory(b"{")
-        link.server.transport.resume_reading()
-        await link.client.send("{}")
-        await refused_for_memory(link, caplog)
-        assert link.client.close_code == 1011
-        assert link.client.close_reason == transport.OUT_OF_MEMORY
-
-
-@pytest.mark.parametrize("held", [False, True], ids=["as it comes", "in a later turn"])
-async def test_a_connection_whose_message_cannot_be_read_for_want_of_memory_is_closed_with_one_line(
-    caplog: pytest.LogCaptureFixture, *, held: bool
-) -> None:
-    async with linked() as link:
-        await link.subscribe()
-        link.server._frames = FullReader()  # type: ignore[assignment]
-        if held:
-            link.server.hold_reading()
-            link.server.data_received(b"{}")
-            link.server.release_reading()
+        if place == "kept":
+            link.server._data = FullMemory(b"{")
         else:
-            await link.client.send("{}")
+            name = "server.gateway.websocket.apply_mask" if place == "read" else "protocol.codecs.json.orjson.loads"
+            monkeypatch.setattr(name, full)
+        long = json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * 3_000_000}})
+        await link.client.send(long if place == "thread" else "{}")
         await refused_for_memory(link, caplog)
-        assert link.client.close_code == 1011
-
-
-async def test_a_connection_whose_long_message_finds_no_memory_in_a_thread_is_closed_with_one_line(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with linked() as link:
-        await link.subscribe()
-
-        def fail(*_: object, **__: object) -> None:
-            raise MemoryError
-
-        monkeypatch.setattr("protocol.codecs.json.orjson.loads", fail)
-        await link.client.send(json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * 3_000_000}}))
-        await refused_for_memory(link, caplog)
-        assert link.client.close_code == 1011
+        assert (link.client.close_code, link.client.close_reason) == (1011, OUT_OF_MEMORY)
 
 
 @pytest.mark.parametrize("burst_s", [-1.0, 60.0], ids=["at once", "at the end of the turn"])
@@ -188,22 +194,47 @@ async def test_a_message_that_cannot_be_written_for_want_of_memory_ends_its_conn
     monkeypatch.setattr(transport, "BURST_S", burst_s)
     async with linked() as link:
         await link.subscribe()
-        link.server._last_sent_s = time.monotonic()
-        link.server.transport = FullTransport(link.server.transport)  # type: ignore[assignment]
+        link.graph.publish(TALKER, "/t", {"data": "before"})
+        link.server._transport = FullTransport(link.server._transport)  # type: ignore[assignment]
         link.graph.publish(TALKER, "/t", {"data": "hello"})
         await refused_for_memory(link, caplog)
 
 
-async def test_text_that_is_no_utf8_ends_the_connection_with_its_code() -> None:
+@pytest.mark.parametrize(
+    ("sent", "code"),
+    [
+        (frame(b"\xff"), 1007),
+        (frame(b"\xff", fin=False) + frame(b"", Opcode.CONT), 1007),
+        # Not masked.
+        (b"\x81\x02{}", 1002),
+        # FIN, RSV1 and text, as compressed frames have it; masked by zeros.
+        (b"\xc1\x84\x00\x00\x00\x00bomb", 1002),
+        # A message within another one.
+        (frame(b"{", fin=False) + frame(b"{}"), 1002),
+        (frame(b"{", Opcode.CONT), 1002),
+    ],
+    ids=["no UTF-8", "no UTF-8 in pieces", "no mask", "compressed", "interleaved", "no beginning"],
+)
+async def test_a_frame_against_the_rules_ends_its_connection_with_a_code(sent: bytes, code: int) -> None:
     async with linked() as link:
-        link.client.transport.write(Frame(Opcode.TEXT, b"\xff").serialize(mask=True))
+        link.client.transport.write(sent)
         with pytest.raises(ConnectionClosed):
             await asyncio.wait_for(link.client.recv(), TIMEOUT_S)
-        assert link.client.close_code == 1007
+        assert link.client.close_code == code
+
+
+async def test_who_has_not_authenticated_sends_no_long_message_in_pieces_either() -> None:
+    access = Access(AccessSettings(token=SecretStr("right-" * 6)))
+    async with listening(access=access) as listener, connect(listener.url, compression=None) as client:
+        client.transport.write(frame(b"x" * 1000, fin=False))
+        for _ in range(MAX_UNKNOWN_BYTES // 1000):
+            client.transport.write(frame(b"x" * 1000, Opcode.CONT, fin=False))
+        await asyncio.wait_for(client.wait_closed(), TIMEOUT_S)
+        assert client.close_code == 1009
 
 
 @pytest.mark.parametrize("burst_s", [-1.0, 0.0001, 60.0])
-async def test_messages_sent_in_one_turn_of_the_loop_arrive_in_order(
+async def test_messages_of_one_turn_of_the_loop_arrive_in_order(
     monkeypatch: pytest.MonkeyPatch, burst_s: float
 ) -> None:
     monkeypatch.setattr(transport, "BURST_S", burst_s)
@@ -231,60 +262,20 @@ async def test_in_one_turn_of_the_loop_no_more_is_taken_than_the_limit(monkeypat
 async def test_a_connection_that_is_closed_takes_nothing() -> None:
     async with linked() as link:
         await link.client.close()
-        await asyncio.wait_for(link.server.wait_closed(), TIMEOUT_S)
+        await asyncio.wait_for(link.server.wait_ended(), TIMEOUT_S)
         assert not link.server.send_at_once(EncodedMessage(Payload(b"{}", text=True)))
-
-
-def flood_of(count: int) -> bytes:
-    frames = (json.dumps({"op": "publish", "topic": "/t", "msg": {"data": str(number)}}) for number in range(count))
-    return b"".join(Frame(Opcode.TEXT, frame.encode()).serialize(mask=True) for frame in frames)
-
-
-async def test_of_a_flood_that_comes_at_once_only_a_turns_worth_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transport, "TURN_S", 0.0)
-    async with linked() as link:
-        await link.subscribe()
-        flood = flood_of(len(NUMBERS))
-        link.server.data_received(flood)
-        assert len(link.server._unread) == len(flood) - len(flood_of(1))
-        await until(lambda: not link.server._unread)
-        assert await link.received(len(NUMBERS)) == NUMBERS
-
-
-async def test_a_flood_is_carried_out_in_order_while_the_queue_fills_again_and_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(transport, "TURN_S", 0.0)
-    async with linked() as link:
-        await link.subscribe()
-        flood = flood_of(len(NUMBERS))
-        for begin in range(0, len(flood), 10_000):
-            link.server.data_received(flood[begin : begin + 10_000])
-        assert await link.received(len(NUMBERS)) == NUMBERS
-        assert not link.server._unread
 
 
 async def test_frames_not_read_before_a_connection_ends_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with linked() as link:
-        link.server.data_received(flood_of(len(NUMBERS)))
-        link.server.transport.abort()
-        await asyncio.wait_for(link.server.wait_closed(), TIMEOUT_S)
-        await asyncio.sleep(0)
-        assert not link.server._unread
-
-
-async def test_a_connection_keeps_nothing_of_its_handshake() -> None:
-    async with linked() as link:
-        assert link.server.request is not None
-        assert not link.server.request.headers
-        assert link.server.response is None
+        link.server.data_received(FLOOD)
+        link.server.abort()
+        await asyncio.wait_for(link.server.wait_ended(), TIMEOUT_S)
+        assert not link.server._data
 
 
 LOWEST_S = 0.1
-
-# FIN, RSV1 and text; masked by zeros.
-COMPRESSED_FRAME = b"\xc1\x84\x00\x00\x00\x00bomb"
 
 
 async def read_to_end(reader: asyncio.StreamReader) -> bytes:
@@ -321,7 +312,8 @@ async def answered(listener: Listener, sent: bytes, *, ended: bool) -> str:
 async def test_a_client_that_does_not_finish_its_request_is_answered_400_and_disconnected(
     ended: bool, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
+    monkeypatch.setattr(websocket, "REQUEST_TIMEOUT_S", LOWEST_S)
+    monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
         # Without a byte of a request nothing is answered.
         assert await answered(listener, b"", ended=ended) == ""
@@ -334,7 +326,8 @@ async def test_a_client_that_does_not_finish_its_request_is_answered_400_and_dis
 async def test_a_client_that_stays_after_the_answer_to_a_broken_request_is_disconnected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
+    monkeypatch.setattr(websocket, "REQUEST_TIMEOUT_S", LOWEST_S)
+    monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(b"what\r\n\r\n")
@@ -346,7 +339,8 @@ async def test_a_client_that_stays_after_the_answer_to_a_broken_request_is_disco
 async def test_a_client_that_sends_its_request_letter_by_letter_is_disconnected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(transport, "REQUEST_TIMEOUT_S", LOWEST_S)
+    monkeypatch.setattr(websocket, "REQUEST_TIMEOUT_S", LOWEST_S)
+    monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         ended = asyncio.create_task(read_to_end(reader))
@@ -355,11 +349,6 @@ async def test_a_client_that_sends_its_request_letter_by_letter_is_disconnected(
                 writer.write(b"x")
                 await asyncio.sleep(LOWEST_S / 10)
         writer.close()
-
-
-async def test_a_connected_client_outlives_the_timeout_of_requests() -> None:
-    async with linked() as link:
-        assert link.server._request_timer is None
 
 
 @pytest.mark.parametrize(
@@ -391,18 +380,6 @@ async def test_a_request_is_answered_or_its_connection_ends_and_others_are_serve
         await asyncio.wait_for(await client.ping(), TIMEOUT_S)
 
 
-async def test_compression_is_not_agreed_to_and_a_compressed_frame_ends_the_connection() -> None:
-    async with listening() as listener, connect(f"ws://127.0.0.1:{listener.port}") as client:
-        assert client.response is not None
-        assert client.request is not None
-        assert "permessage-deflate" in client.request.headers["Sec-WebSocket-Extensions"]
-        assert "Sec-WebSocket-Extensions" not in client.response.headers
-        client.transport.write(COMPRESSED_FRAME)
-        with pytest.raises(ConnectionClosed):
-            await asyncio.wait_for(client.recv(), TIMEOUT_S)
-        assert client.close_code == 1002
-
-
 async def test_a_client_whose_machine_is_gone_is_let_go(caplog: pytest.LogCaptureFixture) -> None:
     # More often than the settings allow.
     pings = {"ping_interval_s": LOWEST_S / 2, "ping_timeout_s": LOWEST_S / 2}
@@ -416,19 +393,17 @@ async def test_a_client_whose_machine_is_gone_is_let_go(caplog: pytest.LogCaptur
 
 
 async def test_no_token_gets_into_the_log_whatever_its_level(caplog: pytest.LogCaptureFixture) -> None:
-    for name in ("", "websockets", "websockets.server"):
+    for name in ("", "websockets"):
         caplog.set_level(logging.DEBUG, name)
     token = "correct-horse-battery"
     async with listening() as listener:
-        url = f"ws://127.0.0.1:{listener.port}/?token={token}"
         for sent in (request(*UPGRADE, f"Authorization: Bearer {token}"), request(path=f"/nothing?token={token}")):
             assert await exchange(listener.port, sent)
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(request(*UPGRADE, path=f"/?token={token}"))
-        writer.write(Frame(Opcode.TEXT, f'{{"op": "auth", "token": "{token}"}}'.encode()).serialize(mask=True))
+        writer.write(frame(f'{{"op": "auth", "token": "{token}"}}'.encode()))
         await reader.readuntil(b"\r\n\r\n")
         writer.close()
-        assert url
     ours = [record for record in caplog.records if not record.name.startswith("websockets.client")]
     assert ours
     assert not [record for record in ours if token in record.getMessage()]
@@ -456,16 +431,35 @@ async def test_the_end_of_the_server_ends_a_client_that_does_not_listen() -> Non
         writer.close()
 
 
+async def test_a_request_over_http_is_answered_in_full_whatever_follows_it() -> None:
+    async with listening() as listener:
+        for behind in (b"GET / HTTP/1.1\r\n\r\n", frame(b"{}")):
+            answer = await exchange(listener.port, request(path="/nothing") + behind)
+            assert (status(answer), answer.count("HTTP/1.1"), answer[-1]) == (404, 1, "\n")
+        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+        writer.write(request(path="/nothing"))
+        writer.write_eof()
+        assert status((await read_to_end(reader)).decode()) == 404
+        writer.close()
+
+
 async def test_no_header_tells_which_program_serves() -> None:
     async with listening() as listener:
         for sent in (request(), request(*UPGRADE)):
             assert "Server:" not in await exchange(listener.port, sent)
 
 
+async def test_compression_is_not_agreed_to() -> None:
+    async with listening() as listener:
+        answer = await exchange(listener.port, request(*UPGRADE, "Sec-WebSocket-Extensions: permessage-deflate"))
+        assert status(answer) == 101
+        assert "Extensions" not in answer
+
+
 async def test_a_client_that_stays_open_after_an_answer_is_disconnected_without_a_traceback(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(listener_module, "CLOSE_TIMEOUT_S", LOWEST_S)
+    monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(request(path="/nothing"))
@@ -474,11 +468,6 @@ async def test_a_client_that_stays_open_after_an_answer_is_disconnected_without_
         gc.collect()
         assert "never retrieved" not in caplog.text
         writer.close()
-
-
-# A frame from a client, masked by zeros.
-def pong(data: bytes) -> bytes:
-    return b"\x8a" + bytes([0x80 | len(data)]) + bytes(4) + data
 
 
 PING_SIZE = 6
@@ -497,17 +486,18 @@ async def test_a_client_that_answers_pings_stays_and_a_pong_to_none_counts_for_n
                 ping = await reader.readexactly(PING_SIZE)
                 assert ping[:2] == b"\x89\x04"
                 asked.add(ping[2:])
-                writer.write(pong(b"none") + pong(ping[2:]))
+                writer.write(frame(b"none", Opcode.PONG) + frame(ping[2:], Opcode.PONG))
             assert len(asked) == 20
             await reader.readexactly(PING_SIZE)
-            writer.write(pong(b"none"))
+            writer.write(frame(b"none", Opcode.PONG))
             # Close, 1011.
             assert (await reader.read()).startswith(b"\x88\x18\x03\xf3keepalive ping timeout")
         writer.close()
 
 
-async def test_a_client_that_has_said_goodbye_and_stays_is_disconnected_at_the_next_ping() -> None:
-    async with listening(ServerSettings(port=0).model_copy(update={"ping_interval_s": LOWEST_S})) as listener:
+async def test_a_client_that_has_said_goodbye_and_stays_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
+    async with listening() as listener:
         reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
         writer.write(request(*UPGRADE))
         await reader.readuntil(b"\r\n\r\n")
@@ -542,10 +532,10 @@ async def test_a_client_that_has_left_is_freed_without_the_garbage_collector() -
         try:
             async with connect(f"ws://127.0.0.1:{listener.port}", compression=None) as client:
                 await client.send(json.dumps({"op": "subscribe", "topic": "/t", "type": "std_msgs/String"}))
-                (each,) = listener._connections
+                (each,) = listener._transports
                 (connection,) = listener.traffic._open
                 assert isinstance(connection, Connection)
-                parts = (each, each.protocol, connection, connection._client, connection._client._topics)
+                parts = (each, connection, connection._client, connection._client._topics)
                 left = [weakref.ref(part) for part in parts]
                 del each, connection, parts
             await until_empty(listener)

@@ -1,0 +1,410 @@
+"""WebSocket of one client (RFC 6455), and the requests over HTTP that come to the same port.
+
+Control frames, fragments and everything unusual are for ``ServerProtocol``, the documented sans-I/O interface of
+websockets. Whole messages, nearly all that clients send, are read here, which saves a third of the time of a flood
+(docs/architecture.md). Their mask is taken off by ``websockets.speedups.apply_mask``, the one name in use that
+websockets does not document: numpy takes seven times as long for short messages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import secrets
+from collections.abc import Awaitable, Callable
+from typing import cast
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.exceptions import ConnectionClosedOK, InvalidMessage
+from websockets.frames import CloseCode, Frame, Opcode
+from websockets.http11 import Request, Response
+from websockets.protocol import State
+from websockets.server import ServerProtocol
+from websockets.speedups import apply_mask
+
+from protocol.errors import one_line, shorten
+from server.gateway.admission import AdmissionPolicy, ConnectionLimiter, HandshakeRequest
+from server.gateway.handshake import accept, read_upgrade
+from server.gateway.http import HttpHandler, HttpResponse, bad_request, names
+from server.gateway.settings import ServerSettings
+from server.gateway.transport import INTERNAL_ERROR, OUT_OF_MEMORY, Transport
+
+# Looking a member of an enumeration up takes as long as calling a function.
+_OPEN, _TEXT, _BINARY, _CONT, _PONG, _CLOSE = (
+    State.OPEN,
+    Opcode.TEXT,
+    Opcode.BINARY,
+    Opcode.CONT,
+    Opcode.PONG,
+    Opcode.CLOSE,
+)
+
+# Clients send their request at once; one that takes longer only holds the connection (slow loris).
+REQUEST_TIMEOUT_S = 10.0
+
+# Time for an answer over HTTP to be read. The largest mesh, 20 MB, takes so long at 170 kB/s, over a poor wireless
+# link.
+ANSWER_TIMEOUT_S = 120.0
+
+# A message up to this many times the limit is still read, to be refused by the session while the connection lives on;
+# beyond it the socket is closed (1009) before it is read.
+OVERSIZE = 2
+
+# Frames up to this size are read here; those beyond take websockets' way, whose cost is in their bytes.
+SHORT_FRAME_BYTES = 65_536
+
+# Without the debug lines of websockets: they contain every address and every message, and so every token.
+_log = logging.getLogger("armbridge.gateway.websockets")
+_log.setLevel(logging.WARNING)
+
+_END_OF_REQUEST = b"\r\n\r\n"
+
+# First byte of a whole message: its last frame (0x80), text or binary, without reserved bits (RFC 6455, 5.2).
+_WHOLE_TEXT, _WHOLE_BINARY = _WHOLE = 0x81, 0x82
+_OPCODE, _LAST_DATA_OPCODE, _MASKED, _LENGTH = 0x0F, 0x02, 0x80, 0x7F
+_MASK_BYTES = 4
+
+
+class WebSocket(Transport):
+    """Connection of one client: a WebSocket, or one request over HTTP.
+
+    Args:
+        settings: the section ``server``: limits and pings.
+        limiter: counter of connections.
+        transports: every connection of the listener.
+        serve: serves the client until it leaves, when the WebSocket is open.
+        admission: policy of admission, which checks each request.
+        http: handler of requests over HTTP.
+    """
+
+    def __init__(
+        self,
+        settings: ServerSettings,
+        limiter: ConnectionLimiter,
+        transports: set[Transport],
+        serve: Callable[[Transport], Awaitable[None]],
+        admission: AdmissionPolicy,
+        http: HttpHandler,
+    ) -> None:
+        super().__init__(limiter, transports, serve)
+        self.max_message_bytes = OVERSIZE * settings.limits.max_message_bytes
+        self._settings = settings
+        self._admission = admission
+        self._http = http
+        self._protocol = ServerProtocol(state=State.OPEN, max_size=None, logger=_log)
+        self._rejection: HttpResponse | None = None
+        # The end of the wait for the request; later the next ping, or the end of the wait for its answer.
+        self._timer: asyncio.TimerHandle | None = None
+        self._opened = False
+        # Last bytes of what there is of the request.
+        self._request_end = b""
+        # Received bytes, and how far they have been read.
+        self._data = b""
+        self._begin_at = 0
+        # Rest of a frame that is websockets' to read, and the pieces of a message in fragments.
+        self._foreign_bytes = 0
+        self._fragments: list[bytes] = []
+        self._fragments_bytes = 0
+        self._is_text = False
+        self._ping_data = b""
+        self._pinged_s = 0.0
+
+    def _begin(self, rejection: HttpResponse | None) -> None:
+        self._rejection = rejection
+        self._call_later(REQUEST_TIMEOUT_S, self._end_request, REQUEST_TIMEOUT_S)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._cancel_timer()
+        if self._opened and not self._ending:
+            self._failure = self._failure or self._protocol_failure()
+        super().connection_lost(exc)
+
+    def _clear(self) -> None:
+        self._data, self._begin_at = b"", 0
+        self._fragments.clear()
+
+    # The request.
+
+    def data_received(self, data: bytes) -> None:
+        if self._opened or self._ending:
+            super().data_received(data)
+            return
+        is_first = not self.received_bytes
+        self.received_bytes += len(data)
+        if self._task is not None:
+            # A request over HTTP is being answered.
+            return
+        if is_first:
+            plain = read_upgrade(data)
+            if plain is not None:
+                self._respond(plain, is_plain=True)
+                return
+            self._protocol = ServerProtocol(max_size=None, logger=_log)
+        before = self._request_end
+        end = (before + data).find(_END_OF_REQUEST)
+        length = len(data) if end < 0 else end + len(_END_OF_REQUEST) - len(before)
+        self._request_end = (before + data)[1 - len(_END_OF_REQUEST) :]
+        # Frames that a client sends along with its request are read when the WebSocket is open.
+        self._data = data[length:]
+        self._protocol.receive_data(data[:length])
+        for event in self._protocol.events_received():
+            self._respond(cast(Request, event))
+        self._flush()
+
+    def _respond(self, request: Request, *, is_plain: bool = False) -> None:
+        """Open the WebSocket, refuse the request, or leave it to the handler of HTTP."""
+        self._cancel_timer()
+        upgrade = names(request.headers, "Upgrade", "websocket")
+        encrypted = self._transport.get_extra_info("sslcontext") is not None
+        admitted = self._rejection or self._admission.check(
+            HandshakeRequest(self.peer[0], request.path, request.headers, upgrade, encrypted)
+        )
+        if isinstance(admitted, HttpResponse):
+            self._write((admitted.response(request).serialize(),))
+            self._close_after_replies()
+        elif upgrade:
+            self.identity = admitted
+            if is_plain:
+                self._write((accept(request),))
+            else:
+                self._protocol.send_response(self._protocol.accept(request))
+                self._flush()
+            if self._protocol.state is _OPEN:
+                self._open(request)
+        else:
+            self._task = asyncio.get_running_loop().create_task(self._answer(request))
+
+    def _open(self, request: Request) -> None:
+        self._opened = True
+        self.query = parse_qs(urlsplit(request.path).query) if "?" in request.path else {}
+        # websockets holds on to the request, whose headers take as much memory as all else of an idle client.
+        request.headers.clear()
+        self._call_later(self._settings.ping_interval_s, self._ping)
+        self._start_serving()
+
+    async def _answer(self, request: Request) -> None:
+        """Answer a request over HTTP, and end the connection when the client has read the answer."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(ANSWER_TIMEOUT_S):
+                await self._http.answer(request, self._send_answer)
+        self._close_after_replies()
+
+    async def _send_answer(self, response: Response) -> None:
+        self._transport.set_write_buffer_limits(0)
+        self._protocol.send_response(response)
+        # Without the end of the stream, which comes last.
+        self._transport.writelines([each for each in self._protocol.data_to_send() if each])
+        await self._writable.wait()
+
+    def _end_request(self, timeout_s: float) -> None:
+        """Answer a request that has not come to its end in time, and end the connection."""
+        self._refuse_request(f"the request was not complete within {timeout_s:g} s")
+
+    def _refuse_request(self, sentence: str) -> None:
+        # A connection on which nothing ever came is one that a browser has opened ahead, or a port scan.
+        if self.received_bytes:
+            self._write((bad_request(sentence),))
+        self._close_after_replies(linger=bool(self.received_bytes))
+
+    def eof_received(self) -> bool:
+        if self._opened or self._task is not None or self._ending:
+            return super().eof_received()
+        self._at_eof = True
+        self._refuse_request("this is no complete HTTP request: connection closed while reading HTTP")
+        return False
+
+    # Pings.
+
+    def _call_later(self, delay_s: float, function: Callable[..., None], *arguments: float) -> None:
+        self._cancel_timer()
+        self._timer = asyncio.get_running_loop().call_later(delay_s, function, *arguments)
+
+    def _cancel_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _ping(self) -> None:
+        """Ask the client whether it is still there (RFC 6455, 5.5.2)."""
+        if not self.is_open:
+            return
+        self._ping_data, self._pinged_s = secrets.token_bytes(4), asyncio.get_running_loop().time()
+        self._protocol.send_ping(self._ping_data)
+        self._flush()
+        self._call_later(self._settings.ping_timeout_s, self._end_silent)
+
+    def _receive_pong(self, data: bytes) -> None:
+        """Let the next ping follow at its time; a pong that answers none is ignored (RFC 6455, 5.5.3)."""
+        if self._ping_data and data == self._ping_data:
+            self._ping_data = b""
+            latency_s = asyncio.get_running_loop().time() - self._pinged_s
+            self._call_later(max(0.0, self._settings.ping_interval_s - latency_s), self._ping)
+
+    def _end_silent(self) -> None:
+        """End a connection whose client has not answered."""
+        self._fail(CloseCode.INTERNAL_ERROR, "keepalive ping timeout")
+
+    # Frames.
+
+    def _add(self, data: bytes) -> None:
+        left = self._data[self._begin_at :]
+        self._data, self._begin_at = left + data if left else data, 0
+
+    def _next_frame(self) -> str | bytes | None:
+        """Return the next message; whole ones that are short are read here, all others by websockets."""
+        data = self._data
+        while self._begin_at < len(data) and not self._ending:
+            begin = self._begin_at
+            if not self._foreign_bytes:
+                header_bytes, size_bytes = _measure(data, begin)
+                if not header_bytes:
+                    break
+                opening = data[begin]
+                if (
+                    opening in _WHOLE
+                    and size_bytes <= SHORT_FRAME_BYTES
+                    and not self._fragments_bytes
+                    and data[begin + 1] & _MASKED
+                    and self._protocol.state is _OPEN
+                ):
+                    end = begin + size_bytes
+                    if end > len(data):
+                        break
+                    self._begin_at = end
+                    key_at = begin + header_bytes - _MASK_BYTES
+                    payload = apply_mask(data[begin + header_bytes : end], data[key_at : key_at + _MASK_BYTES])
+                    return self._decode(payload) if opening == _WHOLE_TEXT else payload
+                if opening & _OPCODE <= _LAST_DATA_OPCODE and self._is_too_long(size_bytes - header_bytes):
+                    break
+                self._foreign_bytes = size_bytes
+            piece = data[begin : begin + self._foreign_bytes]
+            self._begin_at += len(piece)
+            self._foreign_bytes -= len(piece)
+            message = self._receive_foreign(piece)
+            if message is not None:
+                return message
+        if not self._ending:
+            self._data, self._begin_at = data[self._begin_at :], 0
+        return None
+
+    def _is_too_long(self, payload_bytes: int) -> bool:
+        limit_bytes = self.max_message_bytes
+        if self._fragments_bytes + payload_bytes <= limit_bytes:
+            return False
+        self._fail(CloseCode.MESSAGE_TOO_BIG, f"over size limit ({limit_bytes} bytes)")
+        return True
+
+    def _receive_foreign(self, data: bytes) -> str | bytes | None:
+        """Have websockets read bytes of one frame; return the message that it completes."""
+        self._protocol.receive_data(data)
+        message: str | bytes | None = None
+        for event in self._protocol.events_received():
+            frame = cast(Frame, event)
+            if frame.opcode is _PONG:
+                self._receive_pong(bytes(frame.data))
+            elif frame.opcode is _TEXT or frame.opcode is _BINARY or frame.opcode is _CONT:
+                message = self._assemble(frame)
+        self._flush()
+        return message
+
+    def _assemble(self, frame: Frame) -> str | bytes | None:
+        if frame.opcode is not _CONT:
+            self._is_text = frame.opcode is _TEXT
+        if not frame.fin:
+            self._fragments.append(bytes(frame.data))
+            # An empty fragment counts too: while it is not 0, a message is in progress.
+            self._fragments_bytes += max(1, len(frame.data))
+            return None
+        payload = b"".join((*self._fragments, frame.data))
+        self._fragments.clear()
+        self._fragments_bytes = 0
+        return self._decode(payload) if self._is_text else payload
+
+    def _decode(self, payload: bytes) -> str | None:
+        try:
+            return payload.decode()
+        except UnicodeDecodeError as error:
+            self._fail(CloseCode.INVALID_DATA, f"{error.reason} at position {error.start}")
+            return None
+
+    # The end.
+
+    def _fail(self, code: int, reason: str) -> None:
+        """Fail the WebSocket (RFC 6455, 7.1.7)."""
+        self._protocol.fail(code, reason)
+        self._flush()
+
+    def _flush(self) -> None:
+        """Write what websockets has to send, and end the connection at its end."""
+        for data in self._protocol.data_to_send():
+            if data:
+                self._write((data,))
+                continue
+            error = self._protocol.handshake_exc
+            if self._opened:
+                self._failure = self._failure or self._protocol_failure()
+            elif isinstance(error, InvalidMessage):
+                reason = one_line(shorten(str(error.__cause__ or error)))
+                self._write((bad_request(f"this is no complete HTTP request: {reason}"),))
+            self._cancel_timer()
+            self._close_after_replies()
+
+    def _protocol_failure(self) -> ConnectionError | None:
+        """Return the reason of the end of an open WebSocket; None where both sides have said goodbye."""
+        self._protocol.receive_eof()
+        closed = self._protocol.close_exc
+        if isinstance(closed, ConnectionClosedOK):
+            return None
+        # A program that ends often leaves without a close frame (RFC 6455, 7.1.5: code 1006).
+        breaks_off = closed.rcvd is None and closed.sent is None
+        return ConnectionResetError(str(closed)) if breaks_off else ConnectionAbortedError(str(closed))
+
+    def _end_of_stream(self) -> None:
+        if self._opened:
+            self._failure = self._failure or self._protocol_failure()
+            self._close_after_replies()
+
+    def end(self, reason: str, code: int = INTERNAL_ERROR) -> None:
+        if self._protocol.state is _OPEN and not self._ending:
+            self._protocol.send_close(code, reason)
+            self._flush()
+            self.is_open = False
+            # The client's own close frame is read.
+            self._held = False
+            self._receive = _ignore
+            self._take_turn_later()
+
+    def end_out_of_memory(self) -> None:
+        self._clear()
+        try:
+            self._fail(CloseCode.INTERNAL_ERROR, OUT_OF_MEMORY)
+        except MemoryError:
+            self.abort()
+
+    def leave(self) -> None:
+        """Say goodbye (1001) as the server stops; who has not sent its request yet is not waited for."""
+        if self._opened:
+            self.end("", CloseCode.GOING_AWAY)
+        elif self._task is None:
+            self.abort()
+
+
+def _ignore(_frame: str | bytes) -> None:
+    """Take a frame behind the end."""
+
+
+def _measure(data: bytes, begin: int) -> tuple[int, int]:
+    """Return the sizes of a frame's header and of the whole frame; zeros when the header has not come whole."""
+    received = len(data) - begin
+    if received < 2:
+        return 0, 0
+    second = data[begin + 1]
+    header_bytes = 2 + (_MASK_BYTES if second & _MASKED else 0)
+    length = second & _LENGTH
+    if length >= 126:
+        # The length follows in two bytes, or in eight.
+        length_bytes = 2 if length == 126 else 8
+        header_bytes += length_bytes
+        length = int.from_bytes(data[begin + 2 : begin + 2 + length_bytes], "big")
+    return (header_bytes, header_bytes + length) if received >= header_bytes else (0, 0)

@@ -56,9 +56,6 @@ def read_sample(message: Message, received_s: float) -> LeaderSample:
 
     Args:
         received_s: time that stands for the stamp of a message without one [s].
-
-    Raises:
-        ServiceError: names and positions do not fit, or a position is not finite.
     """
     names, positions = message["name"], message["position"]
     if len(names) != len(positions) or not 0 < len(names) <= MAX_JOINTS:

@@ -148,11 +148,6 @@ def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Posi
     return TipTwist(_rotated(rotation, command.linear_m_s), _rotated(rotation, command.angular_rad_s))
 
 
-def halt_command(command: ServoCommand) -> ServoCommand:
-    """Return the command that follows an expired one: after a twist the tip is held, otherwise the joints."""
-    return TipTwist() if isinstance(command, TipTwist) else JointVelocities({})
-
-
 def _rotated(rotation: Vector, vector: Point) -> Point:
     x, y, z = (rotation @ np.array(vector)).tolist()
     return x, y, z
@@ -327,7 +322,8 @@ class ServoSession:
         command = to_planning_frame(self._input, self._resolve, positions_rad)
         if self._clock() <= self._expires_at_s:
             return command
-        return halt_command(command)
+        # After a twist the tip is held, otherwise the joints.
+        return TipTwist() if isinstance(command, TipTwist) else JointVelocities({})
 
     async def _answer(
         self,

@@ -47,8 +47,7 @@ FEW_SHAPES = 100
 class Broadphase:
     """Shapes, and pairs of shapes that must not touch, which are indices (pairs, 2), the smaller first.
 
-    A configuration ``q`` is the position of every movable joint, shape (n,) [rad]; ``joints`` maps it to the model's
-    joints, None where each has a position of its own, in the model's order. The shapes of each pair must stay
+    A configuration ``q`` is the position of every movable joint, shape (n,) [rad]. The shapes of each pair must stay
     ``apart_m`` apart, shape (pairs,) [m].
     """
 
@@ -58,7 +57,7 @@ class Broadphase:
         shapes: list[pin.GeometryObject],
         pairs: NDArray[np.int64],
         apart_m: Vector,
-        joints: JointMap | None = None,
+        joints: JointMap,
     ) -> None:
         self._model, self._data = model, model.createData()
         self._joints = joints
@@ -145,8 +144,7 @@ class Broadphase:
     def distance_gradient(self, pair: int, nearest: Nearest) -> Vector:
         """Return the gradient of a pair's distance by joint at the last :meth:`turn`, shape (n,) [m/rad]."""
         first, second = (self._carriers[i] for i in self._pairs[pair])
-        gradient = distance_gradient(self._model, self._data, nearest, first, second)
-        return gradient if self._joints is None else self._joints.by_joint(gradient)
+        return self._joints.by_joint(distance_gradient(self._model, self._data, nearest, first, second))
 
     def turn(self, q: Vector) -> None:
         """As :meth:`place`, and make ready for :meth:`distance_gradient`."""
@@ -158,7 +156,7 @@ class Broadphase:
         return self._data.oMi[joint]
 
     def _positions(self, q: Vector) -> Vector:
-        return q if self._joints is None else self._joints.positions(q)
+        return self._joints.positions(q)
 
     def _distance(self, pair: int) -> coal.DistanceResult:
         self._contact.distanceRequests[pair].gjk_tolerance = GJK_TOLERANCE

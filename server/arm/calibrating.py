@@ -52,9 +52,6 @@ def check_state_rate(rate_hz: float) -> None:
 
     Args:
         rate_hz: setting ``arm.joint_state_rate_hz`` [Hz].
-
-    Raises:
-        OrderRefused: they do not.
     """
     if rate_hz < LEAST_STATE_RATE_HZ:
         raise OrderRefused(
@@ -70,9 +67,6 @@ class CalibrationProcedure:
         file: calibration to write, and True if the settings name this file.
         end_goals: ends all goals of the arm and stops every motion of it, for a reason.
         start_anew: called when the calibration is written.
-
-    Raises:
-        CalibrationError: the file cannot be written, or another process has it.
     """
 
     def __init__(
@@ -217,9 +211,6 @@ def calibration_file(name: str, description: Description) -> tuple[Path, bool]:
 
     Args:
         name: id of lerobot; empty for the calibration in use.
-
-    Raises:
-        CalibrationError: there is none in use, or the name is none.
     """
     if description.hardware.kind != "feetech":
         raise CalibrationError(

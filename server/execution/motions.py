@@ -150,7 +150,10 @@ async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scen
             problem = step(now_rad)
             plan = await _plan(problem, scene, ask)
         except RefusedError as error:
-            failure = error.failure if len(steps) == 1 else _in_item(number, error.failure)
+            failure = error.failure
+            if len(steps) > 1:
+                details = {**failure.details, "item": number}
+                failure = replace(failure, message=f"items[{number}]: {failure.message}", details=details)
             return replace(planned, failure=failure, problem=problem)
         planned = planned.with_plan(plan)
         # A new mapping: the problem keeps the one it was made for.
@@ -164,17 +167,12 @@ def _end_positions(motion: Trajectory) -> dict[str, float]:
 
 
 async def _plan(problem: Problem, scene: Scene, ask: AskPlanner) -> Plan | CartesianPlan:
-    """Plan one motion to its end."""
     plan = await ask(problem, scene)
     if isinstance(plan, PlanningFailure):
         raise RefusedError(plan)
     if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
         raise RefusedError(plan.stopped_by)
     return plan
-
-
-def _in_item(number: int, failure: PlanningFailure) -> PlanningFailure:
-    return replace(failure, message=f"items[{number}]: {failure.message}", details={**failure.details, "item": number})
 
 
 # The next motion leaves the present one so far ahead: planning takes a few milliseconds, on a busy machine some tens.

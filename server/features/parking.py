@@ -73,11 +73,7 @@ class RestPose:
 
 
 def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
-    """Return the arm's rest pose; None for an arm that has none.
-
-    Raises:
-        ConfigurationError: the settings name a state that does not exist.
-    """
+    """Return the arm's rest pose; None for an arm that has none."""
     name = settings.park_state or robot.park_state
     groups = sorted(robot.named_states, key=lambda group: group != robot.default_group)
     for group in groups:
@@ -92,11 +88,7 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
 
 
 class Parking:
-    """Parking of one arm, and the service for it.
-
-    Raises:
-        ConfigurationError: the settings name a state that does not exist.
-    """
+    """Parking of one arm, and the service for it."""
 
     def __init__(self, arm: Arm, context: ArmContext) -> None:
         settings, planning = context.served.settings, context.planning

@@ -86,9 +86,6 @@ def joint_map(
         scale: of positions; the gripper's is 1.
         mirror: True to follow in the mirror of the x-z plane of the root link.
         pairs: joints of the leader, and for each the joint that follows it; without any, joints of equal names.
-
-    Raises:
-        ServiceError: a joint that is not there, or none that fit.
     """
     if not (math.isfinite(scale) and 0.0 < scale <= MAX_SCALE):
         raise ServiceError(f"scale: must be above 0 and at most {MAX_SCALE:g}, not {scale:g}")

@@ -54,7 +54,7 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
     long = len(request["waypoints"]) > MAX_WAYPOINTS_AT_ONCE
     read = context.problems.cartesian_path
     built = await asyncio.to_thread(read, request, start.start_rad) if long else read(request, start.start_rad)
-    thresholds = _read_thresholds(request)
+    thresholds = JumpThresholds(_threshold(request, "revolute_jump_threshold"), _threshold(request, "jump_threshold"))
     plan = required(await context.pool.ask(built.problem, start.scene))
     if thresholds.any:
         plan = await _without_jumps(plan, built.problem, thresholds, start.scene, context)
@@ -103,10 +103,6 @@ def _stopped_by(jump: Jump, step_m: float, whole_m: float) -> PlanningFailure:
         f" (threshold {jump.limit_rad:.3g} rad)",
         asdict(jump),
     )
-
-
-def _read_thresholds(request: Message) -> JumpThresholds:
-    return JumpThresholds(_threshold(request, "revolute_jump_threshold"), _threshold(request, "jump_threshold"))
 
 
 def _threshold(request: Message, field: str) -> float:
@@ -241,7 +237,6 @@ def _between(first: Pose, second: Pose, share: float) -> Pose:
 
 
 def _slerp(first: Vector, second: Vector, share: float) -> Vector:
-    """Interpolate two unit quaternions on the shorter arc."""
     cosine = float(first @ second)
     if cosine < 0.0:
         second, cosine = -second, -cosine

@@ -94,7 +94,7 @@ async def test_a_stream_follows_its_setpoints_and_ends_at_rest_without_them(rig:
     stick = Stick(rig.arm)
     await until(lambda: stick.speed_rad_s == pytest.approx(0.5, abs=0.01) and rig.pan_rad > 0.15)
     ended = await asyncio.wait_for(stick.stream.ended, SOON_S)
-    assert ended.outcome is Outcome.STOPPED
+    assert ended.outcome is Outcome.UNSTEERED
     assert rig.arm.state.goal_rad[0] > 0.15
     assert (await rig.arm.execute(to(0.0, start_rad=float(rig.arm.state.goal_rad[0])))).outcome is Outcome.REACHED
 

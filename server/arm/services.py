@@ -88,7 +88,6 @@ async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
 
 
 async def _standstill(arm: AnyArm) -> CommandDone:
-    """Wait until the arm no longer moves."""
     if await arm.rest(STOP_TIMEOUT_S):
         return CommandDone(0, done=True, message="the arm does not move")
     return CommandDone(0, done=False, message=f"the arm still moves after {STOP_TIMEOUT_S:g} s")

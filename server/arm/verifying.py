@@ -158,7 +158,6 @@ class VerificationProcedure:
         raise ProcedureFailed(f"{pose.name} was not reached: {reasons[-1]}")
 
     async def _measure(self, dialogue: Dialogue) -> None:
-        """Measure how far each joint stands from its goal."""
         dialogue.tell("measuring", "The arm holds still, and is measured.")
         readings = _Readings(self._arm.clock_s, asyncio.get_running_loop().create_future())
         self._readings = readings
@@ -199,5 +198,4 @@ class VerificationProcedure:
 
 
 async def _choice(dialogue: Dialogue, step: Step) -> str:
-    """Ask a question, and return the answer."""
     return await dialogue.ask(step, lambda answer: answer, lambda: step)

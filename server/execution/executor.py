@@ -343,7 +343,6 @@ class GoalExecutor:
         return None if answer is None else replace(answer, performed=planned.performed)
 
     async def _play(self, goal: Goal, planned: PlannedSequence, version: int) -> Answer:
-        """Play the motions one after the other."""
         motions = planned.performed.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
         self._end_rad = planned.end_rad

@@ -167,7 +167,6 @@ def _end_positions(motion: Trajectory) -> dict[str, float]:
 
 
 async def _plan(problem: Problem, scene: Scene, ask: AskPlanner) -> Plan | CartesianPlan:
-    """Plan one motion to its end."""
     plan = await ask(problem, scene)
     if isinstance(plan, PlanningFailure):
         raise RefusedError(plan)

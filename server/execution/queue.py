@@ -231,7 +231,6 @@ class GoalQueue:
         self._executors.stop(joints)
 
     def _moving(self, joints: Joints) -> list[Goal]:
-        """Return the active goals that move any of some joints."""
         return [goal for goal in self._active if goal.joints & joints]
 
     def _clear(self, reason: str, joints: Joints | None = None) -> None:
@@ -242,7 +241,6 @@ class GoalQueue:
             self._leave(goal, reason)
 
     def _leave(self, goal: Goal, reason: str) -> None:
-        """Answer a goal that was taken out of the queue before its turn."""
         self._executors.executor(goal.joints).forget(goal)
         self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, f"{reason} before this goal's turn came"))
 

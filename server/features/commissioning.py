@@ -80,7 +80,6 @@ class CommissioningOfArms(Feature):
         self._of_arms[arm].take_health(health)
 
     def _begin(self, context: ArmContext, procedure: str, name: str) -> Procedure:
-        """Make a procedure."""
         served, queue, arm = context.served, context.goals.queue, context.served.arm
         if isinstance(arm, ArmGroup):
             raise OrderRefused("one arm is calibrated or verified at a time: use the services below its name")

@@ -192,7 +192,6 @@ class NamedStates:
         return usable
 
     def _check(self, name: str, positions_rad: Positions) -> None:
-        """Check that a state can be saved under a name."""
         if not 1 <= len(name) <= MAX_NAME_LENGTH or not name.isprintable():
             raise ServiceError(
                 f"name: must have 1 to {MAX_NAME_LENGTH} printable characters, not {name[:MAX_NAME_LENGTH]!r}"

@@ -262,7 +262,6 @@ class Teleoperation:
         return {"success": True, "message": f"{follower.name} goes to where {name} is, then {followed}"}
 
     def _check_idle(self, follower: Follower) -> None:
-        """Refuse a follower that follows, or cannot."""
         if (other := self._followings.get(follower.name)) is not None:
             raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
         if follower.name in self._starting:
@@ -297,7 +296,6 @@ class Teleoperation:
             self._check_not_stopped(follower)
 
     def _running(self, names: Sequence[str]) -> dict[str, FollowingSession]:
-        """Return the followings of some followers that have begun."""
         if not (running := self._sessions(names)):
             raise ServiceError(f"nothing follows: {START} begins")
         return running
@@ -415,6 +413,5 @@ def _and(names: Collection[str]) -> str:
 
 
 def _verb(names: Collection[str], verb: str) -> str:
-    """Return a verb in the number of the followers."""
     one = f"{verb}es" if verb.endswith("o") else f"{verb}s"
     return one if len(names) == 1 else verb

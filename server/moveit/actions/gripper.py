@@ -357,7 +357,6 @@ ActionMessages: TypeAlias = GripperCommandMessages | ParallelGripperCommandMessa
 def _checked_command(
     joints: Sequence[Joint], position: float, max_effort: float, max_velocity: float, fingers: int = 1
 ) -> GripperCommand:
-    """Return a command within the limits."""
     lower, upper = max(joint.lower for joint in joints), min(joint.upper for joint in joints)
     unit = joints[0].unit
     beyond = CLAMPED_WITHIN_M if unit == "m" else CLAMPED_WITHIN_RAD

@@ -117,7 +117,6 @@ def _within_limits(joint: Joint, message: Message, context: RequestContext, wher
 
 
 def _common(first: JointConstraint, second: JointConstraint, where: str) -> JointConstraint:
-    """Return the common range of two constraints on one joint."""
     lower = max(first.position_rad - first.below_rad, second.position_rad - second.below_rad)
     upper = min(first.position_rad + first.above_rad, second.position_rad + second.above_rad)
     if lower > upper + LEAST_JOINT_TOLERANCE_RAD:

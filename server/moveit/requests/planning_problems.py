@@ -438,7 +438,6 @@ def _tip_speed_m_s(request: Message, context: RequestContext) -> float | None:
 
 
 def _ik_goal(request: Message, context: RequestContext) -> Goal:
-    """Read the poses to reach."""
     links, poses = request["ik_link_names"], request["pose_stamped_vector"]
     if len(poses) > 1 or len(links) > 1:
         if len(links) != len(poses):

@@ -237,7 +237,6 @@ def _between(first: Pose, second: Pose, share: float) -> Pose:
 
 
 def _slerp(first: Vector, second: Vector, share: float) -> Vector:
-    """Interpolate two unit quaternions on the shorter arc."""
     cosine = float(first @ second)
     if cosine < 0.0:
         second, cosine = -second, -cosine

@@ -160,7 +160,6 @@ def _scaled_vector(message: Message, part: str, scale: float, parameters: ServoP
 
 
 def _scaled(values: Mapping[str, float], scale: float, parameters: ServoParameters) -> list[float]:
-    """Scale values to speeds; their names are for errors."""
     unitless = parameters.command_in_type == UNITLESS
     for name, value in values.items():
         if not math.isfinite(value):

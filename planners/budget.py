@@ -51,13 +51,10 @@ class Deadline:
 
     def left_s(self) -> float:
         """Return the time to the deadline by the waits so far [s]; zero or less once it has passed."""
-        return self._allowed_s + self._starved_s() - (self._clock() - self._began_s)
-
-    def _starved_s(self) -> float:
-        waited_s = self._run_delay_s()
-        if waited_s is None or self._waited_before_s is None:
-            return 0.0
-        return min(waited_s - self._waited_before_s, MAX_STARVED_S)
+        waited_s, starved_s = self._run_delay_s(), 0.0
+        if waited_s is not None and self._waited_before_s is not None:
+            starved_s = min(waited_s - self._waited_before_s, MAX_STARVED_S)
+        return self._allowed_s + starved_s - (self._clock() - self._began_s)
 
 
 class Budget:

@@ -91,11 +91,6 @@ def nearest_goal(
     return None
 
 
-def _are_numbers(goal: JointGoal) -> bool:
-    """Tell if no position is NaN; the check of a goal ends at the first flaw, which may be another one."""
-    return not any(math.isnan(value) for value in goal.positions_rad.values())
-
-
 def ways_out(
     space: JointSpace, point: Vector, start: Vector, moving: Vector, should_stop: Callable[[], bool]
 ) -> list[tuple[float, Vector]]:
@@ -171,7 +166,10 @@ class _Search:
     def phases(self, goal: Goal, *, around: bool) -> Iterator[tuple[Iterator[_TipOrJointGoal], Budget]]:
         """Yield the candidates of each way to look for them, and the time for it."""
         match goal:
-            case JointGoal(positions_rad) if positions_rad.keys() <= set(self._group.joints) and _are_numbers(goal):
+            # The check of a goal ends at the first flaw, which another flaw may follow.
+            case JointGoal(positions_rad) if positions_rad.keys() <= set(self._group.joints) and not any(
+                math.isnan(value) for value in positions_rad.values()
+            ):
                 if around:
                     part = self._budget.share(AROUND_SHARE)
                     yield self._joint_goals(goal, part), part

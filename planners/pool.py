@@ -61,11 +61,6 @@ RESTART_PAUSE_S = 5.0
 CLOSE_TIMEOUT_S = 2.0
 
 
-def brief(scene: Scene) -> bool:
-    """Return true if a worker sets up a scene soon enough for a race; it does not listen meanwhile."""
-    return sum(map(packed_bytes, scene.all_objects())) <= BRIEF_SCENE_BYTES
-
-
 def allowed_time_s(request: Request) -> float:
     """Return the time that a request allows its planner, bounded [s]; the planner itself refuses an invalid time."""
     if not isinstance(request, TimedRequest):
@@ -190,7 +185,9 @@ class PlannerPool(Planners):
 
     def _join(self, race: Race, scene: Scene, spent_s: float) -> None:
         """Have idle workers join a race, as long as each worker has a core for itself."""
-        ready = sum(brief(scene) or worker.has(scene) for worker in self._idle)
+        # A worker does not listen while it sets up a scene.
+        brief = sum(map(packed_bytes, scene.all_objects())) <= BRIEF_SCENE_BYTES
+        ready = sum(brief or worker.has(scene) for worker in self._idle)
         at_work = len(self._workers) - len(self._idle)
         for _ in range(min(ready, len(os.sched_getaffinity(0)) - at_work)):
             race.join(lambda problem: self._search_as_well(problem, scene), spent_s)

@@ -175,24 +175,16 @@ def limit_memory(limit_bytes: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard))
 
 
-def _end_with_the_server() -> None:
-    """A worker that hangs never sees its socket close; the kernel ends it with the server's thread."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
-def _go_first_when_memory_is_short() -> None:
-    try:
-        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
-    except OSError as error:
-        log.debug("oom_score_adj cannot be set: %s", error)
-
-
 def main(make_planner: MakePlanner) -> None:
     """Be a planner process until the server ends it."""
     # The server logs which signal ended a worker; the place in the code is known only here.
     faulthandler.enable()
-    _end_with_the_server()
-    _go_first_when_memory_is_short()
+    # A worker that hangs never sees its socket close; the kernel ends it with the server's thread.
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    try:
+        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
+    except OSError as error:
+        log.debug("oom_score_adj cannot be set: %s", error)
     worker = Worker(channel_of_child(), make_planner)
     try:
         worker.run()

@@ -56,7 +56,6 @@ def spell_type(type_name: str, dialect: Dialect) -> str:
     Args:
         type_name: canonical name of a message, service or action, or of a member of one of the latter; one in two parts
             is in ROS 1 spelling but for its package.
-        dialect: the client's dialect.
     """
     if dialect == "ros2":
         return type_name
@@ -71,8 +70,6 @@ def to_ros1(registry: Registry, type_name: str, msg: Mapping[str, Any], sequence
     Values inside arrays and single primitives are passed on as they are, whatever an encoding made of them.
 
     Args:
-        registry: the ROS 2 registry.
-        type_name: name of the message's type.
         msg: a message as `protocol.messages.complete` returns it; it is left as it was and may share parts
             with what is returned.
         sequence_number: ``seq`` of the message's own header, which publishers of ROS 1 count from 1 (rospy/topics.py).
@@ -90,11 +87,6 @@ def from_ros1(registry: Registry, type_name: str, msg: object) -> Any:
     """Spell what a ROS 1 client sent as ROS 2 does; to be validated and completed afterwards.
 
     Fields may be missing, and what cannot be understood is passed on for the validation to refuse.
-
-    Args:
-        registry: the ROS 2 registry.
-        type_name: name of the message's type.
-        msg: the message as it was decoded.
     """
     translate = _from_ros1(registry, registry.message(type_name).name)
     return msg if translate is None else translate(msg)
@@ -104,7 +96,6 @@ def declared_in_ros1(registry: Registry, type_name: str) -> MessageType:
     """Return a message type as ROS 1 declares it; one that exists only in ROS 2 is returned as it is there.
 
     Args:
-        registry: the ROS 2 registry.
         type_name: name of the type in either generation.
 
     Raises:

@@ -70,7 +70,6 @@ class FrameReader:
 
         Args:
             frame: text, or the bytes of a binary frame.
-            light: True for a frame that :func:`protocol.codecs.json.is_light`.
         """
         self.last_was_bson = isinstance(frame, bytes) and bson.is_document(frame)
         try:
@@ -189,7 +188,6 @@ def split(frame: str, size: int, fragment_id: str) -> list[bytes]:
     """Cut a frame into fragments.
 
     Args:
-        frame: JSON text.
         size: greatest length of a piece [characters], at least 1; the envelope comes on top.
         fragment_id: a mark that no other frame to the same client has.
 
@@ -209,10 +207,7 @@ class _Message:
     """A message of which fragments are missing.
 
     Attributes:
-        total: number of its fragments.
         started_s: when its first fragment came [s].
-        size_bytes: of all pieces that are there.
-        pieces: text by number.
     """
 
     total: int
@@ -237,10 +232,6 @@ class Reassembly:
 
     def add(self, fragment: Fragment, now: float) -> str | None:
         """Take one fragment; one that is there already changes nothing.
-
-        Args:
-            fragment: the operation.
-            now: present time [s], monotonic.
 
         Returns:
             The frame, when this was its last missing fragment.

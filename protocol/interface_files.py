@@ -110,10 +110,8 @@ class InterfaceFile:
 
     Attributes:
         name: the type's canonical name.
-        path: the file.
         definition: as in the tables of `protocol.registry`; without the lines that cannot be read.
         references: types that it refers to.
-        problems: what cannot be read.
     """
 
     name: str
@@ -127,7 +125,6 @@ def is_spelled_as_ros1(text: str, *, has_header: bool) -> bool:
     """Return True for a file that only ROS 1 reads: with ``time``, ``duration``, or ``Header`` without a package.
 
     Args:
-        text: content of the file.
         has_header: True where the package has a message type Header of its own.
     """
     return any(match["time"] or not has_header for match in _ROS1_LINE.finditer(text))
@@ -137,10 +134,7 @@ def read_file(path: Path, text: str, package: str, kind: Kind, generation: Gener
     """Read an interface file.
 
     Args:
-        path: of the file; its stem is the type's name.
         text: its content; octets that are no UTF-8 as lone surrogates.
-        package: name of the package that it is in.
-        kind: what it defines.
         generation: the generation of ROS that it is for.
     """
     read = InterfaceFile(f"{package}/{kind}/{path.stem}", path)
@@ -170,12 +164,7 @@ def read_file(path: Path, text: str, package: str, kind: Kind, generation: Gener
 
 
 class _Member:
-    """A message, or the part of a service or action that is one.
-
-    Attributes:
-        fields: rows of the tables.
-        constants: rows of the tables.
-    """
+    """A message, or the part of a service or action that is one."""
 
     def __init__(self, package: str, generation: Generation) -> None:
         self.fields: list[list[str]] = []
@@ -185,14 +174,7 @@ class _Member:
         self._names: set[str] = set()
 
     def read(self, line: str) -> str:
-        """Add the field or constant of a line, if it has one.
-
-        Returns:
-            Name of the message type that it refers to; empty without one.
-
-        Raises:
-            ValueError: the line cannot be read; the error is the sentence that says so.
-        """
+        """Add the field or constant of a line, if it has one."""
         if not line.partition("#")[0].strip():
             return ""
         declared, rest = (*line.split(None, 1), "")[:2]
@@ -245,11 +227,7 @@ class _Declaration(NamedTuple):
 
 
 def _read_type(declared: str, package: str, generation: Generation) -> _Declaration:
-    """Read the type in front of a name.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """Read the type in front of a name."""
     match = _TYPE.fullmatch(declared)
     if match is None:
         raise ValueError(f"wanted {_TYPE_WORDS}, got {declared}")
@@ -292,22 +270,14 @@ def _without_comment(text: str) -> str:
 
 
 def _constant(declaration: _Declaration, text: str, generation: Generation) -> str:
-    """Return the value of a constant as the tables write it.
-
-    Raises:
-        ValueError: it has a type without constants, or the text is none of its type.
-    """
+    """Return the value of a constant as the tables write it."""
     if declaration.base not in PRIMITIVES or declaration.spelled != declaration.base:
         raise ValueError(f"a constant is of a primitive type without bounds, not of {declaration.spelled}")
     return json.dumps(_value(declaration, text, generation), ensure_ascii=False)
 
 
 def _default(declaration: _Declaration, text: str, generation: Generation) -> str:
-    """Return a default as the tables write it.
-
-    Raises:
-        ValueError: the field's type has no defaults, or the text is none of its type.
-    """
+    """Return a default as the tables write it."""
     if generation == "ros1":
         raise ValueError(f"ROS 1 has no defaults, and this is a package of ROS 1; there must not be {text}")
     if declaration.base not in PRIMITIVES:
@@ -343,11 +313,7 @@ def _elements(text: str) -> Iterator[str]:
 
 
 def _value(declaration: _Declaration, text: str, generation: Generation) -> Scalar:
-    """Return the value of a constant's or default's text.
-
-    Raises:
-        ValueError: the text is none of the type.
-    """
+    """Return the value of a constant's or default's text."""
     base = declaration.base
     if not text.isascii() and any(_is_stray_octet(character) for character in text):
         raise ValueError("wanted text in UTF-8")

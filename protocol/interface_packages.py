@@ -302,11 +302,7 @@ def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterat
 
 
 class _Sizes:
-    """Number of values in messages, for which no type may contain itself.
-
-    Args:
-        registry: the types of one generation.
-    """
+    """Number of values in messages, for which no type may contain itself."""
 
     def __init__(self, registry: Registry) -> None:
         self._registry = registry

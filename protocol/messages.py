@@ -156,9 +156,7 @@ def complete(
     stamp that is given stays, even if it is zero. The text ``now`` for a Time is the time of receipt.
 
     Args:
-        registry: where the type is looked up.
         type_name: name of a message type, in two parts or three.
-        value: the message as it was decoded.
         received: the time of receipt, or a function that tells it, called where it is wanted.
         max_values: values that the elements of all its lists of messages may have, at most `MAX_VALUES`.
         max_values_at_once: such values beyond which the message is left to the background.

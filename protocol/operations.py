@@ -314,9 +314,7 @@ class Fragment(Operation):
     """One piece of a longer frame.
 
     Attributes:
-        data: the piece's text.
         num: its place, from 0.
-        total: how many pieces there are.
     """
 
     op: Literal["fragment"] = "fragment"
@@ -327,11 +325,7 @@ class Fragment(Operation):
 
 
 class Png(Operation):
-    """A frame packed into a picture: its bytes are those of the pixels.
-
-    Attributes:
-        data: the picture, as base64 text.
-    """
+    """A frame packed into a picture: its bytes are those of the pixels."""
 
     op: Literal["png"] = "png"
     data: Text
@@ -341,10 +335,8 @@ class Auth(Operation):
     """Show who the client is, by a token or by a proof of one.
 
     Attributes:
-        token: the token itself.
         mac: rosauth's proof: SHA-512 of the token and of the fields below, as hexadecimal text.
         client: the client's address, as it calls it.
-        dest: the server's.
         rand: a text of its own for every proof.
         t: when the proof was made [s since the epoch].
         level: a role as rosauth knows them.

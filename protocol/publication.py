@@ -101,12 +101,7 @@ class EncodedMessage:
 
     @classmethod
     def later(cls, encode: Callable[[], EncodedMessage], size_bytes: int) -> EncodedMessage:
-        """Return a message that :meth:`encode` is still to encode.
-
-        Args:
-            encode: returns it encoded.
-            size_bytes: estimate of its size.
-        """
+        """Return a message that :meth:`encode` is still to encode."""
         encoded = cls()
         encoded.ready = False
         encoded.size_bytes = size_bytes
@@ -193,12 +188,9 @@ class PublishedMessage:
     """A complete message of a topic, and the frames made of it.
 
     Args:
-        topic: fully qualified name of the topic.
-        type_name: canonical name of the message's type.
         msg: the message as `protocol.messages.complete` returns it, or as it came where the registry does not know
             its type; not to be changed from here on. Or such a message in JSON, as :func:`protocol.codecs.json.encode`
             writes it.
-        registry: where the type is looked up.
         received: when the message came, as a stamp or in seconds since the epoch.
         publisher: who published it, for those whom it concerns.
         cost_bytes: what to encode it costs, as an amount of JSON [bytes]; None to find out.

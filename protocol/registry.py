@@ -152,7 +152,6 @@ class Field:
     """One field of a message.
 
     Attributes:
-        name: the field's name.
         base: a name of `PRIMITIVES`, or the canonical name of a message type.
         array: bounds of an array field, None for a single value.
         default: default of the interface definition, of an array its elements; None where it gives none (then zero,

@@ -31,13 +31,6 @@ class SendBudget:
 
     When they are used up, the client that has read least recently gives up its oldest topic data: a client that stands
     still loses something for one that reads, and never the other way round.
-
-    Args:
-        limit_bytes: greatest sum of all that waits.
-
-    Attributes:
-        limit_bytes: as given.
-        used_bytes: sum of all that waits.
     """
 
     def __init__(self, limit_bytes: int = MAX_SERVER_QUEUED_BYTES) -> None:
@@ -62,8 +55,6 @@ class SendBudget:
         """Count bytes that wait no more.
 
         Args:
-            holder: the queue in which they waited.
-            size_bytes: as they were counted.
             empty: True when nothing is left in the queue.
         """
         self.used_bytes -= size_bytes

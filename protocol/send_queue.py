@@ -35,7 +35,6 @@ class _Waiting:
     """A message that waits.
 
     Attributes:
-        encoded: the message.
         size_bytes: its size as it was counted; the estimate is corrected when it has been encoded.
     """
 
@@ -60,7 +59,6 @@ class SendQueue:
     """The messages of one client, in order of queuing.
 
     Args:
-        limits: the client's bounds.
         budget: that of all clients of the server; None for one of its own.
 
     Attributes:
@@ -162,9 +160,6 @@ class SendQueue:
         """Queue topic data that its subscription has admitted, and drop what is then too much.
 
         Args:
-            subscription: the subscription.
-            encoded: the message.
-            now: present time [s], monotonic.
             in_order: True when no reply may overtake it.
         """
         if self._closed:
@@ -195,11 +190,7 @@ class SendQueue:
             self._budget.make_room()
 
     def drop_late(self, now: float) -> None:
-        """Drop topic data that has waited for longer than ``max_topic_delay_s``: the client stands still.
-
-        Args:
-            now: present time [s], monotonic.
-        """
+        """Drop topic data that has waited for longer than ``max_topic_delay_s``: the client stands still."""
         for subscription in list(self._waiting):
             self._drop_late(subscription, now)
 
@@ -238,7 +229,6 @@ class SendQueue:
         Call it when the socket takes more, also when nothing waits: what has been taken out before has left then.
 
         Args:
-            now: present time [s], monotonic.
             budget_bytes: no further message is taken once the taken ones have this size.
         """
         if self._leaving_bytes:

@@ -96,16 +96,13 @@ class Session:
     """The protocol state of one client.
 
     Args:
-        limits: what the client may cost.
         dialect: how the client spells messages, until it shows otherwise.
         budget: memory for what waits for all clients of the server; None for one of its own.
 
     Attributes:
-        limits: as given.
-        publications: the topics the client has advertised.
-        subscriptions: the topics the client has subscribed to.
         status_level: which status messages the client gets, one of `LEVELS`.
         dialect: the spelling of messages that go to the client.
+        send_queue: messages that wait for the client.
         newest_only: True where a subscription begins with the newest of the messages before it, at most.
     """
 
@@ -124,7 +121,7 @@ class Session:
         self.status_level = "none"
         self.dialect = dialect
         self.newest_only = newest_only
-        self._send_queue = SendQueue(self.limits, budget)
+        self.send_queue = SendQueue(self.limits, budget)
         self._reader = FrameReader(self.limits)
         self._reassembly = framing.Reassembly(self.limits)
         self._fragment_size: int | None = None
@@ -145,11 +142,6 @@ class Session:
         Carry out the operations in this order, unpack what is packed in its place, and log the refusals; the
         connection lives on after each of them. Nothing that a client sends makes this raise. A thread may read a
         long frame, while no other frame of this client is read.
-
-        Args:
-            frame: as it came.
-            now: present time [s], monotonic.
-            light: True for a frame that :func:`protocol.codecs.json.is_light`.
         """
         # Before decoding: what is too long must not cost the time and memory of being decoded.
         size_bytes = _size_bytes(frame)
@@ -225,11 +217,6 @@ class Session:
 
         After calling this, send what `data_to_send` returns as soon as the socket takes it.
 
-        Args:
-            published: the message.
-            now: present time [s], monotonic.
-            send_at_once: as `SendAtOnce`.
-
         Returns:
             True when the message was queued.
 
@@ -244,9 +231,9 @@ class Session:
             encoding = "bson"
         size = subscription.fragment_size or self._fragment_size
         encoded = published.encoded(subscription.spelled_topic, encoding, self.dialect, size)
-        at_once = encoded.ready and not subscription.paced and self._send_queue.empty
+        at_once = encoded.ready and not subscription.paced and self.send_queue.empty
         if not at_once or not send_at_once(encoded):
-            self._send_queue.put_topic_data(subscription, encoded, now)
+            self.send_queue.put_topic_data(subscription, encoded, now)
             return True
         return False
 
@@ -256,15 +243,14 @@ class Session:
         Args:
             fields: the operation, with the values of its message in the client's dialect; for a large one a function
                 that returns it, called by :meth:`EncodedMessage.encode`.
-            send_at_once: as `SendAtOnce`.
 
         Returns:
             True when it was queued.
         """
         encoded = self._encode_message(fields)
-        if self._send_queue.empty and encoded.ready and send_at_once(encoded):
+        if self.send_queue.empty and encoded.ready and send_at_once(encoded):
             return False
-        self._send_queue.put_reply(encoded)
+        self.send_queue.put_reply(encoded)
         return True
 
     def ask(self, fields: Mapping[str, Any] | LaterFields, send_at_once: SendAtOnce = never_at_once) -> bool:
@@ -274,22 +260,13 @@ class Session:
             False when too much of it waits already: then nothing is queued.
         """
         encoded = self._encode_message(fields)
-        if self._send_queue.empty and encoded.ready and send_at_once(encoded):
+        if self.send_queue.empty and encoded.ready and send_at_once(encoded):
             return True
-        return self._send_queue.put_request(encoded)
+        return self.send_queue.put_request(encoded)
 
     def feedback(self, fields: Mapping[str, Any] | LaterFields, now: float) -> None:
-        """Queue an action_feedback, dropped when the client reads too slowly.
-
-        Args:
-            fields: as in :meth:`reply`.
-            now: present time [s], monotonic.
-        """
-        self._send_queue.put_topic_data(self._feedback, self._encode_message(fields), now, in_order=True)
-
-    def take_unready(self) -> list[EncodedMessage]:
-        """Take the queued messages that are still to be encoded, by a thread; each is returned once."""
-        return self._send_queue.take_unready()
+        """Queue an action_feedback, dropped when the client reads too slowly."""
+        self.send_queue.put_topic_data(self._feedback, self._encode_message(fields), now, in_order=True)
 
     def status(
         self, level: Literal["error", "warning", "info"], text: str, mark: Mark, *, unasked: bool = False
@@ -297,8 +274,6 @@ class Session:
         """Queue a status message, if the client has asked for this level.
 
         Args:
-            level: how grave it is.
-            text: one line.
             mark: id of the operation it is about, None where it has none.
             unasked: True to queue it whatever the client has asked for.
         """
@@ -310,43 +285,10 @@ class Session:
 
         Call it only when the socket takes data, and until nothing is due: what is not fetched is bounded here,
         what is fetched is not.
-
-        Args:
-            now: present time [s], monotonic.
         """
         if self.dropped > self._drops_told:
             self._tell_drops(now)
-        return self._send_queue.take_due(now, SEND_BUDGET_BYTES)
-
-    def drop_late(self, now: float) -> None:
-        """Drop topic data that has waited for too long, because the client stands still.
-
-        Args:
-            now: present time [s], monotonic.
-        """
-        self._send_queue.drop_late(now)
-
-    def close(self) -> None:
-        """Drop all that waits; nothing is queued from now on."""
-        self._send_queue.close()
-
-    def next_due(self, now: float) -> float | None:
-        """Return when to call `data_to_send` next [s]: `now` when data is due, None when nothing waits.
-
-        Args:
-            now: present time [s], monotonic.
-        """
-        return self._send_queue.next_due(now)
-
-    @property
-    def waiting(self) -> bool:
-        """True when anything is queued, due or not."""
-        return not self._send_queue.empty
-
-    @property
-    def queued_bytes(self) -> int:
-        """Size of all that waits to be sent, and of large answers that the socket may still have [bytes]."""
-        return self._send_queue.size_bytes
+        return self.send_queue.take_due(now, SEND_BUDGET_BYTES)
 
     @property
     def speaks_bson(self) -> bool:
@@ -357,17 +299,12 @@ class Session:
     def congested(self) -> bool:
         """True while so many replies wait that the client's next operations had better wait for them to be read."""
         limit_bytes = min(CONGESTED_BYTES, CONGESTED_SHARE * self.limits.max_queued_reply_bytes)
-        return self._send_queue.reply_bytes > limit_bytes
-
-    @property
-    def overflowed(self) -> bool:
-        """True when replies have piled up beyond their bound, or the server's budget: close the connection."""
-        return self._send_queue.overflowed
+        return self.send_queue.reply_bytes > limit_bytes
 
     @property
     def dropped(self) -> int:
         """Number of topic messages dropped because the client was slow, not by its own throttle."""
-        return self._send_queue.dropped - self._send_queue.throttled
+        return self.send_queue.dropped - self.send_queue.throttled
 
     def _tell_drops(self, now: float) -> None:
         """Warn of dropped messages; only a client that reads gets here, and not too often."""

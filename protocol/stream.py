@@ -36,9 +36,6 @@ class StreamSplitter:
 
     Args:
         max_frame_bytes: greatest size of a frame [bytes].
-
-    Attributes:
-        max_frame_bytes: as given; may be changed at any time.
     """
 
     def __init__(self, max_frame_bytes: int) -> None:
@@ -124,14 +121,7 @@ class StreamSplitter:
 
 
 def _begins_with_bson(data: bytearray) -> bool:
-    """Return True for a stream of BSON, False for one of JSON.
-
-    Args:
-        data: the stream's first bytes, at least four.
-
-    Raises:
-        FrameError: it is neither.
-    """
+    """Return True for a stream of BSON, False for one of JSON."""
     if data[_LENGTH_BYTES - 1] <= _MAX_HIGH_BYTE:
         return True
     begin = _filler_bytes(data)

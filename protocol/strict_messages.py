@@ -40,10 +40,6 @@ class _UnsuitedError(Exception):
 class StrictType:
     """Message type, for messages that leave nothing out.
 
-    Args:
-        registry: types.
-        type_name: name of a message type.
-
     Attributes:
         struct: msgspec's struct of the type, with the fields' names as they are sent.
         has_lists_of_messages: True where a message, as it is complete, may be much larger than it came.
@@ -99,11 +95,7 @@ def strict_type(registry: Registry, type_name: str) -> StrictType | None:
 
 
 class PublicationReader:
-    """Reads the publish operations of one message type from JSON, and writes their messages anew.
-
-    Args:
-        strict: the type.
-    """
+    """Reads the publish operations of one message type from JSON, and writes their messages anew."""
 
     def __init__(self, strict: StrictType) -> None:
         self._suits = strict.suits
@@ -129,7 +121,6 @@ class PublicationReader:
         """Read a frame.
 
         Args:
-            frame: JSON text.
             topic: the topic, as the client spells it.
 
         Returns:

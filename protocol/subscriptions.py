@@ -20,13 +20,7 @@ T = TypeVar("T")
 
 
 class Registrations(Generic[T]):
-    """A table topic -> id -> entry, in which a topic has one key however it is spelled.
-
-    Args:
-        op: the operation that registers, for errors.
-        opposite: the operation that withdraws, likewise.
-        limit: greatest number of entries, over all topics.
-    """
+    """A table topic -> id -> entry, in which a topic has one key however it is spelled."""
 
     def __init__(self, op: str, opposite: str, limit: int) -> None:
         self._op = op
@@ -88,11 +82,7 @@ class Registrations(Generic[T]):
 
 
 class Publications(Registrations[None]):
-    """The topics a client has advertised.
-
-    Args:
-        limit: greatest number of registrations, over all topics and ids.
-    """
+    """The topics a client has advertised."""
 
     def __init__(self, limit: int) -> None:
         super().__init__("advertise", "unadvertise", limit)
@@ -174,11 +164,7 @@ class Subscription:
         self.fragment_size = min((rule.fragment_size for rule in rules if rule.fragment_size is not None), default=None)
 
     def admit(self, now: float) -> bool:
-        """Decide on a message that has just come: take it, or drop it because it comes too early.
-
-        Args:
-            now: present time [s], monotonic.
-        """
+        """Decide on a message that has just come: take it, or drop it because it comes too early."""
         if not self.skips:
             return True
         if now < self.last_sent_s + self.throttle_s:
@@ -187,12 +173,7 @@ class Subscription:
         return True
 
     def due_count(self, waiting: int, now: float) -> int:
-        """Return how many of the messages that wait may leave now.
-
-        Args:
-            waiting: number of messages that wait.
-            now: present time [s], monotonic.
-        """
+        """Return how many of the messages that wait may leave now."""
         if self.paced:
             return 1 if now >= self.due_s else 0
         return waiting
@@ -204,11 +185,7 @@ class Subscription:
 
 
 class Subscriptions:
-    """The topics a client has subscribed to.
-
-    Args:
-        limit: greatest number of subscriptions, over all topics and ids.
-    """
+    """The topics a client has subscribed to."""
 
     def __init__(self, limit: int) -> None:
         self._rules: Registrations[Rule] = Registrations("subscribe", "unsubscribe", limit)

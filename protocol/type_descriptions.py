@@ -30,11 +30,6 @@ _SEPARATOR = "=" * 80
 def full_text(registry: Registry, type_name: str, dialect: Dialect = "ros2") -> str:
     """Return a message type's text followed by the texts of all message types in it.
 
-    Args:
-        registry: the ROS 2 registry.
-        type_name: name of a message type.
-        dialect: the generation that is asked about.
-
     Raises:
         InterfaceError: no such type.
     """
@@ -50,11 +45,6 @@ def full_text(registry: Registry, type_name: str, dialect: Dialect = "ros2") -> 
 
 def typedefs(registry: Registry, type_name: str, dialect: Dialect = "ros2") -> list[dict[str, Any]]:
     """Return the rosapi TypeDefs of a message type and of all message types in it, depth first.
-
-    Args:
-        registry: the ROS 2 registry.
-        type_name: name of a message type.
-        dialect: the generation that is asked about.
 
     Raises:
         InterfaceError: no such type.
@@ -198,10 +188,6 @@ _Row: TypeAlias = dict[str, Any]
 def message_hash(registry: Registry, name: str) -> str:
     """Return the hash of a message type, with its prefix.
 
-    Args:
-        registry: the types of ROS 2.
-        name: name of a message type.
-
     Raises:
         InterfaceError: no such type.
     """
@@ -212,10 +198,6 @@ def message_hash(registry: Registry, name: str) -> str:
 @functools.lru_cache(maxsize=MAX_HASHED_TYPES)
 def service_hash(registry: Registry, name: str) -> str:
     """Return the hash of a service type, which covers its request, its response and the event that tells of both.
-
-    Args:
-        registry: the types of ROS 2.
-        name: name of a service type.
 
     Raises:
         InterfaceError: no such type.

@@ -87,7 +87,6 @@ def converter(name: str, max_length: int | None = None) -> Convert:
     """Return the converter of a primitive type.
 
     Args:
-        name: the type.
         max_length: greatest number of characters of a text; None for no bound.
     """
     if name in INTEGER_RANGES:
@@ -115,7 +114,6 @@ def list_converter(name: str, max_length: int | None = None) -> ConvertList:
     slower but finds what can be forgiven and the index of what cannot.
 
     Args:
-        name: type of the elements.
         max_length: greatest number of characters of each text; None for no bound.
     """
     if name in INTEGER_RANGES:
@@ -140,12 +138,7 @@ def to_list(values: list[Any], convert: Callable[[object], T]) -> list[T]:
 
 
 def to_octets(value: object, wanted: str) -> bytes:
-    """Take octets as base64 text (standard alphabet, padded) or as a list of integers.
-
-    Args:
-        value: what came.
-        wanted: the field's type, for the error.
-    """
+    """Take octets as base64 text (standard alphabet, padded) or as a list of integers."""
     if isinstance(value, list):
         octets = _octet_list(value)
         return bytes(to_list(value, _octet) if octets is None else octets)

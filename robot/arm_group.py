@@ -48,6 +48,7 @@ _OUTCOMES_BY_WEIGHT = (
     Outcome.REFUSED,
     Outcome.NOT_SETTLED,
     Outcome.STOPPED,
+    Outcome.UNSTEERED,
     Outcome.GRIPPED,
     Outcome.REACHED,
 )

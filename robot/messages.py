@@ -258,6 +258,7 @@ class Outcome(Enum):
 
     REACHED = "reached"
     STOPPED = "stopped"
+    UNSTEERED = "unsteered"  # no setpoint came for a stream
     REFUSED = "refused"
     TRACKING_LOST = "tracking lost"
     NOT_SETTLED = "not settled"

@@ -61,11 +61,10 @@ def read_json(path: Path, max_bytes: int) -> Any:
 
 
 class NamedFiles:
-    """Store of files by name. All methods but :meth:`path` and :meth:`in_thread` wait for the disk.
-
-    They raise OSError, and ValueError with a sentence, which :meth:`in_thread` makes a ServiceError.
+    """Store of files by name, which several servers may share. Its methods raise ServiceError with a sentence.
 
     Args:
+        folder: created with the first file.
         kind: word for one of the things in the files, in sentences.
     """
 
@@ -74,64 +73,84 @@ class NamedFiles:
         self._kind = kind
         self._max_files = max_files
 
-    def path(self, name: str, field: str = "name") -> Path:
-        """Return the file of a name.
+    async def names(self) -> list[str]:
+        """Return the names of the files, in alphabetical order."""
+        return await in_thread(self._folder, f"the saved {self._kind}s cannot be listed", self._names)
 
-        Raises:
-            ServiceError: the name cannot be a file's name; `field` names it.
+    async def check_new(self, name: str) -> None:
+        """Check that a file can be saved under a name that is not taken."""
+        path = self._path(name)
+
+        def check() -> None:
+            if path.exists():
+                raise ValueError(f"there is a {self._kind} of this name: delete or rename it, or choose another name")
+            self._check_count(path)
+
+        await self._in_thread(name, "recorded", check)
+
+    async def write(self, name: str, content: Callable[[], bytes]) -> None:
+        """Write a file, in place of one of the same name; a crash leaves the old content or the new one.
+
+        Args:
+            content: makes the content, in a thread; raises ValueError if there is none.
         """
+        path = self._path(name)
+
+        def write() -> None:
+            octets = content()
+            # The lock of the folder, so that two servers do not both write the last file.
+            with self._locked():
+                self._check_count(path)
+                files.replace(path, octets)
+
+        await self._in_thread(name, "saved", write)
+
+    async def read(self, name: str, read: Callable[[Path], Result], done: str = "read") -> Result:
+        """Return what a function reads from a file, in a thread."""
+        path = self._path(name)
+        return await self._in_thread(name, done, lambda: self._known(path, read))
+
+    async def delete(self, name: str) -> None:
+        """Delete a file."""
+        await self.read(name, Path.unlink, "deleted")
+
+    async def rename(self, name: str, new_name: str) -> None:
+        """Rename a file; no other is replaced."""
+        path, new_path = self._path(name), self._path(new_name, "new_name")
+
+        def rename() -> None:
+            with self._locked():
+                if new_path.exists():
+                    raise ValueError(f"there is a {self._kind} {new_name!r} already")
+                self._known(path, lambda old: old.rename(new_path))
+
+        await self._in_thread(name, "renamed", rename)
+
+    async def _in_thread(self, name: str, done: str, work: Callable[[], Result]) -> Result:
+        return await in_thread(self._folder, f"the {self._kind} {name!r} cannot be {done}", work)
+
+    def _path(self, name: str, field: str = "name") -> Path:
+        """Return the file of a name; `field` names the name in refusals."""
         if len(name) > MAX_NAME_LENGTH or _NAME.fullmatch(name) is None or name != name.strip():
             limits = f"must be 1 to {MAX_NAME_LENGTH} letters, digits, blanks or any of _ . ( ) + -, a letter first"
             raise ServiceError(f"{field}: {limits}, not {name[:MAX_NAME_LENGTH]!r}")
         return self._folder / f"{name}{SUFFIX}"
 
-    async def in_thread(self, failure: str, work: Callable[[], Result]) -> Result:
-        """Do work that waits for the disk, as :func:`in_thread`."""
-        return await in_thread(self._folder, failure, work)
-
-    def names(self) -> list[str]:
-        """Return the names of the files, in alphabetical order."""
+    def _names(self) -> list[str]:
         return sorted(path.name.removesuffix(SUFFIX) for path in self._folder.glob(f"[!.]*{SUFFIX}"))
 
-    def check_new(self, path: Path) -> None:
-        """Check that there is no such file, and room for one."""
-        if path.exists():
-            raise ValueError(f"there is a {self._kind} of this name: delete or rename it, or choose another name")
-        self._check_count(path)
-
-    def write(self, path: Path, content: bytes) -> None:
-        """Write a file, in place of one of the same name; a crash leaves the old content or the new one."""
-        # The lock of the folder, so that two servers do not both write the last file.
-        with self._locked():
-            self._check_count(path)
-            files.replace(path, content)
-
-    def read(self, path: Path, read: Callable[[Path], Result]) -> Result:
-        """Return what a function reads from a file."""
+    def _known(self, path: Path, use: Callable[[Path], Result]) -> Result:
         try:
-            return read(path)
+            return use(path)
         except FileNotFoundError:
-            raise self._unknown() from None
-
-    def delete(self, path: Path) -> None:
-        """Delete a file."""
-        self.read(path, Path.unlink)
-
-    def rename(self, path: Path, new_path: Path) -> None:
-        """Rename a file; no other is replaced."""
-        with self._locked():
-            if new_path.exists():
-                raise ValueError(f"there is a {self._kind} {new_path.name.removesuffix(SUFFIX)!r} already")
-            self.read(path, lambda old: old.rename(new_path))
+            known = ", ".join(self._names())
+            text = f"there is none of this name; saved are: {known}" if known else f"no {self._kind} is saved"
+            raise ValueError(text) from None
 
     def _locked(self) -> AbstractContextManager[None]:
         return files.locked(self._folder / f"{self._kind}s")
 
     def _check_count(self, path: Path) -> None:
-        others = [name for name in self.names() if name != path.name.removesuffix(SUFFIX)]
+        others = [name for name in self._names() if name != path.name.removesuffix(SUFFIX)]
         if len(others) >= self._max_files:
             raise ValueError(f"{len(others)} {self._kind}s are saved already, the limit is {self._max_files}")
-
-    def _unknown(self) -> ValueError:
-        known = ", ".join(self.names())
-        return ValueError(f"there is none of this name; saved are: {known}" if known else f"no {self._kind} is saved")

@@ -231,8 +231,9 @@ class _Search:
 def _best_cut(corners_m: Vector, part: ConvexPart, random: np.random.Generator) -> tuple[int, float] | None:
     """Return axis and place of the cut whose two hulls have the least volume; None for a part too small to cut."""
     vertices = corners_m.reshape(-1, 3)
+    soup = Surface(vertices, np.arange(len(vertices)).reshape(-1, 3))
     hull_points = random.choice(part.vertices_m, min(CUT_POINTS // 4, len(part.vertices_m)), replace=False)
-    points = np.vstack((hull_points, sample(_soup(corners_m), CUT_POINTS, random)))
+    points = np.vstack((hull_points, sample(soup, CUT_POINTS, random)))
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     best: tuple[float, int, float] | None = None
     for axis in range(3):
@@ -268,10 +269,6 @@ def _crossed(a: Vector, b: Vector, axis: int, place_m: float) -> Vector:
     points: Vector = a + share[:, np.newaxis] * (b - a)
     points[:, axis] = place_m
     return points
-
-
-def _soup(corners_m: Vector) -> Surface:
-    return Surface(corners_m.reshape(-1, 3), np.arange(3 * len(corners_m)).reshape(-1, 3))
 
 
 def _volume(points_m: Vector) -> float:

@@ -32,10 +32,8 @@ def parse_urdf(urdf_path: Path) -> ET.Element:
 def copy_meshes(root: ET.Element, urdf_path: Path, packages: Sequence[Path], folder: Path) -> int:
     """Copy the meshes of a URDF into a folder, name the copies in ``root``, and return the number of meshes.
 
-    Raises:
-        DescriptionError: a mesh of a <collision> is not there; the text has the paths that were tried.
-        AssistantError: the meshes are too large.
-        OSError: a mesh cannot be copied.
+    DescriptionError: a mesh of a <collision> is missing; the text has the paths that were tried. AssistantError: the
+    meshes are too large.
     """
     names: dict[Path, str] = {}
     total_bytes = 0
@@ -57,7 +55,10 @@ def copy_meshes(root: ET.Element, urdf_path: Path, packages: Sequence[Path], fol
                 names[source] = _free_name(source, set(names.values()))
                 (folder / MESHES).mkdir(exist_ok=True)
                 shutil.copyfile(source, folder / MESHES / names[source])
-                _copy_beside(source, folder / MESHES)
+                # An OBJ file names its materials by their file.
+                material = source.with_suffix(".mtl")
+                if source.suffix.lower() == ".obj" and material.is_file():
+                    shutil.copyfile(material, folder / MESHES / material.name)
             mesh.set("filename", f"{MESHES}/{names[source]}")
     return len(names)
 
@@ -81,10 +82,3 @@ def _free_name(source: Path, taken: set[str]) -> str:
         number += 1
         name = f"{source.parent.name}_{number}_{source.name}"
     return name
-
-
-def _copy_beside(source: Path, folder: Path) -> None:
-    """Copy the materials of an OBJ file, which it names by their file."""
-    material = source.with_suffix(".mtl")
-    if source.suffix.lower() == ".obj" and material.is_file():
-        shutil.copyfile(material, folder / material.name)

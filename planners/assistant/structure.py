@@ -76,10 +76,6 @@ class Tree:
             if not joint.moves:
                 yield from self.fixed_below(joint.child)
 
-    def joints_below(self, link: str) -> list[Joint]:
-        """Return every joint behind a link."""
-        return [joint for each in self.links_below(link) for joint in self._below[each]]
-
     def leaf(self, link: str) -> bool:
         """Tell whether a link carries none."""
         return not self._below[link]
@@ -107,9 +103,11 @@ def find_structure(tree: Tree, shaped: frozenset[str], base: str | None, tip: st
             " name the arm's last link by --tip"
         )
     in_arm = {joint.name for joint in arm}
-    behind = [joint for joint in tree.driven(tree.joints_below(hand)) if joint.name not in in_arm]
+    movable = tree.driven(list(tree.joints.values()))
+    behind = [joint for link in tree.links_below(hand) for joint in movable if joint.parent == link]
+    behind = [joint for joint in behind if joint.name not in in_arm]
     gripper = tuple(joint.name for joint in behind)
-    held = [joint.name for joint in tree.driven(list(tree.joints.values())) if joint.name not in {*in_arm, *gripper}]
+    held = [joint.name for joint in movable if joint.name not in {*in_arm, *gripper}]
     return Structure(start, tip, hand, tuple(joint.name for joint in arm), gripper, tuple(held))
 
 

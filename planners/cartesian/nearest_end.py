@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 from planners.budget import Budget
@@ -65,7 +65,8 @@ def nearest_end(
     length_m = TipPath(start, problem.segments).length_m
     most_m = followed.fraction * length_m if isinstance(followed, CartesianPlan) else length_m
     end, along_m = None, 0.0
-    for part_m in _lengths(most_m):
+    lengths_m = [most_m - less_m for less_m in LESS_M] + [share * most_m for share in SHARES]
+    for part_m in sorted({length_m for length_m in lengths_m if length_m > LEAST_M}, reverse=True):
         if budget.used_up():
             break
         part = replace(problem, segments=first_part(start, problem.segments, part_m, DIGITS))
@@ -95,9 +96,3 @@ def end_as_goal(problem: CartesianProblem, allowed_time_s: float) -> PlanningPro
         path_constraints=problem.path_constraints,
         optimization_time_s=0.0,
     )
-
-
-def _lengths(most_m: float) -> Iterator[float]:
-    """Yield lengths of parts of a path to try, the longest first [m]."""
-    lengths_m = [most_m - less_m for less_m in LESS_M] + [share * most_m for share in SHARES]
-    yield from sorted({length_m for length_m in lengths_m if length_m > LEAST_M}, reverse=True)

@@ -10,7 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from planners.checks import check_group
-from planners.ik.constraints import ROTATION_ARM_M, rotation
+from planners.geometry.shapes import placement
+from planners.ik.constraints import ROTATION_ARM_M
 from planners.ik.goal_checks import check_constraints, check_link, invalid_goal
 from planners.problem import Arc, CartesianProblem, Line, PlanningFailure
 from planners.scene import Pose
@@ -137,19 +138,10 @@ def arc_flaw(start_m: Vector, arc: Arc) -> str | None:
     sides_m = [float(np.linalg.norm(side)) for side in (via_m - start_m, end_m - via_m, start_m - end_m)]
     if min(sides_m) < SHORTEST_CHORD_M:
         return "two of its three points are the same"
-    if _radius_m(start_m, via_m, end_m) > LARGEST_RADIUS_M:
+    double_area_m2 = float(np.linalg.norm(np.cross(via_m - start_m, end_m - start_m)))
+    if math.prod(sides_m) > 2.0 * double_area_m2 * LARGEST_RADIUS_M:
         return "its three points lie on a line"
     return None
-
-
-def _radius_m(a: Vector, b: Vector, c: Vector) -> float:
-    double_area = float(np.linalg.norm(np.cross(b - a, c - a)))
-    sides = float(np.linalg.norm(b - a) * np.linalg.norm(c - b) * np.linalg.norm(c - a))
-    return sides / (2.0 * double_area) if double_area > 0.0 else np.inf
-
-
-def _placement(pose: Pose) -> pin.SE3:
-    return pin.SE3(rotation(pose.orientation), np.asarray(pose.position_m, dtype=np.float64))
 
 
 def _pieces(start: pin.SE3, segments: Sequence[Line | Arc]) -> Iterator[tuple[_Piece, Line | Arc]]:
@@ -160,11 +152,11 @@ def _pieces(start: pin.SE3, segments: Sequence[Line | Arc]) -> Iterator[tuple[_P
         if piece.length_m > SHORTEST_M:
             yield piece, segment
             along_m += piece.length_m
-            start = _placement(segment.end)
+            start = placement(segment.end)
 
 
 def _piece(start_m: float, start: pin.SE3, segment: Line | Arc) -> _Piece:
-    end = _placement(segment.end)
+    end = placement(segment.end)
     turn = np.asarray(pin.log3(start.rotation.T @ end.rotation))
     along, spoke, angle = end.translation - start.translation, np.zeros(3), 0.0
     if isinstance(segment, Arc):
@@ -183,14 +175,12 @@ def _circle(start: Vector, via: Vector, end: Vector) -> tuple[Vector, Vector, fl
     spoke = start - center
     # Seen against this normal the arc runs counter-clockwise through start, via and end.
     ahead = np.cross(normal, spoke) / np.linalg.norm(normal)
-    via_angle, end_angle = (_angle(point - center, spoke, ahead) for point in (via, end))
+    via_angle, end_angle = (
+        float(np.arctan2((point - center) @ ahead, (point - center) @ spoke)) % (2.0 * np.pi) for point in (via, end)
+    )
     if via_angle <= end_angle:
         return ahead, spoke, end_angle
     return -ahead, spoke, 2.0 * np.pi - end_angle
-
-
-def _angle(vector: Vector, spoke: Vector, ahead: Vector) -> float:
-    return float(np.arctan2(vector @ ahead, vector @ spoke)) % (2.0 * np.pi)
 
 
 def _is_corner(first: _Piece, second: _Piece) -> bool:

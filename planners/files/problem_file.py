@@ -265,7 +265,7 @@ def read(path: Path, robot: RobotModel) -> ProblemFile:
     """
     try:
         text = path.read_bytes()
-        fields = _File.model_validate(_with_nan(json.loads(text)))
+        fields = _File.model_validate(_replaced(json.loads(text), lambda leaf: math.nan if leaf is None else leaf))
     except OSError as error:
         raise ProblemFileError(str(path), "", f"cannot be read: {error.strerror}") from error
     except ValidationError as error:
@@ -423,7 +423,12 @@ def text(name: str, problem: PlanningProblem, scene: Scene, robot: RobotModel, a
         "message": answer.message,
     }
     key, goal = _goal_fields(problem.goal, group)
-    return json.dumps(_with_null({**fields, key: [{**entry, **goal}]}), allow_nan=False, indent=1) + "\n"
+    # JSON has no number for NaN.
+    whole = _replaced(
+        {**fields, key: [{**entry, **goal}]},
+        lambda leaf: None if isinstance(leaf, float) and not math.isfinite(leaf) else leaf,
+    )
+    return json.dumps(whole, allow_nan=False, indent=1) + "\n"
 
 
 def _goal_fields(goal: Goal, group: Group | None) -> tuple[str, dict[str, Any]]:
@@ -443,15 +448,6 @@ def _kind_and_fields(goal: Goal) -> dict[str, Any]:
         return {_ANY_OF: [_kind_and_fields(one) for one in goal.goals]}
     name = next(name for name, kind in _GOALS.items() if isinstance(goal, kind))
     return {name: _ADAPTERS[_GOALS[name]].dump_python(goal, mode="json", exclude_none=True)}
-
-
-def _with_nan(value: Any) -> Any:
-    return _replaced(value, lambda leaf: math.nan if leaf is None else leaf)
-
-
-def _with_null(value: Any) -> Any:
-    """Fields with null for what JSON has no number for."""
-    return _replaced(value, lambda leaf: None if isinstance(leaf, float) and not math.isfinite(leaf) else leaf)
 
 
 def _replaced(value: Any, leaf: Callable[[Any], Any]) -> Any:

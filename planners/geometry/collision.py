@@ -94,41 +94,37 @@ def object_bodies(scene: Scene, reach_m: float) -> Iterator[Body]:
             yield Body(scene_object.name, carried, is_link=False)
 
 
-class PairFilter:
-    """Pairs of bodies that are checked against each other.
+def checked_pairs(
+    robot: RobotModel, allowed: Mapping[frozenset[str], bool], movers: Sequence[Body], resting: Sequence[Body]
+) -> NDArray[np.int64]:
+    """Return the indices of bodies that are checked against each other, ``movers`` and then ``resting``, (pairs, 2).
 
-    Bodies that do not move against each other are not checked: links of one joint, the root link and the world.
-
-    Args:
-        robot: neighbours and the pairs that its SRDF disables are not checked.
-        allowed: pair of names -> whether it may touch, whatever the SRDF says.
+    The smaller index comes first. Bodies that do not move against each other are not checked: links of one joint, the
+    root link and the world; neither are neighbours and the pairs that the SRDF disables. ``allowed`` has pairs of
+    names that may touch or may not, whatever the SRDF says.
     """
+    adjacent = {frozenset((joint.parent, joint.child)) for joint in robot.joints.values()}
+    unchecked = {names for names in adjacent | robot.disabled_pairs if allowed.get(names, True)}
+    unchecked |= {names for names, may_touch in allowed.items() if may_touch}
 
-    def __init__(self, robot: RobotModel, allowed: Mapping[frozenset[str], bool]) -> None:
-        adjacent = {frozenset((joint.parent, joint.child)) for joint in robot.joints.values()}
-        self._unchecked = {names for names in adjacent | robot.disabled_pairs if allowed.get(names, True)}
-        self._unchecked |= {names for names, may_touch in allowed.items() if may_touch}
-
-    def pairs(self, movers: Sequence[Body], resting: Sequence[Body]) -> NDArray[np.int64]:
-        """Return the indices of bodies to check, ``movers`` and then ``resting``, shape (pairs, 2), smaller first."""
-        bodies = [*movers, *resting]
-        found = [
-            (i, j)
-            for i, first in enumerate(movers)
-            for j, second in enumerate(bodies[i + 1 :], i + 1)
-            if self._checked(first, second)
-        ]
-        return np.array(found, dtype=np.int64).reshape(-1, 2)
-
-    def _checked(self, first: Body, second: Body) -> bool:
+    def checked(first: Body, second: Body) -> bool:
         return (
             first.shape.parentJoint != second.shape.parentJoint
             and (first.meets_links if second.is_link else first.meets_objects)
             and (second.meets_links if first.is_link else second.meets_objects)
             and first.name not in second.may_touch
             and second.name not in first.may_touch
-            and frozenset((first.name, second.name)) not in self._unchecked
+            and frozenset((first.name, second.name)) not in unchecked
         )
+
+    bodies = [*movers, *resting]
+    found = [
+        (i, j)
+        for i, first in enumerate(movers)
+        for j, second in enumerate(bodies[i + 1 :], i + 1)
+        if checked(first, second)
+    ]
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
 def padding(bodies: Sequence[Body], pairs: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -315,7 +311,7 @@ class CollisionModel:
         reach_m = np.vstack((self._links_reach_m, self._reach.of_shapes(added), resting))
         self._scaled, self._bodies = frozenset(scene.link_scale), [*movers, *around]
         self._known_parts: dict[int, Parts] = {}
-        self._pairs = PairFilter(self._robot, scene.allowed).pairs(movers, around)
+        self._pairs = checked_pairs(self._robot, scene.allowed, movers, around)
         self._names = [frozenset(self._bodies[i].name for i in pair) for pair in self._pairs.tolist()]
         self._apart_m = padding(self._bodies, self._pairs)
         self._approach_m = self._joints.travel_by_joint(approach(reach_m, self._pairs))

@@ -7,6 +7,7 @@ surface decides that.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -46,8 +47,7 @@ FEW_SHAPES = 100
 class Broadphase:
     """Shapes, and pairs of shapes that must not touch, which are indices (pairs, 2), the smaller first.
 
-    A configuration ``q`` is the position of every movable joint, shape (n,) [rad]; ``joints`` maps it to the model's
-    joints, None where each has a position of its own, in the model's order. The shapes of each pair must stay
+    A configuration ``q`` is the position of every movable joint, shape (n,) [rad]. The shapes of each pair must stay
     ``apart_m`` apart, shape (pairs,) [m].
     """
 
@@ -57,7 +57,7 @@ class Broadphase:
         shapes: list[pin.GeometryObject],
         pairs: NDArray[np.int64],
         apart_m: Vector,
-        joints: JointMap | None = None,
+        joints: JointMap,
     ) -> None:
         self._model, self._data = model, model.createData()
         self._joints = joints
@@ -144,8 +144,7 @@ class Broadphase:
     def distance_gradient(self, pair: int, nearest: Nearest) -> Vector:
         """Return the gradient of a pair's distance by joint at the last :meth:`turn`, shape (n,) [m/rad]."""
         first, second = (self._carriers[i] for i in self._pairs[pair])
-        gradient = distance_gradient(self._model, self._data, nearest, first, second)
-        return gradient if self._joints is None else self._joints.by_joint(gradient)
+        return self._joints.by_joint(distance_gradient(self._model, self._data, nearest, first, second))
 
     def turn(self, q: Vector) -> None:
         """As :meth:`place`, and make ready for :meth:`distance_gradient`."""
@@ -157,7 +156,7 @@ class Broadphase:
         return self._data.oMi[joint]
 
     def _positions(self, q: Vector) -> Vector:
-        return q if self._joints is None else self._joints.positions(q)
+        return self._joints.positions(q)
 
     def _distance(self, pair: int) -> coal.DistanceResult:
         self._contact.distanceRequests[pair].gjk_tolerance = GJK_TOLERANCE
@@ -262,8 +261,13 @@ class RobotParts:
         if not self.available:
             return
         if urdf is None and has_meshes:
-            urdf = _urdf_shapes(robot, model)
-        meshes = _by_link(model, urdf or ())
+            # Hulls and parts do without the meshes that they were made of.
+            with contextlib.suppress(*([ShapeError] if robot.parts else [])):
+                urdf = urdf_shapes(robot, model)
+        by_link: dict[str, list[pin.GeometryObject]] = {}
+        for shape in urdf or ():
+            by_link.setdefault(link_name(model, shape), []).append(shape)
+        meshes = {link: parts_of(shapes) for link, shapes in by_link.items()}
         enclosed_by: dict[str, TriangleSurface | Parts] = {**meshes, **dict(surfaces.load(robot.surfaces, model))}
         self._links = (
             meshes
@@ -277,23 +281,6 @@ class RobotParts:
     def of_link(self, link: str) -> Parts:
         """The parts of a link."""
         return self._links[link]
-
-
-def _urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]:
-    try:
-        return urdf_shapes(robot, model)
-    except ShapeError:
-        # Hulls and parts do without the meshes that they were made of.
-        if robot.parts:
-            return []
-        raise
-
-
-def _by_link(model: pin.Model, shapes: Iterable[pin.GeometryObject]) -> dict[str, Parts]:
-    links: dict[str, list[pin.GeometryObject]] = {}
-    for shape in shapes:
-        links.setdefault(link_name(model, shape), []).append(shape)
-    return {name: parts_of(found) for name, found in links.items()}
 
 
 class PartPair:

@@ -118,7 +118,10 @@ def _constraint_flaws(robot: RobotModel, constraints: Constraints) -> Iterator[P
     for position in constraints.positions:
         yield from _position_constraint_flaws(robot, position)
     for orientation in constraints.orientations:
-        yield from _orientation_constraint_flaws(robot, orientation)
+        yield from _link_flaws(robot, orientation.link)
+        yield from _length_flaws(orientation.orientation, "orientation")
+        for tolerance_rad in orientation.tolerance_rad:
+            yield from _tolerance_flaws("orientation", tolerance_rad, "rad")
 
 
 def _joint_constraint_flaws(robot: RobotModel, constraint: JointConstraint) -> Iterator[PlanningFailure]:
@@ -163,13 +166,6 @@ def _position_constraint_flaws(robot: RobotModel, constraint: PositionConstraint
         yield invalid_goal(f"the region for {constraint.link!r} must be either a box or a sphere", link=constraint.link)
     for size_m in (*(constraint.half_size_m or ()), *(() if constraint.radius_m is None else (constraint.radius_m,))):
         yield from _tolerance_flaws("position", size_m, "m")
-
-
-def _orientation_constraint_flaws(robot: RobotModel, constraint: OrientationConstraint) -> Iterator[PlanningFailure]:
-    yield from _link_flaws(robot, constraint.link)
-    yield from _length_flaws(constraint.orientation, "orientation")
-    for tolerance_rad in constraint.tolerance_rad:
-        yield from _tolerance_flaws("orientation", tolerance_rad, "rad")
 
 
 def check_link(robot: RobotModel, link: str) -> PlanningFailure | None:

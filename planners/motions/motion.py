@@ -120,13 +120,10 @@ class Motion:
 
 
 def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
-    """Move straight where that is free, else search.
+    """Move straight where that is free, else search; ValueError: there is no such planner.
 
     Once the budget is used up, the best motion found by then is the answer. There is none where it was used up before,
     where every motion would take too long, or where a moving arm cannot stop before it touches something.
-
-    Raises:
-        ValueError: there is no such planner.
     """
     refusal = _too_slow(task)
     if refusal is not None:
@@ -206,7 +203,10 @@ class _Searching:
     def __init__(self, task: MotionTask, budget: Budget, lead: Curve | None) -> None:
         self._task = task
         self._budget = budget
-        self._name = _search_of(task) if task.project is None else PROJECTED_SEARCH
+        name = planner_name(task.planner_id)
+        if name is None:
+            raise ValueError(f"there is no planner {task.planner_id!r}")
+        self._name = name if task.project is None else PROJECTED_SEARCH
         self._space = task.space
         self._rng = np.random.default_rng(task.seed)
         self._searches = count()
@@ -224,7 +224,9 @@ class _Searching:
                 # The best motion is still of use after the deadline, but not once the request is cancelled.
                 trajectory = None if self._budget.should_stop() else _certified(self._task, curve)
                 if trajectory is not None:
-                    return Motion(trajectory, method, self._goal_at_end_of(curve))
+                    end = curve.positions_rad[-1]
+                    reached = (i for i, goal in enumerate(self._task.goals) if np.array_equal(goal, end))
+                    return Motion(trajectory, method, next(reached))
             if found:
                 self._finer = min(self._finer + 1, len(SEARCH_STEPS_M) - 1)
         return None
@@ -248,7 +250,8 @@ class _Searching:
     def _path(self, number: int) -> tuple[str, Vector | None]:
         """Return how a path was searched for, and the path without its detours if there is one."""
         start = self._task.start if self._lead is None else self._lead.positions_rad[-1]
-        query = Query(self._space, start, self._task.goals, self._search_step_m())
+        finer = min(self._finer + self._blocked_paths // BLOCKED_PATHS_A_STEP, len(SEARCH_STEPS_M) - 1)
+        query = Query(self._space, start, self._task.goals, SEARCH_STEPS_M[finer])
         if self._try_via_points:
             path = via_point(query, self._task.limits.velocity_rad_s, self._rng, self._enough)
             self._try_via_points = path is not None
@@ -275,27 +278,12 @@ class _Searching:
         self._blocked_paths += shorter is None
         return shorter
 
-    def _search_step_m(self) -> float:
-        finer = self._finer + self._blocked_paths // BLOCKED_PATHS_A_STEP
-        return SEARCH_STEPS_M[min(finer, len(SEARCH_STEPS_M) - 1)]
-
     def _free(self, curve: Curve) -> bool:
         return curve_free(self._space, curve, CURVE_STEPS_M[self._finer], self._budget.used_up)
 
     def _enough(self) -> bool:
         """Tell whether as much was done as the optimisation time is worth, or the budget is used up."""
         return self._budget.used_up() or (self._enough_checks is not None and self._space.checks >= self._enough_checks)
-
-    def _goal_at_end_of(self, curve: Curve) -> int:
-        end = curve.positions_rad[-1]
-        return next(i for i, goal in enumerate(self._task.goals) if np.array_equal(goal, end))
-
-
-def _search_of(task: MotionTask) -> str:
-    name = planner_name(task.planner_id)
-    if name is None:
-        raise ValueError(f"there is no planner {task.planner_id!r}")
-    return name
 
 
 def smooth(

@@ -1,7 +1,7 @@
 """Servoing: from a commanded twist or joint velocity to joint velocities, many times a second.
 
 First the joint velocities are found that give the tip its linear velocity within all limits; then, among those that
-keep it, the ones that turn the tip best. The outcome is reported as moveit_msgs/ServoStatus, and in words.
+keep it, the velocities that turn the tip best. The outcome is reported as moveit_msgs/ServoStatus, and in words.
 """
 
 from __future__ import annotations
@@ -226,23 +226,17 @@ def _share_of_speed(velocity: Vector, max_velocity: Vector) -> float:
 
 def check_servo_question(robot: RobotModel, question: ServoQuestion) -> PlanningFailure | None:
     """Check names and numbers of a request."""
-    return (
-        check_group(robot, question.group)
-        or check_link(robot, question.link)
-        or next(_group_flaws(robot, question), None)
-        or check_start(robot, question.positions_rad)
-        or next(_command_flaws(robot, question), None)
-    )
-
-
-def _group_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[PlanningFailure]:
-    joints = robot.groups[question.group].joints
-    if not isinstance(question.command, JointVelocities) and len(joints) < POSITION_DIRECTIONS:
-        yield PlanningFailure(
+    refusal = check_group(robot, question.group) or check_link(robot, question.link)
+    if refusal is not None:
+        return refusal
+    count = len(robot.groups[question.group].joints)
+    if not isinstance(question.command, JointVelocities) and count < POSITION_DIRECTIONS:
+        return PlanningFailure(
             MoveItErrorCode.INVALID_GROUP_NAME,
-            f"group {question.group!r} has {len(joints)} joints; to steer a tip it takes {POSITION_DIRECTIONS}",
+            f"group {question.group!r} has {count} joints; to steer a tip it takes {POSITION_DIRECTIONS}",
             {"group": question.group},
         )
+    return check_start(robot, question.positions_rad) or next(_command_flaws(robot, question), None)
 
 
 def _command_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[PlanningFailure]:

@@ -47,8 +47,6 @@ def with_octets(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> M
     """Return a complete message with ``bytes`` for each uint8[] and char[].
 
     Args:
-        registry: where the type is looked up.
-        type_name: canonical name of the message's type.
         msg: a message as `protocol.messages.complete` returns it; it is left as it was.
     """
     pack = _packing(registry, type_name, False)
@@ -59,8 +57,6 @@ def with_typed_arrays(registry: Registry, type_name: str, msg: Mapping[str, Any]
     """Return a complete message with ``bytes`` for each uint8[] and char[], and typed arrays for other numbers.
 
     Args:
-        registry: where the type is looked up.
-        type_name: canonical name of the message's type.
         msg: a message as `protocol.messages.complete` returns it; it is left as it was.
     """
     pack = _packing(registry, type_name, True)
@@ -131,10 +127,5 @@ _NOTATION = Notation(cbor2.dumps, functools.partial(_length, _MAP), functools.pa
 
 
 def publish(topic: str, encoded_msg: bytes) -> bytes:
-    """Return the frame that publishes a message.
-
-    Args:
-        topic: the topic as the subscriber spells it.
-        encoded_msg: the message as `encode` returns it.
-    """
+    """Return the frame that publishes a message."""
     return b"".join((_PUBLISH_HEAD, cbor2.dumps(topic), _MSG_KEY, encoded_msg))

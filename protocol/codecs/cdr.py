@@ -5,9 +5,9 @@ DDS-XTypes 1.3, section 7.4.3; DDSI-RTPS 2.5, section 10). Text ends with a zero
 structure is one octet, for the C structures behind ROS 2 messages need a member (rosidl,
 structure_needs_at_least_one_member).
 
-A type is compiled once into a tree of coders for writing and into one of readers for reading. Input may come from
-another machine or from a damaged file: every length is checked against the octets that are there before anything is
-allocated for it.
+A type is compiled once into a tree of functions that write it, and into one that reads it. Input may come from another
+machine or from a damaged file: every length is checked against the octets that are there before anything is allocated
+for it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import struct
 import sys
 from binascii import a2b_base64, b2a_base64
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from protocol import values
 from protocol.codecs.cbor import OCTETS
@@ -53,152 +53,109 @@ _LENGTH = struct.Struct("<I")
 # Of UTF-16.
 _CODE_UNIT_BYTES = 2
 
+# Appends a value to the octets of a message.
+Write: TypeAlias = Callable[[bytearray, Any], None]
+
 
 def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> bytes:
     """Return a complete message as CDR, with its header.
 
     Args:
-        registry: where the type is looked up.
-        type_name: name of the message's type.
         msg: a message as `protocol.messages.complete` returns it.
     """
     body = bytearray()
-    _message_coder(registry, type_name).write(body, msg)
+    _message_writer(registry, type_name)(body, msg)
     return HEADER + body
 
 
-class _Coder(Protocol):
-    """Writes a value behind a body."""
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
+def _message_writer(registry: Registry, type_name: str) -> Write:
+    writers = [
+        (field.name, field_writer(field, _element_writer(registry, field), aligned=True))
+        for field in registry.message(type_name).fields
+    ]
 
-    def write(self, body: bytearray, value: Any) -> None:
-        """Append a value."""
-
-
-class _PrimitiveCoder:
-    """A number or truth value."""
-
-    def __init__(self, base: str) -> None:
-        self._struct = struct.Struct("<?" if base == "bool" else f"<{CODES[base]}")
-
-    def write(self, body: bytearray, value: Any) -> None:
-        """Append the value, aligned to its own size."""
-        _align(body, self._struct.size)
-        body += self._struct.pack(value)
-
-
-class _StringCoder:
-    """Text."""
-
-    def write(self, body: bytearray, value: str) -> None:
-        """Append length and text, with its zero."""
-        octets = value.encode()
-        _write_length(body, len(octets) + 1)
-        body += octets
-        body.append(0)
-
-
-class _WideStringCoder:
-    """Text in UTF-16: its number of code units and these, without a zero (Fast CDR 2, which ROS 2 has since Jazzy)."""
-
-    def write(self, body: bytearray, value: str) -> None:
-        """Append length and text."""
-        octets = value.encode("utf-16-le")
-        _write_length(body, len(octets) // _CODE_UNIT_BYTES)
-        body += octets
-
-
-class _NumbersCoder:
-    """An array of numbers or truth values, behind its length if that is not fixed."""
-
-    def __init__(self, field: Field, fixed_length: int | None) -> None:
-        self._code = CODES[field.base]
-        self._size = array.array(self._code).itemsize
-        self._fixed_length = fixed_length
-
-    def write(self, body: bytearray, value: list[Any]) -> None:
-        """Append the elements; where there are none, nothing is aligned either."""
-        if self._fixed_length is None:
-            _write_length(body, len(value))
-        if value:
-            _align(body, self._size)
-            body += _swapped(array.array(self._code, value)).tobytes()
-
-
-class _OctetsCoder:
-    """An array of octets that a complete message holds as base64 text."""
-
-    def __init__(self, fixed_length: int | None) -> None:
-        self._fixed_length = fixed_length
-
-    def write(self, body: bytearray, value: str) -> None:
-        """Append the octets."""
-        octets = a2b_base64(value)
-        if self._fixed_length is None:
-            _write_length(body, len(octets))
-        body += octets
-
-
-class _ListCoder:
-    """An array of texts or messages, behind its length if that is not fixed."""
-
-    def __init__(self, element: _Coder, fixed_length: int | None) -> None:
-        self._element = element
-        self._fixed_length = fixed_length
-
-    def write(self, body: bytearray, value: list[Any]) -> None:
-        """Append the elements."""
-        if self._fixed_length is None:
-            _write_length(body, len(value))
-        for element in value:
-            self._element.write(body, element)
-
-
-class _MessageCoder:
-    """The fields of a message, one behind the other."""
-
-    def __init__(self, coders: Mapping[str, _Coder]) -> None:
-        self._coders = list(coders.items())
-
-    def write(self, body: bytearray, value: Mapping[str, Any]) -> None:
-        """Append the fields."""
-        for name, coder in self._coders:
-            coder.write(body, value[name])
-        if not self._coders:
+    def write(body: bytearray, message: Mapping[str, Any]) -> None:
+        for name, write_field in writers:
+            write_field(body, message[name])
+        if not writers:
             body.append(0)
 
-
-@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
-def _message_coder(registry: Registry, type_name: str) -> _MessageCoder:
-    fields = registry.message(type_name).fields
-    return _MessageCoder({field.name: _field_coder(registry, field) for field in fields})
+    return write
 
 
-def _field_coder(registry: Registry, field: Field) -> _Coder:
-    if field.array is None:
-        return _element_coder(registry, field)
-    fixed_length = field.array.min_length if field.array.fixed else None
-    if field.base in OCTETS:
-        return _OctetsCoder(fixed_length)
-    if field.base in CODES:
-        return _NumbersCoder(field, fixed_length)
-    return _ListCoder(_element_coder(registry, field), fixed_length)
-
-
-def _element_coder(registry: Registry, field: Field) -> _Coder:
+def _element_writer(registry: Registry, field: Field) -> Write:
     if not field.primitive:
-        return _message_coder(registry, field.base)
+        return _message_writer(registry, field.base)
     if field.base in TEXTS:
-        return _StringCoder() if field.base == "string" else _WideStringCoder()
-    return _PrimitiveCoder(field.base)
+        return _write_text if field.base == "string" else _write_wide_text
+    return primitive_writer(field.base, aligned=True)
+
+
+def _write_text(body: bytearray, value: str) -> None:
+    octets = value.encode()
+    _align(body, _LENGTH.size)
+    body += _LENGTH.pack(len(octets) + 1)
+    body += octets
+    body.append(0)
+
+
+def _write_wide_text(body: bytearray, value: str) -> None:
+    """Write text in UTF-16 behind its number of code units, without a zero (Fast CDR 2, in ROS 2 since Jazzy)."""
+    octets = value.encode("utf-16-le")
+    _align(body, _LENGTH.size)
+    body += _LENGTH.pack(len(octets) // _CODE_UNIT_BYTES)
+    body += octets
+
+
+def primitive_writer(base: str, *, aligned: bool) -> Write:
+    """Return the writer of a number or truth value."""
+    packing = struct.Struct("<?" if base == "bool" else f"<{CODES[base]}")
+
+    def write(body: bytearray, value: Any) -> None:
+        if aligned:
+            _align(body, packing.size)
+        body += packing.pack(value)
+
+    return write
+
+
+def field_writer(field: Field, write_element: Write, *, aligned: bool) -> Write:
+    """Return the writer of a field, which for an array has its length in front if that is not fixed.
+
+    Args:
+        write_element: writes a single value; arrays of numbers and octets are written as a whole.
+        aligned: True where numbers are aligned to their size, as in CDR.
+    """
+    if field.array is None:
+        return write_element
+    counted, octets = not field.array.fixed, field.base in OCTETS
+    code = CODES.get(field.base, "")
+    size = array.array(code).itemsize if aligned and code and not octets else 1
+
+    def write(body: bytearray, value: Any) -> None:
+        # A complete message holds octets as base64 text.
+        elements = a2b_base64(value) if octets else value
+        if counted:
+            if aligned:
+                _align(body, _LENGTH.size)
+            body += _LENGTH.pack(len(elements))
+        if octets:
+            body += elements
+        elif code:
+            # Where there are no elements, nothing is aligned either.
+            if elements:
+                _align(body, size)
+            body += _swapped(array.array(code, elements)).tobytes()
+        else:
+            for element in elements:
+                write_element(body, element)
+
+    return write
 
 
 def _align(body: bytearray, size: int) -> None:
     body += bytes(-len(body) % size)
-
-
-def _write_length(body: bytearray, length: int) -> None:
-    _align(body, _LENGTH.size)
-    body += _LENGTH.pack(length)
 
 
 def _swapped(numbers: array.array[Any]) -> array.array[Any]:
@@ -245,8 +202,6 @@ def deserialize(registry: Registry, type_name: str, octets: bytes) -> dict[str, 
     """Return the complete message that CDR holds, spelled as `protocol.messages.complete` does.
 
     Args:
-        registry: where the type is looked up.
-        type_name: name of the message's type.
         octets: CDR, little-endian, with its header.
 
     Raises:
@@ -330,9 +285,7 @@ def _numbers_reader(base: str, fixed_length: int | None) -> _Read:
         if not length:
             return []
         start = body.take(length * size, size)
-        numbers = array.array(code, body.octets[start : body.position])
-        if sys.byteorder == "big":
-            numbers.byteswap()
+        numbers = _swapped(array.array(code, body.octets[start : body.position]))
         return list(map(bool, numbers)) if base == "bool" else numbers.tolist()
 
     return read

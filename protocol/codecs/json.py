@@ -39,7 +39,6 @@ def decode(frame: str | bytes, *, light: bool = False) -> object:
 
     Args:
         frame: JSON text; bytes are UTF-8.
-        light: True for a frame that :func:`is_light`.
 
     Raises:
         FrameError: invalid UTF-8, not JSON, nested deeper than `MAX_NESTING_DEPTH`, or too many lists and objects.
@@ -57,11 +56,7 @@ def decode(frame: str | bytes, *, light: bool = False) -> object:
 
 
 def is_light(frame: str) -> bool:
-    """Tell whether a long frame is decoded, and encoded again, in little time: 1 MiB in a millisecond.
-
-    Args:
-        frame: JSON text.
-    """
+    """Tell whether a long frame is decoded, and encoded again, in little time: 1 MiB in a millisecond."""
     # Text that is not ASCII, or is escaped so, is escaped character by character on its way out.
     if len(frame) > _LIGHT_CHARACTERS or not frame.isascii():
         return False
@@ -91,12 +86,7 @@ def encode_in_pieces(value: object) -> bytes:
 
 
 def _loads(text: str | bytes) -> object:
-    """Decode strict JSON.
-
-    Raises:
-        MemoryError: there is no memory for a copy of the text.
-        orjson.JSONDecodeError: not JSON, or no memory for its values.
-    """
+    """Decode strict JSON."""
     if len(text) >= _LONG_FRAME:
         # orjson 3.13 copies the text for its error, and ends the process (SIGSEGV) where that finds no memory.
         bytes(len(text))

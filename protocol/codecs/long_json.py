@@ -138,11 +138,7 @@ class _Cutter:
 
 
 class _Assembly:
-    """Puts the pieces together.
-
-    Attributes:
-        value: all pieces until now.
-    """
+    """Puts the pieces together."""
 
     def __init__(self) -> None:
         self.value: Any = None
@@ -150,14 +146,7 @@ class _Assembly:
         self._open: list[Any] = []
 
     def add(self, piece: object, opened: int, lowest: int, still_open: int) -> None:
-        """Add a piece.
-
-        Args:
-            piece: as it was decoded.
-            opened: number of brackets open at its beginning.
-            lowest: least number of brackets open inside it.
-            still_open: number of brackets open at its end.
-        """
+        """Add a piece."""
         if opened == 0:
             self.value = piece
             self._open = [piece] if still_open else []

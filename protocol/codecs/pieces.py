@@ -27,7 +27,6 @@ def encoding_cost_bytes(value: object, limit_bytes: int) -> int:
     """Estimate the JSON of a message, reading no further than a limit of it [bytes].
 
     Args:
-        value: the message.
         limit_bytes: the most that is returned.
     """
     if type(value) is dict and _PLAIN.issuperset(map(type, value.values())):
@@ -61,13 +60,8 @@ class Notation:
     """Bytes of an encoding around the members of maps and lists.
 
     Attributes:
-        encode: encodes a whole value.
         map_head: returns what stands in front of a map with so many members.
         list_head: returns what stands in front of a list with so many members.
-        map_tail: stands behind a map.
-        list_tail: stands behind a list.
-        separator: stands between two members.
-        colon: stands between a key and its value.
     """
 
     encode: Callable[[Any], bytes]
@@ -80,11 +74,7 @@ class Notation:
 
 
 def json_notation(encode: Callable[[Any], bytes]) -> Notation:
-    """Return the notation of JSON.
-
-    Args:
-        encode: encodes a whole value as JSON.
-    """
+    """Return the notation of JSON."""
     return Notation(encode, lambda _length: b"{", lambda _length: b"[", b"}", b"]", b",", b":")
 
 
@@ -93,7 +83,6 @@ def encoded_pieces(value: Any, notation: Notation, piece_bytes: int = PIECE_BYTE
 
     Args:
         value: dicts, lists, and what the encoder takes.
-        notation: of the encoding.
         piece_bytes: cost of a piece; a single text or number of more is a piece by itself.
     """
     if type(value) not in (dict, list) or encoding_cost_bytes(value, piece_bytes) < piece_bytes:

@@ -68,9 +68,6 @@ def _chunk(name: bytes, data: bytes) -> bytes:
 def decode(data: str) -> bytes:
     """Return the frame that a PNG carries, perhaps with newlines behind it.
 
-    Args:
-        data: the PNG as base64 text.
-
     Raises:
         FrameError: no base64, no PNG, or more than `MAX_DECODED_BYTES` inside.
     """

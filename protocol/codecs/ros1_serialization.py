@@ -10,16 +10,12 @@ A type is compiled once into a tree of functions, each of which appends a value 
 
 from __future__ import annotations
 
-import array
 import functools
 import struct
-import sys
-from binascii import a2b_base64
-from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from collections.abc import Mapping
+from typing import Any
 
-from protocol.codecs.cbor import OCTETS
-from protocol.codecs.cdr import CODES, MAX_COMPILED_TYPES
+from protocol.codecs.cdr import MAX_COMPILED_TYPES, Write, field_writer, primitive_writer
 from protocol.dialect import declared_in_ros1, to_ros1
 from protocol.registry import ROS1_TIMES, Field, Registry
 
@@ -31,15 +27,11 @@ _TIME, _WORD = struct.Struct("<II"), 0xFFFF_FFFF
 # Types of both generations; a type that exists only in ROS 2 has those of ROS 2.
 _TIMES = (*ROS1_TIMES, "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
-# Appends a value to the octets of the message.
-_Write: TypeAlias = Callable[[bytearray, Any], None]
-
 
 def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any], sequence_number: int = 0) -> bytes:
     """Return a complete message in ROS 1's serialization.
 
     Args:
-        registry: the ROS 2 registry.
         type_name: name of the message's type; one that exists only in ROS 2 is written as if ROS 1 had it.
         msg: a message as `protocol.messages.complete` returns it, in ROS 2 spelling.
         sequence_number: as of :func:`protocol.dialect.to_ros1`.
@@ -50,9 +42,11 @@ def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any], sequen
 
 
 @functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
-def _message_writer(registry: Registry, type_name: str) -> _Write:
-    fields = declared_in_ros1(registry, type_name).fields
-    writers = [(field.name, _field_writer(registry, field)) for field in fields]
+def _message_writer(registry: Registry, type_name: str) -> Write:
+    writers = [
+        (field.name, field_writer(field, _element_writer(registry, field), aligned=False))
+        for field in declared_in_ros1(registry, type_name).fields
+    ]
 
     def write(octets: bytearray, message: Mapping[str, Any]) -> None:
         for name, write_field in writers:
@@ -61,32 +55,12 @@ def _message_writer(registry: Registry, type_name: str) -> _Write:
     return write
 
 
-def _field_writer(registry: Registry, field: Field) -> _Write:
-    if field.array is None:
-        return _element_writer(registry, field)
-    counted = not field.array.fixed
-    if field.base in OCTETS:
-        return _octets_writer(counted=counted)
-    if field.base in CODES:
-        return _numbers_writer(CODES[field.base], counted=counted)
-    return _list_writer(_element_writer(registry, field), counted=counted)
-
-
-def _element_writer(registry: Registry, field: Field) -> _Write:
+def _element_writer(registry: Registry, field: Field) -> Write:
     if field.base in _TIMES:
         return _write_time
     if not field.primitive:
         return _message_writer(registry, field.base)
-    return _write_text if field.base == "string" else _primitive_writer(field.base)
-
-
-def _primitive_writer(base: str) -> _Write:
-    pack = struct.Struct("<?" if base == "bool" else f"<{CODES[base]}").pack
-
-    def write(octets: bytearray, value: Any) -> None:
-        octets += pack(value)
-
-    return write
+    return _write_text if field.base == "string" else primitive_writer(field.base, aligned=False)
 
 
 def _write_time(octets: bytearray, value: Mapping[str, int]) -> None:
@@ -97,37 +71,3 @@ def _write_text(octets: bytearray, value: str) -> None:
     text = value.encode()
     octets += _LENGTH.pack(len(text))
     octets += text
-
-
-def _octets_writer(*, counted: bool) -> _Write:
-    """Write octets that a complete message holds as base64 text."""
-
-    def write(octets: bytearray, value: str) -> None:
-        data = a2b_base64(value)
-        if counted:
-            octets += _LENGTH.pack(len(data))
-        octets += data
-
-    return write
-
-
-def _numbers_writer(code: str, *, counted: bool) -> _Write:
-    def write(octets: bytearray, value: list[Any]) -> None:
-        if counted:
-            octets += _LENGTH.pack(len(value))
-        numbers = array.array(code, value)
-        if sys.byteorder == "big":
-            numbers.byteswap()
-        octets += numbers.tobytes()
-
-    return write
-
-
-def _list_writer(write_element: _Write, *, counted: bool) -> _Write:
-    def write(octets: bytearray, value: list[Any]) -> None:
-        if counted:
-            octets += _LENGTH.pack(len(value))
-        for element in value:
-            write_element(octets, element)
-
-    return write

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from robot.arm import Arm
@@ -97,20 +97,17 @@ def with_prefix(description: Description, name: str) -> Description:
         description,
         robot=prefixed(description.robot, name),
         hardware=replace(hardware, servos=servos),
-        calibration=None if calibration is None else _with_prefix(calibration, f"{name}_"),
+        calibration=None if calibration is None else _renamed(calibration, f"{name}_{{}}".format),
     )
-
-
-def _with_prefix(calibration: Calibration, prefix: str) -> Calibration:
-    joints = (replace(each, servo=replace(each.servo, joint=prefix + each.joint)) for each in calibration.joints)
-    return replace(calibration, joints=tuple(joints))
 
 
 def without_prefix(calibration: Calibration, prefix: str) -> Calibration:
     """Return a calibration as its file has it: with the joints' names of an arm that is alone."""
-    joints = (
-        replace(each, servo=replace(each.servo, joint=each.joint.removeprefix(prefix))) for each in calibration.joints
-    )
+    return _renamed(calibration, lambda joint: joint.removeprefix(prefix))
+
+
+def _renamed(calibration: Calibration, rename: Callable[[str], str]) -> Calibration:
+    joints = (replace(each, servo=replace(each.servo, joint=rename(each.joint))) for each in calibration.joints)
     return replace(calibration, joints=tuple(joints))
 
 
@@ -194,11 +191,7 @@ LATE, EARLY = 1.5, 0.5
 
 
 class JoinedBeat:
-    """Beat in which the states of several arms, each with a clock of its own, are passed on as one.
-
-    Args:
-        period_s: time between two states of an arm [s].
-    """
+    """Beat in which the states of several arms, each with a clock of its own, are passed on as one."""
 
     def __init__(self, names: frozenset[str], period_s: float) -> None:
         self._earliest_s, self._latest_s = EARLY * period_s, LATE * period_s

@@ -37,7 +37,6 @@ class Recalibrated:
     """New calibration of the arm, with which the server starts again.
 
     Attributes:
-        arm: name of one of several arms; else empty.
         position_rad: positions of the joints under it, by joint [rad].
     """
 
@@ -48,14 +47,7 @@ class Recalibrated:
 
 
 def check_state_rate(rate_hz: float) -> None:
-    """Check that the arm's states come often enough to follow a hand.
-
-    Args:
-        rate_hz: setting ``arm.joint_state_rate_hz`` [Hz].
-
-    Raises:
-        OrderRefused: they do not.
-    """
+    """Check that the arm's states come often enough to follow a hand."""
     if rate_hz < LEAST_STATE_RATE_HZ:
         raise OrderRefused(
             f"arm.joint_state_rate_hz must be at least {LEAST_STATE_RATE_HZ:g} Hz to calibrate, not {rate_hz:g}: a "
@@ -68,11 +60,6 @@ class CalibrationProcedure:
 
     Args:
         file: calibration to write, and True if the settings name this file.
-        end_goals: ends all goals of the arm and stops every motion of it, for a reason.
-        start_anew: called when the calibration is written.
-
-    Raises:
-        CalibrationError: the file cannot be written, or another process has it.
     """
 
     def __init__(
@@ -217,9 +204,6 @@ def calibration_file(name: str, description: Description) -> tuple[Path, bool]:
 
     Args:
         name: id of lerobot; empty for the calibration in use.
-
-    Raises:
-        CalibrationError: there is none in use, or the name is none.
     """
     if description.hardware.kind != "feetech":
         raise CalibrationError(

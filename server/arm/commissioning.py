@@ -82,9 +82,6 @@ class Dialogue:
         Args:
             accept: called with an answer, at once; raises a RobotError when it cannot go on so.
             current: the step after an answer that was not accepted, which may have other answers.
-
-        Raises:
-            ProcedureFailed: nobody has answered for long, or the procedure cannot go on.
         """
         accepted: asyncio.Future[Accepted] = asyncio.get_running_loop().create_future()
 
@@ -113,11 +110,7 @@ class Dialogue:
         self._changed()
 
     async def until(self, done: asyncio.Future[Accepted], timeout_s: float) -> Accepted:
-        """Wait for something.
-
-        Raises:
-            ProcedureFailed: it took too long, or the procedure cannot go on.
-        """
+        """Wait for something."""
         await self._unless_failed(done, timeout_s)
         if not done.done():
             raise ProcedureFailed(f"{self.step.name} took more than {timeout_s:g} s")
@@ -130,11 +123,7 @@ class Dialogue:
             self._failure.result()
 
     def answer(self, step: str, answer: str) -> str:
-        """Take an answer to the present step; return what comes next.
-
-        Raises:
-            ServiceError: it answers nothing that is asked, or cannot be accepted.
-        """
+        """Take an answer to the present step; return what comes next."""
         if self._accept is None or step != self.step.name:
             raise ServiceError(
                 f"step {step[:MAX_TOLD]!r} is not asked about: the present one is {self.step.name!r}, "
@@ -162,11 +151,7 @@ class Procedure(Protocol):
     """One procedure."""
 
     async def run(self, dialogue: Dialogue) -> str:
-        """Carry it out, from the first question to the sentence on how it ended.
-
-        Raises:
-            RobotError: it cannot be carried out; the text says why.
-        """
+        """Carry it out, from the first question to the sentence on how it ended."""
 
     def take_state(self, state: ArmState, dialogue: Dialogue) -> None:
         """Take the arm's latest state."""

@@ -21,7 +21,7 @@ from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningPro
 from planners.scene import Scene
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
-from robot.messages import ArmState, MotionEnded, Outcome
+from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.failures import FailedGoals, with_nearest_goal
@@ -177,12 +177,7 @@ class GoalExecutor:
             self._goal = self._end_rad = None
 
     def plan_ahead(self, following: Goal, left_s: float) -> None:
-        """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is unknown.
-
-        Args:
-            following: a goal of the same joints.
-            left_s: time left of the motion in progress [s].
-        """
+        """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is unknown."""
         held_rad = self._current.positions_rad()
         if self._goal is None or self._goal.reason or self._end_rad is None or held_rad is None:
             return
@@ -343,7 +338,6 @@ class GoalExecutor:
         return None if answer is None else replace(answer, performed=planned.performed)
 
     async def _play(self, goal: Goal, planned: PlannedSequence, version: int) -> Answer:
-        """Play the motions one after the other."""
         motions = planned.performed.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
         self._end_rad = planned.end_rad
@@ -376,7 +370,7 @@ class GoalExecutor:
             goal.check("before the motion began")
             if in_the_way is not None:
                 goal.report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
-                await goal.unless_cancelled(_until_done(in_the_way.ended))
+                await goal.unless_cancelled(asyncio.wait([in_the_way.ended]))
             elif all(one in beside for one in self._in_progress.beside(joints)):
                 return await self._player.play(goal, checked, self._questions(checked), to_come_s=to_come_s)
 
@@ -432,10 +426,6 @@ async def _answered(attempt: Awaitable[Answer]) -> Answer:
         return await attempt
     except RefusedError as error:
         return Answer.of(error.failure)
-
-
-async def _until_done(ended: asyncio.Future[MotionEnded]) -> None:
-    await asyncio.wait([ended])
 
 
 async def _in_time(work: Callable[[], Awaitable[Result]], limit_s: float) -> Result | None:

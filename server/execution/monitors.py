@@ -157,7 +157,8 @@ class SceneMonitor:
         while True:
             scene = self._source.scene
             answer = await self._ask(questions(), scene)
-            if not _is_late(answer) or self._clock() >= until_s:
+            late = isinstance(answer, PlanningFailure) and answer.code is MoveItErrorCode.TIMED_OUT
+            if not late or self._clock() >= until_s:
                 break
         self._checked_version = scene.version
         if isinstance(answer, PlanningFailure):
@@ -208,7 +209,3 @@ class SceneMonitor:
                 log.warning("the scene has changed: %s", error)
                 self._on_contact(error.failure)
         self._task = None
-
-
-def _is_late(answer: RecheckAnswer | PlanningFailure) -> bool:
-    return isinstance(answer, PlanningFailure) and answer.code is MoveItErrorCode.TIMED_OUT

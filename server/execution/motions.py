@@ -51,8 +51,6 @@ class PlannedMotion:
         steps: each makes its problem from the end of the one before.
         scene: makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
         attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
-        delay_s: pause before another attempt [s].
-        confirm: true if a user is to confirm the plan before the arm moves.
     """
 
     steps: tuple[Step, ...]
@@ -81,7 +79,6 @@ class Performed:
 
     Attributes:
         executed: the path of the arm by its readings; None when it did not move.
-        planning_time_s: time spent on planning [s].
     """
 
     start_rad: Mapping[str, float]
@@ -150,7 +147,10 @@ async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scen
             problem = step(now_rad)
             plan = await _plan(problem, scene, ask)
         except RefusedError as error:
-            failure = error.failure if len(steps) == 1 else _in_item(number, error.failure)
+            failure = error.failure
+            if len(steps) > 1:
+                details = {**failure.details, "item": number}
+                failure = replace(failure, message=f"items[{number}]: {failure.message}", details=details)
             return replace(planned, failure=failure, problem=problem)
         planned = planned.with_plan(plan)
         # A new mapping: the problem keeps the one it was made for.
@@ -164,17 +164,12 @@ def _end_positions(motion: Trajectory) -> dict[str, float]:
 
 
 async def _plan(problem: Problem, scene: Scene, ask: AskPlanner) -> Plan | CartesianPlan:
-    """Plan one motion to its end."""
     plan = await ask(problem, scene)
     if isinstance(plan, PlanningFailure):
         raise RefusedError(plan)
     if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
         raise RefusedError(plan.stopped_by)
     return plan
-
-
-def _in_item(number: int, failure: PlanningFailure) -> PlanningFailure:
-    return replace(failure, message=f"items[{number}]: {failure.message}", details={**failure.details, "item": number})
 
 
 # The next motion leaves the present one so far ahead: planning takes a few milliseconds, on a busy machine some tens.
@@ -250,7 +245,6 @@ def splice_point_of(
 
     Args:
         progress: its progress by the arm's latest state; None where it is not in progress.
-        age_s: time since the state came [s].
     """
     if progress is None or pace.direction is not PlaybackDirection.FORWARD:
         return None

@@ -164,9 +164,6 @@ class ArmContext:
 
         Args:
             scaling: share of the velocity and acceleration limits.
-
-        Raises:
-            RefusedError: there is no such joint.
         """
         message = {"name": list(positions_rad), "position": list(positions_rad.values())}
         motion = self.translator.joints(message, GoalOptions(None, scaling, scaling))
@@ -203,11 +200,7 @@ class ServerContext:
 def context_of(
     settings: Settings, graph: Graph, arms: tuple[ServedArm, Sequence[ServedArm]], pool: Planners
 ) -> ServerContext:
-    """Return the context of a server.
-
-    Raises:
-        ConfigurationError: the tokens cannot be used.
-    """
+    """Return the context of a server."""
     whole_arm, single_arms = arms
     moveit, robot = settings.moveit, whole_arm.robot
     scene = SceneState(robot)

@@ -61,11 +61,7 @@ STATE_POLLS = 60
 
 @dataclass(frozen=True)
 class RestPose:
-    """Pose in which an arm is parked.
-
-    Attributes:
-        positions_rad: position of each joint [rad].
-    """
+    """Pose in which an arm is parked."""
 
     state: str
     group: str
@@ -73,11 +69,7 @@ class RestPose:
 
 
 def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
-    """Return the arm's rest pose; None for an arm that has none.
-
-    Raises:
-        ConfigurationError: the settings name a state that does not exist.
-    """
+    """Return the arm's rest pose; None for an arm that has none."""
     name = settings.park_state or robot.park_state
     groups = sorted(robot.named_states, key=lambda group: group != robot.default_group)
     for group in groups:
@@ -92,11 +84,7 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
 
 
 class Parking:
-    """Parking of one arm, and the service for it.
-
-    Raises:
-        ConfigurationError: the settings name a state that does not exist.
-    """
+    """Parking of one arm, and the service for it."""
 
     def __init__(self, arm: Arm, context: ArmContext) -> None:
         settings, planning = context.served.settings, context.planning
@@ -258,7 +246,6 @@ class _Place:
     """Place from which a way was planned.
 
     Attributes:
-        held_rad: goal of every joint [rad].
         pid: process id of the arm process, which keeps the way.
         speed_limit: of the arm, which decides on the duration.
     """

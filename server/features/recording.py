@@ -19,9 +19,6 @@ class Recording(Feature):
 
     Attributes:
         recorder: takes messages from its construction on; None to record nothing.
-
-    Raises:
-        ConfigurationError: the file cannot be written.
     """
 
     name = "the recording"
@@ -46,11 +43,7 @@ class Recording(Feature):
 
 
 def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) -> Recorder | None:
-    """Begin to take messages for the recording, if the settings name a file; `Recorder.start` opens it.
-
-    Raises:
-        ConfigurationError: at its path is something else than a file, or its folder cannot be written to.
-    """
+    """Begin to take messages for the recording, if the settings name a file; `Recorder.start` opens it."""
     if settings.file is None:
         return None
     # Imported when it is needed: most servers record nothing, and start without the library.

@@ -61,7 +61,6 @@ class ConnectionSlot:
     """Place of one connection, from its beginning to its end.
 
     Attributes:
-        address: where it comes from.
         rejection: the answer that ends it; None for a connection that may stay.
     """
 
@@ -92,9 +91,6 @@ class _Address:
 class ConnectionLimiter:
     """Counter of connections.
 
-    Args:
-        settings: the section ``server``, with the limits.
-
     Attributes:
         rejected_count: connections that were one too many.
         open_count: connections that may stay.
@@ -116,11 +112,7 @@ class ConnectionLimiter:
         self._log = LogLimiter()
 
     def reduce(self, max_clients: int) -> None:
-        """Serve fewer clients than the settings allow, as the system lets the server open no more files.
-
-        Args:
-            max_clients: connections at a time.
-        """
+        """Serve fewer clients than the settings allow, as the system lets the server open no more files."""
         self._max_clients = max_clients
         if self._settings.max_clients_per_address < self._settings.max_clients:
             self._max_per_address = min(self._max_per_address, max(1, int(SHARE_OF_ADDRESS * max_clients)))
@@ -128,10 +120,6 @@ class ConnectionLimiter:
 
     def acquire(self, address: str, now_s: float) -> ConnectionSlot | None:
         """Count a connection.
-
-        Args:
-            address: IP address that it comes from.
-            now_s: monotonic time [s].
 
         Returns:
             Its place, to be released with the connection; None for a connection to be closed without an answer.
@@ -318,8 +306,6 @@ class AllowedOrigins:
         """Return True for an origin whose pages may connect.
 
         Args:
-            origin: as the header has it.
-            host: host of the request.
             encrypted: True for a request over TLS.
         """
         origin = origin.lower()
@@ -341,9 +327,6 @@ class HandshakeRequest(NamedTuple):
     """Request of a client, as far as admission looks at it.
 
     Attributes:
-        address: IP address of the client.
-        path: path with its query.
-        headers: of HTTP.
         upgrade: True for the opening handshake of a WebSocket, False for a request over HTTP.
         encrypted: True for a request over TLS.
     """
@@ -361,7 +344,6 @@ class AdmissionPolicy:
     Args:
         tokens: tokens and their owners; None for a server without any.
         settings: the section ``access``, with the names of the server and the origins that may connect.
-        clock: monotonic time [s].
         one_time_tokens: tokens that let one connection in each; None for a server without any.
 
     Attributes:
@@ -474,9 +456,6 @@ def check_exposure(host: str, addresses: Iterable[str], tokens: Tokens, *, insec
     An address that stays open is warned of at each start.
 
     Args:
-        host: host that the addresses were resolved from.
-        addresses: every IP address of the host.
-        tokens: tokens and their owners.
         insecure: the setting ``access.insecure``.
 
     Raises:

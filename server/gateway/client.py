@@ -35,7 +35,8 @@ from server.gateway.client_auth import AuthContext, ClientAuth
 from server.gateway.client_context import ClientContext
 from server.gateway.client_services import ClientServices
 from server.gateway.client_topics import ClientTopics, StrictPublication
-from server.gateway.inbox import Inbox, Reader, Scheduling
+from server.gateway.inbox import Inbox, Scheduling
+from server.gateway.transport import Transport
 from server.graph.message_types import PostponedError, ReceivedMessage
 
 log = logging.getLogger("armbridge.gateway")
@@ -46,19 +47,9 @@ class Client:
 
     Args:
         context: the parts that its topics, services, actions and authentication share.
-        auth: authentication as its connection provides it.
-        scheduling: turns and threads, which all clients share.
-        reader: the client's socket.
-
-    Attributes:
-        node: the client in the graph.
-        session: state of the protocol.
-        status: its status messages.
-        inbox: what waits to be carried out.
-        received_messages: frames received.
     """
 
-    def __init__(self, context: ClientContext, auth: AuthContext, scheduling: Scheduling, reader: Reader) -> None:
+    def __init__(self, context: ClientContext, auth: AuthContext, scheduling: Scheduling, transport: Transport) -> None:
         self.node = context.node
         self.session = context.session
         self.status = context.status
@@ -70,7 +61,7 @@ class Client:
         self._services = ClientServices(context)
         self._actions = ClientActions(context)
         self._auth = ClientAuth(context, auth, self._authorizer)
-        self.inbox = Inbox(self, context.session, context.graph.message_types, scheduling, reader, context.clock)
+        self.inbox = Inbox(self, context.session, context.graph.message_types, scheduling, transport, context.clock)
 
     def receive_frame(self, frame: str | bytes) -> None:
         """Take a frame, to be carried out in the client's turn; nothing in it can raise."""
@@ -111,12 +102,12 @@ class Client:
         return self._auth.check_first_operation(items)
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
-        """Read a frame by itself; as `OperationHandler.read_strictly`."""
+        """Read a frame by itself."""
         publication = self._topics.read_strictly(frame)
         return publication if publication is not None and self.session.reads_by_itself(frame) else None
 
     def publish_strictly(self, publication: StrictPublication) -> bool:
-        """Publish a message, or return False; as `OperationHandler.publish_strictly`."""
+        """Publish a message, or return False."""
         try:
             return self._topics.publish_strictly(publication)
         except (ProtocolError, GraphError) as error:
@@ -134,7 +125,7 @@ class Client:
         return self._authorizer.is_cancel(operation)
 
     def repeat(self, operation: Operation) -> None:
-        """Cancel again, without an answer; as `OperationHandler.repeat`."""
+        """Cancel again, without an answer."""
         if self._authorizer.refusal(operation) is not None:
             return
         # The client was told of them the first time.
@@ -152,7 +143,7 @@ class Client:
     def carry_out(
         self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False
     ) -> None:
-        """Carry an operation out, or tell of a refusal; as `OperationHandler.carry_out`."""
+        """Carry an operation out, or tell of a refusal."""
         if isinstance(item, Refusal):
             self._refuse(item)
         else:

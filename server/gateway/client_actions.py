@@ -26,11 +26,7 @@ _PASSED_STATUSES = (GoalStatus.SUCCEEDED, GoalStatus.CANCELED)
 
 
 class ClientActions:
-    """Actions that one client offers, and the goals that it sends to others' actions.
-
-    Args:
-        context: the parts of the client.
-    """
+    """Actions that one client offers, and the goals that it sends to others' actions."""
 
     def __init__(self, context: ClientContext) -> None:
         self._client = context

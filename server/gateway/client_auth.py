@@ -26,7 +26,6 @@ class AuthContext:
     """Authentication as the connection of a client provides it.
 
     Attributes:
-        access: authentication and authorization of the server.
         address: IP address of the client, under which its wrong tokens count.
         throttle: throttle of guesses; None where nobody counts them.
         disconnect: ends the connection, with a reason.
@@ -45,13 +44,7 @@ class AuthContext:
 
 
 class ClientAuth:
-    """Authentication of one client; a wrong token ends its connection.
-
-    Args:
-        context: the parts of the client.
-        auth: authentication as its connection provides it.
-        authorizer: check of its operations.
-    """
+    """Authentication of one client; a wrong token ends its connection."""
 
     def __init__(self, context: ClientContext, auth: AuthContext, authorizer: Authorizer) -> None:
         self._client = context

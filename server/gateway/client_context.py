@@ -87,9 +87,6 @@ class ClientStatus:
     that does not exist: someone who types JSON by hand would wait for an answer in vain.
 
     Args:
-        node: the client.
-        session: its session.
-        clock: monotonic time [s].
         wake: called when there is something to send.
 
     Attributes:
@@ -195,12 +192,7 @@ def _do_nothing() -> None:
 
 
 class MessageTranslator:
-    """Translator between one client and the graph, whose messages are in the dialect of ROS 2.
-
-    Args:
-        session: session of the client, with its dialect.
-        registry: message types.
-    """
+    """Translator between one client and the graph, whose messages are in the dialect of ROS 2."""
 
     def __init__(self, session: Session, registry: Registry) -> None:
         self._session = session
@@ -244,16 +236,10 @@ class ClientContext:
     """Parts of one client that its topics, services, actions and authentication share.
 
     Args:
-        node: the client in the graph.
-        graph: the graph that it takes part in.
-        session: state of the protocol.
-        clock: monotonic time [s].
         wake: called when there is something to send.
         send_at_once: sends a message if the socket takes it without waiting; returns True when it is sent.
 
     Attributes:
-        translator: translator of its messages.
-        status: its status messages.
         left: True once the client has left; nothing is sent any more.
     """
 
@@ -305,12 +291,11 @@ class ClientContext:
 
         Args:
             fields: the operation, with the message in the field ``args``.
-            type_name: type of the message.
         """
         if self.left:
             return False
         has_room = self.session.ask(self._translated(fields, "args", type_name), self.send_at_once)
-        if self.session.waiting:
+        if not self.session.send_queue.empty:
             self.wake()
         return has_room
 
@@ -319,7 +304,6 @@ class ClientContext:
 
         Args:
             fields: the operation, with the message in the field ``values``.
-            type_name: type of the message.
         """
         if not self.left:
             self.session.feedback(self._translated(fields, "values", type_name), self.clock())

@@ -18,11 +18,7 @@ MAX_PLANNING_CALLS = {Role.VIEW: 16, Role.OPERATE: 64, Role.ADMIN: 64}
 
 
 class ClientServices:
-    """Services that one client offers, and its calls of others' services.
-
-    Args:
-        context: the parts of the client.
-    """
+    """Services that one client offers, and its calls of others' services."""
 
     def __init__(self, context: ClientContext) -> None:
         self._client = context

@@ -47,13 +47,7 @@ class StrictTopic(NamedTuple):
 
 
 class StrictPublication(NamedTuple):
-    """Message that is to be published, just as its type declares it.
-
-    Attributes:
-        frame: the frame that it came in.
-        topic: the topic.
-        message: the message as JSON.
-    """
+    """Message that is to be published, just as its type declares it."""
 
     frame: str
     topic: StrictTopic
@@ -61,12 +55,7 @@ class StrictPublication(NamedTuple):
 
 
 class ClientTopics:
-    """Topics of one client.
-
-    Args:
-        context: the parts of the client.
-        authorizer: check of its operations.
-    """
+    """Topics of one client."""
 
     def __init__(self, context: ClientContext, authorizer: Authorizer) -> None:
         self._client = context

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from protocol.dialect import Dialect
 from protocol.limits import Limits
@@ -78,33 +78,12 @@ class TrafficCounts(NamedTuple):
     refused_operations: int = 0
 
 
-class Counted(Protocol):
-    """Connection that counts its traffic."""
-
-    def counts(self) -> TrafficCounts:
-        """Return the traffic until now."""
-
-    @property
-    def queued_bytes(self) -> int:
-        """Bytes that wait for the client to read them."""
-
-
 class Connection:
     """Connection of one client.
 
     Args:
-        transport: the open transport, a WebSocket or a raw TCP stream.
-        graph: the graph that the client takes part in.
-        limits: limits of the client.
-        access: authentication and authorization.
-        auth_throttle: throttle of guesses.
-        scheduling: turns and threads, which all clients share.
-        budget: memory for what waits for all clients.
         takes_goals_along: True where its goals are cancelled when it leaves, unless its URL says otherwise.
         ros_version: generation of ROS in whose spelling it gets messages, unless its URL says otherwise.
-
-    Attributes:
-        address: IP address of the client.
     """
 
     def __init__(
@@ -159,7 +138,7 @@ class Connection:
     @property
     def queued_bytes(self) -> int:
         """Bytes that wait for the client to read them."""
-        return self._client.session.queued_bytes
+        return self._client.session.send_queue.size_bytes
 
     def counts(self) -> TrafficCounts:
         """Return the traffic of the client until now."""
@@ -191,7 +170,7 @@ class Connection:
             self._transport.stop_delivery()
             await self._end_writer()
             self._client.leave()
-            self._client.session.close()
+            self._client.session.send_queue.close()
 
     async def _end_writer(self) -> None:
         if self._writer is not None:
@@ -236,23 +215,19 @@ class Connection:
     def _wake_up(self) -> None:
         """Send the messages that are due, or wake the writer; disconnect a client that does not read its replies."""
         session = self._client.session
-        for encoded in session.take_unready():
+        for encoded in session.send_queue.take_unready():
             self._background.encode(encoded, self._wake_up)
-        if session.overflowed:
+        if session.send_queue.overflowed:
             self._give_up()
             return
         self._flush()
-        if session.queued_bytes:
+        if session.send_queue.size_bytes:
             self._wake_writer()
             if self._watch is None:
                 self._expect_reading(time.monotonic())
 
     def _expect_reading(self, since_s: float) -> None:
-        """Look soon whether the client has read anything.
-
-        Args:
-            since_s: since when it has read nothing [s], monotonic.
-        """
+        """Look soon whether the client has read anything."""
         delay_s = min(self._max_delay_s, UNREAD_TIMEOUT_S) / LOOKS
         taken_bytes = self._transport.taken_bytes
         self._watch = asyncio.get_running_loop().call_later(delay_s, self._check_reading, taken_bytes, since_s)
@@ -264,10 +239,10 @@ class Connection:
         if self._transport.taken_bytes > taken_bytes:
             since_s = now_s
         if now_s - since_s >= self._max_delay_s:
-            session.drop_late(now_s)
-        if session.overflowed or (session.congested and now_s - since_s >= UNREAD_TIMEOUT_S):
+            session.send_queue.drop_late(now_s)
+        if session.send_queue.overflowed or (session.congested and now_s - since_s >= UNREAD_TIMEOUT_S):
             self._give_up()
-        elif session.queued_bytes:
+        elif session.send_queue.size_bytes:
             self._expect_reading(since_s)
 
     def _give_up(self) -> None:
@@ -318,7 +293,7 @@ class Connection:
 
     async def _until_something_is_due(self, wake: asyncio.Event) -> None:
         now_s = time.monotonic()
-        due_s = self._client.session.next_due(now_s)
+        due_s = self._client.session.send_queue.next_due(now_s)
         if due_s is None:
             await wake.wait()
             return
@@ -335,7 +310,7 @@ class Traffic:
 
     def __init__(self) -> None:
         self.connections = 0
-        self._open: set[Counted] = set()
+        self._open: set[Connection] = set()
         self._ended = TrafficCounts()
 
     @property
@@ -343,12 +318,12 @@ class Traffic:
         """Number of clients that are connected."""
         return len(self._open)
 
-    def add(self, connection: Counted) -> None:
+    def add(self, connection: Connection) -> None:
         """Add a connection."""
         self.connections += 1
         self._open.add(connection)
 
-    def remove(self, connection: Counted) -> None:
+    def remove(self, connection: Connection) -> None:
         """Remove a connection that has ended; its traffic stays counted."""
         self._open.discard(connection)
         self._ended = _sum([self._ended, connection.counts()])

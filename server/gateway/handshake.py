@@ -41,9 +41,6 @@ _ACCEPTED = (
 def read_upgrade(data: bytes) -> Request | None:
     """Return a request that opens a WebSocket and that websockets would accept.
 
-    Args:
-        data: the first bytes of a connection.
-
     Returns:
         The request; None for one that is not complete, has anything behind it, or is not plain.
     """
@@ -71,11 +68,7 @@ def _is_plain(values: dict[str, str]) -> bool:
 
 
 def accept(request: Request) -> bytes:
-    """Return the answer that opens the WebSocket, as it is sent.
-
-    Args:
-        request: as :func:`read_upgrade` returned it.
-    """
+    """Return the answer that opens the WebSocket, as it is sent."""
     accepted = accept_key(request.headers["Sec-WebSocket-Key"])
     return _ACCEPTED.format(date=_date(int(time.time())), accept=accepted).encode("ascii")
 

@@ -242,7 +242,6 @@ def find_page_file(directory: Path, name: str) -> Path:
     """Return the path of a file of the page.
 
     Args:
-        directory: the built page.
         name: path below it; empty for the page itself.
 
     Raises:
@@ -269,9 +268,7 @@ class HttpResponse:
     """Answer to a request.
 
     Attributes:
-        status: of HTTP.
         body: body of the answer to a GET.
-        headers: headers of this answer alone.
     """
 
     status: HTTPStatus
@@ -294,14 +291,7 @@ class HttpResponse:
     def of_file(
         cls, file: StoredFile, media_type: str, keeping: str, headers: Mapping[str, str] | None = None
     ) -> HttpResponse:
-        """Return an answer with a file.
-
-        Args:
-            file: its content.
-            media_type: its Content-Type.
-            keeping: its Cache-Control.
-            headers: further headers.
-        """
+        """Return an answer with a file."""
         about = {"Content-Type": media_type, "Cache-Control": keeping, "ETag": file.etag, "Vary": "Accept-Encoding"}
         if file.gzipped:
             about["Content-Encoding"] = "gzip"
@@ -322,11 +312,7 @@ class HttpResponse:
 
 
 def bad_request(sentence: str) -> bytes:
-    """Return the answer, as it is sent, to a request that was not read to its end.
-
-    Args:
-        sentence: the reason.
-    """
+    """Return the answer, as it is sent, to a request that was not read to its end."""
     return HttpResponse.of_text(HTTPStatus.BAD_REQUEST, sentence).response(Request("/", Headers())).serialize()
 
 

@@ -11,7 +11,7 @@ import logging
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from protocol.codecs.json import is_light
 from protocol.operations import Operation
@@ -19,9 +19,13 @@ from protocol.session import Packed, Refusal, Session
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrived_in
 from server.gateway.client_topics import StrictPublication
-from server.gateway.turns import Background, Turns
+from server.gateway.turns import Threads, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from server.timers import CallLater, call_later
+
+if TYPE_CHECKING:
+    from server.gateway.client import Client
+    from server.gateway.transport import Transport
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -50,11 +54,7 @@ MAX_COMPLETIONS = 3
 
 
 class WaitingBytes:
-    """Count of the bytes in the inboxes of all clients.
-
-    Attributes:
-        total: bytes that wait.
-    """
+    """Count of the bytes in the inboxes of all clients."""
 
     def __init__(self) -> None:
         self.total = 0
@@ -70,80 +70,13 @@ class Scheduling:
     """Turns, threads and memory, which all clients share.
 
     Attributes:
-        turns: turns of all clients.
         background: threads for long frames and large messages.
-        call_later: calls a function after a delay.
-        waiting: bytes in all inboxes.
     """
 
     turns: Turns
-    background: Background
+    background: Threads
     call_later: CallLater = call_later
     waiting: WaitingBytes = field(default_factory=WaitingBytes)
-
-
-class OperationHandler(Protocol):
-    """Client that carries operations out."""
-
-    @property
-    def identified(self) -> bool:
-        """False while nothing but the op ``auth`` is read of the client."""
-
-    def admit_frame(self, frame: str | bytes) -> bool:
-        """Check a frame before it is read; return False when it is not to be read."""
-
-    def admit_first(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
-        """Check the operations of a frame of a client that is not identified; return False for none of them."""
-
-    def read_strictly(self, frame: str) -> StrictPublication | None:
-        """Read a frame that publishes a message just as its topic's type declares it, and neither stops nor drives.
-
-        Returns:
-            None for a frame that is to be read the general way.
-        """
-
-    def publish_strictly(self, publication: StrictPublication) -> bool:
-        """Publish a message; return False when its frame is to be read the general way after all."""
-
-    def carry_out(
-        self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False
-    ) -> None:
-        """Carry an operation out, or tell of a refusal.
-
-        Args:
-            item: the operation or the refusal.
-            size_bytes: size of the frame that it came in.
-            message: its message, when that has been completed in the background.
-            light: True for a message that is completed quickly, however large it is.
-
-        Raises:
-            PostponedError: its message is to be completed in the background first.
-        """
-
-    def is_urgent(self, operation: Operation) -> bool:
-        """Return True for an operation that stops the arm or cancels a goal."""
-
-    def is_repeated(self, operation: Operation) -> bool:
-        """Return True for an urgent operation that is carried out in its turn as well.
-
-        The goal that it cancels may wait in this inbox.
-        """
-
-    def repeat(self, operation: Operation) -> None:
-        """Carry out in its turn an operation that has been carried out and answered ahead of it."""
-
-
-class Reader(Protocol):
-    """Socket of the client, as far as it can be left unread for a while, or for good."""
-
-    def hold_reading(self) -> None:
-        """Read nothing more for now."""
-
-    def release_reading(self) -> None:
-        """Read again."""
-
-    def end_out_of_memory(self) -> None:
-        """End this connection alone, with a reason."""
 
 
 @dataclass(slots=True, eq=False)
@@ -152,7 +85,6 @@ class _Waiting:
 
     Attributes:
         item: the frame, or an operation of it.
-        size_bytes: size of the frame.
         epoch: stop epoch in which the frame arrived.
         repeated: True for an operation that has been carried out ahead of its turn.
         message: message of the operation, once it has been completed in the background.
@@ -168,24 +100,15 @@ class _Waiting:
 
 
 class Inbox:
-    """Frames and operations of one client that wait.
-
-    Args:
-        handler: carries the operations out.
-        session: state of the protocol.
-        types: types of the messages.
-        scheduling: turns and threads, which all clients share.
-        reader: the client's socket.
-        clock: monotonic time [s].
-    """
+    """Frames and operations of one client that wait."""
 
     def __init__(
         self,
-        handler: OperationHandler,
+        handler: Client,
         session: Session,
         types: MessageTypes,
         scheduling: Scheduling,
-        reader: Reader,
+        transport: Transport,
         clock: Callable[[], float],
     ) -> None:
         self._handler = handler
@@ -195,7 +118,7 @@ class Inbox:
         self._background = scheduling.background
         self._all_waiting = scheduling.waiting
         self._call_later = scheduling.call_later
-        self._reader = reader
+        self._transport = transport
         self._clock = clock
         self._waiting: deque[_Waiting] = deque()
         self._waiting_bytes = 0
@@ -287,9 +210,9 @@ class Inbox:
         count = len(self._waiting) + len(self._stops)
         full = count > MAX_WAITING or self._waiting_bytes > self._all_waiting.limit_bytes
         if full and not self._holds_reader:
-            self._reader.hold_reading()
+            self._transport.hold_reading()
         elif self._holds_reader and not full:
-            self._reader.release_reading()
+            self._transport.release_reading()
         self._holds_reader = full
 
     def _begin(self, received: _Waiting, frame: str | bytes, until_s: float, *, light: bool = False) -> None:
@@ -435,7 +358,7 @@ class Inbox:
             if self._closed:
                 return
             if isinstance(result, MemoryError):
-                self._reader.end_out_of_memory()
+                self._transport.end_out_of_memory()
             else:
                 self._put_first([waiting] if result is None else _read_of(waiting, result))
                 self.resume()

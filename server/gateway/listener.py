@@ -56,7 +56,6 @@ class Tls:
 
     Args:
         certificate: PEM file, with the certificates that lead to its issuer.
-        key: PEM file.
 
     Attributes:
         context: context of the listening sockets, the same as long as the server runs; each handshake gets the
@@ -151,13 +150,7 @@ LIST_PERIOD_S = 0.25
 
 
 class ClientList:
-    """The connected clients, published after each change, but no more often than every `LIST_PERIOD_S`.
-
-    Args:
-        graph: where the topics are.
-        wall_clock: seconds since the epoch.
-        call_later: does something after a delay.
-    """
+    """The connected clients, published after each change, but no more often than every `LIST_PERIOD_S`."""
 
     def __init__(
         self, graph: Graph, wall_clock: Callable[[], float] = time.time, call_later: CallLater = call_later
@@ -245,15 +238,8 @@ class Listener:
     """Listener on one TCP port of every address of a host; clients may ask for any path and query.
 
     Args:
-        graph: the graph that clients take part in.
-        settings: the section ``server``: address, certificate, limits and pings.
-        http: handler of requests over HTTP.
         access: authentication and authorization; None for a server without tokens and limits.
         takes_goals_along: True where a client's goals are cancelled when it leaves, unless its URL says otherwise.
-
-    Attributes:
-        admission: policy of admission.
-        traffic: traffic of all clients.
 
     Raises:
         ConfigurationError: the certificate cannot be used.
@@ -468,7 +454,6 @@ def listen(places: Sequence[Place], host: str, port: int, option: str = "--port"
 
     Args:
         places: at least one.
-        host: host that they were resolved from, for the error.
         port: TCP port; 0 takes a free one, the same on all.
         option: option of the command line that chooses another one, for the error.
 
@@ -537,9 +522,6 @@ def _reason(host: str, port: int, error: OSError | UnicodeError, option: str = "
 
 def raise_file_limit(max_clients: int) -> int:
     """Raise this process's limit of open files as far as it may, and tell when that is not enough.
-
-    Args:
-        max_clients: connections at a time that are wanted.
 
     Returns:
         Connections at a time for which there are files.

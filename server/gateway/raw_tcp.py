@@ -31,10 +31,6 @@ class TcpStream(Transport):
     """Connection of one client by raw TCP.
 
     Args:
-        settings: the section ``server``.
-        limiter: counter of connections, of all ports together.
-        transports: every connection of the listener.
-        serve: serves the client until it leaves.
         identity: identity of clients that have not authenticated; None where they may do nothing.
     """
 
@@ -136,7 +132,6 @@ def keep_alive(listening: socket.socket, interval_s: float, timeout_s: float) ->
     Accepted sockets inherit it (tcp(7)).
 
     Args:
-        listening: the listening socket.
         interval_s: time without a sign of the client after which it is asked [s].
         timeout_s: time to answer [s].
     """

@@ -50,14 +50,11 @@ class Transport(asyncio.Protocol):
     """Connection of one client.
 
     Args:
-        limiter: counter of connections.
         transports: every connection of the listener; this one is in it from ``connection_made`` to ``connection_lost``.
-        serve: serves the client until it leaves; called once, in a task.
 
     Attributes:
         framed: True where the client gets messages one by one; in a stream it may take two for one.
         identity: identity of the client; None until it has authenticated.
-        peer: IP address and port of the client.
         query: choices of the client, as a URL's query has them: ``ros``, ``on_disconnect``.
         max_message_bytes: size of a received frame beyond which the connection ends, before it is read.
         is_open: True while frames can be sent.
@@ -116,11 +113,7 @@ class Transport(asyncio.Protocol):
 
     @abstractmethod
     def _next_frame(self) -> str | bytes | None:
-        """Return the next frame; None when its end has not come yet.
-
-        Raises:
-            FrameError: nothing behind this can be read.
-        """
+        """Return the next frame; None when its end has not come yet."""
 
     @abstractmethod
     def _clear(self) -> None:
@@ -131,7 +124,6 @@ class Transport(asyncio.Protocol):
         """End the connection with a reason for the client.
 
         Args:
-            reason: one sentence.
             code: of a WebSocket's close frame (RFC 6455, 7.4).
         """
 
@@ -184,12 +176,7 @@ class Transport(asyncio.Protocol):
             event.set()
 
     def _close_after_replies(self, *, linger: bool = True) -> None:
-        """Close the connection once the client has read what was sent, or has left that for too long.
-
-        Args:
-            linger: wait for the client to close its own side: closing the socket on unread bytes would reset the
-                connection, and the last replies with it.
-        """
+        """Close the connection once the client has read what was sent, or has left that for too long."""
         if self._ending:
             return
         self._write_unsent()

@@ -51,10 +51,6 @@ class Turns:
 
     Args:
         call_soon: calls a function when the event loop has served its sockets, as :func:`call_soon`.
-        clock: monotonic time [s].
-
-    Attributes:
-        call_soon: as given.
     """
 
     def __init__(self, call_soon: Callable[[Callable[[], object]], object], clock: Callable[[], float]) -> None:
@@ -101,27 +97,6 @@ class Turns:
             self.call_soon(self._play_round)
 
 
-class Background(Protocol):
-    """Threads for what takes longer than a turn."""
-
-    def run(self, job: Callable[[], Done], done: Callable[[Done, float], None], failed: Callable[[], None]) -> None:
-        """Run a job.
-
-        Args:
-            job: runs in a thread.
-            done: called in the event loop with the job's result and the time of a processor that it took [s].
-            failed: called in the event loop instead, when the job has raised an error, which is logged.
-        """
-
-    def encode(self, encoded: EncodedMessage, ready: Callable[[], None]) -> None:
-        """Encode a message, once for all who ask.
-
-        Args:
-            encoded: the message.
-            ready: called in the event loop afterwards, also when it cannot be encoded.
-        """
-
-
 class Threads:
     """Threads of a gateway; to be used in the event loop alone."""
 
@@ -132,7 +107,12 @@ class Threads:
         self._closed = False
 
     def run(self, job: Callable[[], Done], done: Callable[[Done, float], None], failed: Callable[[], None]) -> None:
-        """Run a job; as `Background`."""
+        """Run a job.
+
+        Args:
+            done: called in the event loop with the job's result and the time of a processor that it took [s].
+            failed: called in the event loop instead, when the job has raised an error, which is logged.
+        """
 
         def timed() -> tuple[Done, float]:
             began_s = time.thread_time()
@@ -156,7 +136,11 @@ class Threads:
             )
 
     def encode(self, encoded: EncodedMessage, ready: Callable[[], None]) -> None:
-        """Encode a message, once for all who ask; as `Background`."""
+        """Encode a message, once for all who ask.
+
+        Args:
+            ready: called in the event loop afterwards, also when it cannot be encoded.
+        """
         waiting = self._encoding.get(encoded)
         if waiting is not None:
             waiting.append(ready)

@@ -67,16 +67,7 @@ _MASK_BYTES = 4
 
 
 class WebSocket(Transport):
-    """Connection of one client: a WebSocket, or one request over HTTP.
-
-    Args:
-        settings: the section ``server``: limits and pings.
-        limiter: counter of connections.
-        transports: every connection of the listener.
-        serve: serves the client until it leaves, when the WebSocket is open.
-        admission: policy of admission, which checks each request.
-        http: handler of requests over HTTP.
-    """
+    """Connection of one client: a WebSocket, or one request over HTTP."""
 
     def __init__(
         self,

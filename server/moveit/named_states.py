@@ -56,7 +56,7 @@ Change: TypeAlias = Callable[[States], States]
 
 
 class NamedStates:
-    """Store of the states by name; case and blanks of names do not matter.
+    """Store of the states by name; case and blanks of names do not matter. Wrong changes raise ServiceError.
 
     Args:
         group: planning group whose states of the SRDF count; :meth:`select_group` chooses another.
@@ -128,11 +128,7 @@ class NamedStates:
         self._listeners.append(listener)
 
     async def save(self, name: str, positions_rad: Positions) -> None:
-        """Save a state, in place of one of the same name.
-
-        Raises:
-            ServiceError: the name or a position is invalid; the sentence names the limit.
-        """
+        """Save a state, in place of one of the same name."""
         spelled = " ".join(name.split())
         self._check(spelled, positions_rad)
 
@@ -145,11 +141,7 @@ class NamedStates:
         await self._change(add)
 
     async def delete(self, name: str) -> None:
-        """Delete a state.
-
-        Raises:
-            ServiceError: there is no such state, or it is of the SRDF.
-        """
+        """Delete a state."""
 
         def remove(states: States) -> States:
             spelled = self._own(name, states)
@@ -158,11 +150,7 @@ class NamedStates:
         await self._change(remove)
 
     async def rename(self, old_name: str, new_name: str) -> None:
-        """Rename a state.
-
-        Raises:
-            ServiceError: there is no such state, it is of the SRDF, or the new name is taken or invalid.
-        """
+        """Rename a state."""
         new = " ".join(new_name.split())
 
         def rename(states: States) -> States:
@@ -204,7 +192,6 @@ class NamedStates:
         return usable
 
     def _check(self, name: str, positions_rad: Positions) -> None:
-        """Check that a state can be saved under a name."""
         if not 1 <= len(name) <= MAX_NAME_LENGTH or not name.isprintable():
             raise ServiceError(
                 f"name: must have 1 to {MAX_NAME_LENGTH} printable characters, not {name[:MAX_NAME_LENGTH]!r}"
@@ -277,12 +264,6 @@ class NamedStatesFile:
         """Change the states in the file, those that other servers have saved among them; return them all.
 
         A crash leaves the old file or the new one.
-
-        Args:
-            change: of the states; called in a thread.
-
-        Raises:
-            ServiceError: the states cannot be changed so, the file cannot be written, or another process has it.
         """
         return await in_thread(self._path, "the state cannot be kept", lambda: self._change(change))
 

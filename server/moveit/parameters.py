@@ -181,10 +181,6 @@ class PlannerParameters:
         Args:
             group: name of the group; empty for all.
             planner: name of the planner; empty for all.
-            replace: true to delete the parameters that were set there before.
-
-        Raises:
-            ServiceError: a known parameter has an invalid value, or there are too many; nothing is changed.
         """
         scope = (group, planner)
         kept = {} if replace else self._set.get(scope, {})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from pathlib import Path
 
@@ -29,78 +28,32 @@ class _Content(BaseModel):
     positions_rad: list[list[float]]
 
 
-class MotionFiles:
+class MotionFiles(NamedFiles):
     """Store of motions by name."""
 
     def __init__(self, folder: Path, robot: RobotModel) -> None:
-        self._files = NamedFiles(folder, "motion", MAX_MOTIONS)
+        super().__init__(folder, "motion", MAX_MOTIONS)
         self._robot = robot
 
-    async def names(self) -> list[str]:
-        """Return the names of the motions, in alphabetical order.
-
-        Raises:
-            ServiceError: the folder cannot be read.
-        """
-        return await self._files.in_thread("the taught motions cannot be listed", self._files.names)
-
     async def load(self, name: str) -> TaughtMotion:
-        """Return a motion.
-
-        Raises:
-            ServiceError: there is none of this name, or its file cannot be used.
-        """
-        path = self._files.path(name)
-        work = functools.partial(self._files.read, path, self._read)
-        return await self._files.in_thread(f"the motion {name!r} cannot be read", work)
-
-    async def check_new(self, name: str) -> None:
-        """Check that a motion can be saved under a name that is not taken.
-
-        Raises:
-            ServiceError: it cannot; the sentence says what to do.
-        """
-        path = self._files.path(name)
-        await self._files.in_thread(f"the motion {name!r} cannot be recorded", lambda: self._files.check_new(path))
+        """Return a motion."""
+        return await self.read(name, self._read)
 
     async def save(self, name: str, motion: TaughtMotion) -> None:
-        """Save a motion, in place of one of the same name.
+        """Save a motion, in place of one of the same name."""
 
-        Raises:
-            ServiceError: the name is invalid, there are too many motions, or the file cannot be written.
-        """
-        path = self._files.path(name)
-        work = functools.partial(self._write, path, motion)
-        await self._files.in_thread(f"the motion {name!r} cannot be saved", work)
+        def content() -> bytes:
+            fields = {
+                "joint_names": list(motion.joint_names),
+                "time_s": motion.time_s.tolist(),
+                "positions_rad": motion.positions_rad.tolist(),
+            }
+            text = json.dumps(fields, separators=(",", ":")).encode()
+            if len(text) > MAX_FILE_BYTES:
+                raise ValueError(f"it has {len(text)} bytes as a file, the limit is {MAX_FILE_BYTES}")
+            return text
 
-    async def delete(self, name: str) -> None:
-        """Delete a motion.
-
-        Raises:
-            ServiceError: there is none of this name, or its file cannot be deleted.
-        """
-        path = self._files.path(name)
-        await self._files.in_thread(f"the motion {name!r} cannot be deleted", lambda: self._files.delete(path))
-
-    async def rename(self, name: str, new_name: str) -> None:
-        """Rename a motion.
-
-        Raises:
-            ServiceError: there is none of this name, or the new name is taken or invalid.
-        """
-        paths = self._files.path(name), self._files.path(new_name, "new_name")
-        await self._files.in_thread(f"the motion {name!r} cannot be renamed", lambda: self._files.rename(*paths))
-
-    def _write(self, path: Path, motion: TaughtMotion) -> None:
-        content = {
-            "joint_names": list(motion.joint_names),
-            "time_s": motion.time_s.tolist(),
-            "positions_rad": motion.positions_rad.tolist(),
-        }
-        text = json.dumps(content, separators=(",", ":")).encode()
-        if len(text) > MAX_FILE_BYTES:
-            raise ValueError(f"it has {len(text)} bytes as a file, the limit is {MAX_FILE_BYTES}")
-        self._files.write(path, text)
+        await self.write(name, content)
 
     def _read(self, path: Path) -> TaughtMotion:
         with path.open("rb") as file:

@@ -60,11 +60,7 @@ class TeachingRecorder:
 
 
 def joints_to_teach(robot: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the joints to record: a group's joints; without a name the default group's and the gripper's.
-
-    Raises:
-        ServiceError: there is no such group.
-    """
+    """Return the joints to record: a group's joints; without a name the default group's and the gripper's."""
     if group:
         if group not in robot.groups:
             raise ServiceError(f"group: must be one of {', '.join(robot.groups)}, not {group[:80]!r}")

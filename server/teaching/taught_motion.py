@@ -86,11 +86,7 @@ class TaughtMotion:
         return TaughtMotion(self.joint_names, (self.time_s[-1] - self.time_s)[::-1], self.positions_rad[::-1])
 
     def part(self, from_s: float, to_s: float) -> TaughtMotion:
-        """Return the part between two times.
-
-        Raises:
-            ServiceError: there is no such part, or it is too short.
-        """
+        """Return the part between two times."""
         if not 0.0 <= from_s < to_s <= self.duration_s + 10.0**-DIGITS:
             raise ServiceError(
                 f"from_s and to_s: must be 0 to {self.duration_s:g} s, from_s before to_s, not {from_s:g} and {to_s:g}"
@@ -106,12 +102,7 @@ class TaughtMotion:
         return rounded(TaughtMotion(self.joint_names, time_s - from_s, positions))
 
     def problem(self, before_rad: Positions, speed: float, allowed_time_s: float) -> JointPathProblem:
-        """Return the problem for planners to time and to check it.
-
-        Args:
-            before_rad: position of every movable joint before [rad].
-            allowed_time_s: planning time [s].
-        """
+        """Return the problem for planners to time and to check it."""
         return JointPathProblem(
             before_rad, self.joint_names, self.time_s, self.positions_rad, speed, allowed_time_s=allowed_time_s
         )
@@ -142,9 +133,6 @@ def of_recording(
     Returns:
         The motion, and its greatest distance from the recording within the limits, joint by joint at the same time
         [rad]: at most :data:`TOLERANCE_RAD`, unless the recording is as long and as fast as hands hardly are.
-
-    Raises:
-        ServiceError: nothing has moved, or for too short a time.
     """
     joints = [robot.joints[name] for name in joint_names]
     lower, upper = np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
@@ -159,11 +147,7 @@ def of_recording(
 
 
 def moving(time_s: Vector, positions_rad: Vector) -> tuple[int, int]:
-    """Return the first and the last sample of a recording that belong to its motion, with a short rest at both ends.
-
-    Raises:
-        ServiceError: nothing has moved, or for too short a time.
-    """
+    """Return the first and the last sample of a recording that belong to its motion, with a short rest at both ends."""
     if len(time_s) < 2:
         raise ServiceError("nothing was recorded: no state of the arm came")
     away = np.max(np.abs(positions_rad - positions_rad[0]), axis=1)
@@ -233,11 +217,7 @@ def _average(column: Vector, half: int) -> Vector:
 
 
 def from_message(message: Message, robot: RobotModel) -> TaughtMotion:
-    """Read a trajectory_msgs/JointTrajectory; velocities and accelerations do not count.
-
-    Raises:
-        ServiceError: it is too long, or has one point.
-    """
+    """Read a trajectory_msgs/JointTrajectory; velocities and accelerations do not count."""
     points = message["points"]
     # A first point after time 0 is waited for, where it is.
     start_rad = dict(zip(message["joint_names"], points[0]["positions"] if points else (), strict=False))

@@ -15,7 +15,7 @@ from protocol.codecs import cdr
 from protocol.errors import InterfaceError, MessageError
 from protocol.registry import Registry
 from robot.logs import LogLimiter
-from server.gateway.turns import Background, Threads
+from server.gateway.turns import Threads
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -133,7 +133,7 @@ class Network:
     namespace: Namespace
     tokens: LivelinessTokens
     max_message_bytes: int
-    background: Background = field(default_factory=Threads)
+    background: Threads = field(default_factory=Threads)
     warnings: LogLimiter = field(default_factory=lambda: LogLimiter(max_keys=MAX_WARNINGS))
 
     @property

@@ -114,12 +114,12 @@ class World:
         self.clock.advance(control >> ADVANCE)
         self.clients[number].receive_frame(frame_of(frame, binary=bool(control & BINARY)))
         for client in self.clients:
-            for encoded in client.session.take_unready():
+            for encoded in client.session.send_queue.take_unready():
                 encode_or_log(encoded)
         if control & FLUSH:
             self._flush(number, len(frame))
         for left in self.disconnected | {
-            number for number, client in enumerate(self.clients) if client.session.overflowed
+            number for number, client in enumerate(self.clients) if client.session.send_queue.overflowed
         }:
             self.clients[left].leave()
             self.clients[left] = self._enter(left)

@@ -157,7 +157,7 @@ class InProcess:
 
     def _collect(self) -> None:
         for name, client in self._clients.items():
-            for encoded in client.session.take_unready():
+            for encoded in client.session.send_queue.take_unready():
                 encode_or_log(encoded)
             while messages := client.session.data_to_send(self.clock()):
                 self._frames[name] += [frame for encoded in messages for frame in encoded.frames]

@@ -131,7 +131,7 @@ def test_after_unsubscribing_nothing_comes_not_even_what_waited():
     assert session.subscriptions.remove("/a", None) is True
     session.deliver(message("late"), 2.0)
     assert sent(session, 2.0) == []
-    assert session.next_due(2.0) is None
+    assert session.send_queue.next_due(2.0) is None
 
 
 def test_a_throttle_without_a_queue_drops_what_comes_too_early_and_does_not_count_it():
@@ -256,8 +256,8 @@ def test_a_client_that_stops_reading_holds_no_more_than_it_may():
     for step in range(3000):
         session.deliver(message("x" * 1000 + str(step)), 1.0)
         session.reply({"op": "service_response", "values": "y" * 1000})
-        assert session.queued_bytes <= limits.max_queued_bytes
-    assert session.overflowed
+        assert session.send_queue.size_bytes <= limits.max_queued_bytes
+    assert session.send_queue.overflowed
 
 
 def test_a_clients_next_operations_wait_while_a_few_large_replies_do():
@@ -273,7 +273,7 @@ def test_a_result_does_not_overtake_feedback_however_large():
     session = Session()
     session.feedback({"op": "action_feedback", "values": "x" * BULKY_BYTES}, 0.0)
     session.reply({"op": "action_result"})
-    for encoded in session.take_unready():
+    for encoded in session.send_queue.take_unready():
         encoded.encode()
     assert [json.loads(frame)["op"] for frame in sent(session, BEHIND_S + 1.0)] == ["action_feedback", "action_result"]
 
@@ -284,7 +284,7 @@ def test_the_data_fetched_at_a_time_is_bounded():
         session.deliver(message("x" * 1000 + str(step)), 1.0)
     fetched = session.data_to_send(1.0)
     assert sum(encoded.size_bytes for encoded in fetched) <= SEND_BUDGET_BYTES + 2000
-    assert session.next_due(1.0) == 1.0
+    assert session.send_queue.next_due(1.0) == 1.0
 
 
 @pytest.mark.parametrize(("wanted", "told"), [("none", 0), ("error", 1), ("warning", 2), ("info", 3)])
@@ -293,11 +293,11 @@ def test_a_client_is_told_of_its_level_and_of_what_is_worse(wanted, told):
     session.status_level = wanted
     for level in ("error", "warning", "info"):
         session.status(level, "as it is", 7)
-    assert session.waiting == (told > 0)
+    assert session.send_queue.empty == (not told)
     statuses = [json.loads(frame) for frame in sent(session)]
     expected = [{"op": "status", "level": level, "msg": "as it is", "id": 7} for level in ("error", "warning", "info")]
     assert statuses == expected[:told]
-    assert not session.waiting
+    assert session.send_queue.empty
 
 
 def test_a_client_that_lags_is_warned_once_it_reads_and_not_too_often():

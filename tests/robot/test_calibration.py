@@ -249,15 +249,6 @@ def test_a_place_that_cannot_be_written_or_reserved_is_refused(tmp_path):
         pass
 
 
-def test_a_calibration_that_cannot_be_written_leaves_the_one_before(tmp_path):
-    path = tmp_path / "arm.json"
-    save(nominal_calibration(), path)
-    (tmp_path / ".arm.json.new").mkdir()
-    with pytest.raises(CalibrationError, match="cannot be written"):
-        save(nominal_calibration().with_zero_offsets({"elbow_flex": 0.1}), path)
-    assert Calibration.load(path, SO101_SERVOS) == nominal_calibration()
-
-
 def test_a_new_calibration_of_an_id_goes_where_lerobot_looks_first(home):
     assert new_calibration_path("left", FOLDERS, home) == lerobot_directories(FOLDERS, home)[0] / "left.json"
     assert str(new_calibration_path("./left.json", FOLDERS, home)) == "left.json"

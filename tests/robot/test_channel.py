@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.channel import MAX_MESSAGE_BYTES, MAX_PENDING_BYTES, Channel, Decoder, encode, send_log
-from robot.logs import LoggerLevel
 
 
 @given(st.lists(st.binary(max_size=300), max_size=8), st.integers(min_value=1, max_value=50))
@@ -75,15 +74,6 @@ def test_to_a_server_that_does_not_read_only_what_may_not_be_dropped_is_kept(pai
     assert sum(len(encode(message)) for message in received) < MAX_PENDING_BYTES + (2 << 20)
     numbers = [message[1] for message in received[:-1]]
     assert numbers == sorted(numbers)
-
-
-def test_a_change_of_a_level_is_for_the_channel_and_not_for_its_user(pair: tuple[Channel, Channel]) -> None:
-    child, server = pair
-    for message in ("config", LoggerLevel("armbridge.test_processes", 40), "next"):
-        server.send(message)
-    assert child.receive_first() == "config"
-    assert child.receive(0.0) == ["next"]
-    assert logging.getLogger("armbridge.test_processes").level == 40
 
 
 def test_a_process_sends_the_lines_of_its_log_to_the_other_end(pair: tuple[Channel, Channel]) -> None:

@@ -12,7 +12,17 @@ from typing import Any
 import pytest
 
 from robot import logs
-from robot.logs import MAX_CHANGED_LOGGERS, MAX_KEYS, JsonFormatter, LoggerLevel, LogLimiter, PlainFormatter
+from robot.logs import (
+    BURST,
+    LINES_PER_S,
+    MAX_CHANGED_LOGGERS,
+    MAX_KEYS,
+    FloodFilter,
+    JsonFormatter,
+    LoggerLevel,
+    LogLimiter,
+    PlainFormatter,
+)
 
 ROOT = Path(__file__).parents[2]
 
@@ -125,17 +135,6 @@ def nothing_is_changed_yet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logs, "_changed", {})
 
 
-def test_a_change_holds_here_and_in_children_from_before_and_after() -> None:
-    before, after = Child(), Child()
-    logs.follow(before)
-    changes = [LoggerLevel(NAME, logging.DEBUG), LoggerLevel(NAME, logging.ERROR)]
-    for each in changes:
-        assert logs.change(each)
-    logs.follow(after)
-    assert logging.getLogger(NAME).level == logging.ERROR
-    assert (before.heard, after.heard) == (changes, changes[1:])
-
-
 def test_an_unreferenced_child_is_forgotten() -> None:
     count = len(logs._followers)
     child = Child()
@@ -162,18 +161,6 @@ def test_not_more_loggers_are_changed_than_there_may_be() -> None:
 )
 def test_lines_are_due_in_bursts_and_then_at_a_rate(limiter: LogLimiter, lines: list[tuple[str, float, bool]]) -> None:
     assert [limiter.due(key, now_s) for key, now_s, _ in lines] == [due for _, _, due in lines]
-
-
-def test_suppressed_lines_are_counted_up_to_the_next_due_one() -> None:
-    limiter = LogLimiter(burst=1, lines_per_s=1.0)
-    assert limiter.suppressed("elbow") == 0
-    for now_s in (0.0, 0.1, 0.2):
-        limiter.due("elbow", now_s)
-    assert limiter.suppressed("elbow") == 0
-    assert limiter.due("elbow", 1.5)
-    assert limiter.suppressed("elbow") == 2
-    assert limiter.due("elbow", 2.6)
-    assert limiter.suppressed("elbow") == 0
 
 
 LOG = logging.getLogger("armbridge.test")
@@ -208,3 +195,26 @@ def test_keys_that_clients_choose_are_bounded_and_the_end_is_told(caplog: pytest
 def test_a_line_names_the_place_that_writes_it(caplog: pytest.LogCaptureFixture) -> None:
     LogLimiter().write(LOG, logging.WARNING, "refused: no", "x")
     assert caplog.records[0].pathname == __file__
+
+
+def test_the_next_line_has_the_number_of_suppressed_ones() -> None:
+    now_s = [0.0]
+    flood = FloodFilter(lambda: now_s[0])
+    for _ in range(BURST + 3):
+        flood.filter(record("hot"))
+    now_s[0] = 1.0 / LINES_PER_S
+    after = record("hot")
+    assert flood.filter(after)
+    line = PlainFormatter().format(after)
+    assert line.endswith("hot (3 more lines like this were left out before)")
+    assert PlainFormatter().format(record("hot")).endswith("hot")
+
+
+def test_every_process_logs_through_it() -> None:
+    root = logging.getLogger()
+    former, root.handlers = root.handlers, []
+    try:
+        logs.configure("INFO", "plain")
+        assert [type(each) for each in root.handlers[0].filters] == [FloodFilter]
+    finally:
+        root.handlers = former

@@ -62,8 +62,6 @@ class PlanningOptions:
     """Options of a goal, from moveit_msgs/PlanningOptions.
 
     Attributes:
-        plan_only: true if the arm is not to move.
-        delay_s: pause between attempts [s].
         scene_diff: moveit_msgs/PlanningScene to apply to the present scene for planning; None for none.
     """
 
@@ -142,7 +140,6 @@ def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[st
 
 
 def _planned_messages(answer: Answer, robot: RobotModel) -> list[dict[str, Any]]:
-    """Write the moveit_msgs/RobotTrajectory of every planned motion."""
     planned = () if answer.performed is None else answer.performed.planned
     return [_trajectory_message(motion, robot) for motion in planned]
 
@@ -193,17 +190,14 @@ class PlanningActions:
                 if planning_goal.options.plan_only:
                     self._plan_only(goal, planning_goal, result)
                 else:
-                    self._move(goal, planning_goal, result)
+                    motion = planned_motion(planning_goal, self._context)
+                    for warning in motion.warnings:
+                        log.warning("%s: %s", goal.action, warning)
+                    submit_goal(goal, self._queue, motion, MoveGroupFeedback(), result)
             except RefusedError as error:
                 reject_goal(goal, self._queue, error.failure, result)
 
         self._graph.actions.offer(self._node, name, action.type_name, start, PLANNING_LIMITS, rule=PLANNING_GOAL)
-
-    def _move(self, goal: Goal, planning_goal: PlanningGoal, result: Callable[[Answer], Message]) -> None:
-        motion = planned_motion(planning_goal, self._context)
-        for warning in motion.warnings:
-            log.warning("%s: %s", goal.action, warning)
-        submit_goal(goal, self._queue, motion, MoveGroupFeedback(), result)
 
     def _plan_only(self, goal: Goal, planning_goal: PlanningGoal, result: Callable[[Answer], Message]) -> None:
         def end(done: asyncio.Task[Answer]) -> None:
@@ -270,13 +264,17 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
     here for the present one, so that a goal that cannot be planned does not replace the motion of another.
     """
     options, present_rad = goal.options, context.current.positions_rad()
-    warnings = (*options.warnings, *_ignored_start(goal.requests))
+    diff = options.scene_diff
+    warnings = options.warnings
+    if any(request["start_state"]["joint_state"]["name"] for request in goal.requests):
+        # As in MoveIt.
+        warnings += ("start_state is ignored: the motion begins where the arm is",)
     if present_rad is not None:
         warnings += _check_requests(goal.requests, present_rad, context)
     return PlannedMotion(
         steps=tuple(context.problems.step(request) for request in goal.requests),
         joints=context.problems.joints(goal.requests),
-        scene=_scene_with(options.scene_diff, context),
+        scene=None if diff is None else lambda now_rad: context.scene_state.with_diff(diff, now_rad),
         attempts=options.attempts,
         delay_s=options.delay_s,
         warnings=warnings,
@@ -292,7 +290,9 @@ async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) 
     state, options = goal.requests[0]["start_state"], goal.options
     try:
         start = context.start(state, sender)
-        scene = _scene_of_start(start, options.scene_diff, state, context)
+        scene, diff = start.scene, options.scene_diff
+        if diff is not None:
+            scene = context.scene_state.with_diff({**diff, **(attached_diff(state) or {})}, start.start_rad)
         warnings = _check_requests(goal.requests, start.start_rad, context)
     except RefusedError as error:
         return Answer.of(error.failure)
@@ -315,32 +315,8 @@ async def plan_steps(
 
 
 def _check_requests(requests: Sequence[Message], start_rad: Positions, context: PlanningContext) -> tuple[str, ...]:
-    """Build the problem of every request; returns their warnings."""
     built = [context.problems.motion_plan(request, start_rad) for request in requests]
     return tuple(warning for one in built for warning in one.warnings)
-
-
-def _scene_with(scene_diff: Message | None, context: PlanningContext) -> Callable[[Positions], Scene] | None:
-    """Return the function that makes the scene of a motion; None for the present scene."""
-    if scene_diff is None:
-        return None
-
-    return lambda present_rad: context.scene_state.with_diff(scene_diff, present_rad)
-
-
-def _scene_of_start(
-    start: PlanningStart, scene_diff: Message | None, state: Message, context: PlanningContext
-) -> Scene:
-    """Return the scene of a start state with a diff applied."""
-    if scene_diff is None:
-        return start.scene
-    return context.scene_state.with_diff({**scene_diff, **(attached_diff(state) or {})}, start.start_rad)
-
-
-def _ignored_start(requests: Sequence[Message]) -> tuple[str, ...]:
-    """Describe start states that are not followed: as in MoveIt, a motion to execute starts where the arm is."""
-    named = any(request["start_state"]["joint_state"]["name"] for request in requests)
-    return ("start_state is ignored: the motion begins where the arm is",) if named else ()
 
 
 def _cancel(task: asyncio.Task[Answer]) -> None:

@@ -67,7 +67,6 @@ ROBOT_STATE = 2
 ROBOT_STATE_ATTACHED_OBJECTS = 4
 WORLD_OBJECT_NAMES = 8
 WORLD_OBJECT_GEOMETRY = 16
-OCTOMAP = 32
 TRANSFORMS = 64
 ALLOWED_COLLISION_MATRIX = 128
 LINK_PADDING_AND_SCALING = 256
@@ -254,11 +253,7 @@ def _subscriber(
 
 
 class MonitoredScenePublisher:
-    """Publisher of scene diffs on ``/monitored_planning_scene``; a new subscriber gets the whole scene first.
-
-    Args:
-        rate_hz: changes that come faster are published together [Hz].
-    """
+    """Publisher of scene diffs on ``/monitored_planning_scene``; a new subscriber gets the whole scene first."""
 
     def __init__(
         self,
@@ -329,16 +324,16 @@ class SceneServices:
         services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
 
     def _get(self, call: Call) -> None:
+        async def get_settled() -> None:
+            await self._state.settled()
+            self._respond(call)
+
         if self._state.pending:
             # As if the changes that have been sent before were quick.
-            task = asyncio.ensure_future(self._get_settled(call))
+            task = asyncio.ensure_future(get_settled())
             call.when_ended(lambda _response: task.cancel())
         else:
             self._respond(call)
-
-    async def _get_settled(self, call: Call) -> None:
-        await self._state.settled()
-        self._respond(call)
 
     def _respond(self, call: Call) -> None:
         assumed = self._assumed

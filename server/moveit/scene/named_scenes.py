@@ -19,6 +19,7 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, WORKING, Rule
 from server.graph.topics import Graph
 from server.moveit.poses import Message
+from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.saved_scene import complete_scene, encoded_bounded, kept_message
 from server.moveit.scene.scene_state import SceneState
 from server.named_files import NamedFiles, read_json
@@ -34,72 +35,36 @@ MAX_SCENE_BYTES = 20_000_000
 _Work: TypeAlias = Callable[[str], Awaitable[str]]
 
 
-def objects_in_words(count: int) -> str:
-    """Return a number of objects in words: "1 object", "2 objects"."""
+def objects_in_words(contents: SceneContents) -> str:
+    """Return the number of a scene's objects in words: "1 object", "2 objects"."""
+    count = len(contents.objects) + len(contents.attached)
     return f"{count} object{'' if count == 1 else 's'}"
 
 
-class NamedScenes:
-    """Store of scenes by name. Several servers may share its folder."""
+class NamedScenes(NamedFiles):
+    """Store of scenes by name."""
 
     def __init__(self, folder: Path, state: SceneState, message_types: MessageTypes) -> None:
-        self._files = NamedFiles(folder, "scene", MAX_SCENES)
+        super().__init__(folder, "scene", MAX_SCENES)
         self._state = state
         self._message_types = message_types
 
-    async def names(self) -> list[str]:
-        """Return the names of the saved scenes, in alphabetical order.
-
-        Raises:
-            ServiceError: the folder cannot be read.
-        """
-        return await self._files.in_thread("the saved scenes cannot be listed", self._files.names)
-
     async def save(self, name: str) -> str:
-        """Save the present scene, in place of one of the same name; return a sentence about it.
-
-        Raises:
-            ServiceError: the name is invalid, there are too many scenes, or the scene cannot be written.
-        """
-        path = self._files.path(name)
+        """Save the present scene, in place of one of the same name; return a sentence about it."""
         await self._state.settled()
-        contents = self._state.contents
-
-        def write() -> None:
-            self._files.write(path, encoded_bounded(kept_message(contents, self._state.robot), MAX_SCENE_BYTES))
-
-        await self._files.in_thread(f"the scene {name!r} cannot be saved", write)
-        count = len(contents.objects) + len(contents.attached)
-        return f"the scene {name!r} is saved, with {objects_in_words(count)}"
+        contents, robot = self._state.contents, self._state.robot
+        await self.write(name, lambda: encoded_bounded(kept_message(contents, robot), MAX_SCENE_BYTES))
+        return f"the scene {name!r} is saved, with {objects_in_words(contents)}"
 
     async def load(self, name: str, positions_rad: Positions | None) -> str:
-        """Replace the present scene by a saved one; return a sentence about it.
-
-        Raises:
-            ServiceError: there is no such scene, or its file cannot be used.
-        """
-        path = self._files.path(name)
-        failure = f"the scene {name!r} cannot be loaded"
+        """Replace the present scene by a saved one; return a sentence about it."""
+        content = await self.read(name, lambda path: read_json(path, MAX_SCENE_BYTES), "loaded")
         try:
-            content = await self._files.in_thread(
-                failure, lambda: self._files.read(path, lambda file: read_json(file, MAX_SCENE_BYTES))
-            )
             message = complete_scene(self._message_types, content)
             await self._state.change(self._state.diff(message), positions_rad)
         except (MessageError, RefusedError) as error:
-            raise ServiceError(f"{failure}: {error}") from error
-        count = len(self._state.contents.objects) + len(self._state.contents.attached)
-        return f"the scene {name!r} is loaded, with {objects_in_words(count)}"
-
-    async def delete(self, name: str) -> str:
-        """Delete a saved scene; return a sentence about it.
-
-        Raises:
-            ServiceError: there is no such scene, or its file cannot be deleted.
-        """
-        path = self._files.path(name)
-        await self._files.in_thread(f"the scene {name!r} cannot be deleted", lambda: self._files.delete(path))
-        return f"the scene {name!r} is deleted"
+            raise ServiceError(f"the scene {name!r} cannot be loaded: {error}") from error
+        return f"the scene {name!r} is loaded, with {objects_in_words(self._state.contents)}"
 
 
 def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState) -> None:
@@ -111,6 +76,10 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
 
     async def load(name: str) -> str:
         return await scenes.load(name, current.positions_rad())
+
+    async def delete(name: str) -> str:
+        await scenes.delete(name)
+        return f"the scene {name!r} is deleted"
 
     def offer(name: str, type_name: str, work: _Work, rule: Rule) -> None:
         async def serve(request: Message) -> Message:
@@ -125,4 +94,4 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
     graph.services.offer(node, "/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names, rule=LOOKING)
     offer("save", "SaveScene", scenes.save, CONFIGURING)
     offer("load", "LoadScene", load, WORKING)
-    offer("delete", "DeleteScene", scenes.delete, CONFIGURING)
+    offer("delete", "DeleteScene", delete, CONFIGURING)

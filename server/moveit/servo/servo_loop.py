@@ -30,6 +30,7 @@ from planners.servo.question import (
 )
 from robot.arm import ArmStream
 from robot.arm_group import AnyArm
+from robot.messages import Outcome
 from robot.trajectory import Vector
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
@@ -61,6 +62,10 @@ LEAD_S = 0.04
 # The planners' latency counts for this number of answers: an increase counts at once, a decrease later.
 LATENCY_ANSWERS = 10
 
+# The arm ends a stream without setpoints after 0.06 s. While the planners' answer is not there, the loop repeats the
+# last setpoint so often, and brakes when the answer is too late to be carried out: steering goes on with the next one.
+KEEP_ALIVE_S = 0.035
+
 # Periods after which a step is made without a command, where commands are followed when they come.
 LATE = 1.5
 
@@ -87,8 +92,6 @@ class ServoSetup:
     """Setup of a servo loop.
 
     Attributes:
-        period_s: time between two setpoints [s].
-        timeout_s: time after which a command expires [s].
         at_once: whether a new command is followed when it comes, and not at the next period.
     """
 
@@ -143,11 +146,6 @@ def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Posi
     return TipTwist(_rotated(rotation, command.linear_m_s), _rotated(rotation, command.angular_rad_s))
 
 
-def halt_command(command: ServoCommand) -> ServoCommand:
-    """Return the command that follows an expired one: after a twist the tip is held, otherwise the joints."""
-    return TipTwist() if isinstance(command, TipTwist) else JointVelocities({})
-
-
 def _rotated(rotation: Vector, vector: Point) -> Point:
     x, y, z = (rotation @ np.array(vector)).tolist()
     return x, y, z
@@ -160,7 +158,6 @@ def _scaled_vector(message: Message, part: str, scale: float, parameters: ServoP
 
 
 def _scaled(values: Mapping[str, float], scale: float, parameters: ServoParameters) -> list[float]:
-    """Scale values to speeds; their names are for errors."""
     unitless = parameters.command_in_type == UNITLESS
     for name, value in values.items():
         if not math.isfinite(value):
@@ -189,7 +186,6 @@ class ServoSession:
     Args:
         planning: frames, and positions of all joints, also of arms that are not steered.
         ask: has the planners answer; None for the planners of `planning`.
-        clock: monotonic time [s].
     """
 
     def __init__(
@@ -282,7 +278,9 @@ class ServoSession:
             self._publish_status(ServoStatus.NO_WARNING, "")
             return
         self._publish_status(ServoStatus.INVALID, f"steering was ended: {ended.message}")
-        self._interrupted(f"steering was ended: {ended.message}")
+        # After a pause of the server's own nobody has to let go: the next command steers again.
+        if ended.outcome is not Outcome.UNSTEERED:
+            self._interrupted(f"steering was ended: {ended.message}")
 
     async def _follow_commands(self, stream: ArmStream) -> None:
         velocity: Mapping[str, float] = {}
@@ -300,7 +298,7 @@ class ServoSession:
                 command, error = JointVelocities({}), str(rejected)
             anchor = anchor if type(command) is kind else None
             kind = type(command)
-            answer = await self._answer(positions_rad, velocity, command, anchor)
+            answer = await self._answer(stream, positions_rad, velocity, command, anchor)
             velocity, anchor = answer.velocity_rad_s, answer.anchor
             if error:
                 self._publish_status(ServoStatus.INVALID, error)
@@ -320,10 +318,16 @@ class ServoSession:
         command = to_planning_frame(self._input, self._resolve, positions_rad)
         if self._clock() <= self._expires_at_s:
             return command
-        return halt_command(command)
+        # After a twist the tip is held, otherwise the joints.
+        return TipTwist() if isinstance(command, TipTwist) else JointVelocities({})
 
     async def _answer(
-        self, positions_rad: Positions, velocity: Mapping[str, float], command: ServoCommand, anchor: Anchor | None
+        self,
+        stream: ArmStream,
+        positions_rad: Positions,
+        velocity: Mapping[str, float],
+        command: ServoCommand,
+        anchor: Anchor | None,
     ) -> ServoAnswer:
         """Ask the planners; where they fail, or are so late that the arm is elsewhere by now, velocities are 0."""
         question = ServoQuestion(
@@ -337,7 +341,14 @@ class ServoSession:
             self._setup.limits,
         )
         asked_s = self._clock()
-        answer = await self._ask(question)
+        asking = asyncio.ensure_future(self._ask(question))
+        try:
+            while not (await asyncio.wait([asking], timeout=KEEP_ALIVE_S))[0]:
+                late = self._clock() - asked_s > MAX_PERIOD_S
+                stream.steer(np.array([0.0 if late else velocity.get(name, 0.0) for name in self._setup.joints]))
+            answer = asking.result()
+        finally:
+            asking.cancel()
         took_s = self._clock() - asked_s
         self._latencies_s.append(took_s)
         if isinstance(answer, PlanningFailure):

@@ -89,15 +89,11 @@ def test_the_same_seed_makes_the_same_folder(urdf, tmp_path):
     assert "<mesh" in arm.urdf
 
 
-def test_a_folder_that_is_there_is_not_touched(urdf, tmp_path):
-    (tmp_path / "arm").mkdir()
-    with pytest.raises(AssistantError, match="is there already: give another folder by --out, or --overwrite"):
-        import_robot(ImportOptions(urdf, tmp_path / "arm", samples=QUICK), silent)
-
-
-def test_only_a_robot_folder_is_overwritten(urdf, tmp_path):
+def test_only_a_robot_folder_is_overwritten_and_only_when_asked(urdf, tmp_path):
     (tmp_path / "arm").mkdir()
     (tmp_path / "arm" / "thesis.txt").write_text("irreplaceable")
+    with pytest.raises(AssistantError, match="is there already: give another folder by --out, or --overwrite"):
+        import_robot(ImportOptions(urdf, tmp_path / "arm", samples=QUICK), silent)
     with pytest.raises(AssistantError, match=r"has no robot\.toml, so it is no robot folder"):
         import_robot(ImportOptions(urdf, tmp_path / "arm", samples=QUICK, overwrite=True), silent)
     assert (tmp_path / "arm" / "thesis.txt").read_text() == "irreplaceable"

@@ -3,20 +3,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from planners.geometry import collision as collision_module
-from planners.geometry.collision import (
-    DEPTH_ACCURACY_M,
-    CollisionModel,
-    PairFilter,
-    attached_bodies,
-    link_bodies,
-    object_bodies,
-)
-from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import robot_shapes
+from planners.geometry.collision import DEPTH_ACCURACY_M, CollisionModel
 from planners.scene import EMPTY_SCENE, AttachedObject, Box, Mesh, Plane, Pose, Scene, SceneObject
 from tests.helpers.resources import in_proportion
 from tests.planners.scenes import CORNERS_M, FACES, SHAPES, around_the_arm, scene, thing
@@ -34,33 +24,10 @@ def in_scene(robot, each):
     return model
 
 
-@pytest.fixture(scope="session")
-def pin_model(robot):
-    return pin.buildModelFromXML(kinematic_urdf(robot))
-
-
 @pytest.fixture
-def bodies(robot, pin_model):
-    shapes = robot_shapes(robot, pin_model)
-
-    def build(scene):
-        held = [body for attached in scene.attached for body in attached_bodies(pin_model, attached, 1.0)]
-        return [*link_bodies(pin_model, shapes, scene), *held], list(object_bodies(scene, 1.0))
-
-    return build
-
-
-@pytest.fixture
-def checked(robot, bodies):
+def checked(robot):
     """Pairs of names that are checked in a scene."""
-
-    def names(scene):
-        movers, around = bodies(scene)
-        everything = [*movers, *around]
-        pairs = PairFilter(robot, scene.allowed).pairs(movers, around)
-        return {frozenset((everything[i].name, everything[j].name)) for i, j in pairs}
-
-    return names
+    return lambda each: set(in_scene(robot, each)._names)
 
 
 def test_a_scene_that_cannot_be_built_leaves_none_and_the_next_is_built_whole(robot, monkeypatch):

@@ -8,11 +8,11 @@ import pinocchio as pin
 import pytest
 
 from planners.geometry import contacts
-from planners.geometry.collision import CollisionModel, PairFilter, link_bodies, object_bodies
-from planners.geometry.contacts import Broadphase, PartPair, parts_of
+from planners.geometry.collision import CollisionModel
+from planners.geometry.contacts import PartPair, parts_of
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import convex, robot_shapes, urdf_shapes
+from planners.geometry.shapes import convex, urdf_shapes
 from planners.scene import Box, Sphere
 from robot.description import model
 from tests.helpers import robots
@@ -26,16 +26,14 @@ STATES = 60
 @pytest.fixture(params=[1, 2])
 def crowded(request, robot):
     """The arm among things of every shape, and states of it."""
-    model = pin.buildModelFromXML(kinematic_urdf(robot))
-    scene = around_the_arm(request.param)
-    movers, around = link_bodies(model, robot_shapes(robot, model), scene), list(object_bodies(scene, 1.0))
-    pairs = PairFilter(robot, {}).pairs(movers, around)
 
-    def build(apart_m):
-        return Broadphase(model, [body.shape for body in (*movers, *around)], pairs, np.full(len(pairs), apart_m))
+    def build():
+        model = CollisionModel(robot)
+        model.set_scene(around_the_arm(request.param))
+        return model._broadphase
 
-    limits = model.lowerPositionLimit, model.upperPositionLimit
-    return build, np.random.default_rng(3).uniform(*limits, (STATES, model.nq))
+    limits = [[getattr(joint, end) for joint in robot.movable_joints] for end in ("lower", "upper")]
+    return build, np.random.default_rng(3).uniform(*limits, (STATES, len(limits[0])))
 
 
 def distances_m(broadphase, pairs, q):
@@ -45,9 +43,9 @@ def distances_m(broadphase, pairs, q):
 
 def test_touching_is_overlapping(crowded):
     build, states = crowded
-    broadphase, verdicts = build(0.0), set()
+    broadphase, fresh, verdicts = build(), build(), set()
     for q in states:
-        expected = build(0.0).touching(q)
+        expected = fresh.touching(q)
         assert broadphase.touches(q) == bool(expected)
         # What was found before, elsewhere and among some of the pairs, leaves nothing behind.
         assert broadphase.touching(q) == expected
@@ -60,7 +58,7 @@ def test_touching_is_overlapping(crowded):
 def test_few_and_many_shapes_are_searched_alike(crowded, monkeypatch, few):
     build, states = crowded
     monkeypatch.setattr(contacts, "FEW_SHAPES", few)
-    broadphase = build(0.0)
+    broadphase = build()
     for q in states:
         assert (
             broadphase.touching(q) == np.flatnonzero(distances_m(broadphase, len(broadphase._pairs), q) < 0.0).tolist()
@@ -70,7 +68,7 @@ def test_few_and_many_shapes_are_searched_alike(crowded, monkeypatch, few):
 @pytest.mark.parametrize("margin_m", [0.0, 0.003, 0.02, (0.0, 0.1)], ids=str)
 def test_near_is_nearer_than_the_margin_of_each_pair(crowded, margin_m):
     build, states = crowded
-    broadphase = build(0.0)
+    broadphase = build()
     count = len(broadphase._pairs)
     margins_m = np.random.default_rng(4).uniform(*(margin_m if isinstance(margin_m, tuple) else (margin_m,) * 2), count)
     for q in states:

@@ -2,12 +2,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planners.geometry.collision import PairFilter, link_bodies, object_bodies
-from planners.geometry.contacts import Broadphase
-from planners.geometry.kinematics import Reach, approach
+from planners.geometry.collision import CollisionModel
+from planners.geometry.kinematics import Reach
 from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import outline, robot_shapes
-from planners.scene import EMPTY_SCENE
 from robot.description import model
 from tests.helpers.robots import so101
 from tests.planners.scenes import around_the_arm
@@ -66,19 +64,17 @@ def test_no_frame_moves_further_than_the_bound(arm):
 
 
 def test_no_pair_comes_nearer_than_the_bound(arm):
-    movers = link_bodies(arm.model, arm.shapes, EMPTY_SCENE)
-    around = list(object_bodies(around_the_arm(5), 1.0))
-    shapes = [body.shape for body in (*movers, *around)]
-    pairs = PairFilter(arm.robot, {}).pairs(movers, around)
-    broadphase = Broadphase(arm.model, shapes, pairs, np.zeros(len(pairs)))
-    approach_m = approach(arm.reach.of_shapes(shapes), pairs)
+    collision = CollisionModel(arm.robot)
+    collision.set_scene(around_the_arm(5))
+    broadphase, pairs = collision._broadphase, range(len(collision._names))
     for q, dq in arm.moves(6, 100, 0.1):
         distances_m = []
         for state in (q, q + dq):
             broadphase.place(state)
-            distances_m.append(np.array([broadphase.distance_m(pair) for pair in range(len(pairs))]))
+            distances_m.append(np.array([broadphase.distance_m(pair) for pair in pairs]))
         apart = distances_m[1] > 0.0
-        assert np.all((distances_m[0] - distances_m[1] <= approach_m @ np.abs(dq) + 1e-6)[apart])
+        margins_m = collision.margins_m(np.abs(dq)[np.newaxis])[0]
+        assert np.all((distances_m[0] - distances_m[1] <= margins_m + 1e-6)[apart])
 
 
 def test_nothing_is_further_from_the_root_than_the_bound(arm):

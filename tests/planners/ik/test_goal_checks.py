@@ -43,22 +43,6 @@ def orientation(**changes):
 
 
 @pytest.mark.parametrize(
-    "goal",
-    [
-        JointGoal({"elbow_flex": 0.5}),
-        JointGoal({}),
-        POINT,
-        AXIS,
-        POSE,
-        ConstraintGoal(Constraints((JOINT_RANGE,), (REGION,), (ORIENTATION,))),
-        AnyOf((POINT, AXIS)),
-    ],
-)
-def test_sound_goals_pass(robot, arm, goal):
-    assert check_goal(robot, arm, goal) is None
-
-
-@pytest.mark.parametrize(
     ("goal", "said"),
     [
         (JointGoal({"elbow": 0.5}), ["'elbow'", "elbow_flex"]),
@@ -133,11 +117,6 @@ def test_senseless_constraints_are_refused_with_names_and_values(robot, constrai
     failure = check_constraints(robot, constraints)
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert all(part in failure.message for part in said), failure.message
-
-
-def test_no_constraints_are_sound(robot):
-    assert check_constraints(robot, None) is None
-    assert check_constraints(robot, Constraints()) is None
 
 
 def test_joint_goal_may_exceed_a_limit_by_rounding_only(robot, arm):

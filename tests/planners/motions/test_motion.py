@@ -55,13 +55,6 @@ def test_in_free_space_shortening_nearly_reaches_the_least_time():
     assert TICK_S * shortened().duration_ticks < 1.03 * least_s
 
 
-@pytest.mark.parametrize(
-    "without", [{"free": lambda piece: False}, {"should_stop": lambda: True}], ids=["space", "time"]
-)
-def test_without_free_space_or_once_stopped_the_curve_stays(without):
-    np.testing.assert_array_equal(shortened(**without).positions_rad, polyline(DETOUR, LIMITS).positions_rad)
-
-
 HOME = np.zeros(5)
 READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -35,23 +34,6 @@ def test_processes_that_want_the_same_core_wait_for_it(start_on_one_core: Callab
     pids = [start_on_one_core() for _ in range(4)]
     # Three of four wait at any time; what they are on the core does not add up to more than has passed.
     wait_until(lambda: sum(map(run_delay_s, pids)) >= 0.2 + time.monotonic() - began_s)
-
-
-@needs_run_delay
-def test_a_process_that_is_stopped_does_not_wait_for_a_core(start_on_one_core: Callable[[], int]) -> None:
-    pid = start_on_one_core()
-    os.kill(pid, signal.SIGSTOP)
-    wait_until(lambda: psutil.Process(pid).status() == psutil.STATUS_STOPPED)
-    before_s = run_delay_s(pid)
-    time.sleep(0.05)
-    assert run_delay_s(pid) == before_s
-
-
-def test_nothing_is_known_of_a_process_that_is_gone(start_on_one_core: Callable[[], int]) -> None:
-    pid = start_on_one_core()
-    os.kill(pid, signal.SIGKILL)
-    os.waitpid(pid, 0)
-    assert read_run_delay_s(pid) is None
 
 
 def test_a_worker_that_hangs_ends_with_its_server() -> None:

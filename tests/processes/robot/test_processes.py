@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,59 @@ from tests.helpers.waiting import TIMEOUT_S, until
 ECHO = "tests.helpers.echo_child"
 
 
-async def start_echo(received: list[Any], exited: asyncio.Event) -> Child:
-    child = Child(StartedChild(ECHO), received.append, exited.set)
-    await child.connect()
-    return child
+class Echo:
+    """A child that answers what it is sent, and what it has said.
+
+    Args:
+        refused: message that its server fails to serve.
+    """
+
+    def __init__(self, refused: str = "") -> None:
+        self.received: list[Any] = []
+        self.exited = asyncio.Event()
+        self._refused = refused
+        self.child = Child(StartedChild(ECHO), self._take, self.exited.set)
+
+    def _take(self, message: Any) -> None:
+        if message == self._refused:
+            raise ValueError(message)
+        self.received.append(message)
+
+    async def exchange(self, *messages: Any, answers: int | None = None) -> list[Any]:
+        """Send messages, and return the answers to all so far, or to some, when they are there."""
+        expected = len(self.received) + len(messages) if answers is None else answers
+        for message in messages:
+            self.child.send(message)
+        await until(lambda: len(self.received) >= expected)
+        return self.received
+
+    async def end(self) -> None:
+        """Wait for its end."""
+        await asyncio.wait_for(self.exited.wait(), TIMEOUT_S)
+        await self.child.wait(TIMEOUT_S)
+
+
+Start = Callable[..., Awaitable[Echo]]
+
+
+@pytest.fixture
+async def start() -> AsyncIterator[Start]:
+    """Starts children, and kills them at the end."""
+    started: list[Echo] = []
+
+    async def echo(refused: str = "") -> Echo:
+        started.append(Echo(refused))
+        await started[-1].child.connect()
+        return started[-1]
+
+    yield echo
+    for each in started:
+        await each.child.kill()
+
+
+@pytest.fixture
+async def echo(start: Start) -> Echo:
+    return await start()
 
 
 @pytest.fixture(autouse=True)
@@ -33,29 +83,19 @@ def children_find_the_tests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
 
 
-async def test_a_child_answers_in_order_whatever_the_size() -> None:
-    received: list[Any] = []
-    child = await start_echo(received, asyncio.Event())
+async def test_a_child_answers_in_order_whatever_the_size(echo: Echo) -> None:
     sent = [1, "two", b"3" * 1_000_000, {"four": [5.0]}]
-    for message in sent:
-        child.send(message)
-    await until(lambda: len(received) >= len(sent))
-    assert received == sent
-    await child.kill()
+    assert await echo.exchange(*sent) == sent
 
 
 @pytest.mark.parametrize("begun", [False, True], ids=["running", "only begun"])
-async def test_a_signal_that_is_for_the_server_does_not_end_a_child(begun: bool) -> None:
+async def test_a_signal_that_is_for_the_server_does_not_end_a_child(start: Start, begun: bool) -> None:
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1):
-        received: list[Any] = []
-        child = await start_echo(received, asyncio.Event())
+        echo = await start()
         if not begun:
-            child.send("ready?")
-            await until(lambda received=received: received == ["ready?"])
-        os.kill(child.pid, number)
-        child.send("there?")
-        await until(lambda received=received: received[-1:] == ["there?"])
-        await child.kill()
+            await echo.exchange("ready?")
+        os.kill(echo.child.pid, number)
+        assert (await echo.exchange("there?"))[-1] == "there?"
 
 
 def test_the_start_of_a_child_keeps_no_signal_from_the_server() -> None:
@@ -64,82 +104,50 @@ def test_the_start_of_a_child_keeps_no_signal_from_the_server() -> None:
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
-async def test_the_end_of_a_child_is_reported_once() -> None:
-    exited = asyncio.Event()
-    child = await start_echo([], exited)
-    os.kill(child.pid, signal.SIGKILL)
-    await asyncio.wait_for(exited.wait(), TIMEOUT_S)
-    await child.wait(TIMEOUT_S)
-    assert not child.running
-    child.send("nobody hears this")
-
-
-async def test_the_last_messages_of_a_child_that_has_ended_are_delivered() -> None:
-    received: list[Any] = []
-    exited = asyncio.Event()
-    child = await start_echo(received, exited)
-    child.send("ready?")
-    await until(lambda: len(received) >= 1)
-    for _ in range(3):
-        child.send("last")
-    child.send("close")
+async def test_the_last_messages_of_a_child_that_has_ended_are_delivered(echo: Echo) -> None:
+    await echo.exchange("ready?")
+    for message in ("last", "last", "last", "close"):
+        echo.child.send(message)
     # The event loop stands still meanwhile: nothing of what the child sends has been read when it has ended.
-    while child.running:
+    while echo.child.running:
         time.sleep(0.001)  # noqa: ASYNC251 - see above
-    await child.wait(TIMEOUT_S)
-    assert received == ["ready?", "last", "last", "last"]
-    assert exited.is_set()
+    await echo.child.wait(TIMEOUT_S)
+    assert echo.received == ["ready?", "last", "last", "last"]
+    assert echo.exited.is_set()
 
 
-async def test_a_child_ends_when_its_server_does_and_how_is_reported() -> None:
-    exited = asyncio.Event()
-    child = await start_echo([], exited)
-    assert child.ending == "it still runs"
-    child.send("close")
-    await asyncio.wait_for(exited.wait(), TIMEOUT_S)
-    await child.wait(TIMEOUT_S)
-    assert child.ending == "exit code 0"
+@pytest.mark.parametrize(
+    ("message", "ending"),
+    [
+        ("close", "exit code 0"),
+        (("raw", b"\xff\xff\xff\xff"), "SIGKILL"),
+        (("raw", b"\x04\x00\x00\x00what"), "SIGKILL"),
+    ],
+    ids=["asked to", "for a huge message", "for a message that is no pickle"],
+)
+async def test_the_end_of_a_child_is_reported_and_how_it_ended(echo: Echo, message: Any, ending: str) -> None:
+    assert echo.child.ending == "it still runs"
+    echo.child.send(message)
+    await echo.end()
+    assert (echo.child.running, echo.child.ending) == (False, ending)
+    echo.child.send("nobody hears this")
 
 
-async def test_a_child_that_does_not_end_is_ended_by_force_and_told_of(caplog: pytest.LogCaptureFixture) -> None:
-    received: list[Any] = []
-    child = await start_echo(received, asyncio.Event())
-    child.send("ready?")
-    await until(lambda: len(received) >= 1)
-    await asyncio.wait_for(child.wait(0.1), TIMEOUT_S)
-    assert not child.running
-    assert f"process {child.pid} has not ended within 0.1 s and is killed" in caplog.text
-
-
-@pytest.mark.parametrize("garbage", [b"\xff\xff\xff\xff", b"\x04\x00\x00\x00what"], ids=["huge", "no pickle"])
-async def test_a_child_that_sends_garbage_is_ended_and_its_end_reported(garbage: bytes) -> None:
-    exited = asyncio.Event()
-    child = Child(StartedChild(ECHO), lambda _message: None, exited.set)
-    await child.connect()
-    child.send(("raw", garbage))
-    await asyncio.wait_for(exited.wait(), TIMEOUT_S)
-    await child.wait(TIMEOUT_S)
-    assert child.ending == "SIGKILL"
+async def test_a_child_that_does_not_end_is_ended_by_force_and_told_of(
+    echo: Echo, caplog: pytest.LogCaptureFixture
+) -> None:
+    await echo.exchange("ready?")
+    await asyncio.wait_for(echo.child.wait(0.1), TIMEOUT_S)
+    assert not echo.child.running
+    assert f"process {echo.child.pid} has not ended within 0.1 s and is killed" in caplog.text
 
 
 async def test_an_error_in_serving_one_message_does_not_make_the_server_deaf(
-    caplog: pytest.LogCaptureFixture,
+    start: Start, caplog: pytest.LogCaptureFixture
 ) -> None:
-    received: list[Any] = []
-
-    def serve(message: Any) -> None:
-        if message == "bad":
-            raise ValueError(message)
-        received.append(message)
-
-    child = Child(StartedChild(ECHO), serve, lambda: None)
-    await child.connect()
-    for message in ("good", "bad", "good again"):
-        child.send(message)
-    await until(lambda: len(received) >= 2)
-    assert received == ["good", "good again"]
+    echo = await start(refused="bad")
+    assert await echo.exchange("good", "bad", "good again", answers=2) == ["good", "good again"]
     assert "serving a message" in caplog.text
-    await child.kill()
 
 
 @pytest.fixture
@@ -148,34 +156,24 @@ def no_changed_levels(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def test_a_level_is_changed_in_children_that_run_and_in_those_that_follow(
-    no_changed_levels: None, capfd: pytest.CaptureFixture[str]
+    no_changed_levels: None, start: Start, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    received: list[Any] = []
-    first = await start_echo(received, asyncio.Event())
+    first = await start()
     assert logs.change(LoggerLevel("armbridge.echo", logging.DEBUG))
-    second = await start_echo(received, asyncio.Event())
-    for child in (first, second):
-        child.send(("log", "armbridge.echo", logging.DEBUG, "said"))
-        child.send("done")
-    await until(lambda: len(received) >= 2)
+    for echo in (first, await start()):
+        await echo.exchange(("log", "armbridge.echo", logging.DEBUG, "said"), "done", answers=1)
     assert capfd.readouterr().err.count("DEBUG   armbridge.echo: said") == 2
     assert logging.getLogger("armbridge.echo").level == logging.DEBUG
-    await first.kill()
-    await second.kill()
 
 
 async def test_a_child_logs_as_its_server_does(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    start: Start, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(logs, "format_in_use", lambda: "json")
-    received: list[Any] = []
-    child = await start_echo(received, asyncio.Event())
-    child.send(("log", "armbridge.echo_json", logging.ERROR, "said"))
-    child.send("done")
-    await until(lambda: len(received) >= 1)
+    echo = await start()
+    await echo.exchange(("log", "armbridge.echo_json", logging.ERROR, "said"), "done", answers=1)
     (line,) = [json.loads(line) for line in capfd.readouterr().err.splitlines()]
-    assert (line["process"], line["pid"], line["message"]) == (ECHO, child.pid, "said")
-    await child.kill()
+    assert (line["process"], line["pid"], line["message"]) == (ECHO, echo.child.pid, "said")
 
 
 def test_a_folder_of_the_same_name_in_the_working_directory_is_not_imported(

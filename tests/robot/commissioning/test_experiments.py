@@ -8,8 +8,6 @@ from robot.commissioning.doctor import Verdict
 from robot.commissioning.experiments import (
     EXPERIMENTS,
     GENTLE_TORQUE,
-    POWER_TIMEOUT_S,
-    STEP_S,
     STEP_TICKS,
     ServoRig,
     run_experiment,
@@ -131,25 +129,3 @@ def test_torque_does_not_come_on_far_from_the_goal_or_outside_the_angle_limits(r
     with pytest.raises(StartupError, match="outside its angle limits"), rig.holding():
         pass
     assert rig.read(Register.TORQUE_ENABLE) == 0
-
-
-def test_a_step_goes_towards_the_middle_and_is_followed_and_sampled_for_as_long_as_it_may_take(rig):
-    with rig.holding() as start:
-        goal = rig.one_step_from(start)
-        samples = rig.go(goal)
-    assert goal - start == STEP_TICKS
-    assert abs(samples[-1][1].position_ticks - goal) <= 3
-    times_s = [at_s for at_s, _ in samples]
-    assert times_s == sorted(times_s)
-    assert 0.9 * STEP_S < times_s[-1] < STEP_S
-
-
-def test_waiting_for_a_servo_ends_when_it_answers_or_in_time(rig, emulator):
-    started_s = emulator.clock()
-    assert rig.await_answers(answering=True)
-    assert emulator.clock() - started_s < 0.01
-    assert not rig.await_answers(answering=False)
-    assert emulator.clock() - started_s == pytest.approx(POWER_TIMEOUT_S, abs=0.2)
-    emulator.command_later(1.0, offline=[GRIPPER])
-    assert rig.await_answers(answering=False)
-    assert emulator.clock() - started_s == pytest.approx(POWER_TIMEOUT_S + 1.0, abs=0.4)

@@ -136,6 +136,16 @@ def test_a_stop_behind_an_end_that_was_met_twice_counts_from_the_first_visit_on(
     assert not {each.joint: each.done for each in session.ranges()}["elbow_flex"]
 
 
+def test_a_free_joint_that_met_its_stops_is_calibrated_by_them_and_its_middle_is_not_asked_for():
+    session, hand = begun(motions={})
+    hand.sweep()
+    for ticks in (3981, 113, MIDDLE):
+        hand.move(ROLL, ticks)
+    session.answer(DONE)
+    roll = session.calibration.joints[4]
+    assert (roll.homing_offset, roll.range_min, roll.range_max) == (0, 113, 3981)
+
+
 def test_a_joint_that_was_not_touched_is_refused_all_the_same():
     session, hand = begun()
     hand.sweep((1, 2, 4, 6))

@@ -42,12 +42,6 @@ def swept(encoder_stops, offset, start_share=0.5, servo=ELBOW):
     return sweep
 
 
-def test_a_sweep_remembers_how_far_a_joint_was_moved_also_across_the_seam():
-    sweep = swept((3500, 5000), offset=0)
-    assert sweep.width(ELBOW.servo_id) == 1500
-    assert sweep.present[ELBOW.servo_id] == 4250 % 4096
-
-
 @given(
     st.integers(-5000, 5000),
     st.integers(LEAST_SWEEP_TICKS, WIDEST_SWEEP_TICKS),

@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.control.actuator_thresholds import ActuatorThresholds
 from robot.control.checks import START_TOLERANCE_RAD
 from robot.control.controller import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, ArmController
-from robot.control.guards import Temperatures
+from robot.control.guards import ActuatorThresholds, Temperatures
 from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Actuation
@@ -113,17 +112,6 @@ def rig() -> Rig:
     return Rig()
 
 
-def test_a_motion_that_arrives_ends_as_reached_and_is_held(rig: Rig) -> None:
-    assert rig.controller.execute(Execute(7, PAN)) is None
-    assert rig.controller.mode is Mode.MOVING
-    ended, seconds = rig.until_end()
-    assert ended == MotionEnded(7, Outcome.REACHED, "the arm is there")
-    assert seconds == pytest.approx(2.0, abs=0.1)
-    assert rig.controller.mode is Mode.HOLDING
-    rig.tick()
-    assert rig.controller.goal_rad == pytest.approx([1.0, 0, 0, 0, 0, 0])
-
-
 def test_a_goal_found_far_from_the_arm_comes_back_to_it_within_the_step_bound_and_moves_again(rig: Rig) -> None:
     rig.controller.hold(np.array([0.5, 0.02, 0, 0, 0, 0]), reading(np.zeros(6)))
     rig.goals = [rig.controller.goal_rad]
@@ -156,13 +144,6 @@ def test_an_arm_that_stays_behind_ends_the_motion_and_is_held_where_it_is(rig: R
     rig.run(200)
     assert rig.controller.goal_rad == pytest.approx(blocked)
     assert (rig.largest_step() <= BOUNDS.max_velocity * PERIOD_S * STEP_MARGIN + 1e-12).all()
-
-
-def test_a_late_tick_is_not_made_up_for(rig: Rig) -> None:
-    rig.controller.execute(Execute(1, PAN))
-    for tick in range(150):
-        rig.tick(gap_s=0.5 if tick % 10 == 0 else PERIOD_S)
-    assert (rig.largest_step() <= BOUNDS.max_velocity * 2 * PERIOD_S * STEP_MARGIN).all()
 
 
 GOOD = PAN
@@ -229,26 +210,6 @@ def blocked(rig: Rig, ticks: int, joint: int = 0, load: float = 0.8) -> MotionEn
         if ended is not None:
             return ended
     return None
-
-
-def test_a_relaxed_arm_refuses_to_move_with_a_remedy(rig: Rig) -> None:
-    rig.controller.release()
-    refused = rig.controller.execute(Execute(1, PAN))
-    assert refused.outcome is Outcome.REFUSED
-    assert "enable it first" in refused.message
-    assert rig.controller.mode is Mode.RELAXED
-
-
-def test_a_stall_is_a_fault_that_stays_until_it_is_reset(rig: Rig) -> None:
-    rig.controller.execute(Execute(1, smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=4.0)))
-    ended = blocked(rig, 400)
-    assert ended.outcome is Outcome.FAULT
-    assert "then reset the fault" in ended.message
-    assert rig.controller.mode is Mode.FAULT
-    refused = rig.controller.execute(Execute(2, move(shoulder_pan=(BLOCKED_RAD, 0.0))))
-    assert "has a fault" in refused.message
-    rig.controller.reset()
-    assert rig.controller.mode is Mode.HOLDING
 
 
 def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque() -> None:
@@ -401,18 +362,6 @@ def steer(rig: Rig, velocity: float, ticks: int) -> MotionEnded | None:
         rig.controller.steer(Setpoint(7, np.array([velocity])))
         last = rig.tick() or last
     return last
-
-
-def test_a_stream_moves_its_joints_and_ends_at_rest_when_it_is_no_longer_steered(rig: Rig) -> None:
-    assert rig.controller.stream(Stream(7, ("shoulder_pan",))) is None
-    assert rig.controller.mode is Mode.MOVING
-    assert steer(rig, 0.5, 50) is None
-    assert rig.controller.commanded[0].velocity_rad_s == pytest.approx([0.5])
-    ended, _ = rig.until_end()
-    assert (ended.motion_id, ended.outcome) == (7, Outcome.STOPPED)
-    assert rig.controller.mode is Mode.HOLDING
-    assert (np.abs(np.diff(np.array(rig.goals)[:, 0], n=2)) / PERIOD_S**2 <= BOUNDS.max_acceleration[0] + 1e-3).all()
-    assert np.array(rig.goals)[:, 1:] == pytest.approx(np.zeros((len(rig.goals), 5)))
 
 
 def test_a_setpoint_after_its_stream_has_ended_moves_nothing(rig: Rig) -> None:

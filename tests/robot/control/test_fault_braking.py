@@ -97,6 +97,7 @@ def test_a_fault_is_latched_and_reported_at_once_while_the_joints_brake() -> Non
     at_fault_rad = moving.controller.goal_rad[PAN]
     moving.rig.execute(smooth_move({"gripper": (0.0, 0.5)}, 1.0), motion_id=2)
     assert moving.rig.ended[-1].outcome is Outcome.REFUSED
+    assert "has a fault" in moving.rig.ended[-1].message
     assert moving.controller.moving
     moving.run(0.05)
     assert moving.controller.goal_rad[PAN] > at_fault_rad
@@ -144,6 +145,7 @@ def test_an_emergency_stop_that_holds_stops_the_goals_within_one_tick_also_in_th
     moving.rig.begin(Order.EMERGENCY_STOP)
     moving.run(0.5)
     assert moving.controller.goal_rad == pytest.approx(at_stop_rad)
+    assert moving.rig.torque() == [1] * 6
 
 
 def test_a_hot_arm_is_relaxed_after_it_has_braked() -> None:

@@ -5,12 +5,13 @@ import errno
 import gc
 import logging
 import resource
+import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.control.pacing import PERIOD_S, Pacer, percentiles
+from robot.control.pacing import MAX_TICK_S, PERIOD_S, TICKS_KEPT, LoopClock, Pacer, SimulationClock, percentiles
 from robot.control.realtime import (
     MCL_CURRENT,
     MCL_FUTURE,
@@ -105,23 +106,84 @@ def test_memory_is_locked_as_it_is_used(monkeypatch: pytest.MonkeyPatch, limit_b
     assert locks.flags == [MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT]
 
 
-def test_under_a_low_limit_memory_is_not_locked_and_the_limit_is_logged(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(
+    ("limit_bytes", "error", "words"),
+    [
+        (8 << 20, 0, "RLIMIT_MEMLOCK is 8388608 bytes"),
+        (resource.RLIM_INFINITY, errno.ENOMEM, "memory is not locked: mlockall: Cannot allocate memory"),
+    ],
+    ids=["a low limit", "refused by the system"],
+)
+def test_memory_that_cannot_be_locked_is_logged_with_the_cause(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, limit_bytes: int, error: int, words: str
 ) -> None:
-    locks = MemoryLocks()
+    locks = MemoryLocks(error)
     monkeypatch.setattr("ctypes.CDLL", locks)
-    monkeypatch.setattr("resource.getrlimit", lambda _: (8 << 20, 8 << 20))
+    monkeypatch.setattr("resource.getrlimit", lambda _: (limit_bytes, limit_bytes))
     with caplog.at_level(logging.INFO):
         assert not lock_memory()
-    assert not locks.flags
-    assert "RLIMIT_MEMLOCK is 8388608 bytes" in caplog.text
+    assert bool(locks.flags) is bool(error)
+    assert words in caplog.text
 
 
-def test_memory_that_the_system_refuses_to_lock_is_logged(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr("ctypes.CDLL", MemoryLocks(errno.ENOMEM))
-    monkeypatch.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    with caplog.at_level(logging.INFO):
-        assert not lock_memory()
-    assert "memory is not locked: mlockall: Cannot allocate memory" in caplog.text
+# Clocks.
+
+
+def ticked(*gaps_s: float) -> SimulationClock:
+    """A clock whose ticks came so long after one another."""
+    machine_s = 50.0
+    clock = SimulationClock(machine_s)
+    for gap_s in gaps_s:
+        machine_s += gap_s
+        clock.start_tick(machine_s)
+    return clock
+
+
+def test_the_machines_time_is_monotonic_and_passes_by_itself() -> None:
+    clock = LoopClock()
+    before_s = time.monotonic()
+    clock.start_tick(0.0)
+    assert before_s <= clock() <= time.monotonic()
+    assert clock.real_time_factor == 1.0
+
+
+@pytest.mark.parametrize(
+    ("gaps_s", "passed_s"),
+    [
+        ([], 0.0),
+        ([PERIOD_S] * 100, 100 * PERIOD_S),
+        ([2 * PERIOD_S], 2 * PERIOD_S),
+        ([3.0, PERIOD_S], MAX_TICK_S + PERIOD_S),
+    ],
+    ids=["before the first tick", "punctual", "one period late", "starved"],
+)
+def test_simulated_time_passes_as_the_machines_up_to_the_bound_of_a_tick(gaps_s: list[float], passed_s: float) -> None:
+    clock = ticked(*gaps_s)
+    assert clock() == clock() == pytest.approx(50.0 + passed_s)
+
+
+def test_a_machines_clock_that_goes_back_takes_no_time_back() -> None:
+    clock = ticked(PERIOD_S)
+    clock.start_tick(20.0)
+    assert clock() == pytest.approx(50.0 + PERIOD_S)
+
+
+@pytest.mark.parametrize(
+    ("gaps_s", "factor"),
+    [
+        ([], 1.0),
+        ([PERIOD_S] * 30, 1.0),
+        ([4 * MAX_TICK_S] * 10, 0.25),
+        ([5.0] + [PERIOD_S] * TICKS_KEPT, 1.0),
+    ],
+    ids=["before the first tick", "punctual", "starved", "no longer starved"],
+)
+def test_the_real_time_factor_is_the_share_of_the_machines_time_that_passed(gaps_s: list[float], factor: float) -> None:
+    assert ticked(*gaps_s).real_time_factor == pytest.approx(factor)
+
+
+def test_ticks_that_were_skipped_on_purpose_lose_no_time() -> None:
+    clock = SimulationClock(10.0)
+    clock.start_tick(10.025, MAX_TICK_S + 0.01)
+    assert clock() == pytest.approx(10.025)
+    assert clock.real_time_factor == pytest.approx(1.0)

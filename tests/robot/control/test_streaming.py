@@ -95,7 +95,7 @@ def test_without_setpoints_it_comes_to_rest_and_ends(stream) -> None:
     run(stream, 0.5)
     assert stream.commanded.velocity_rad_s == pytest.approx([0.0, 0.0])
     ended = stream.end(NOWHERE, NOWHERE, 0.0)
-    assert (ended.motion_id, ended.outcome) == (3, Outcome.STOPPED)
+    assert (ended.motion_id, ended.outcome) == (3, Outcome.UNSTEERED)
     assert "no setpoint" in ended.message
 
 

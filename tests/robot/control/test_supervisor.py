@@ -21,7 +21,6 @@ from robot.messages import (
     ArmHealth,
     ArmState,
     Command,
-    EmergencyPolicy,
     EndState,
     GuardLimits,
     Heartbeat,
@@ -151,18 +150,6 @@ def test_an_emergency_stop_that_cannot_be_verified_names_the_servo(emulator: Ste
     assert not answer.done
     assert "shoulder_lift (id 2)" in answer.message
     assert rig.fault_code == "emergency_stop_unverified"
-
-
-def test_an_emergency_stop_may_be_configured_to_hold(start_rig: Start) -> None:
-    rig = start_rig(on_emergency_stop=EmergencyPolicy.HOLD)
-    rig.until_mode(Mode.HOLDING)
-    rig.execute(PAN)
-    rig.run(0.4)
-    assert rig.order(Order.EMERGENCY_STOP).done
-    assert rig.torque() == [1] * 6
-    goal = rig.state.goal_rad
-    rig.run(0.1)
-    assert rig.state.goal_rad == pytest.approx(goal, abs=0.03)
 
 
 def test_an_emergency_stop_interrupts_every_other_order(start_rig: Start) -> None:
@@ -538,9 +525,7 @@ def test_an_emergency_stop_before_the_arm_is_there_keeps_it_from_being_switched_
     assert rig.torque() == [0] * 6
 
 
-def test_a_motion_requested_before_the_last_stop_does_not_begin(start_rig: Start) -> None:
-    rig = start_rig()
-    rig.until_mode(Mode.HOLDING)
+def test_a_motion_requested_before_the_last_stop_does_not_begin(rig: ArmRig) -> None:
     rig.supervisor.handle(Stop(epoch=7))
     rig.execute(PAN, 1, epoch=6)
     rig.supervisor.handle(Stream(2, PAN.joint_names, epoch=6))
@@ -550,9 +535,7 @@ def test_a_motion_requested_before_the_last_stop_does_not_begin(start_rig: Start
     assert rig.ended[-1].outcome is Outcome.REACHED
 
 
-def test_the_stop_of_one_motion_begins_no_epoch(start_rig: Start) -> None:
-    rig = start_rig()
-    rig.until_mode(Mode.HOLDING)
+def test_the_stop_of_one_motion_begins_no_epoch(rig: ArmRig) -> None:
     rig.supervisor.handle(Stop(motion_id=5))
     rig.execute(PAN, 1, epoch=0)
     rig.until(lambda: bool(rig.ended))
@@ -571,9 +554,7 @@ def test_an_order_to_hold_that_was_requested_before_the_last_stop_is_refused(sta
     assert rig.mode is Mode.RELAXED
 
 
-def test_an_emergency_stop_begins_an_epoch_as_well(start_rig: Start) -> None:
-    rig = start_rig()
-    rig.until_mode(Mode.HOLDING)
+def test_an_emergency_stop_begins_an_epoch_as_well(rig: ArmRig) -> None:
     rig.supervisor.handle(Command(100, Order.EMERGENCY_STOP, epoch=9))
     rig.until(lambda: rig.answer(100) is not None)
     rig.supervisor.handle(Command(101, Order.RESET_FAULT, epoch=8))

@@ -110,18 +110,10 @@ def test_a_change_of_mode_resets_limits_and_profile() -> None:
     assert (read(servo, Register.GOAL_CURRENT), read(servo, Register.PROFILE_VELOCITY)) == (1750, 0)
 
 
-@pytest.mark.parametrize(
-    ("mode", "register", "value"),
-    [
-        (OperatingMode.EXTENDED_POSITION, Register.GOAL_PWM, 221),
-        (OperatingMode.CURRENT_BASED_POSITION, Register.GOAL_CURRENT, 367),
-    ],
-)
-def test_a_blocked_servo_pushes_with_its_limit(mode: OperatingMode, register: Register, value: int) -> None:
-    servo = servo_at(mode=mode)
-    servo.hold()
+def test_a_blocked_servo_pushes_with_its_current_limit() -> None:
+    servo = holding(mode=OperatingMode.CURRENT_BASED_POSITION)
     servo.plant.block(2100.0)
-    write(servo, register, value)
+    write(servo, Register.GOAL_CURRENT, 367)
     write(servo, Register.GOAL_POSITION, 3000)
     run(servo, 0.5)
     assert read(servo, Register.PRESENT_POSITION) == 2100
@@ -129,7 +121,7 @@ def test_a_blocked_servo_pushes_with_its_limit(mode: OperatingMode, register: Re
     assert read(servo, Register.PRESENT_CURRENT) == pytest.approx(367, abs=3)
 
 
-def test_the_watchdog_stops_a_driven_servo_on_its_way() -> None:
+def test_the_watchdog_stops_a_driven_servo_on_its_way_until_it_is_cleared() -> None:
     servo = holding()
     write(servo, Register.PROFILE_VELOCITY, 40)
     write(servo, Register.BUS_WATCHDOG, 10)
@@ -143,12 +135,6 @@ def test_the_watchdog_stops_a_driven_servo_on_its_way() -> None:
     run(servo, 1.0)
     assert read(servo, Register.PRESENT_POSITION) == pytest.approx(stopped, abs=20)
     assert read(servo, Register.TORQUE_ENABLE) == 1
-
-
-def test_a_stopped_servo_takes_no_goal_until_its_watchdog_is_cleared() -> None:
-    servo = holding()
-    write(servo, Register.BUS_WATCHDOG, 10)
-    run(servo, 0.3)
     assert write(servo, Register.GOAL_POSITION, 2100) == DATA_RANGE_ERROR
     assert write(servo, Register.BUS_WATCHDOG, 0) == 0
     assert write(servo, Register.GOAL_POSITION, 2100) == 0

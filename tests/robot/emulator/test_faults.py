@@ -49,7 +49,3 @@ def test_a_doubled_reply_comes_twice_and_a_noisy_one_ends_as_it_was_sent():
     noisy = arrived(faults(noise=1.0))
     assert noisy.endswith(SENT)
     assert len(noisy) > len(SENT)
-
-
-def test_a_delay_is_as_long_as_configured():
-    assert faults(delay=1.0, delay_s=0.3).hold_up_s() == 0.3

@@ -13,14 +13,10 @@ from robot.emulator.feetech import (
 from robot.emulator.plant import Plant
 from robot.hardware.feetech.registers import (
     LAYOUT,
-    TELEMETRY_ADDRESS,
-    TELEMETRY_BYTES,
     Area,
     Register,
     decode,
     encode,
-    goal_block,
-    parse_telemetry,
 )
 from robot.hardware.interface import StatusFlag
 from tests.helpers.emulated_family import run
@@ -53,24 +49,6 @@ def test_a_goal_beyond_the_angle_limits_ends_at_the_limit(goal, reached):
     assert servo.present_ticks == reached
     assert get(servo, Register.GOAL_POSITION) == goal
     assert get(servo, Register.GOAL_POSITION_ECHO) == reached
-
-
-@given(st.integers(-2047, 2047))
-def test_present_position_is_the_encoder_less_the_homing_offset(offset):
-    servo = servo_at(2000.0, offset=offset)
-    assert get(servo, Register.PRESENT_POSITION) == 2000
-    put(servo, Register.HOMING_OFFSET, 0)
-    assert get(servo, Register.PRESENT_POSITION) == (2000 + offset) % 4096
-
-
-def test_telemetry_shows_load_and_goal():
-    servo = servo_at()
-    servo.write(Register.ACCELERATION, goal_block(3000, 800))
-    put(servo, Register.TORQUE_ENABLE, 1)
-    run(servo, 0.5)
-    moving = parse_telemetry(servo.read(TELEMETRY_ADDRESS, TELEMETRY_BYTES))
-    assert (moving.load > 0, get(servo, Register.GOAL_POSITION_ECHO)) == (True, 3000)
-    assert moving.velocity_ticks_s == pytest.approx(800, abs=5)
 
 
 def holding_servo(**registers):

@@ -5,7 +5,6 @@ import pytest
 from robot.emulator.arm import weight_of
 from robot.emulator.feetech import FeetechServo, build_servos
 from robot.emulator.populations import FACTORY, KIT, POPULATIONS, ROS2_DRIVER
-from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import Register, encode
@@ -27,23 +26,6 @@ def kit():
 def leave_only(kit: SteppedEmulator, *joints: str) -> None:
     assert kit.command(unplug=JOINTS) == {"ok": True}
     assert kit.command(plug=list(joints)) == {"ok": True}
-
-
-def test_servos_with_one_id_cannot_be_understood(kit):
-    bus = kit.open_bus()
-    with pytest.raises(NoReply):
-        bus.ping(1)
-    assert bus.counters.discarded_bytes > 0
-    assert bus.broadcast_ping() == {}
-
-
-def test_one_servo_alone_on_the_wire_is_a_new_one(kit):
-    leave_only(kit, "elbow_flex")
-    bus = kit.open_bus()
-    assert bus.ping(1) == 777
-    assert list(bus.broadcast_ping()) == [1]
-    assert bus.read(1, Register.HOMING_OFFSET) == 0
-    assert (bus.read(1, Register.MIN_ANGLE_LIMIT), bus.read(1, Register.MAX_ANGLE_LIMIT)) == (0, 4095)
 
 
 def set_id(bus: Bus, present: int, wanted: int) -> None:
@@ -71,21 +53,6 @@ def test_a_servo_that_shares_its_id_leaves_the_others_understood(kit):
     kit.command(plug=["shoulder_pan", "wrist_roll"])
     assert list(bus.broadcast_ping()) == [6]
     assert list(bus.sync_read([1, 6], 56, 15)) == [6]
-
-
-def test_an_unplugged_servo_has_lost_its_power(kit):
-    leave_only(kit, "gripper")
-    bus = kit.open_bus()
-    bus.write(1, Register.TORQUE_ENABLE, 1)
-    bus.write(1, Register.ID, 6)
-    kit.command(plug=["gripper"])
-    assert bus.read(6, Register.TORQUE_ENABLE) == 1
-    kit.command(unplug=["gripper"])
-    with pytest.raises(NoReply):
-        bus.ping(6)
-    kit.command(plug=["gripper"])
-    # The id was written while the EPROM was locked.
-    assert bus.read(1, Register.TORQUE_ENABLE) == 0
 
 
 NOMINAL = nominal_calibration()

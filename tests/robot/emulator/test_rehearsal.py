@@ -96,11 +96,7 @@ def test_a_script_that_repeats_starts_again_after_its_last_command() -> None:
     assert rehearsal.commands_due(START_S + 2.0) == [HOLD]
     assert rehearsal.commands_due(START_S + 3.9) == []
     assert rehearsal.commands_due(START_S + 4.0) == [LET_GO]
-
-
-def test_rounds_that_a_suspended_machine_missed_are_not_made_up_for() -> None:
-    rehearsal = Rehearsal([HOLD, LET_GO], repeats=True)
-    rehearsal.start(START_S)
+    # Rounds that a suspended machine missed are not made up for.
     assert rehearsal.commands_due(START_S + 3600.0) == [HOLD, LET_GO]
     assert rehearsal.commands_due(START_S + 3600.0) == [HOLD]
     assert rehearsal.commands_due(START_S + 3601.0) == []
@@ -168,26 +164,20 @@ def test_the_commands_of_a_rehearsal_make_sense_and_have_increasing_times(name: 
 @ARMS
 def test_a_sweep_holds_the_middle_and_then_brings_every_joint_to_both_stops_and_back(calibration: Calibration) -> None:
     middle = [(joint.range_min + joint.range_max) // 2 for joint in calibration.joints]
+    (free,) = [k for k, joint in enumerate(calibration.joints) if joint.servo.turns_freely]
     lowest, highest = [MAX_TICK] * 6, [0] * 6
     *_, let_go = commands = sweep(calibration)
     for now_s, servos in played(commands, calibration):
         present = [servo.present_ticks for servo in servos]
         if 1.0 <= now_s < LEAD_S or let_go.at_s - 0.1 < now_s < let_go.at_s:
             assert present == middle
+        # calibrate takes the middle of a joint that turns freely from wherever the arm is when Enter is pressed.
+        assert abs(present[free] - MAX_TICK / 2) <= 1.0
         lowest, highest = list(map(min, lowest, present)), list(map(max, highest, present))
     for joint, low, high in zip(calibration.joints, lowest, highest, strict=True):
         if not joint.servo.turns_freely:
             assert (low, high) == (joint.range_min, joint.range_max)
     assert all(servo.plant.hand_ticks is None for servo in servos)
-
-
-@ARMS
-def test_the_joint_that_turns_freely_stays_in_the_middle_of_a_sweep(calibration: Calibration) -> None:
-    # calibrate takes its middle from wherever the arm is when Enter is pressed.
-    (index,) = [k for k, joint in enumerate(calibration.joints) if joint.servo.turns_freely]
-    assert all(
-        abs(servos[index].present_ticks - MAX_TICK / 2) <= 1.0 for _, servos in played(sweep(calibration), calibration)
-    )
 
 
 def test_a_joint_that_holds_gives_way_to_a_push_and_comes_back() -> None:
@@ -225,10 +215,6 @@ def built(tmp_path: Path) -> Build:
     return build
 
 
-def test_without_a_script_nothing_is_played(built: Build) -> None:
-    assert built().commands == ()
-
-
 @pytest.mark.parametrize("name", REHEARSALS)
 def test_a_rehearsal_is_that_of_the_arm_which_is_emulated(built: Build, tmp_path: Path, name: str) -> None:
     save(MEASURED, tmp_path / "arm.json")
@@ -247,21 +233,7 @@ def test_either_kind_of_script_can_be_repeated(built: Build, tmp_path: Path, rea
     assert rehearsal.commands_due(2 * last_s) == list(rehearsal.commands)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["--rehearse", "sweep", "--script", "x"], "not allowed with argument --rehearse"),
-        (["--rehearse", "dance"], "invalid choice: 'dance'"),
-    ],
-)
-def test_one_script_that_there_is_can_be_chosen(
-    built: Build, capsys: pytest.CaptureFixture[str], arguments: list[str], sentence: str
-) -> None:
-    with pytest.raises(SystemExit):
-        built(*arguments)
-    assert sentence in capsys.readouterr().err
-
-
-def test_without_a_script_nothing_can_be_repeated(built: Build) -> None:
+def test_without_a_script_nothing_is_played_or_can_be_repeated(built: Build) -> None:
+    assert built().commands == ()
     with pytest.raises(ValueError, match="--repeat needs a script to repeat: --script or --rehearse"):
         built("--repeat")

@@ -220,16 +220,6 @@ def test_noise_before_an_instruction_is_skipped(family: Family, noise: bytes, in
 
 
 @OF_BOTH_FAMILIES
-@given(st.integers(0, 0xFC), st.integers(0, 63), st.binary(max_size=40))
-def test_a_status_packet_is_read_by_the_drivers_own_parser(
-    family: Family, servo_id: int, error: int, data: bytes
-) -> None:
-    sent = family.codec.status_packet(servo_id, error, data)
-    frames = family.driver.parse_status_frames(sent, [servo_id], len(data))
-    assert not frames or (frames[servo_id].error, frames[servo_id].data) == (error, data)
-
-
-@OF_BOTH_FAMILIES
 def test_a_packet_may_come_in_pieces_but_not_long_after_each_other(family: Family) -> None:
     parser, whole = InstructionParser(family.codec), family.build_packet(2, PING, b"")
     assert parser.feed(whole[:4], 0.0) == []
@@ -237,12 +227,6 @@ def test_a_packet_may_come_in_pieces_but_not_long_after_each_other(family: Famil
     assert parser.feed(whole[:4], 0.002) == []
     assert parser.feed(whole[4:], 0.003 + PARTIAL_PACKET_S) == []
     assert len(parser.feed(b"\xff\xff" + whole + whole, 0.004 + PARTIAL_PACKET_S)) == 2
-
-
-def test_an_instruction_cut_off_does_not_swallow_a_later_one() -> None:
-    parser = InstructionParser(FEETECH_CODEC)
-    assert parser.feed(packet(1, WRITE, bytes(60))[:10], 0.0) == []
-    assert parser.feed(packet(2, PING), 0.1) == [Instruction(2, PING, b"")]
 
 
 def test_packets_sent_at_once_are_heard_as_none_of_them() -> None:

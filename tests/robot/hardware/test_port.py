@@ -53,14 +53,6 @@ def test_a_port_that_another_has_open_is_busy(line):
     open_port(path, BAUDRATE).closePort()
 
 
-def test_a_missing_permission_names_group_and_udev_rule():
-    refusal = _refusal("/dev/ttyACM0", errno.EACCES, "Permission denied")
-    assert isinstance(refusal, PortPermission)
-    assert "/dev/ttyACM0" in str(refusal)
-    assert "dialout" in str(refusal)
-    assert "udev" in str(refusal)
-
-
 @pytest.mark.parametrize(
     ("number", "names", "advice"),
     [
@@ -73,8 +65,12 @@ def test_a_missing_permission_names_the_group_that_owns_the_device(monkeypatch, 
     with monkeypatch.context() as patched:
         patched.setattr(os, "stat", lambda _path: os.stat_result((0o20660, 0, 0, 1, 0, number, 0, 0, 0, 0)))
         patched.setattr(grp, "getgrgid", lambda gid: grp.struct_group((names[gid], "x", gid, [])))
-        said = str(_refusal("/dev/ttyACM0", errno.EACCES, "Permission denied"))
+        refusal = _refusal("/dev/ttyACM0", errno.EACCES, "Permission denied")
+    assert isinstance(refusal, PortPermission)
+    said = str(refusal)
     assert advice in said
+    assert "/dev/ttyACM0" in said
+    assert "udev" in said
 
 
 def test_a_baud_rate_no_servo_knows_is_refused(line):

@@ -48,7 +48,7 @@ def test_feedback_to_a_slow_sender_is_dropped_and_its_result_is_not(world: InPro
     for _ in range(1000):
         provider.receive_frame('{"op":"action_feedback","action":"/grip","id":"action_goal:/grip:1","values":{}}')
     assert sender.session.dropped > 0
-    assert not sender.session.overflowed
+    assert not sender.session.send_queue.overflowed
     finish(world, 1)
     assert world.heard("c")[-1]["op"] == "action_result"
 
@@ -72,7 +72,7 @@ def test_goals_that_a_provider_has_no_room_for_fail_and_the_provider_stays() -> 
     sender, provider = world.client("c"), world.client("p")
     goal = '{"op":"send_action_goal","action":"/grip","action_type":"control_msgs/GripperCommand"}'
     sender.receive_frame(goal * 5)
-    assert not provider.session.overflowed
+    assert not provider.session.send_queue.overflowed
     refused = world.heard("c")
     assert {(answer["status"], answer["result"]) for answer in refused} == {(0, False)}
     assert "does not read its goals" in refused[0]["values"]

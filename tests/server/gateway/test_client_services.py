@@ -93,7 +93,7 @@ def test_calls_that_a_provider_has_no_room_for_fail_and_the_provider_stays() -> 
     call = '{"op":"call_service","service":"/long","args":{"value":"%s"}}' % ("x" * 6_000)
     caller.receive_frame(call * 3)
     caller.receive_frame('{"op":"call_service","service":"/s"}')
-    assert not provider.session.overflowed
+    assert not provider.session.send_queue.overflowed
     answers = world.heard("c")
     assert [answer["result"] for answer in answers] == [False, False]
     assert "does not read its calls" in answers[0]["values"]
@@ -161,7 +161,7 @@ def test_a_client_that_has_left_is_answered_nothing() -> None:
     client = world.client("c")
     client.leave()
     assert started[0].ended
-    assert not client.session.waiting
+    assert client.session.send_queue.empty
 
 
 def test_a_request_that_is_completed_in_the_background_counts_once() -> None:

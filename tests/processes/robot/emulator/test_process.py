@@ -72,15 +72,6 @@ def test_an_adapter_is_pulled_under_the_client_and_comes_back_by_its_link(start_
         assert bus.read(1, Register.TORQUE_LIMIT) == 321
 
 
-def test_replies_come_with_the_usb_frames_that_are_asked_for(start_terminal):
-    with contextlib.closing(Bus.open(start_terminal("--usb-frame-ms", "10").port)) as bus:
-        start_s = time.monotonic()
-        for _ in range(6):
-            bus.ping(1)
-        # Every one of them is answered at the end of another frame.
-        assert time.monotonic() - start_s >= 0.05
-
-
 def test_no_servo_answers_at_a_wrong_baud_rate(terminal):
     with contextlib.closing(Bus.open(terminal.port, 500_000)) as bus, pytest.raises(NoReply):
         bus.ping(1)

@@ -1,17 +1,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from dynamixel_sdk import INST_READ, INST_REBOOT
 
 from robot.advice import ServoAlert
+from robot.emulator.dynamixel import ACCESS_ERROR, DATA_LIMIT_ERROR, DYNAMIXEL, REBOOT_S
 from robot.errors import NoReply, StartupError
 from robot.faults import FaultCode
-from robot.hardware.dynamixel.family import WATCHDOG, Dynamixel
+from robot.hardware.dynamixel.family import WATCHDOG, Bus, Dynamixel
+from robot.hardware.dynamixel.packets import instruction_packet, packet
 from robot.hardware.dynamixel.registers import FULL_PWM, TICKS_S_PER_VELOCITY_UNIT, OperatingMode, Register, encode
 from robot.hardware.interface import run_to_end
+from robot.hardware.servos.bus import write_verified
 from robot.hardware.servos.family import ServoFound
 from robot.hardware.servos.hardware import CYCLES_BETWEEN, TELEMETRY_EVERY
 from robot.hardware.servos.servo_map import ServoMap
@@ -27,6 +32,7 @@ from tests.helpers.dynamixel import (
     SteppedDynamixels,
     unread_hardware,
 )
+from tests.helpers.emulator import SteppedClock
 from tests.helpers.motions import smooth_move
 
 FAMILY = Dynamixel()
@@ -130,16 +136,21 @@ def positions(dynamixels: SteppedDynamixels) -> list[float]:
     return [servo.plant.position_ticks for servo in dynamixels.servo_bus.servos]
 
 
-def test_a_servo_that_counts_turns_holds_where_it_is(dynamixels: SteppedDynamixels) -> None:
+def test_a_servo_that_counts_turns_holds_where_it_is_and_goes_to_goals_in_its_turns(
+    dynamixels: SteppedDynamixels,
+) -> None:
     dynamixels.servo(3)._turns_ticks += 2 * 4096
     before = positions(dynamixels)
-    goals = enable(DynamixelsInUse(dynamixels).hardware._torque, dynamixels)
+    servos = DynamixelsInUse(dynamixels)
+    goals = enable(servos.hardware._torque, dynamixels)
     dynamixels.run(0.5)
     assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
     assert goals[3] == pytest.approx(CALIBRATION.joints[2].ticks_from_rad(1.1), abs=1)
+    servos.hardware.write_goals(np.array([0.0, 0.0, 1.2, 0.0, 0.0, 0.0]))
+    assert servos.read(0.4).position_rad[2] == pytest.approx(1.2, abs=0.01)
 
 
-def test_the_gripper_is_limited_by_its_current_and_the_rest_by_duty(
+def test_servos_that_hold_have_watchdog_and_profile_and_limits_of_duty_or_for_the_gripper_of_current(
     torque: ServoTorque, dynamixels: SteppedDynamixels
 ) -> None:
     enable(torque, dynamixels)
@@ -147,6 +158,10 @@ def test_the_gripper_is_limited_by_its_current_and_the_rest_by_duty(
     assert modes == [OperatingMode.EXTENDED_POSITION] * 5 + [OperatingMode.CURRENT_BASED_POSITION]
     assert dynamixels.registers(Register.GOAL_PWM) == [round(0.8 * FULL_PWM)] * 5 + [FULL_PWM]
     assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == 735
+    assert dynamixels.registers(Register.BUS_WATCHDOG) == [WATCHDOG] * 6
+    assert min(dynamixels.registers(Register.PROFILE_ACCELERATION)) > 0
+    for servo, velocity in zip(IDS, dynamixels.registers(Register.PROFILE_VELOCITY), strict=True):
+        assert velocity == math.ceil(SERVOS.speed_ticks_s[servo] / TICKS_S_PER_VELOCITY_UNIT)
 
 
 def test_limits_of_the_servo_itself_are_kept(dynamixels: SteppedDynamixels) -> None:
@@ -156,16 +171,6 @@ def test_limits_of_the_servo_itself_are_kept(dynamixels: SteppedDynamixels) -> N
     enable(DynamixelsInUse(dynamixels).hardware._torque, dynamixels)
     assert dynamixels.servo(3).value(Register.GOAL_PWM) == 500
     assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == 600
-
-
-def test_every_servo_that_holds_has_its_profile_and_its_watchdog(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
-    enable(torque, dynamixels)
-    assert dynamixels.registers(Register.BUS_WATCHDOG) == [WATCHDOG] * 6
-    assert min(dynamixels.registers(Register.PROFILE_ACCELERATION)) > 0
-    for servo, velocity in zip(IDS, dynamixels.registers(Register.PROFILE_VELOCITY), strict=True):
-        assert velocity == math.ceil(SERVOS.speed_ticks_s[servo] / TICKS_S_PER_VELOCITY_UNIT)
 
 
 def test_a_firmware_without_watchdog_is_driven_without(dynamixels: SteppedDynamixels) -> None:
@@ -233,23 +238,6 @@ def rig(dynamixels: SteppedDynamixels) -> DynamixelRig:
     made = DynamixelRig(dynamixels, start_enabled=False)
     made.until_mode(Mode.RELAXED)
     return made
-
-
-def test_a_cycle_is_one_block_read_and_one_goal_write(rig: DynamixelRig) -> None:
-    rig.order(Order.ENABLE)
-    arm = rig.supervisor.arm
-    before = arm.hardware.counters.sent
-    for _ in range(CYCLES_BETWEEN):
-        arm.tick()
-    assert arm.hardware.counters.sent - before == CYCLES_BETWEEN * 2 + 1
-
-
-def test_goals_of_a_servo_that_counts_turns_are_in_its_turns(dynamixels: SteppedDynamixels) -> None:
-    dynamixels.servo(3)._turns_ticks += 4096
-    servos = DynamixelsInUse(dynamixels)
-    servos.enable()
-    servos.hardware.write_goals(np.array([0.0, 0.0, 1.2, 0.0, 0.0, 0.0]))
-    assert servos.read(0.4).position_rad[2] == pytest.approx(1.2, abs=0.01)
 
 
 def test_supply_and_temperature_are_read_less_often(servos: DynamixelsInUse) -> None:
@@ -358,3 +346,90 @@ def test_closing_a_lost_port_is_no_error(servos: DynamixelsInUse) -> None:
     servos.enable()
     servos.emulator.port.unplug()
     servos.hardware.close()
+
+
+# Bus.
+
+
+@pytest.fixture
+def bus(dynamixels: SteppedDynamixels) -> Bus:
+    return dynamixels.open_bus()
+
+
+def test_the_number_of_a_servos_error_is_told(bus: Bus) -> None:
+    assert bus.write(3, Register.GOAL_PWM, 886) == DATA_LIMIT_ERROR
+    bus.write(3, Register.TORQUE_ENABLE, 1)
+    assert bus.write(3, Register.OPERATING_MODE, 3) == ACCESS_ERROR
+
+
+def test_a_hardware_error_is_no_error_of_the_instruction(bus: Bus, dynamixels: SteppedDynamixels) -> None:
+    dynamixels.servo(3).fail(0x01)
+    assert bus.write(3, Register.LED, 1) == 0
+
+
+def test_a_rebooted_servo_is_silent_for_a_while_and_forgets(bus: Bus, dynamixels: SteppedDynamixels) -> None:
+    bus.write(3, Register.BUS_WATCHDOG, 25)
+    bus.ask(3, instruction_packet(3, INST_REBOOT), attempts=1)
+    with pytest.raises(NoReply):
+        bus.ping(3, attempts=1)
+    dynamixels.run(REBOOT_S + 0.01)
+    assert bus.read(3, Register.BUS_WATCHDOG) == 0
+
+
+def test_replies_left_on_the_line_are_not_taken_for_the_next(bus: Bus, dynamixels: SteppedDynamixels) -> None:
+    dynamixels.port.writePort(packet(3, INST_READ, bytes([Register.ID, 0, 1, 0])))
+    assert bus.read(3, Register.TORQUE_ENABLE) == 0
+    assert bus.counters.discarded_bytes == len(DYNAMIXEL.status_packet(3, 0, bytes([1])))
+
+
+class LatePort:
+    """Port of one servo that answers every instruction with the next of some replies, each after its time."""
+
+    port_name, baudrate, is_using = "late", 1_000_000, False
+    latency_s, quiet_s, discarded_bytes = 0.005, 0.003, 0
+
+    def __init__(self, clock: SteppedClock, replies: list[tuple[float, bytes]]) -> None:
+        self._clock = clock
+        self._replies = replies
+        self._coming: list[tuple[float, bytes]] = []
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK's name, as below
+        return
+
+    def closePort(self) -> None:  # noqa: N802
+        return
+
+    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802
+        delay_s, data = self._replies.pop(0)
+        self._coming.append((self._clock() + delay_s, data))
+        return len(packet)
+
+    def receive(self, timeout_s: float, /) -> bytes:
+        due_s = self._coming[0][0] if self._coming else float("inf")
+        if due_s > self._clock() + timeout_s:
+            self._clock.advance(timeout_s)
+            return b""
+        self._clock.now_s = max(due_s, self._clock())
+        return self._coming.pop(0)[1]
+
+
+def test_a_reply_that_comes_too_late_is_not_taken_for_the_next() -> None:
+    clock = SteppedClock()
+    replies = [(0.008, DYNAMIXEL.status_packet(3, 0, bytes([1]))), (0.001, DYNAMIXEL.status_packet(3, 0, bytes([0])))]
+    bus = Bus(LatePort(clock, replies), clock)
+    with pytest.raises(NoReply):
+        bus.read(3, Register.LED, attempts=1)
+    assert bus.read(3, Register.TORQUE_ENABLE) == 0
+
+
+def test_a_stuffed_byte_is_no_noise(bus: Bus, dynamixels: SteppedDynamixels) -> None:
+    # FF FF FD FF little endian needs one.
+    dynamixels.servo(3).write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, -131073))
+    assert bus.read(3, Register.GOAL_POSITION) == -131073
+    assert bus.counters.discarded_bytes == 0
+
+
+def test_a_value_that_is_not_taken_is_told_with_the_servos_error(bus: Bus) -> None:
+    bus.write(3, Register.TORQUE_ENABLE, 1)
+    with pytest.raises(StartupError, match=r"servo 3 does not take 3 in register OPERATING_MODE \(11\).*error 7"):
+        run_to_end(write_verified(bus, 3, Register.OPERATING_MODE, 3))

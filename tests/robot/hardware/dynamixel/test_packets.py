@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.emulator.dynamixel import DYNAMIXEL
-from robot.emulator.servo_bus import InstructionParser
 from robot.hardware.dynamixel.packets import (
     StatusFrame,
     instruction_packet,
@@ -81,13 +80,6 @@ def test_any_data_arrives_as_they_were_sent(data: bytes, error: int) -> None:
     received = DYNAMIXEL.status_packet(3, error, data)
     assert parse_status_frames(received, (3,), len(data)) == {3: StatusFrame(3, error, data)}
     assert len(received) - stuffed_bytes(received) == status_bytes(len(data))
-
-
-@given(HEADERS)
-def test_a_servo_understands_any_parameters(parameters: bytes) -> None:
-    (instruction,) = InstructionParser(DYNAMIXEL).feed(packet(3, INST_WRITE, parameters), 0.0)
-    assert instruction.error == 0
-    assert instruction.parameters == parameters
 
 
 @given(HEADERS)

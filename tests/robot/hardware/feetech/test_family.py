@@ -12,13 +12,13 @@ from robot.errors import StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech
 from robot.hardware.feetech.profiles import LEROBOT, ServoProfile
-from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Limit, ServoFound
+from robot.hardware.servos.hardware import CYCLES_BETWEEN
 from robot.hardware.servos.servo_map import ServoMap
 from robot.hardware.servos.survey import survey
-from robot.messages import Mode
-from tests.helpers.arm_rig import BOUNDS, CALIBRATION, ArmRig, run
+from tests.helpers.arm_rig import BOUNDS, CALIBRATION, run
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.feetech import FeetechsInUse
 from tests.helpers.server import read_write_log
@@ -110,18 +110,6 @@ def test_an_arm_is_surveyed_in_few_transactions(bus: Bus) -> None:
 # Hardware.
 
 
-def test_a_cycle_is_one_block_read_and_one_goal_write(emulator: SteppedEmulator) -> None:
-    rig = ArmRig(emulator)
-    rig.until_mode(Mode.HOLDING)
-    arm = rig.supervisor.arm
-    assert arm is not None
-    before = rig.bus.counters.sent
-    for _ in range(16):
-        arm.tick()
-    # Every sixteenth cycle one servo is read back.
-    assert rig.bus.counters.sent - before == 16 * 2 + 1
-
-
 def test_the_soft_limits_are_narrowed_to_what_the_servos_allow(emulator: SteppedEmulator) -> None:
     emulator.open_bus().write(1, Register.MAX_ANGLE_LIMIT, CALIBRATION.joints[0].ticks_from_rad(0.5))
     found = FeetechsInUse(emulator).found
@@ -148,6 +136,18 @@ def test_goals_are_written_with_acceleration_and_velocity_cap(emulator: SteppedE
     ticks, cap = CALIBRATION.joints[0].ticks_from_rad(0.0), servos.hardware.servos.speed_ticks_s[1]
     block = servos.hardware.bus.sync_read((1,), GOAL_ADDRESS, 7)[1].data
     assert block == goal_block(ticks, int(np.ceil(cap)), 254)
+
+
+def test_torque_limits_that_servos_have_lost_are_written_again(emulator: SteppedEmulator) -> None:
+    servos = FeetechsInUse(emulator)
+    servos.enable()
+    servos.hardware.write_torque_shares(servos.hardware.full_torque)
+    for servo in emulator.servo_bus.servos:
+        servo.write(Register.TORQUE_LIMIT, encode(Register.TORQUE_LIMIT, 200))
+    for _ in range(len(IDS) * len(FAMILY.read_back) * CYCLES_BETWEEN):
+        assert servos.hardware.check(0.0) is None
+    servos.hardware.write_torque_shares(servos.hardware.full_torque)
+    assert [servo.value(Register.TORQUE_LIMIT) for servo in emulator.servo_bus.servos] == [800] * 5 + [500]
 
 
 # Torque.

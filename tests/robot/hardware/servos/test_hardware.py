@@ -144,6 +144,16 @@ def test_a_relaxed_arm_is_read_and_nothing_is_written(family: Family) -> None:
     assert written == []
 
 
+def test_a_cycle_is_one_block_read_and_one_goal_write_and_now_and_then_a_register_is_read_back(family: Family) -> None:
+    rig = family.rig(family.emulator())
+    rig.until_mode(Mode.HOLDING)
+    arm = rig.supervisor.arm
+    before = arm.hardware.counters.sent
+    for _ in range(CYCLES_BETWEEN):
+        arm.tick()
+    assert arm.hardware.counters.sent - before == CYCLES_BETWEEN * 2 + 1
+
+
 def test_changed_goals_are_written_at_once(family: Family, servos: Any) -> None:
     register = family.registers.Register.GOAL_POSITION
     for pan_rad in (0.1, 0.2):

@@ -111,15 +111,6 @@ def test_shifted_limits_are_refused_and_others_may_be_opened_or_narrowed(
 # Dynamixel alone: turns.
 
 
-def test_a_goal_is_found_without_the_turns_that_the_servo_counts() -> None:
-    emulator = DYNAMIXEL.emulator()
-    servo = emulator.servo(3)
-    servo._turns_ticks += 3 * 4096
-    servo.hold()
-    found = DYNAMIXEL.in_use(emulator).found
-    assert found.goal_rad[2] == pytest.approx(0.0, abs=0.002)
-
-
 def test_a_servo_that_was_turned_many_times_is_refused() -> None:
     emulator = DYNAMIXEL.emulator()
     emulator.servo(3)._turns_ticks += 32 * 4096

@@ -60,14 +60,6 @@ def test_it_is_enabled_where_it_stands_and_moves(arm: ThirdArm) -> None:
     assert measured.temperature_c == pytest.approx(30.0)
 
 
-def test_it_stops_where_it_is_asked_to(arm: ThirdArm) -> None:
-    held_rad = arm.enable()
-    arm.hardware.write_goals(held_rad)
-    measured = arm.hardware.read()
-    assert measured is not None
-    assert measured.position_rad == pytest.approx(held_rad, abs=0.002)
-
-
 def test_its_torque_is_lowered_switched_off_and_cut(arm: ThirdArm) -> None:
     arm.enable()
     assert run_to_end(arm.hardware.relax(np.full(6, 0.4)), arm.clock.advance) == []

@@ -44,13 +44,6 @@ def test_readings_are_complete_once_every_servo_has_answered(family: Family, tra
     assert tracker.complete
 
 
-def test_a_missed_reading_keeps_the_last_one_and_its_age(family: Family, tracker: ServoTracker) -> None:
-    answered(family, tracker, now_s=1.0)
-    answered(family, tracker, 3, now_s=1.01)
-    assert tracker.measured(1.01, 0.0).age_s == pytest.approx([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
-    assert tracker.silent_cycles[3] == 1
-
-
 def test_a_servo_that_stays_silent_is_asked_last_and_only_now_and_then(family: Family, tracker: ServoTracker) -> None:
     answered(family, tracker)
     for _ in range(MISSES_UNTIL_SILENT):
@@ -70,14 +63,6 @@ def test_where_none_speaks_all_are_asked_at_once_and_sequences_have_room_in_betw
     every = ASK_ALL_EVERY
     asked = [len(answered(family, tracker, *IDS)) for _ in range(10 * every)]
     assert sorted(asked) == [0] * 10 * (every - 1) + [len(IDS)] * 10
-
-
-def test_a_servo_that_answers_again_is_asked_every_time(family: Family, tracker: ServoTracker) -> None:
-    for _ in range(2 * ASK_SILENT_EVERY):
-        answered(family, tracker, 3)
-    for _ in range(ASK_SILENT_EVERY):
-        answered(family, tracker)
-    assert all(3 in answered(family, tracker) for _ in range(ASK_SILENT_EVERY))
 
 
 FAR_TICKS = round(ServoFamily.jump_rad / RAD_PER_TICK) + 200
@@ -158,9 +143,6 @@ def test_a_silent_servo_that_must_be_seen_is_asked_at_once(family: Family, track
     assert tracker.is_silent(3)
     tracker.ask_again(3)
     assert 3 in tracker.ids_to_ask()
-
-
-# Feetech alone: all measurements in every reply, and status flags in its error byte.
 
 
 # Dynamixel alone: supply and temperature now and then, turns, and an error register.

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
@@ -22,11 +23,14 @@ from planners.servo.question import (
 )
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
+from robot.control.streaming import SETPOINT_LASTS_S
+from robot.messages import MotionEnded, Outcome, Setpoint
 from server.execution.monitors import CurrentState
 from server.moveit.error_codes import refused
 from server.moveit.parameters import ServoParameters
 from server.moveit.servo.servo_loop import (
     REST_S,
+    Ask,
     ServoListener,
     ServoSession,
     ServoSetup,
@@ -122,15 +126,20 @@ class Rig:
         self.answer: Callable[[ServoQuestion], ServoAnswer | PlanningFailure] = lambda question: ServoAnswer(
             RESTING if question.command.zero else MOVING, anchor=KEPT
         )
-        self.session = ServoSession(
+        self._setup = ServoSetup("arm", JOINTS, "gripper_frame_link", ServoLimits(), period_s, TIMEOUT_S, at_once)
+        self.session = self.made(self._ask)
+
+    def made(self, ask: Ask) -> ServoSession:
+        """Return a session of its own with these planners."""
+        return ServoSession(
             self.arm.as_arm,
-            ServoSetup("arm", JOINTS, "gripper_frame_link", ServoLimits(), period_s, TIMEOUT_S, at_once),
+            self._setup,
             cast(
                 "Any",
                 SimpleNamespace(frames=SimpleNamespace(resolve=self._resolve), current=CurrentState(self.arm, ROBOT)),
             ),
             ServoListener(lambda status, message: self.told.append((status, message)), self.interruptions.append),
-            self._ask,
+            ask,
             self.clock,
         )
 
@@ -221,6 +230,41 @@ async def test_a_failure_of_the_planners_halts_the_arm_with_its_message(rig: Rig
     assert not rig.arm.setpoints[0].velocity_rad_s.any()
     assert rig.told[0] == (ServoStatus.INVALID, "the planner process ended")
     await rig.session.close()
+
+
+@pytest.mark.stepped_time
+async def test_while_an_answer_is_late_the_stream_is_kept_and_then_brakes(rig: Rig) -> None:
+    loop = asyncio.get_running_loop()
+    sent: list[tuple[float, bool]] = []
+
+    def send(setpoint: Setpoint) -> None:
+        sent.append((loop.time(), bool(setpoint.velocity_rad_s.any())))
+
+    async def ask(_question: ServoQuestion) -> ServoAnswer:
+        await asyncio.sleep(0.02 if len(sent) < 3 else 1.0)
+        return ServoAnswer(MOVING, anchor=KEPT)
+
+    rig.arm.setpoints = cast("Any", SimpleNamespace(append=send))
+    rig.clock = cast("Any", loop.time)
+    session = rig.made(ask)
+    session.set_command(NORTH, math.inf)
+    await asyncio.sleep(0.5)
+    await session.close()
+    gaps_s = np.diff([at_s for at_s, _ in sent])
+    assert gaps_s.max() < SETPOINT_LASTS_S
+    late = [moves for at_s, moves in sent if at_s > sent[2][0] + 0.15]
+    assert late
+    assert not any(late)
+    assert any(moves for _, moves in sent[:4])
+
+
+async def test_after_a_pause_of_the_servers_own_nobody_has_to_let_go(rig: Rig) -> None:
+    rig.session.set_command(NORTH)
+    await rig.until_asked(2)
+    rig.arm.streams[0].ended.set_result(MotionEnded(0, Outcome.UNSTEERED, "no setpoint came for 0.06 s"))
+    await rig.until_let_go()
+    assert rig.told[-1] == (ServoStatus.INVALID, "steering was ended: no setpoint came for 0.06 s")
+    assert rig.interruptions == []
 
 
 async def test_an_unknown_frame_moves_nothing(rig: Rig) -> None:

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from robot.calibration import MAX_TICK, Calibration
+from robot.calibration import Calibration
 from robot.commissioning.scan import scan
-from robot.commissioning.sweep import Sweep, Swept, calibrate, needs_middle
-from robot.errors import CalibrationError, RobotError
+from robot.errors import RobotError
 from robot.hardware.feetech.calibration import differences, read_differences, write_to_servos
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end
@@ -18,50 +17,6 @@ from tests.helpers.robots import SO101_SERVOS, nominal_calibration
 from tests.helpers.server import read_write_log
 
 IDS = tuple(spec.servo_id for spec in SO101_SERVOS)
-NO_OFFSETS = dict.fromkeys(IDS, 0)
-GRIPPER, ROLL = SO101_SERVOS[-1], SO101_SERVOS[4]
-
-
-def swept(lowest=900, highest=3100, *, middles=None, drive_modes=None):
-    """A sweep of every joint but the free one between two ticks."""
-    sweep = Sweep(dict.fromkeys(IDS, 2000))
-    for stop in (lowest, highest, 2000):
-        for ticks in range(sweep.present[1], stop, 500 if stop > sweep.present[1] else -500):
-            sweep.add({servo: ticks for servo in IDS if servo != ROLL.servo_id})
-        sweep.add({servo: stop for servo in IDS if servo != ROLL.servo_id})
-    return Swept(sweep, NO_OFFSETS, {ROLL.servo_id: 2000} if middles is None else middles, drive_modes or {})
-
-
-def test_every_joint_gets_the_middle_of_its_sweep_and_a_free_one_the_middle_that_was_shown():
-    calibration = calibrate(SO101_SERVOS, swept(), recentre=True)
-    elbow, roll = calibration.joints[2], calibration.joints[4]
-    assert (elbow.homing_offset, elbow.range_min, elbow.range_max) == (-47, 947, 3147)
-    assert (roll.homing_offset, roll.range_min, roll.range_max) == (-47, 0, MAX_TICK)
-
-
-def test_a_free_joint_that_met_its_stops_is_calibrated_by_them():
-    measured = swept(middles={})
-    assert needs_middle(ROLL, measured.sweep)
-    for ticks in (3000, 3981, 2000, 1000, 113):
-        measured.sweep.add({ROLL.servo_id: ticks})
-    assert not needs_middle(ROLL, measured.sweep)
-    roll = calibrate(SO101_SERVOS, measured, recentre=True).joints[4]
-    assert (roll.homing_offset, roll.range_min, roll.range_max) == (0, 113, 3981)
-
-
-def test_a_free_joint_without_stops_or_a_middle_is_named():
-    with pytest.raises(CalibrationError, match="wrist_roll"):
-        calibrate(SO101_SERVOS, swept(middles={}), recentre=True)
-
-
-def test_a_mirrored_gripper_is_closed_at_its_higher_tick():
-    plain, mirrored = (
-        calibrate(SO101_SERVOS, swept(drive_modes={GRIPPER.servo_id: mode}), recentre=True).joints[-1]
-        for mode in (0, 1)
-    )
-    assert plain.rad_from_ticks(plain.range_min) == pytest.approx(GRIPPER.lower_rad)
-    assert mirrored.drive_mode == 1
-    assert mirrored.rad_from_ticks(mirrored.range_max) == pytest.approx(GRIPPER.lower_rad)
 
 
 def test_what_the_bus_reads_differs_as_what_a_scan_has_read(bus):

@@ -58,11 +58,7 @@ class PlannerHost:
         self._writers: set[asyncio.StreamWriter] = set()
 
     async def run(self) -> None:
-        """Serve until cancelled.
-
-        Raises:
-            OSError: the socket cannot be made, or a process cannot be started.
-        """
+        """Serve until cancelled; OSError: the socket cannot be made, or a process cannot be started."""
         self._address.unlink(missing_ok=True)
         server = await asyncio.start_unix_server(self._serve, self._address)
         try:

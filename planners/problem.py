@@ -322,3 +322,16 @@ class RecheckAnswer:
 Answer = (
     Plan | CartesianPlan | IkAnswer | NearestGoalAnswer | StateAnswer | RecheckAnswer | ServoAnswer | PlanningFailure
 )
+
+# Class of the answer to each request that does not fail.
+ANSWER_TO: Mapping[type[Request], type[Answer]] = {
+    PlanningProblem: Plan,
+    CartesianProblem: CartesianPlan,
+    JointPathProblem: Plan,
+    IkQuestion: IkAnswer,
+    NearestGoalQuestion: NearestGoalAnswer,
+    StateQuestion: StateAnswer,
+    RecheckQuestion: RecheckAnswer,
+    ConcurrencyQuestion: RecheckAnswer,
+    ServoQuestion: ServoAnswer,
+}

@@ -19,7 +19,7 @@ PART_BYTES = 1 << 20
 
 
 class SceneSender:
-    """Scenes on their way to one receiver; ``complete`` tells if all of the last scene was sent.
+    """Scenes on their way to one receiver; ``complete`` is true once all of the last scene was sent.
 
     ``send`` sends a message, with a ValueError for a message that is too large; ``pause`` is awaited before each part,
     so that the event loop has its turns.

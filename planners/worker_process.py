@@ -6,34 +6,14 @@ import asyncio
 import contextlib
 import functools
 import logging
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 from typing import Any, TypeAlias
 
 from planners.budget import Deadline, read_run_delay_s
 from planners.messages import Answered, Ask, Cancel, Loaded, LoadFailed, LoadRobot, StillSearching
-from planners.problem import (
-    Answer,
-    CartesianPlan,
-    CartesianProblem,
-    ConcurrencyQuestion,
-    IkAnswer,
-    IkQuestion,
-    JointPathProblem,
-    MoveItErrorCode,
-    NearestGoalAnswer,
-    NearestGoalQuestion,
-    Plan,
-    PlanningFailure,
-    PlanningProblem,
-    RecheckAnswer,
-    RecheckQuestion,
-    Request,
-    StateAnswer,
-    StateQuestion,
-)
+from planners.problem import ANSWER_TO, Answer, MoveItErrorCode, PlanningFailure, Request
 from planners.scene import Scene
 from planners.scene_transfer import SceneSender
-from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.description.model import RobotModel
 from robot.processes import Child, StartedChild
 
@@ -53,18 +33,6 @@ ENDING_TIMEOUT_S = 0.1
 
 # A deadline that has been extended is checked no sooner again: a wait for a core is counted when it has ended.
 DEADLINE_CHECK_S = 0.02
-
-ANSWER_TO: Mapping[type[Request], type[Answer]] = {
-    PlanningProblem: Plan,
-    CartesianProblem: CartesianPlan,
-    JointPathProblem: Plan,
-    IkQuestion: IkAnswer,
-    NearestGoalQuestion: NearestGoalAnswer,
-    StateQuestion: StateAnswer,
-    RecheckQuestion: RecheckAnswer,
-    ConcurrencyQuestion: RecheckAnswer,
-    ServoQuestion: ServoAnswer,
-}
 
 # Called with the allowed time that a problem has taken [s] when this is longer than most take.
 OnHard: TypeAlias = Callable[[float], None]

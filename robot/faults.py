@@ -42,7 +42,7 @@ REMEDIES: Mapping[FaultCode, str] = {
     FaultCode.STALLED: "Clear what blocks the joint, then reset the fault.",
     FaultCode.OVERLOAD: "Relieve the joint, then reset the fault; if it stays, switch the servos' supply off and on.",
     FaultCode.OVERCURRENT: "Relieve the joint and check it for a jammed gear, then reset the fault.",
-    FaultCode.OVERHEATED: "Relax the arm and let the servo cool below 55 degrees, then reset the fault.",
+    FaultCode.OVERHEATED: "The arm is relaxed: let the servo cool below 55 degrees, then reset the fault.",
     FaultCode.VOLTAGE_LOW: "Check the supply and its plugs: it must give 5 V or more, with 4 A or more.",
     FaultCode.VOLTAGE_HIGH: "Check the supply: a 7.4 V servo on 12 V is damaged by it.",
     FaultCode.ENCODER_ERROR: "Switch the servos' supply off and on; replace the servo if it comes back.",

@@ -157,5 +157,5 @@ def _text(value: str) -> str:
 
 
 def _number(value: float) -> float:
-    """Round a number as it is written: six digits, no negative zero."""
+    """Round a number for a file: six digits, no negative zero."""
     return round(float(value), 6) + 0.0

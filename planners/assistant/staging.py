@@ -32,10 +32,8 @@ def parse_urdf(urdf_path: Path) -> ET.Element:
 def copy_meshes(root: ET.Element, urdf_path: Path, packages: Sequence[Path], folder: Path) -> int:
     """Copy the meshes of a URDF into a folder, name the copies in ``root``, and return the number of meshes.
 
-    Raises:
-        DescriptionError: a mesh of a <collision> is not there; the text has the paths that were tried.
-        AssistantError: the meshes are too large.
-        OSError: a mesh cannot be copied.
+    DescriptionError: a mesh of a <collision> is missing; the text has the paths that were tried. AssistantError: the
+    meshes are too large.
     """
     names: dict[Path, str] = {}
     total_bytes = 0

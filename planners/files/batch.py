@@ -55,10 +55,8 @@ def plan_on(
 ) -> Iterator[tuple[int, Plan | PlanningFailure, float]]:
     """Plan problems on the Dask cluster of a scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``.
 
-    Yields number, answer and CPU time [s] of each problem, in the order in which they are answered.
-
-    Raises:
-        BatchError: there is no cluster that can plan them.
+    Yields number, answer and CPU time [s] of each problem, in the order in which they are answered. BatchError: there
+    is no cluster that can plan them.
     """
     with _connected(address) as client:
         from distributed import CancelledError, as_completed
@@ -85,8 +83,7 @@ def plan_on(
 def answer(setup: Setup, problem: bytes, asked_by: str) -> tuple[Plan | PlanningFailure, float]:
     """Plan a pickled :class:`PlanningProblem` in a Dask worker; return the answer and the CPU time spent on it [s].
 
-    Raises:
-        BatchError: this worker, which joined after the others had been checked, runs another armbridge.
+    BatchError: this worker, which joined after the others had been checked, runs another armbridge.
     """
     if asked_by != version():
         raise BatchError("the worker runs another armbridge")

@@ -46,11 +46,7 @@ _CLEAR_LINE = "\r\x1b[K"
 
 
 def check_available() -> None:
-    """Check early that pictures can be drawn.
-
-    Raises:
-        PlottingError: matplotlib is not installed.
-    """
+    """Raise a PlottingError if pictures cannot be drawn because matplotlib is not installed."""
     if find_spec("matplotlib") is None:
         raise PlottingError("plots need matplotlib; install it with: pip install matplotlib")
 
@@ -58,8 +54,7 @@ def check_available() -> None:
 def plot(path: Path, motions: Sequence[tuple[str, Trajectory]]) -> None:
     """Draw the first :data:`MAX_MOTIONS` motions, each with its name, into a picture of the kind of its ending.
 
-    Raises:
-        PlottingError: there is no motion to draw, or no picture of this ending can be drawn.
+    PlottingError: there is no motion to draw, or no picture of this ending can be drawn.
     """
     # Loaded when something is drawn: it takes a quarter of a second.
     from matplotlib.figure import Figure
@@ -164,11 +159,7 @@ def chosen(file: ProblemFile, options: Options) -> list[FileProblem]:
 
 
 def plan_all(file: ProblemFile, problems: Sequence[FileProblem]) -> Iterator[Outcome]:
-    """Plan problems of a file, one after the other.
-
-    Raises:
-        ShapeError: the robot's collision shapes cannot be used.
-    """
+    """Plan problems of a file, one after the other; ShapeError: the robot's collision shapes cannot be used."""
     # As in a server's planner process: a goal that failed there fails in the same way here, however busy the machine.
     planner = Planner(file.robot, time.process_time)
     refusal = planner.set_scene(file.scene)

@@ -100,8 +100,8 @@ def checked_pairs(
     """Return the indices of bodies that are checked against each other, ``movers`` and then ``resting``, (pairs, 2).
 
     The smaller index comes first. Bodies that do not move against each other are not checked: links of one joint, the
-    root link and the world; neither are neighbours and the pairs that the SRDF disables. ``allowed`` tells of a pair of
-    names if it may touch, whatever the SRDF says.
+    root link and the world; neither are neighbours and the pairs that the SRDF disables. ``allowed`` has pairs of
+    names that may touch or may not, whatever the SRDF says.
     """
     adjacent = {frozenset((joint.parent, joint.child)) for joint in robot.joints.values()}
     unchecked = {names for names in adjacent | robot.disabled_pairs if allowed.get(names, True)}

@@ -44,19 +44,12 @@ DEFAULT_WEIGHT = 1.0
 
 
 class _LinkCondition(ABC):
-    """Condition on the pose of a link: a measured error is to be 0, and may be up to a tolerance.
-
-    Attributes:
-        link: the link.
-        tolerance: radius of a ball around no error, or half the edges of a box, shape (3,) [m or rad].
-        weight: its share where not all conditions can hold.
-        arm_m: length by which errors count as distances [m or m/rad].
-    """
+    """Condition on the pose of a link: a measured error is to be 0, and may be up to a tolerance."""
 
     link: str
-    tolerance: float | Vector
-    weight: float
-    arm_m: float
+    tolerance: float | Vector  # radius of a ball around no error, or half the edges of a box, shape (3,) [m or rad]
+    weight: float  # its share where not all conditions can hold
+    arm_m: float  # length by which errors count as distances [m or m/rad]
 
     @abstractmethod
     def error(self, placement: pin.SE3) -> Vector:

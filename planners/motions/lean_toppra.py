@@ -21,7 +21,7 @@ class _Unused(ModuleType):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        # Python takes a module without a path for one that has no modules in it.
+        # Python imports nothing from within a module without a path.
         self.__path__ = []
 
     def __getattr__(self, name: str) -> Any:

@@ -120,13 +120,10 @@ class Motion:
 
 
 def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
-    """Move straight where that is free, else search.
+    """Move straight where that is free, else search; ValueError: there is no such planner.
 
     Once the budget is used up, the best motion found by then is the answer. There is none where it was used up before,
     where every motion would take too long, or where a moving arm cannot stop before it touches something.
-
-    Raises:
-        ValueError: there is no such planner.
     """
     refusal = _too_slow(task)
     if refusal is not None:

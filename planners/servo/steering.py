@@ -1,7 +1,7 @@
 """Servoing: from a commanded twist or joint velocity to joint velocities, many times a second.
 
 First the joint velocities are found that give the tip its linear velocity within all limits; then, among those that
-keep it, the ones that turn the tip best. The outcome is reported as moveit_msgs/ServoStatus, and in words.
+keep it, the velocities that turn the tip best. The outcome is reported as moveit_msgs/ServoStatus, and in words.
 """
 
 from __future__ import annotations

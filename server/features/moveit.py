@@ -7,11 +7,13 @@ import functools
 import logging
 import os
 import time
+from pathlib import Path
 
 from planners.servo.question import ACCELERATION_SHARE, APPROACH_PER_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
+from server.config import Settings
 from server.execution.goal import Answer, Goal, Progress
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
@@ -31,8 +33,9 @@ from server.moveit.actions.move_group import (
 )
 from server.moveit.description import RobotDescription
 from server.moveit.display import TransformsTopics
+from server.moveit.goals.goal_checks import GoalChecks
 from server.moveit.goals.goal_history import GoalHistory
-from server.moveit.goals.goal_topics import GoalChecks, GoalReports, GoalStatusTopics, GoalTopics, final_status
+from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics, final_status
 from server.moveit.named_states import NamedStatesServices, default_path
 from server.moveit.requests.context import planning_group
 from server.moveit.scene.interface import SceneInterface
@@ -53,6 +56,13 @@ BRAKES_WITHIN_S = 2.0 * ACCELERATION_SHARE / APPROACH_PER_S
 QUEUE_CLOSE_TIMEOUT_S = 1.0
 
 
+def kept_scene_path(settings: Settings, robot: RobotModel) -> Path:
+    """Return the default file of the kept scene: an arm, its simulation, and each set of arms have one of their own."""
+    real = any(arm.serial is not None for arm in (settings.arm, *settings.arms.values()))
+    names = ["planning_scene", *sorted(settings.arms), *(["real"] if real else [])]
+    return default_path("_".join(names), robot, os.environ)
+
+
 class PlanningScene(Feature):
     """The planning scene: its topics and services, named scenes, and the file from which the next start restores it."""
 
@@ -65,7 +75,7 @@ class PlanningScene(Feature):
         self._interface = SceneInterface(graph, scene, planning.assumed, planning.current, settings.moveit)
         self._saved: SavedScene | None = None
         if settings.scene.keep:
-            file = SceneFile(settings.scene.file or default_path("planning_scene", robot, os.environ))
+            file = SceneFile(settings.scene.file or kept_scene_path(settings, robot))
             self._saved = SavedScene(file, scene, graph.message_types)
         # Beside the file of the present scene, in a folder of their own.
         folder = default_path("scenes", robot, os.environ).with_suffix("")
@@ -89,13 +99,12 @@ class MoveGroup(Feature):
 
     def __init__(self, context: ServerContext) -> None:
         graph, planning, goals = context.graph, context.planning, context.goals
-        robot, moveit = planning.robot, context.settings.moveit
+        robot = planning.robot
         RobotDescription(graph, robot, context.rosapi.parameters.keep)
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
         self._republisher = TransformRepublisher(graph, planning.frames)
         NamedStatesServices(graph, robot, goals.named_states, planning.current)
-        reports, translator = GoalReports(robot, moveit), context.whole.translator
-        GoalChecks(graph, reports, translator, planning.current, planning.pool, planning.scene_state)
+        GoalChecks(graph, context.whole.translator, planning)
         PlanningActions(graph, planning, goals.queue)
         ExecuteTrajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
         offer_services(graph, planning)

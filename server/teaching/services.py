@@ -243,7 +243,6 @@ class Teaching:
         return {"success": True, "message": message, "duration_s": motion.duration_s}
 
     async def _checked(self, motion: TaughtMotion) -> str:
-        """Return a sentence on the motion in the present scene."""
         answer = await self._planned(motion, 1.0)
         return answer if isinstance(answer, str) else _touches_nothing(answer.trajectory.duration_s)
 

@@ -144,11 +144,7 @@ class _Following:
 
 
 class Teleoperation:
-    """Has arms follow leaders, each follower one.
-
-    Args:
-        leaders: names of this server's arms that can lead.
-    """
+    """Has arms follow leaders, each follower one."""
 
     def __init__(
         self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]
@@ -262,7 +258,6 @@ class Teleoperation:
         return {"success": True, "message": f"{follower.name} goes to where {name} is, then {followed}"}
 
     def _check_idle(self, follower: Follower) -> None:
-        """Refuse a follower that follows, or cannot."""
         if (other := self._followings.get(follower.name)) is not None:
             raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
         if follower.name in self._starting:
@@ -297,7 +292,6 @@ class Teleoperation:
             self._check_not_stopped(follower)
 
     def _running(self, names: Sequence[str]) -> dict[str, FollowingSession]:
-        """Return the followings of some followers that have begun."""
         if not (running := self._sessions(names)):
             raise ServiceError(f"nothing follows: {START} begins")
         return running
@@ -415,6 +409,5 @@ def _and(names: Collection[str]) -> str:
 
 
 def _verb(names: Collection[str], verb: str) -> str:
-    """Return a verb in the number of the followers."""
     one = f"{verb}es" if verb.endswith("o") else f"{verb}s"
     return one if len(names) == 1 else verb

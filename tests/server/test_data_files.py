@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from server.config import Settings
+from server.features.moveit import kept_scene_path
 from server.graph.message_types import MessageTypes
 from server.moveit.named_states import NamedStatesFile
 from server.moveit.scene.saved_scene import SceneFile, complete_scene
@@ -49,6 +51,18 @@ def test_the_planning_scene_of_an_older_version_opens(tmp_path: Path) -> None:
     content: Any = SceneFile(path).read()
     scene = complete_scene(MessageTypes(REGISTRY, FakeClock()), content)
     assert [each["id"] for each in scene["world"]["collision_objects"]] == ["box"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "name"),
+    [
+        ({}, "planning_scene_so101.json"),
+        ({"arm": {"serial": "/dev/ttyACM0"}}, "planning_scene_real_so101.json"),
+        ({"arms": {"right": {"serial": "/dev/a"}, "left": {}}}, "planning_scene_left_right_real_so101.json"),
+    ],
+)
+def test_an_arm_its_simulation_and_each_set_of_arms_keep_a_scene_of_their_own(settings: Any, name: str) -> None:
+    assert kept_scene_path(Settings.model_validate(settings), ROBOT).name == name
 
 
 def test_states_of_an_unknown_kind_are_set_aside_and_kept(tmp_path: Path) -> None:

@@ -46,11 +46,7 @@ MAX_JOINTS = 200
 
 @dataclass(frozen=True)
 class ReadGoal:
-    """Request that can be carried out.
-
-    Attributes:
-        plan_only: true if the arm is not to move.
-    """
+    """Request that can be carried out."""
 
     message: Message
     motion: PlannedMotion
@@ -173,7 +169,6 @@ class GoalCalls:
         end: Callable[[Mapping[str, Any]], None],
         report: Callable[[Progress], None] = lambda _progress: None,
     ) -> str:
-        """Queue a goal; return its id."""
         queued = self._queue.submit(self._name, goal.motion, on_progress=report, message=goal.message, client=client)
         queued.answered.add_done_callback(
             lambda answered: end(self._result(goal.message, answered.result(), queued.goal_id))
@@ -194,7 +189,6 @@ class GoalCalls:
         return await plan_steps(goal.motion.steps, start, start.scene, self._context)
 
     def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
-        """Write the answer to a goal."""
         instead = suggestion(message, answer.details, self._context.robot)
         return {
             "success": answer.code is MoveItErrorCode.SUCCESS,

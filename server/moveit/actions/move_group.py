@@ -62,8 +62,6 @@ class PlanningOptions:
     """Options of a goal, from moveit_msgs/PlanningOptions.
 
     Attributes:
-        plan_only: true if the arm is not to move.
-        delay_s: pause between attempts [s].
         scene_diff: moveit_msgs/PlanningScene to apply to the present scene for planning; None for none.
     """
 
@@ -142,7 +140,6 @@ def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[st
 
 
 def _planned_messages(answer: Answer, robot: RobotModel) -> list[dict[str, Any]]:
-    """Write the moveit_msgs/RobotTrajectory of every planned motion."""
     planned = () if answer.performed is None else answer.performed.planned
     return [_trajectory_message(motion, robot) for motion in planned]
 
@@ -318,7 +315,6 @@ async def plan_steps(
 
 
 def _check_requests(requests: Sequence[Message], start_rad: Positions, context: PlanningContext) -> tuple[str, ...]:
-    """Build the problem of every request; returns their warnings."""
     built = [context.problems.motion_plan(request, start_rad) for request in requests]
     return tuple(warning for one in built for warning in one.warnings)
 

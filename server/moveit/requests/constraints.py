@@ -61,11 +61,7 @@ MAX_ALTERNATIVES = 64
 def read_joint_constraints(
     messages: Sequence[Message], context: RequestContext, where: str
 ) -> tuple[JointConstraint, ...]:
-    """Read constraints on joints, one for each joint: several on the same joint become their common range.
-
-    Args:
-        messages: moveit_msgs/JointConstraint.
-    """
+    """Read constraints on joints, one for each joint: several on the same joint become their common range."""
     found: dict[str, JointConstraint] = {}
     for index, message in enumerate(messages):
         constraint = _constraint(message, context, f"{where}.joint_constraints[{index}]")
@@ -117,7 +113,6 @@ def _within_limits(joint: Joint, message: Message, context: RequestContext, wher
 
 
 def _common(first: JointConstraint, second: JointConstraint, where: str) -> JointConstraint:
-    """Return the common range of two constraints on one joint."""
     lower = max(first.position_rad - first.below_rad, second.position_rad - second.below_rad)
     upper = min(first.position_rad + first.above_rad, second.position_rad + second.above_rad)
     if lower > upper + LEAST_JOINT_TOLERANCE_RAD:

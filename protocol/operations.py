@@ -369,7 +369,9 @@ class Status(Operation):
     msg: Text
 
 
-OPERATIONS: dict[str, type[Operation]] = {model.model_fields["op"].default: model for model in Operation.__subclasses__()}
+OPERATIONS: dict[str, type[Operation]] = {
+    model.model_fields["op"].default: model for model in Operation.__subclasses__()
+}
 
 
 def parse(value: object) -> Operation:

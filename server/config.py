@@ -116,6 +116,8 @@ class ArmSettings(SettingsSection):
     """rate of ``/tf``, at most that of the joint states [Hz]."""
     speed_limit: float = Field(default=1.0, ge=MIN_SPEED_LIMIT, le=1.0)
     """share of the joints' velocity limits that no motion exceeds; ``/arm/set_speed_limit`` changes it."""
+    unverified_speed_limit: float = Field(default=0.25, ge=MIN_SPEED_LIMIT, le=1.0)
+    """the same for an arm on servos until its calibration is verified; 1 for no other limit than ``speed_limit``."""
     start_enabled: bool = True
     """make the arm hold as soon as it is connected; else it stays relaxed until it is enabled."""
     # Heartbeats come every 0.1 s; less than three of them missed would be taken for the server's death.

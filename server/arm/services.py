@@ -33,9 +33,6 @@ class ArmServices:
     """Offers the services that switch and stop the arm, and listens to ``/emergency_stop``.
 
     Orders leave for the arm process before anything else happens: no queue, no task and no waiting in between.
-
-    Args:
-        end_goals: ends the active goal and all that wait, and stops every motion, for a reason.
     """
 
     def __init__(

@@ -177,12 +177,7 @@ class GoalExecutor:
             self._goal = self._end_rad = None
 
     def plan_ahead(self, following: Goal, left_s: float) -> None:
-        """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is unknown.
-
-        Args:
-            following: a goal of the same joints.
-            left_s: time left of the motion in progress [s].
-        """
+        """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is unknown."""
         held_rad = self._current.positions_rad()
         if self._goal is None or self._goal.reason or self._end_rad is None or held_rad is None:
             return

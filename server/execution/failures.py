@@ -39,7 +39,6 @@ class FailedGoals:
     """Directory of problem files, which several servers may share.
 
     Args:
-        wall_clock: seconds since 1970, for the names.
         max_files: limit of files, of up to 3 MB each with a scene of 10 000 objects; the oldest make room for new ones.
     """
 

@@ -264,9 +264,6 @@ class NamedStatesFile:
         """Change the states in the file, those that other servers have saved among them; return them all.
 
         A crash leaves the old file or the new one.
-
-        Args:
-            change: of the states; called in a thread.
         """
         return await in_thread(self._path, "the state cannot be kept", lambda: self._change(change))
 

@@ -20,11 +20,7 @@ ALONG_NORMAL = math.sqrt(0.5)
 
 @dataclass(frozen=True)
 class JointLink:
-    """Joint of the follower and the joint that it follows.
-
-    Attributes:
-        lower_rad: limit of the follower [rad].
-    """
+    """Joint of the follower and the joint that it follows."""
 
     leader: str
     follower: str
@@ -40,11 +36,7 @@ class JointMap:
     links: tuple[JointLink, ...]
 
     def targets_rad(self, leader_rad: Positions) -> dict[str, float]:
-        """Return the position of each following joint within its limits [rad]; an unknown position is left out.
-
-        Args:
-            leader_rad: positions of the leader's joints [rad].
-        """
+        """Return the position of each following joint within its limits [rad]; an unknown position is left out."""
         return {
             link.follower: min(max(link.scale * leader_rad[link.leader], link.lower_rad), link.upper_rad)
             for link in self.links

@@ -51,7 +51,6 @@ class Follower:
 
     Attributes:
         prefix: with which names of its joints begin; empty for an arm that is alone.
-        gripper: its gripper; None without one.
     """
 
     name: str
@@ -94,11 +93,7 @@ class FollowingState:
 
 @dataclass(frozen=True)
 class FollowingContext:
-    """Context of all followings.
-
-    Attributes:
-        planning: scene, frames, planners and positions of all arms.
-    """
+    """Context of all followings."""
 
     planning: PlanningContext
     queue: GoalQueue

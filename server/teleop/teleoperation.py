@@ -144,11 +144,7 @@ class _Following:
 
 
 class Teleoperation:
-    """Has arms follow leaders, each follower one.
-
-    Args:
-        leaders: names of this server's arms that can lead.
-    """
+    """Has arms follow leaders, each follower one."""
 
     def __init__(
         self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]

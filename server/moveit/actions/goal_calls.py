@@ -46,11 +46,7 @@ MAX_JOINTS = 200
 
 @dataclass(frozen=True)
 class ReadGoal:
-    """Request that can be carried out.
-
-    Attributes:
-        plan_only: true if the arm is not to move.
-    """
+    """Request that can be carried out."""
 
     message: Message
     motion: PlannedMotion

@@ -62,8 +62,6 @@ class PlanningOptions:
     """Options of a goal, from moveit_msgs/PlanningOptions.
 
     Attributes:
-        plan_only: true if the arm is not to move.
-        delay_s: pause between attempts [s].
         scene_diff: moveit_msgs/PlanningScene to apply to the present scene for planning; None for none.
     """
 

@@ -40,9 +40,7 @@ class GoalRecord:
     """Record of an answered goal.
 
     Attributes:
-        stamp_s: time of the answer [s since 1970].
         summary: methods and times of the plan, a sentence; empty without a plan.
-        planning_time_s: time spent on planning [s].
         problem: problem that failed, else the first one; None where no file can hold it.
         scene: in which it was planned; None once it is forgotten.
     """

@@ -50,12 +50,7 @@ Translate: TypeAlias = Callable[[Message], PlannedMotion]
 
 
 class Confirmation:
-    """Gate between plan and motion: the arm moves when a user confirms the plan.
-
-    Args:
-        enabled: true if goals on ``/moveit_goal_*`` wait at the gate.
-        timeout_s: limit of their wait [s].
-    """
+    """Gate between plan and motion: the arm moves when a user confirms the plan."""
 
     def __init__(self, graph: Graph, *, enabled: bool, timeout_s: float) -> None:
         self._graph = graph

@@ -61,11 +61,7 @@ MAX_ALTERNATIVES = 64
 def read_joint_constraints(
     messages: Sequence[Message], context: RequestContext, where: str
 ) -> tuple[JointConstraint, ...]:
-    """Read constraints on joints, one for each joint: several on the same joint become their common range.
-
-    Args:
-        messages: moveit_msgs/JointConstraint.
-    """
+    """Read constraints on joints, one for each joint: several on the same joint become their common range."""
     found: dict[str, JointConstraint] = {}
     for index, message in enumerate(messages):
         constraint = _constraint(message, context, f"{where}.joint_constraints[{index}]")

@@ -289,12 +289,7 @@ def read_scaling(request: Message, field: str, default: float, warnings: list[st
 def tip_problem(
     planner: str, problem: PlanningProblem, arc: Message, tip_speed: float, context: RequestContext
 ) -> CartesianProblem:
-    """Build the problem of a request for Pilz's ``LIN`` or ``CIRC``.
-
-    Args:
-        arc: the request's path constraints, which name a point of a circle.
-        tip_speed: the request's ``max_cartesian_speed`` [m/s].
-    """
+    """Build the problem of a request for Pilz's ``LIN`` or ``CIRC``."""
     link, end, tolerance_rad = _tip_end(problem, context)
     segment = Line(end) if planner == STRAIGHT else Arc(_via_m(arc, link, end, context), end)
     return CartesianProblem(

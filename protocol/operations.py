@@ -369,29 +369,9 @@ class Status(Operation):
     msg: Text
 
 
-_MODELS: tuple[type[Operation], ...] = (
-    Advertise,
-    Unadvertise,
-    Publish,
-    Subscribe,
-    Unsubscribe,
-    CallService,
-    AdvertiseService,
-    UnadvertiseService,
-    ServiceResponse,
-    SendActionGoal,
-    CancelActionGoal,
-    AdvertiseAction,
-    UnadvertiseAction,
-    ActionFeedback,
-    ActionResult,
-    Fragment,
-    Png,
-    Auth,
-    SetLevel,
-    Status,
-)
-OPERATIONS: dict[str, type[Operation]] = {model.model_fields["op"].default: model for model in _MODELS}
+OPERATIONS: dict[str, type[Operation]] = {
+    model.model_fields["op"].default: model for model in Operation.__subclasses__()
+}
 
 
 def parse(value: object) -> Operation:

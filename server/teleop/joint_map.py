@@ -18,6 +18,11 @@ MAX_SCALE = 2.0
 ALONG_NORMAL = math.sqrt(0.5)
 
 
+# Leaders turn some degrees further than their followers, which wait at their limits then; calibrations differ by up to
+# 20 degrees.
+BEYOND_RAD = 0.35
+
+
 @dataclass(frozen=True)
 class JointLink:
     """Joint of the follower and the joint that it follows."""
@@ -34,6 +39,17 @@ class JointMap:
     """Joints that follow."""
 
     links: tuple[JointLink, ...]
+
+    def beyond_range(self, leader_rad: Positions) -> str:
+        """Describe a target far beyond the follower's range, as degrees in place of radians are; empty for none."""
+        for link in self.links:
+            target_rad = link.scale * leader_rad.get(link.leader, link.lower_rad / link.scale)
+            if not link.lower_rad - BEYOND_RAD <= target_rad <= link.upper_rad + BEYOND_RAD:
+                return (
+                    f"the leader's {link.leader} leads {link.follower} to {target_rad:.2f} rad, beyond its range of "
+                    f"{link.lower_rad:.2f} to {link.upper_rad:.2f} rad: positions are in radians, not in degrees"
+                )
+        return ""
 
     def targets_rad(self, leader_rad: Positions) -> dict[str, float]:
         """Return the position of each following joint within its limits [rad]; an unknown position is left out."""

@@ -223,7 +223,7 @@ class GoalExecutor:
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
         ask = functools.partial(self._pool.ask, moving, scene)
         plan = await goal.unless_cancelled(_in_time(ask, outgoing.until_s - self._clock()))
-        if not isinstance(plan, Plan) or plan.trajectory.duration_s > self._time_limits.trajectory_s:
+        if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > self._time_limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
         planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)

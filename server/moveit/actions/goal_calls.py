@@ -17,7 +17,7 @@ from planners.problem import MoveItErrorCode
 from server.diagnostic_values import key_values
 from server.errors import RefusedError
 from server.execution.goal import Answer, GoalState, Progress
-from server.execution.motions import PlannedMotion
+from server.execution.motions import Performed, PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph import services
 from server.graph.actions import Goal
@@ -211,12 +211,9 @@ def _is_given(pose: Message) -> bool:
 
 def _duration_s(answer: Answer) -> float:
     """Return the duration of the motion as it was executed, or else as planned [s]; 0 without one."""
-    if answer.performed is None:
-        return 0.0
-    executed = answer.performed.executed
-    if executed is not None:
-        return executed.duration_s
-    return sum(motion.duration_s for motion in answer.performed.planned)
+    performed = answer.performed or Performed({})
+    motions = performed.planned if performed.executed is None else (performed.executed,)
+    return sum(motion.duration_s for motion in motions)
 
 
 def _feedback(progress: Progress) -> dict[str, Any]:

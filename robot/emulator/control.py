@@ -152,7 +152,7 @@ COMMANDS_HELP = (
         for name, field in LiveCommand.model_fields.items()
     )
     + """
-Ticks are those of register PRESENT_POSITION. A joint's name may stand for a servo's id, for example where several
+Ticks are as in register PRESENT_POSITION. A joint's name may stand for a servo's id, for example where several
 servos have the same id. Every line is answered by {"ok": true}, with the port's name as "port" after "plugged", or by
 {"error": "..."}. One object may hold several commands; either all of them are carried out or none.
 """

@@ -124,7 +124,7 @@ class Subscription:
     """One topic's delivery to one client.
 
     Attributes:
-        spelled_topic: the topic as the first subscription spelled it; so it is spelled in what is delivered.
+        spelled_topic: the topic as the first subscription spelled it, and as deliveries spell it.
         throttle_s: least time between two messages [s], 0 for all at once.
         queue_length: how many messages may wait, 0 for as many as the client's bound allows.
         compression: the encoding of the messages, one of `COMPRESSIONS`.
@@ -222,7 +222,7 @@ class Subscriptions:
         """Withdraw the subscription with this id, or all to the topic when no id is given.
 
         Returns:
-            True when nothing is left on the topic: the graph must be told.
+            True when nothing is left on the topic: unsubscribe from the graph as well.
 
         Raises:
             NothingToDoError: there is no such subscription.

@@ -104,11 +104,11 @@ ADVICE: Mapping[ServoAlert, Advice] = {
         "Correct the model in robot.toml if the arm was built so; else replace the servo.",
     ),
     ServoAlert.FIRMWARE: Advice(
-        "its registers may act differently from those of the other servos",
+        "its registers may act differently from the registers of the other servos",
         "Bring all servos to the same version with Feetech's FD program.",
     ),
     ServoAlert.REGISTER: Advice(
-        "a setting of the servo is neither the factory's nor that of the arm's profile",
+        "a setting of the servo differs from the factory's and from the arm's profile",
         "If it is meant so, name it in robot.toml ([hardware.profile]); else write the profile's value with armbridge "
         "setup --registers.",
     ),

@@ -185,7 +185,7 @@ def find_calibration(name_or_path: str, folders: Sequence[str], environment: Map
         raise CalibrationError(name_or_path, "", "is no file, and lerobot has no calibrations of this arm: name a file")
     if not found:
         places = " or ".join(str(path) for path in candidates)
-        raise CalibrationError(name_or_path, "", f"is no file, and lerobot has none of that id: {places}")
+        raise CalibrationError(name_or_path, "", f"is no file, and lerobot has no calibration of that id: {places}")
     if len({path.read_bytes() for path in found}) > 1:
         raise CalibrationError(name_or_path, "", f"is ambiguous, name one: {' or '.join(str(path) for path in found)}")
     return found[0]

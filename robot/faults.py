@@ -58,7 +58,7 @@ REMEDIES: Mapping[FaultCode, str] = {
 
 # For a simulated arm, which has no cable, supply or gear; faults of its servos come from live commands.
 SIMULATED_REMEDIES: Mapping[FaultCode, str] = {
-    FaultCode.BUS_LOST: "The emulated adapter is unplugged; the server reconnects as soon as it is plugged in again.",
+    FaultCode.BUS_LOST: "The emulated adapter is unplugged; the server reconnects once it is plugged in again.",
     FaultCode.SERVO_SILENT: "The emulated servo is offline: bring it online, then reset the fault.",
     FaultCode.BUS_SILENT: "The emulated bus is frozen or its servos are offline: undo that, then reset the fault.",
     FaultCode.OVERLOAD: "Relieve the joint, then reset the fault; if it stays, power-cycle the emulated servo.",

@@ -313,7 +313,7 @@ class Child(asyncio.Protocol):
         try:
             messages = self._decoder.feed(data)
         except Exception:  # unpickling may raise anything; the end must be reported all the same
-            log.exception("process %d sent what is no message, and is ended", self.pid)
+            log.exception("process %d sent bytes that are no message, and is ended", self.pid)
             self._process.kill()
             if self._transport is not None:
                 self._transport.close()

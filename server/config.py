@@ -36,7 +36,7 @@ class PlanningSettings(SettingsSection):
     workers: Annotated[int, BeforeValidator(_no_cluster)] = Field(default=1, ge=1, le=16)
     """how many goals may be planned at the same time; one more process is kept as a warm spare."""
     memory_limit_mb: int = Field(default=1024, ge=256, le=65536)
-    """data that each process may hold; one that needs more is restarted [MB]."""
+    """data that each process may hold; a process that needs more is restarted [MB]."""
     save_failed_goals: Path | None = None
     """directory for the goals that could not be planned, as files for ``armbridge plan``; None to keep none."""
     keep_failed_goals: int = Field(default=100, ge=1, le=100_000)
@@ -57,18 +57,18 @@ class GuardSettings(SettingsSection):
     torque_limit: float = Field(default=_DEFAULT.torque_limit, ge=0.3, le=0.8)
     """share of full motor duty that each servo may use; less is gentler, and carries less."""
     gripper_torque_limit: float = Field(default=_DEFAULT.gripper_torque_limit, ge=0.2, le=0.5)
-    """the same for that of the gripper."""
+    """share of full motor duty that the gripper's servo may use."""
     tracking_error_rad: float = Field(default=_DEFAULT.tracking_error_rad, ge=0.1, le=1.0)
-    """a joint that is farther behind its goal is lost, which is a fault [rad]."""
+    """tracking error above which a joint has a fault [rad]."""
     tracking_time_s: float = Field(default=_DEFAULT.tracking_time_s, ge=0.05, le=1.0)
-    """for so long it may be [s]."""
+    """time for which the tracking error may be larger before the fault [s]."""
     stall_current_a: float = Field(default=_DEFAULT.stall_current_a, ge=0.3, le=2.7)
-    """a servo that draws more and all but stands still is stalled, which is a fault, or a grip [A]."""
+    """current above which a servo that hardly moves is stalled: a fault, or a grip [A]."""
     stall_time_s: float = Field(default=_DEFAULT.stall_time_s, ge=0.1, le=1.5)
-    """for so long it may be; the servo's own protection latches after 2 s [s]."""
+    """time for which a servo may be stalled before the fault; its own protection latches after 2 s [s]."""
     silent_after_s: float = Field(default=_DEFAULT.silent_after_s, ge=0.05, le=1.0)
-    """a servo that has not answered for so long is a fault; more is for machines that stall, and lets the arm move
-    blindly for as long [s].
+    """silence of a servo that is a fault; the arm moves blindly in that time, so raise it only for machines that stall
+    [s].
     """
     min_voltage_v: float = Field(default=_DEFAULT.min_voltage_v, ge=4.0, le=11.0)
     """a supply below is a fault; 9 V are right for servos of 12 V [V]."""
@@ -113,35 +113,37 @@ class ArmSettings(SettingsSection):
     """rate of ``/joint_states`` [Hz]."""
     # What a screen shows at most.
     tf_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
-    """rate of ``/tf``, at most that of the joint states [Hz]."""
+    """rate of ``/tf``, at most the rate of the joint states [Hz]."""
     speed_limit: float = Field(default=1.0, ge=MIN_SPEED_LIMIT, le=1.0)
     """share of the joints' velocity limits that no motion exceeds; ``/arm/set_speed_limit`` changes it."""
+    unverified_speed_limit: float = Field(default=0.25, ge=MIN_SPEED_LIMIT, le=1.0)
+    """the same for an arm on servos until its calibration is verified; 1 for no other limit than ``speed_limit``."""
     start_enabled: bool = True
-    """make the arm hold as soon as it is connected; else it stays relaxed until it is enabled."""
+    """make the arm hold when it is connected; else it stays relaxed until it is enabled."""
     # Heartbeats come every 0.1 s; less than three of them missed would be taken for the server's death.
     watchdog_s: float = Field(default=0.5, ge=0.3, le=10.0)
     """silence of the server after which the arm is stopped; a simulated arm waits for 5 s at least [s]."""
     on_server_lost: EndState = EndState.HOLD
-    """what becomes of the arm after such a silence."""
+    """action when the server has been silent for that time."""
     on_exit: EndState = EndState.HOLD
-    """what becomes of the arm when the server ends in good order."""
+    """action when the server ends in good order."""
     on_last_client: Literal["nothing", "park", "relax"] = "nothing"
-    """what becomes of the arm when the last client that may drive it has left."""
+    """action when the last client that may drive the arm has left."""
     last_client_delay_s: float = Field(default=10.0, ge=0.0, le=86_400.0)
-    """time without such a client until then [s]."""
+    """time without such a client before that action [s]."""
     park_state: str | None = None
     """named state of the SRDF in which the arm is parked; None for the robot's own, which is ``rest`` for most."""
     on_emergency_stop: EmergencyPolicy = EmergencyPolicy.TORQUE_OFF
-    """what an emergency stop does."""
+    """action of an emergency stop."""
     # The servos protect themselves at 70 degC.
     warn_temperature_c: float = Field(default=55.0, ge=30.0, le=70.0)
-    """servos from it on are told of [degC]."""
+    """temperature of a servo from which on there is a warning [degC]."""
     slow_temperature_c: float = Field(default=60.0, ge=30.0, le=70.0)
-    """motions run at half speed while a servo has it [degC]."""
+    """temperature of a servo at which motions run at half speed [degC]."""
     stop_temperature_c: float = Field(default=65.0, ge=30.0, le=70.0)
-    """a servo that has it is a fault, and the arm is relaxed [degC]."""
+    """temperature of a servo that is a fault and relaxes the arm [degC]."""
     guards: GuardSettings = GuardSettings()
-    """how hard the servos may push, and what is borne before a motion has failed."""
+    """torque limits, and the tolerances before a motion has failed."""
 
     @model_validator(mode="after")
     def _descriptions_come_in_pairs(self) -> ArmSettings:
@@ -232,11 +234,11 @@ class GoalSettings(SettingsSection):
     """The queue before the arm."""
 
     policy: GoalPolicy = GoalPolicy.QUEUE
-    """what happens to a goal that comes while another one is worked on."""
+    """action on a goal that comes while another goal is active."""
     capacity: int = Field(default=16, ge=1, le=1000)
     """how many goals may wait."""
     on_disconnect: Literal["finish", "stop"] = "finish"
-    """what becomes of the goals that a client has sent to actions when it leaves; it may say otherwise in its URL, by
+    """action on a client's action goals when it leaves; it may choose another in its URL, by
     ``?on_disconnect=stop`` or ``?on_disconnect=finish``.
     """
     confirm: bool = False
@@ -249,7 +251,7 @@ class GoalSettings(SettingsSection):
     """a goal that was paused or going back for longer, all times together, is given up [s]."""
     # The arm process plays half an hour of points at 100 Hz; an action's goal is over after an hour.
     max_trajectory_duration_s: float = Field(default=600.0, ge=1.0, le=1800.0)
-    """a goal whose motions take longer than this as planned is refused, whoever has planned them [s]."""
+    """planned duration of a goal's motions above which the goal is refused [s]."""
     named_states_file: Path | None = None
     """where saved states are kept; None for a file in the user's data directory."""
 
@@ -267,11 +269,11 @@ class RecordingSettings(SettingsSection):
     """The recording of every message that is published."""
 
     file: Path | None = None
-    """MCAP file to record to; one that exists is left alone, and a number added to the name. None to record nothing."""
+    """MCAP file to record to; if it exists, a number is added to the name. None to record nothing."""
     limit_mb: int | None = Field(default=None, ge=1, le=1_000_000)
     """size of a file from which on the next one is begun [MB]; None for no limit."""
     keep_files: int = Field(default=0, ge=0, le=10_000)
-    """how many files are kept of those that a run of the server has written, the newest; 0 for all."""
+    """how many of the newest files of a run are kept; 0 for all."""
 
     @model_validator(mode="after")
     def _only_whole_files_are_given_up(self) -> RecordingSettings:

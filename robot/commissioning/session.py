@@ -204,7 +204,9 @@ class CalibrationSession:
         # Refuses what no motion for directions could mend.
         calibrate(self._servos, self._measured(assumed=True), recentre=self.recentre)
         for each in short:
-            self.findings.append(f"{each.joint} covered {each.note} only: its zero is wrong by half of what is missing")
+            self.findings.append(
+                f"{each.joint} covered {each.note} only: its zero is wrong by half of the missing part"
+            )
         self._to_show = [servo for servo in self._servos if needs_middle(servo, self._swept)]
         self._to_ask = [servo for servo in self._servos if servo.joint in self._motions]
         self._next()

@@ -127,7 +127,7 @@ def search(
             if len(candidates) > 1:
                 ids = ", ".join(str(servo.servo_id) for servo in candidates)
                 raise StartupError(
-                    f"servos {ids} answer, and any of them may be that of {joint.joint}: unplug all but this one"
+                    f"servos {ids} answer, and any of them may be the servo of {joint.joint}: unplug all but this one"
                 )
             return candidates[0]
     if not found:
@@ -169,7 +169,7 @@ def check_model(servo: FoundServo, joint: ServoSpec) -> None:
     if model not in MODELS.values() and str(model) != joint.model:
         known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
         raise StartupError(
-            f"servo {servo.servo_id} is model {model}, none of {known}: its registers may have other meanings; "
+            f"servo {servo.servo_id} is model {model}, not one of {known}: its registers may have other meanings; "
             "--any-model writes to it all the same"
         )
 

@@ -28,7 +28,7 @@ WIDEST_SWEEP_TICKS = MAX_TICK - 1
 # than this share has not met both stops.
 STOPS_SHARE = 0.8
 
-# A joint that covered less than this share has perhaps met one stop only: half of what is missing is the error of its
+# A joint that covered less than this share has perhaps met one stop only: half of the missing part is the error of its
 # zero, 3 deg for a joint of 200 deg. Its stops then count when it came to both twice.
 CERTAIN_SHARE = 0.97
 
@@ -100,8 +100,8 @@ def expected_width(servo: ServoSpec) -> int:
 def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
     """Return True when a joint that covered a range of this width has met both of its stops.
 
-    A joint that the robot's folder calls free may have stops all the same, as the SO-101's wrist has; one that covered
-    nearly a whole turn has none.
+    A joint that the robot's folder calls free may have stops all the same, as the SO-101's wrist has; it has none when
+    it covered nearly a whole turn.
     """
     if servo.turns_freely and width_ticks > WIDEST_RANGE_TICKS:
         return False

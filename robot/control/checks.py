@@ -83,7 +83,7 @@ def refusal(
 ) -> str:
     """Check a trajectory; return the reason to refuse it, empty for none.
 
-    The curve between the samples is checked as it is played, with its velocities and accelerations.
+    The curve that is played between the samples is checked, with its velocities and accelerations.
 
     Args:
         held_rad: goals at which the arm holds, shape (joints,) [rad].

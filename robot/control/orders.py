@@ -9,10 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from robot.calibration import Calibration
-from robot.control.actuator_thresholds import ActuatorThresholds
 from robot.control.controller import ArmController
 from robot.control.cycle import ControlCycle
-from robot.control.guards import Guards, Temperatures
+from robot.control.guards import ActuatorThresholds, Guards, Temperatures
 from robot.errors import NoReply, OrderRefused, StartupError
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Measured, StatusFlag, Steps, Survey, status_names

@@ -41,15 +41,6 @@ def find_example(name: str) -> ExampleRobot | None:
     return ExampleRobot(urdf, srdf, (robots.parents[1],))
 
 
-def example_names() -> tuple[str, ...]:
-    """Return the names of the robots with URDF and SRDF, in alphabetical order; none without the package."""
-    robots = _robots()
-    if robots is None:
-        return ()
-    found = _urdfs(robots)
-    return tuple(sorted(name for name, urdf in found.items() if (urdf.parents[1] / "srdf" / f"{name}.srdf").is_file()))
-
-
 def _robots() -> Path | None:
     """Return the package's folder of robots; None without the package."""
     try:

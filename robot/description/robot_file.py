@@ -151,7 +151,7 @@ class HardwareSection(_Table):
                 value = getattr(servo, key)
                 if (first := owners.setdefault(value, row)) != row:
                     raise ValueError(
-                        f"servos[{row}].{key} {value!r} is that of servos[{first}] as well: give it one of its own"
+                        f"servos[{row}].{key} {value!r} stands at servos[{first}] as well: give it another one"
                     )
         return self
 

@@ -63,7 +63,7 @@ def find(name_or_folder: str) -> Path:
         return path
     raise DescriptionError(
         f"robot {name_or_folder!r}",
-        f"is no folder, and none of the built-in arms {', '.join(built_in_names())}; others come with the package "
+        f"is no folder, and no built-in arm ({', '.join(built_in_names())}); others come with the package "
         "example-robot-data (pip install example-robot-data)",
     )
 

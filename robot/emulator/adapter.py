@@ -27,7 +27,7 @@ class Adapter(ABC):
     def __init__(self, port: str) -> None:
         self.port = port  # its name, the last one while it is unplugged
         self.frozen = False  # True while it neither takes nor delivers bytes, which wait meanwhile
-        self.frame_s = 0.0  # interval at multiples of which it delivers the servos' bytes [s]; 0 for immediately
+        self.frame_s = 0.0  # it delivers the servos' bytes at multiples of this interval [s]; 0 for immediately
         self._outbox: deque[tuple[float, Reply]] = deque()
 
     @abstractmethod

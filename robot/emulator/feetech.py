@@ -342,7 +342,7 @@ def emulated_feetech_arm(
     arm = EmulatedArm(robot, config, Feetech(config.profile), servos, FEETECH, bounds, limits, clock, log, holds=holds)
     if config.control:
         # Only here: most arms take no commands, and pydantic takes its time.
-        from robot.emulator.control_socket import CommandedPort, ControlSocket
+        from robot.emulator.control import CommandedPort, ControlSocket
 
         arm.port = CommandedPort(arm.bus, clock, ControlSocket(config.control))
     return arm

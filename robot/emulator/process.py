@@ -153,7 +153,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         choices=POPULATIONS,
         default="factory",
         help="state of the servos: as new ones of an arm that was calibrated (factory), as lerobot or a ROS 2 driver "
-        "leaves them, compatible ones of 12 V (clone), or new ones that all have id 1 (kit)",
+        "leaves them, compatible ones of 12 V (clone), or new servos, all with id 1 (kit)",
     )
     add(
         "--start",

@@ -49,7 +49,7 @@ class AccessSettings(SettingsSection):
     the origin of a page from a file.
     """
     allowed_hosts: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
-    """names under which clients may address the server, besides those of this machine."""
+    """names under which clients may address the server, besides this machine's own."""
     topics_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
     """patterns of topics that clients may use; empty for all."""
     services_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
@@ -89,7 +89,7 @@ class SessionSettings(SettingsSection):
     max_fragments: int = Field(default=_DEFAULT.max_fragments, ge=1, le=1_000_000)
     """fragments of one message, and of all that wait for others."""
     max_fragmented_messages: int = Field(default=_DEFAULT.max_fragmented_messages, ge=1, le=10_000)
-    """messages of which only some fragments have come."""
+    """incomplete messages, whose fragments have not all come."""
     fragment_timeout_s: float = Field(default=_DEFAULT.fragment_timeout_s, ge=1.0, le=86_400.0)
     """a message whose fragments do not come within this time is given up [s]."""
     max_subscriptions: int = Field(default=_DEFAULT.max_subscriptions, ge=1, le=100_000)
@@ -105,13 +105,13 @@ class SessionSettings(SettingsSection):
     max_queued_bytes: int = Field(default=_DEFAULT.max_queued_bytes, ge=65_536, le=10_000_000_000)
     """all that waits for it; of messages of topics the oldest are dropped [bytes]."""
     max_queued_messages: int = Field(default=_DEFAULT.max_queued_messages, ge=100, le=1_000_000)
-    """messages of topics that wait for it, of which the oldest are dropped."""
+    """messages of topics that wait for it; beyond, the oldest are dropped."""
     max_topic_delay_s: float = Field(default=_DEFAULT.max_topic_delay_s, ge=0.1, le=3600.0)
     """how far the messages of a topic may be behind, and how long they wait for a client that stands still [s]."""
     max_queued_request_bytes: int = Field(default=_DEFAULT.max_queued_request_bytes, ge=65_536, le=100_000_000)
     """calls and goals that wait for a slow client; those beyond fail [bytes]."""
     max_queued_reply_bytes: int = Field(default=_DEFAULT.max_queued_reply_bytes, ge=65_536, le=100_000_000)
-    """answers that wait for a slow client; one that does not take them is disconnected [bytes]."""
+    """answers that wait for a slow client; beyond, it is disconnected [bytes]."""
 
     def limits(self) -> Limits:
         """Return the limits as the protocol takes them."""

@@ -191,11 +191,7 @@ LATE, EARLY = 1.5, 0.5
 
 
 class JoinedBeat:
-    """Beat in which the states of several arms, each with a clock of its own, are passed on as one.
-
-    Args:
-        period_s: time between two states of an arm [s].
-    """
+    """Beat in which the states of several arms, each with a clock of its own, are passed on as one."""
 
     def __init__(self, names: frozenset[str], period_s: float) -> None:
         self._earliest_s, self._latest_s = EARLY * period_s, LATE * period_s

@@ -37,7 +37,6 @@ class Recalibrated:
     """New calibration of the arm, with which the server starts again.
 
     Attributes:
-        arm: name of one of several arms; else empty.
         position_rad: positions of the joints under it, by joint [rad].
     """
 
@@ -48,11 +47,7 @@ class Recalibrated:
 
 
 def check_state_rate(rate_hz: float) -> None:
-    """Check that the arm's states come often enough to follow a hand.
-
-    Args:
-        rate_hz: setting ``arm.joint_state_rate_hz`` [Hz].
-    """
+    """Check that the arm's states come often enough to follow a hand."""
     if rate_hz < LEAST_STATE_RATE_HZ:
         raise OrderRefused(
             f"arm.joint_state_rate_hz must be at least {LEAST_STATE_RATE_HZ:g} Hz to calibrate, not {rate_hz:g}: a "
@@ -65,8 +60,6 @@ class CalibrationProcedure:
 
     Args:
         file: calibration to write, and True if the settings name this file.
-        end_goals: ends all goals of the arm and stops every motion of it, for a reason.
-        start_anew: called when the calibration is written.
     """
 
     def __init__(

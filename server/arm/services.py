@@ -33,9 +33,6 @@ class ArmServices:
     """Offers the services that switch and stop the arm, and listens to ``/emergency_stop``.
 
     Orders leave for the arm process before anything else happens: no queue, no task and no waiting in between.
-
-    Args:
-        end_goals: ends the active goal and all that wait, and stops every motion, for a reason.
     """
 
     def __init__(
@@ -88,7 +85,6 @@ async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
 
 
 async def _standstill(arm: AnyArm) -> CommandDone:
-    """Wait until the arm no longer moves."""
     if await arm.rest(STOP_TIMEOUT_S):
         return CommandDone(0, done=True, message="the arm does not move")
     return CommandDone(0, done=False, message=f"the arm still moves after {STOP_TIMEOUT_S:g} s")

@@ -198,7 +198,6 @@ def _refuse_bus_options(emulator: EmulatorSettings) -> None:
 
 
 def _check_place(setting: str, path: Path) -> None:
-    """Refuse a file that could not be made."""
     if path.is_dir():
         raise ConfigurationError(f"{setting}: {path} is a directory")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):

@@ -15,6 +15,7 @@ from robot.commissioning.verify import Droop, VerificationPose, poses, seen_find
 from robot.description.model import RobotModel
 from robot.messages import ArmHealth, ArmState, Mode, Order
 from server.arm.commissioning import Dialogue, ProcedureFailed
+from server.arm.first_motions import FirstMotions
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
 from server.execution.goal import Goal
@@ -56,12 +57,20 @@ class VerificationProcedure:
 
     Args:
         ends: joints whose zero is given by the ends of their range.
+        first_motions: speed of the arm until now.
     """
 
     def __init__(
-        self, arm: Arm, robot: RobotModel, ends: frozenset[str], go_to: GoTo, cancel: Callable[[str, str], None]
+        self,
+        arm: Arm,
+        robot: RobotModel,
+        ends: frozenset[str],
+        go_to: GoTo,
+        cancel: Callable[[str, str], None],
+        first_motions: FirstMotions,
     ) -> None:
         self._arm = arm
+        self._first_motions = first_motions
         self._ends = ends
         self._go_to = go_to
         self._cancel = cancel
@@ -92,6 +101,7 @@ class VerificationProcedure:
         most_deg = float(np.degrees(abs(worst.droop_rad)))
         droop = f"the greatest distance from a goal was {most_deg:.1f} deg, of {worst.joint}"
         if not dialogue.findings:
+            self._first_motions.take_verified()
             return f"the arm looks as the model in {len(self._seen)} poses; {droop}"
         return f"the arm was compared in {len(self._seen)} poses, with {len(dialogue.findings)} findings; {droop}"
 
@@ -148,7 +158,6 @@ class VerificationProcedure:
         raise ProcedureFailed(f"{pose.name} was not reached: {reasons[-1]}")
 
     async def _measure(self, dialogue: Dialogue) -> None:
-        """Measure how far each joint stands from its goal."""
         dialogue.tell("measuring", "The arm holds still, and is measured.")
         readings = _Readings(self._arm.clock_s, asyncio.get_running_loop().create_future())
         self._readings = readings
@@ -189,5 +198,4 @@ class VerificationProcedure:
 
 
 async def _choice(dialogue: Dialogue, step: Step) -> str:
-    """Ask a question, and return the answer."""
     return await dialogue.ask(step, lambda answer: answer, lambda: step)

@@ -52,7 +52,7 @@ class CameraOptions:
     frame_id: str = ""
 
 
-class Connection(Protocol):
+class CameraConnection(Protocol):
     """What a client needs of a connection."""
 
     async def send(self, message: str) -> None:
@@ -112,7 +112,7 @@ class CameraClient:
             listening.cancel()
             await asyncio.gather(listening, return_exceptions=True)
 
-    async def publish(self, connection: Connection, images: NewestImage) -> None:
+    async def publish(self, connection: CameraConnection, images: NewestImage) -> None:
         """Publish images on a connection until they end.
 
         Raises:

@@ -177,12 +177,7 @@ class GoalExecutor:
             self._goal = self._end_rad = None
 
     def plan_ahead(self, following: Goal, left_s: float) -> None:
-        """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is unknown.
-
-        Args:
-            following: a goal of the same joints.
-            left_s: time left of the motion in progress [s].
-        """
+        """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is unknown."""
         held_rad = self._current.positions_rad()
         if self._goal is None or self._goal.reason or self._end_rad is None or held_rad is None:
             return
@@ -228,7 +223,7 @@ class GoalExecutor:
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
         ask = functools.partial(self._pool.ask, moving, scene)
         plan = await goal.unless_cancelled(_in_time(ask, outgoing.until_s - self._clock()))
-        if not isinstance(plan, Plan) or plan.trajectory.duration_s > self._time_limits.trajectory_s:
+        if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > self._time_limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
         planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)
@@ -343,7 +338,6 @@ class GoalExecutor:
         return None if answer is None else replace(answer, performed=planned.performed)
 
     async def _play(self, goal: Goal, planned: PlannedSequence, version: int) -> Answer:
-        """Play the motions one after the other."""
         motions = planned.performed.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
         self._end_rad = planned.end_rad

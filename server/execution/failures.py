@@ -39,7 +39,6 @@ class FailedGoals:
     """Directory of problem files, which several servers may share.
 
     Args:
-        wall_clock: seconds since 1970, for the names.
         max_files: limit of files, of up to 3 MB each with a scene of 10 000 objects; the oldest make room for new ones.
     """
 
@@ -122,7 +121,6 @@ async def with_nearest_goal(
 
 
 def _beyond_limits(failure: PlanningFailure, problem: PlanningProblem) -> bool:
-    """Tell if a joint goal was refused because it is beyond the limits of a joint."""
     goal, details = problem.goal, failure.details
     if not isinstance(goal, JointGoal) or not {"joint", "lower_rad", "upper_rad"} <= details.keys():
         return False
@@ -131,7 +129,6 @@ def _beyond_limits(failure: PlanningFailure, problem: PlanningProblem) -> bool:
 
 
 def _with_path(failure: PlanningFailure, found: PathGoal) -> PlanningFailure:
-    """Add to the failure of a path what would work."""
     details: dict[str, Any] = {"end_by_other_way": found.end_by_other_way}
     ways = []
     if found.end is not None:

@@ -41,12 +41,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Answer:
-    """Final answer to a goal; there is exactly one.
-
-    Attributes:
-        details: diagnostic details, as in `PlanningFailure`.
-        performed: the motions; None when nothing was planned.
-    """
+    """Final answer to a goal; there is exactly one."""
 
     code: MoveItErrorCode
     message: str
@@ -115,13 +110,9 @@ class Goal(CancelScope):
     """Goal of a client.
 
     Attributes:
-        goal_id: unique in the life of the server.
         source: topic or action of its client.
         motion: None when the goal was rejected before it was queued.
-        report: takes its progress.
-        on_answer: called once.
         message: the message of its client; empty when there is none, or none that can be read.
-        client: name of its client; empty when it is unknown.
         only_for: the one client that is informed; None for all.
         progress: the latest; None before the first.
         answered: its answer, once there is one.

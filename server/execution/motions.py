@@ -51,8 +51,6 @@ class PlannedMotion:
         steps: each makes its problem from the end of the one before.
         scene: makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
         attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
-        delay_s: pause before another attempt [s].
-        confirm: true if a user is to confirm the plan before the arm moves.
     """
 
     steps: tuple[Step, ...]
@@ -81,7 +79,6 @@ class Performed:
 
     Attributes:
         executed: the path of the arm by its readings; None when it did not move.
-        planning_time_s: time spent on planning [s].
     """
 
     start_rad: Mapping[str, float]
@@ -167,7 +164,6 @@ def _end_positions(motion: Trajectory) -> dict[str, float]:
 
 
 async def _plan(problem: Problem, scene: Scene, ask: AskPlanner) -> Plan | CartesianPlan:
-    """Plan one motion to its end."""
     plan = await ask(problem, scene)
     if isinstance(plan, PlanningFailure):
         raise RefusedError(plan)
@@ -249,7 +245,6 @@ def splice_point_of(
 
     Args:
         progress: its progress by the arm's latest state; None where it is not in progress.
-        age_s: time since the state came [s].
     """
     if progress is None or pace.direction is not PlaybackDirection.FORWARD:
         return None

@@ -44,7 +44,6 @@ class PlannedAhead:
 
         Args:
             end_rad: positions of the joints that move, at the end of the motion in progress [rad].
-            left_s: time left of the motion in progress [s].
         """
         made_for = (request, end_rad, scene.version)
         if self._made_for == made_for:

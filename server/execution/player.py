@@ -52,12 +52,7 @@ class CheckedMotion:
     summary: str
 
     def question(self, from_s: float, positions_rad: Positions) -> RecheckQuestion:
-        """Return the question to planners if the motion is free.
-
-        Args:
-            from_s: time of it from which on [s].
-            positions_rad: of the joints; the positions of the motion's joints do not count [rad].
-        """
+        """Return the question to planners if the motion is free."""
         moving = self.trajectory.joint_names
         others_rad = {name: value for name, value in positions_rad.items() if name not in moving}
         return RecheckQuestion(self.group, self.trajectory, others_rad, from_s)
@@ -120,7 +115,6 @@ class Player:
         for a moment, and brakes unless the other motion has taken its place by then.
 
         Args:
-            questions: asks planners if the motion is free from a time of it on [s].
             from_s: time on the outgoing motion at which this one begins, to replace it [s]; None to begin at rest.
             to_come_s: duration of the goal's motions after this one [s].
         """

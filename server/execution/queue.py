@@ -40,7 +40,6 @@ class RunningGoal:
 
     Attributes:
         remaining_s: time left of its motion [s]; None before it moves.
-        waiting: number of goals that wait.
     """
 
     title: str
@@ -54,9 +53,6 @@ class GoalQueue:
     Args:
         policy: treatment of a goal that arrives while another one of its joints is active, unless it comes with its
             own policy.
-        capacity: limit of waiting goals.
-        on_progress: called with the progress of every goal.
-        on_answer: called once a goal.
     """
 
     def __init__(
@@ -150,7 +146,6 @@ class GoalQueue:
         """Queue a goal. A goal that arrived before the arm's last stop is answered PREEMPTED at once.
 
         Args:
-            source: topic or action of its client.
             policy: its treatment while another goal of its joints is active; None for the queue's own policy.
             on_progress: called with its progress, besides the queue's own.
             on_answer: called once, likewise, perhaps before this returns.
@@ -231,7 +226,6 @@ class GoalQueue:
         self._executors.stop(joints)
 
     def _moving(self, joints: Joints) -> list[Goal]:
-        """Return the active goals that move any of some joints."""
         return [goal for goal in self._active if goal.joints & joints]
 
     def _clear(self, reason: str, joints: Joints | None = None) -> None:
@@ -242,7 +236,6 @@ class GoalQueue:
             self._leave(goal, reason)
 
     def _leave(self, goal: Goal, reason: str) -> None:
-        """Answer a goal that was taken out of the queue before its turn."""
         self._executors.executor(goal.joints).forget(goal)
         self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, f"{reason} before this goal's turn came"))
 

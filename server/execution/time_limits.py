@@ -68,11 +68,7 @@ class ArmClock:
 
 
 class ExecutionDeadline:
-    """Deadline of one motion, counted in the motion's own time.
-
-    Args:
-        duration_s: the planned duration [s].
-    """
+    """Deadline of one motion, counted in the motion's own time."""
 
     def __init__(self, duration_s: float, limits: TimeLimits) -> None:
         self._allowed_s = limits.allowed_s(duration_s)
@@ -81,11 +77,7 @@ class ExecutionDeadline:
         self._paused_s = 0.0
 
     def pass_time(self, elapsed_s: float, pace: Pace) -> None:
-        """Count time.
-
-        Args:
-            elapsed_s: the time that passed [s].
-        """
+        """Count time."""
         if pace.direction is PlaybackDirection.FORWARD and pace.speed_factor >= MIN_SPEED_FACTOR:
             self._used_s += elapsed_s * pace.speed_factor
             return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -12,11 +13,13 @@ from robot.errors import OrderRefused
 from robot.messages import ArmHealth, ArmState
 from server.arm.arms import ArmFiles
 from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
-from server.arm.commissioning import Commissioning, Procedure
+from server.arm.commissioning import Commissioning, Ended, Procedure
+from server.arm.first_motions import FirstMotions
 from server.arm.verifying import VerificationProcedure
 from server.config import Settings
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
+from server.moveit.named_states import data_directory
 
 
 class Restart:
@@ -53,10 +56,19 @@ class CommissioningOfArms(Feature):
         self._restart = restart
         self._shared_calibration = shared_calibration
         self._of_arms: dict[str, Commissioning] = {}
+        folder = data_directory(os.environ) / "verified_calibrations"
+        self._first_motions = {each.name: FirstMotions(each.served, folder) for each in context.arms}
         for each in context.arms:
             before = recalibrated is not None and recalibrated.arm == each.name
             ended = recalibrated.ended if recalibrated is not None and before else None
+            if ended is None and (advice := self._first_motions[each.name].advice):
+                ended = Ended(advice)
             self._of_arms[each.name] = Commissioning(each.graph, functools.partial(self._begin, each), ended)
+
+    async def start(self) -> None:
+        """Limit the speed of arms that are not verified."""
+        for each in self._first_motions.values():
+            each.begin()
 
     async def stop(self) -> None:
         await asyncio.gather(*(each.close() for each in self._of_arms.values()))
@@ -68,7 +80,6 @@ class CommissioningOfArms(Feature):
         self._of_arms[arm].take_health(health)
 
     def _begin(self, context: ArmContext, procedure: str, name: str) -> Procedure:
-        """Make a procedure."""
         served, queue, arm = context.served, context.goals.queue, context.served.arm
         if isinstance(arm, ArmGroup):
             raise OrderRefused("one arm is calibrated or verified at a time: use the services below its name")
@@ -84,7 +95,9 @@ class CommissioningOfArms(Feature):
             calibration = served.description.calibration
             joints = () if calibration is None else calibration.joints
             ends = frozenset(joint.joint for joint in joints if joint.servo.zero == "ends")
-            return VerificationProcedure(arm, context.robot, ends, context.go_to, queue.cancel)
+            return VerificationProcedure(
+                arm, context.robot, ends, context.go_to, queue.cancel, self._first_motions[context.name]
+            )
         raise OrderRefused(f"there is no procedure {procedure[:80]!r}, but calibrate and verify")
 
 

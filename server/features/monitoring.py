@@ -65,13 +65,7 @@ class Logs(Feature):
 
 
 class Monitoring(Feature):
-    """Health of the server: over HTTP, as metrics, and for systemd.
-
-    Args:
-        recorder: the recorder; None for none.
-        bridge: member of a zenoh network; None for none.
-        notifier: notifier of systemd; None for a server that is not its service.
-    """
+    """Health of the server: over HTTP, as metrics, and for systemd."""
 
     name = "the monitor"
 

@@ -33,8 +33,9 @@ from server.moveit.actions.move_group import (
 )
 from server.moveit.description import RobotDescription
 from server.moveit.display import TransformsTopics
+from server.moveit.goals.goal_checks import GoalChecks
 from server.moveit.goals.goal_history import GoalHistory
-from server.moveit.goals.goal_topics import GoalChecks, GoalReports, GoalStatusTopics, GoalTopics, final_status
+from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics, final_status
 from server.moveit.named_states import NamedStatesServices, default_path
 from server.moveit.requests.context import planning_group
 from server.moveit.scene.interface import SceneInterface
@@ -98,13 +99,12 @@ class MoveGroup(Feature):
 
     def __init__(self, context: ServerContext) -> None:
         graph, planning, goals = context.graph, context.planning, context.goals
-        robot, moveit = planning.robot, context.settings.moveit
+        robot = planning.robot
         RobotDescription(graph, robot, context.rosapi.parameters.keep)
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
         self._republisher = TransformRepublisher(graph, planning.frames)
         NamedStatesServices(graph, robot, goals.named_states, planning.current)
-        reports, translator = GoalReports(robot, moveit), context.whole.translator
-        GoalChecks(graph, reports, translator, planning.current, planning.pool, planning.scene_state)
+        GoalChecks(graph, context.whole.translator, planning)
         PlanningActions(graph, planning, goals.queue)
         ExecuteTrajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
         offer_services(graph, planning)

@@ -61,11 +61,7 @@ STATE_POLLS = 60
 
 @dataclass(frozen=True)
 class RestPose:
-    """Pose in which an arm is parked.
-
-    Attributes:
-        positions_rad: position of each joint [rad].
-    """
+    """Pose in which an arm is parked."""
 
     state: str
     group: str
@@ -250,7 +246,6 @@ class _Place:
     """Place from which a way was planned.
 
     Attributes:
-        held_rad: goal of every joint [rad].
         pid: process id of the arm process, which keeps the way.
         speed_limit: of the arm, which decides on the duration.
     """

@@ -98,7 +98,7 @@ class Client:
         return self.identified or self._auth.check_first_frame(frame)
 
     def admit_first(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
-        """Check the operations of a frame of a client that is not identified; return False for none of them."""
+        """Check the operations of an unidentified client's frame; return False when they are refused."""
         return self._auth.check_first_operation(items)
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
@@ -128,7 +128,7 @@ class Client:
         """Cancel again, without an answer."""
         if self._authorizer.refusal(operation) is not None:
             return
-        # The client was told of them the first time.
+        # The client got the errors the first time.
         with contextlib.suppress(ProtocolError, GraphError, PostponedError):
             match operation:
                 case CancelActionGoal():
@@ -152,7 +152,7 @@ class Client:
             self.inbox.close()
 
     def reject(self, operation: Operation, reason: str) -> None:
-        """Tell of an operation that is not carried out; an operation with an answer gets it."""
+        """Report an operation that is not carried out; an operation with an answer gets it."""
         self.status.reject(operation, reason)
         match operation:
             case Publish():
@@ -225,10 +225,10 @@ class Client:
             case Auth():
                 self._auth.authenticate(operation)
             case _:
-                raise AssertionError(f"the session hands {operation.op} to nobody")
+                raise AssertionError(f"no handler for op {operation.op}")
 
     def _refuse(self, refusal: Refusal) -> None:
-        """Report an operation that cannot be read; whoever waits for it, or for its answer, gets a failure."""
+        """Report an operation that cannot be read; clients that wait for it, or for its answer, get a failure."""
         self.status.refuse(refusal)
         match refusal.op:
             case "call_service":

@@ -60,12 +60,7 @@ class DisplayTopics:
         self.trajectories([to_message(motion, root) for motion in performed.planned], start)
 
     def trajectories(self, trajectories: Sequence[Message], start: Message) -> None:
-        """Show planned motions, one after the other, that are written already.
-
-        Args:
-            trajectories: moveit_msgs/RobotTrajectory of each.
-            start: moveit_msgs/RobotState where the first one begins.
-        """
+        """Show planned motions, one after the other, that are written already."""
         message = {"model_id": self._robot.name, "trajectory": list(trajectories), "trajectory_start": start}
         self._graph.publish(self._node, PATH_TOPIC, message, as_it_is=True)
 
@@ -109,11 +104,7 @@ def _marker(header: Mapping[str, Any], index: int, pair: Mapping[str, Any]) -> d
 
 
 class TransformsTopics:
-    """Transforms of the arm: transforms of movable joints with the joint states, the others once.
-
-    Args:
-        rate_hz: limit of the rate of those that move [Hz].
-    """
+    """Transforms of the arm: transforms of movable joints with the joint states, the others once."""
 
     def __init__(self, graph: Graph, robot: RobotModel, rate_hz: float) -> None:
         self._graph = graph

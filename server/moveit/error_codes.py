@@ -18,11 +18,7 @@ SOURCE = "armbridge"
 
 
 def refused(code: MoveItErrorCode, message: str, **details: Any) -> RefusedError:
-    """Make the error that rejects a request.
-
-    Args:
-        code: value of moveit_msgs/MoveItErrorCodes.
-    """
+    """Make the error that rejects a request."""
     return RefusedError(PlanningFailure(code, message, details))
 
 

@@ -192,7 +192,6 @@ class NamedStates:
         return usable
 
     def _check(self, name: str, positions_rad: Positions) -> None:
-        """Check that a state can be saved under a name."""
         if not 1 <= len(name) <= MAX_NAME_LENGTH or not name.isprintable():
             raise ServiceError(
                 f"name: must have 1 to {MAX_NAME_LENGTH} printable characters, not {name[:MAX_NAME_LENGTH]!r}"
@@ -265,9 +264,6 @@ class NamedStatesFile:
         """Change the states in the file, those that other servers have saved among them; return them all.
 
         A crash leaves the old file or the new one.
-
-        Args:
-            change: of the states; called in a thread.
         """
         return await in_thread(self._path, "the state cannot be kept", lambda: self._change(change))
 

@@ -181,7 +181,6 @@ class PlannerParameters:
         Args:
             group: name of the group; empty for all.
             planner: name of the planner; empty for all.
-            replace: true to delete the parameters that were set there before.
         """
         scope = (group, planner)
         kept = {} if replace else self._set.get(scope, {})

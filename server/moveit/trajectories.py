@@ -213,7 +213,6 @@ def _kept(time_s: Vector, positions: Vector) -> Vector:
 
 
 def _check_times(time_s: Vector, kept: Vector) -> None:
-    """Check that the kept points come one after the other."""
     if time_s[0] < 0.0:
         raise _invalid(f"points[0].time_from_start must be 0 s or more, not {time_s[0]:g}", index=0)
     late = np.flatnonzero(np.diff(time_s[kept]) <= 0.0)

@@ -155,7 +155,7 @@ class McapFile:
         return self._writer.register_channel(message.topic, "cdr", schema, channel_metadata(message.latched))
 
 
-class FileSeries:
+class RecordingSeries:
     """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, all of them new.
 
     All methods, and the constructor, may raise OSError.

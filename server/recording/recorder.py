@@ -17,7 +17,7 @@ from protocol.registry import Registry
 from robot.logs import LogLimiter
 from server.errors import StartError
 from server.graph.topics import Graph
-from server.recording.files import FileSeries, RecordedMessage
+from server.recording.files import RecordedMessage, RecordingSeries
 
 log = logging.getLogger("armbridge.recording")
 
@@ -76,7 +76,7 @@ class Recorder:
     def start(self) -> None:
         """Open the file, and write to it from now on."""
         try:
-            files = FileSeries(self._path, self._registry, self._facts, self._limit_bytes, self._keep_files)
+            files = RecordingSeries(self._path, self._registry, self._facts, self._limit_bytes, self._keep_files)
         except OSError as error:
             raise StartError(f"recording.file: {self._path} cannot be written: {error.strerror or error}") from error
         self._writer.start(files)
@@ -152,7 +152,7 @@ class WriterThread:
         """True once nothing more will be written."""
         return self._ended.is_set()
 
-    def start(self, files: FileSeries) -> None:
+    def start(self, files: RecordingSeries) -> None:
         """Start the thread."""
         self._thread = threading.Thread(target=self._run, args=(files,), name="recording", daemon=True)
         self._thread.start()
@@ -175,7 +175,7 @@ class WriterThread:
         self._thread.join(CLOSE_TIMEOUT_S)
         return not self._thread.is_alive()
 
-    def _run(self, files: FileSeries) -> None:
+    def _run(self, files: RecordingSeries) -> None:
         try:
             self._write_until_stopped(files)
             files.end({"dropped_messages": str(self.dropped)})
@@ -190,7 +190,7 @@ class WriterThread:
             self._ended.set()
             self._queue.clear()
 
-    def _write_until_stopped(self, files: FileSeries) -> None:
+    def _write_until_stopped(self, files: RecordingSeries) -> None:
         flush_at_s = self._clock() + FLUSH_PERIOD_S
         stopping = False
         # Once more after the stop, for messages that came until then.
@@ -202,7 +202,7 @@ class WriterThread:
                 flush_at_s = self._clock() + FLUSH_PERIOD_S
             self._log_drops()
 
-    def _write_queued(self, files: FileSeries) -> None:
+    def _write_queued(self, files: RecordingSeries) -> None:
         """Write the messages that are in the queue now; later ones are left to the next call."""
         for number in range(len(self._queue)):
             if number % MESSAGES_AT_A_TIME == MESSAGES_AT_A_TIME - 1:

@@ -248,7 +248,7 @@ class ReplayServer:
         access = Access(options.access.model_copy(update={"control": "shared"}))
         self._listener = Listener(self._graph, options.server, access=access)
         self._recording = Recording(options.path)
-        self._player = Player(self._graph, self._recording, options.rate)
+        self._player = RecordingPlayer(self._graph, self._recording, options.rate)
 
     async def run(self) -> None:
         """Start, play until the end or a signal, stop."""
@@ -295,7 +295,7 @@ class ReplayServer:
         )
 
 
-class Player:
+class RecordingPlayer:
     """Publishes a recording on a graph, with the recorded timing."""
 
     def __init__(self, graph: Graph, recording: Recording, rate: float = 1.0) -> None:

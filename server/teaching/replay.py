@@ -39,12 +39,7 @@ MAX_REPEAT = 100
 
 @dataclass(frozen=True)
 class Replay:
-    """Contents of a goal.
-
-    Attributes:
-        speed: share of its own speed, above 0.
-        reverse: true to go from its end to its start.
-    """
+    """Contents of a goal."""
 
     name: str
     speed: float

@@ -102,12 +102,7 @@ class TaughtMotion:
         return rounded(TaughtMotion(self.joint_names, time_s - from_s, positions))
 
     def problem(self, before_rad: Positions, speed: float, allowed_time_s: float) -> JointPathProblem:
-        """Return the problem for planners to time and to check it.
-
-        Args:
-            before_rad: position of every movable joint before [rad].
-            allowed_time_s: planning time [s].
-        """
+        """Return the problem for planners to time and to check it."""
         return JointPathProblem(
             before_rad, self.joint_names, self.time_s, self.positions_rad, speed, allowed_time_s=allowed_time_s
         )

@@ -146,12 +146,7 @@ class Following:
 
 @dataclass(frozen=True)
 class TrackingLimits:
-    """Limits of a joint that follows.
-
-    Attributes:
-        velocity_rad_s: greatest velocity [rad/s].
-        acceleration_rad_s2: greatest acceleration [rad/s^2].
-    """
+    """Limits of a joint that follows."""
 
     velocity_rad_s: float
     acceleration_rad_s2: float
@@ -183,8 +178,6 @@ def tracking_velocities(
     """Return the velocity of each joint that has a target [rad/s].
 
     Args:
-        goals_rad: commanded positions [rad].
-        targets_rad: targets [rad].
         leader_rad_s: velocities of the targets, 0 where they are not named [rad/s].
     """
     return {

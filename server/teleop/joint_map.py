@@ -18,13 +18,14 @@ MAX_SCALE = 2.0
 ALONG_NORMAL = math.sqrt(0.5)
 
 
+# Leaders turn some degrees further than their followers, which wait at their limits then; calibrations differ by up to
+# 20 degrees.
+BEYOND_RAD = 0.35
+
+
 @dataclass(frozen=True)
 class JointLink:
-    """Joint of the follower and the joint that it follows.
-
-    Attributes:
-        lower_rad: limit of the follower [rad].
-    """
+    """Joint of the follower and the joint that it follows."""
 
     leader: str
     follower: str
@@ -39,12 +40,19 @@ class JointMap:
 
     links: tuple[JointLink, ...]
 
-    def targets_rad(self, leader_rad: Positions) -> dict[str, float]:
-        """Return the position of each following joint within its limits [rad]; an unknown position is left out.
+    def beyond_range(self, leader_rad: Positions) -> str:
+        """Describe a target far beyond the follower's range, as degrees in place of radians are; empty for none."""
+        for link in self.links:
+            target_rad = link.scale * leader_rad.get(link.leader, link.lower_rad / link.scale)
+            if not link.lower_rad - BEYOND_RAD <= target_rad <= link.upper_rad + BEYOND_RAD:
+                return (
+                    f"the leader's {link.leader} leads {link.follower} to {target_rad:.2f} rad, beyond its range of "
+                    f"{link.lower_rad:.2f} to {link.upper_rad:.2f} rad: positions are in radians, not in degrees"
+                )
+        return ""
 
-        Args:
-            leader_rad: positions of the leader's joints [rad].
-        """
+    def targets_rad(self, leader_rad: Positions) -> dict[str, float]:
+        """Return the position of each following joint within its limits [rad]; an unknown position is left out."""
         return {
             link.follower: min(max(link.scale * leader_rad[link.leader], link.lower_rad), link.upper_rad)
             for link in self.links

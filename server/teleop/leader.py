@@ -33,11 +33,7 @@ JUMP_SPEEDS = 2.0
 
 @dataclass(frozen=True)
 class LeaderSample:
-    """Reading of a leader.
-
-    Attributes:
-        stamp_s: time of the reading by the leader's clock [s].
-    """
+    """Reading of a leader."""
 
     stamp_s: float
     positions_rad: Positions
@@ -48,7 +44,6 @@ class LeaderPose:
     """Pose of a leader to be followed.
 
     Attributes:
-        velocity_rad_s: likewise [rad/s].
         latency_s: time since the reading, without the least time that a sample has taken to come [s].
     """
 

@@ -40,11 +40,7 @@ MAX_COMPLAINTS = 20
 
 @dataclass(frozen=True)
 class LeaderOptions:
-    """Options of a leader's client.
-
-    Attributes:
-        token: of an operator; None where none is needed.
-    """
+    """Options of a leader's client."""
 
     url: str
     topic: str

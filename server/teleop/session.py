@@ -51,7 +51,6 @@ class Follower:
 
     Attributes:
         prefix: with which names of its joints begin; empty for an arm that is alone.
-        gripper: its gripper; None without one.
     """
 
     name: str
@@ -94,11 +93,7 @@ class FollowingState:
 
 @dataclass(frozen=True)
 class FollowingContext:
-    """Context of all followings.
-
-    Attributes:
-        planning: scene, frames, planners and positions of all arms.
-    """
+    """Context of all followings."""
 
     planning: PlanningContext
     queue: GoalQueue
@@ -197,7 +192,7 @@ class FollowingSession:
 
     def _tick(self) -> None:
         now_s = self._clock()
-        obstacle = self._obstacle()
+        obstacle = self._obstacle(now_s)
         if self._interrupted and not obstacle and self.following.phase is Phase.FOLLOWING:
             # The planners were late: the arm has come to rest by itself.
             self._carry_out(self.following.interrupt(now_s, self._interrupted), now_s)
@@ -207,7 +202,7 @@ class FollowingSession:
         if (self.following.phase, self._message) != self._shown or now_s - self._shown_at_s >= SHOWN_EVERY_S:
             self._tell()
 
-    def _obstacle(self) -> str:
+    def _obstacle(self, now_s: float) -> str:
         """Return the reason for which the follower cannot go on; empty if there is none."""
         follower = self._follower
         if follower.arm.last_stop > self._epoch:
@@ -218,7 +213,8 @@ class FollowingSession:
             return str(error)
         if self.following.phase is Phase.FOLLOWING and (busy := self._queue.busy_with(follower.joints)):
             return f"the arm is in use: {busy}"
-        return ""
+        pose = self._samples.pose(now_s)
+        return "" if pose is None else self._joints.beyond_range(pose.positions_rad)
 
     def _carry_out(self, act: Act, now_s: float) -> None:
         match act:

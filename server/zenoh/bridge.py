@@ -14,7 +14,7 @@ from server.gateway.turns import Threads
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
 from server.graph.topics import Graph
-from server.zenoh.network import NameFilter, Namespace, Network
+from server.zenoh.network import Namespace, Network, SharedNames
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
 from server.zenoh.services import CalledServices, OfferedServices
 from server.zenoh.session import SessionThread
@@ -117,12 +117,12 @@ class Sharing:
         self._network = network
         graph, takes_commands = network.graph, bool(settings.subscribe or settings.offer)
         # A machine that may command the arm must be able to stop it, by whichever way.
-        self._subscribe = NameFilter(
+        self._subscribe = SharedNames(
             settings.subscribe, lambda name: takes_commands and rule_of_topic(name, graph).stops
         )
-        offer = NameFilter(settings.offer, lambda name: takes_commands and rule_of_service(name, graph).stops)
-        self._publish = NameFilter(settings.publish, lambda name: name.endswith(STOPS))
-        self._call = NameFilter(settings.call)
+        offer = SharedNames(settings.offer, lambda name: takes_commands and rule_of_service(name, graph).stops)
+        self._publish = SharedNames(settings.publish, lambda name: name.endswith(STOPS))
+        self._call = SharedNames(settings.call)
         self._outgoing = OutgoingTopics(network, self._publish)
         self._incoming = IncomingTopics(network, self._subscribe, authorizer)
         self._offered = OfferedServices(network, offer, authorizer)

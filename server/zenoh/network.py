@@ -47,7 +47,7 @@ MAX_WARNINGS = 200
 MAX_SHARED = 1_000
 
 
-class NameFilter:
+class SharedNames:
     """Patterns of names; a shared name matches one of them.
 
     Args:

@@ -13,7 +13,7 @@ from server.access.authorization import Authorizer
 from server.errors import GraphError
 from server.graph.message_types import ReceivedMessage
 from server.graph.services import LOCAL_TIMEOUT_S, Call, Response
-from server.zenoh.network import MAX_SHARED, Declared, NameFilter, Network
+from server.zenoh.network import MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, gid_of
 from server.zenoh.session import call_in_loop
 
@@ -91,7 +91,7 @@ class OfferedService:
 class OfferedServices:
     """All services of this server that other machines may call."""
 
-    def __init__(self, network: Network, names: NameFilter, authorizer: Authorizer) -> None:
+    def __init__(self, network: Network, names: SharedNames, authorizer: Authorizer) -> None:
         self._network = network
         self._names = names
         self._authorizer = authorizer
@@ -238,7 +238,7 @@ class CalledService:
 class CalledServices:
     """All services of other machines that clients of this server may call."""
 
-    def __init__(self, network: Network, names: NameFilter) -> None:
+    def __init__(self, network: Network, names: SharedNames) -> None:
         self._network = network
         self._names = names
         self._services: dict[str, CalledService] = {}

@@ -14,7 +14,7 @@ from server.access.authorization import Authorizer
 from server.errors import GraphError
 from server.graph.message_types import ReceivedMessage
 from server.graph.topics import Subscriber
-from server.zenoh.network import MAX_SHARED, Declared, NameFilter, Network
+from server.zenoh.network import MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of, is_name
 from server.zenoh.session import ReceiveQueue
 
@@ -90,7 +90,7 @@ class OutgoingTopic:
 class OutgoingTopics:
     """All topics of this server that are published on the network."""
 
-    def __init__(self, network: Network, names: NameFilter) -> None:
+    def __init__(self, network: Network, names: SharedNames) -> None:
         self._network = network
         self._names = names
         self._topics: dict[str, OutgoingTopic] = {}
@@ -222,7 +222,7 @@ class IncomingTopic:
 class IncomingTopics:
     """All topics of other machines that this server subscribes to."""
 
-    def __init__(self, network: Network, names: NameFilter, authorizer: Authorizer) -> None:
+    def __init__(self, network: Network, names: SharedNames, authorizer: Authorizer) -> None:
         self._network = network
         self._names = names
         self._authorizer = authorizer

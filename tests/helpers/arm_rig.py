@@ -8,8 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from robot.calibration import Calibration
-from robot.control.actuator_thresholds import ActuatorThresholds
-from robot.control.guards import Guards, Temperatures
+from robot.control.guards import ActuatorThresholds, Guards, Temperatures
 from robot.control.pacing import PERIOD_S, Pacer
 from robot.control.realtime import Scheduling
 from robot.control.supervisor import Supervisor

@@ -107,7 +107,7 @@ async def test_a_ros1_client_gets_its_log_and_its_serialization(server: RunningS
             record = json.loads(frame)["msg"]
             if "nowhere at all" in record["msg"]:
                 break
-        assert (record["level"], record["header"]["seq"], record["topics"]) == (4, 0, [])
+        assert (record["level"], record["header"]["seq"] > 0, record["topics"]) == (4, True, [])
         octets = cbor2.loads(await raw.recv())["msg"]["bytes"]
         _seq, _secs, _nsecs, length = struct.unpack_from("<4I", octets)
         (names,) = struct.unpack_from("<I", octets, 16 + length)

@@ -126,19 +126,6 @@ def test_a_request_for_which_no_room_is_left_is_refused_and_nobody_is_closed() -
     assert budget.used_bytes == 10_000
 
 
-def test_a_queue_that_is_closed_returns_all_and_takes_no_more() -> None:
-    budget = SendBudget()
-    (queue,) = queues(budget, 1)
-    put(queue, 3)
-    queue.put_reply(encoded())
-    queue.put_request(encoded())
-    queue.close()
-    put(queue, 1)
-    queue.put_reply(encoded())
-    assert not queue.put_request(encoded())
-    assert (budget.used_bytes, queue.size_bytes, queue.empty, queue.take_unready()) == (0, 0, True, [])
-
-
 def test_a_message_counts_by_its_real_size_once_it_has_been_encoded() -> None:
     budget = SendBudget()
     (queue,) = queues(budget, 1)

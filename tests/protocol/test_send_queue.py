@@ -196,14 +196,6 @@ def test_the_fragments_of_a_message_leave_together_whatever_the_budget_and_are_d
     assert box.dropped == 1
 
 
-def test_a_message_that_waits_alone_for_its_throttle_stays():
-    box, paced = send_queue(), Subscription("/paced", throttle_s=1.0, queue_length=10, last_sent_s=4.5)
-    box.put_topic_data(paced, encoded(b"later"), 0.0)
-    assert taken(box, 5.0) == []
-    assert taken(box, 5.5) == [b"later"]
-    assert paced.last_sent_s == 5.5
-
-
 # Requests
 
 

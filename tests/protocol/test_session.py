@@ -123,17 +123,6 @@ def test_nothing_that_comes_raises(frame):
 # What goes to the client
 
 
-def test_after_unsubscribing_nothing_comes_not_even_what_waited():
-    session = subscribed(throttle_rate=100, queue_length=10)
-    for data in "xyz":
-        session.deliver(message(data), 1.0)
-    assert received_data(sent(session, 1.0)) == ["x"]
-    assert session.subscriptions.remove("/a", None) is True
-    session.deliver(message("late"), 2.0)
-    assert sent(session, 2.0) == []
-    assert session.send_queue.next_due(2.0) is None
-
-
 def test_a_throttle_without_a_queue_drops_what_comes_too_early_and_does_not_count_it():
     session = subscribed(throttle_rate=100)
     for step in range(10):
@@ -200,14 +189,6 @@ def test_replies_are_fragmented_too_each_under_an_id_of_its_own():
     ids = [json.loads(frame)["id"] for frame in sent(session)]
     assert len(ids) == 4
     assert len(set(ids)) == 2
-
-
-def test_of_several_subscriptions_the_least_fragment_size_counts_for_their_topic():
-    session = subscribed(id="x", fragment_size=300)
-    session.subscriptions.add(receive(session, op="subscribe", topic="/a", id="y", fragment_size=200))
-    session.subscriptions.add(receive(session, op="subscribe", topic="/a", id="z", fragment_size=2147483647))
-    session.deliver(big_publication(), 1.0)
-    assert max(len(json.loads(frame)["data"]) for frame in sent(session)) == 200
 
 
 @pytest.mark.parametrize("size", [0, -1, 1.5, "100", [100], True])
@@ -324,11 +305,3 @@ def test_a_client_is_not_warned_of_what_its_own_throttle_drops():
 
 
 # What was packed
-
-
-def test_a_fragment_size_on_what_was_packed_counts():
-    session = subscribed()
-    inner = json.dumps({"op": "unsubscribe", "topic": "/b", "fragment_size": 100})
-    receive(session, op="fragment", id="f", data=inner, num=0, total=1)
-    session.deliver(big_publication(), 1.0)
-    assert len(sent(session)) > 1

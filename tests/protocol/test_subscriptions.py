@@ -7,49 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import NothingToDoError, OperationError
-from protocol.operations import Advertise, Subscribe, qualify
-from protocol.subscriptions import Publications, Registrations, Subscription, Subscriptions
+from protocol.operations import Subscribe, qualify
+from protocol.subscriptions import Registrations, Subscription, Subscriptions
 
 
 @pytest.fixture
 def table():
     return Registrations("advertise", "unadvertise", limit=3)
-
-
-def test_the_first_entry_on_a_topic_is_told_from_later_ones(table):
-    assert table.put("/a", 1, "x") is True
-    assert table.put("/a", 2, "y") is False
-    assert list(table.entries("/a")) == ["x", "y"]
-
-
-def test_a_topic_has_one_key_for_all_its_spellings(table):
-    table.put("a", None, "x")
-    assert list(table) == ["/a"]
-    assert "a" in table
-    assert "/a" in table
-    assert table.remove("/a", None) is True
-
-
-def test_an_id_that_is_known_withdraws_that_entry_alone(table):
-    table.put("/a", 1, "x")
-    table.put("/a", 2, "y")
-    assert table.remove("/a", 1) is False
-    assert list(table.entries("/a")) == ["y"]
-    assert table.remove("/a", 2) is True
-    assert "/a" not in table
-
-
-def test_an_unknown_id_withdraws_nothing_and_says_so(table):
-    table.put("/a", 1, "x")
-    with pytest.raises(NothingToDoError, match="unadvertise: topic /a under id 9: this client has no advertise"):
-        table.remove("/a", 9)
-    assert list(table.entries("/a")) == ["x"]
-
-
-@pytest.mark.parametrize("mark", [None, 1])
-def test_an_unknown_topic_is_left_alone(table, mark):
-    with pytest.raises(NothingToDoError, match="unadvertise: topic /a"):
-        table.remove("/a", mark)
 
 
 def test_one_entry_too_many_is_refused_and_changes_nothing(table):
@@ -58,14 +22,6 @@ def test_one_entry_too_many_is_refused_and_changes_nothing(table):
     with pytest.raises(OperationError, match="advertise: this client has 3, the limit is 3"):
         table.put("/b", 1, "x")
     assert list(table) == ["/a"]
-
-
-def test_topics_can_be_withdrawn_while_going_over_them(table):
-    table.put("/a", 1, "x")
-    table.put("/b", 1, "x")
-    for topic in table:
-        table.remove(topic, None)
-    assert list(table) == []
 
 
 actions = st.tuples(st.booleans(), st.sampled_from(["a", "/a", "/b"]), st.sampled_from([None, 1, "1"]))
@@ -90,15 +46,6 @@ def test_the_limit_counts_what_is_there(steps):
             with pytest.raises(NothingToDoError):
                 table.remove(topic, mark)
         assert set(table) == {topic for topic, _ in model}
-
-
-def test_publications_register_what_is_advertised():
-    publications = Publications(limit=1)
-    assert publications.add(Advertise(topic="a", type="std_msgs/String")) is True
-    assert publications.add(Advertise(topic="/a", type="std_msgs/String")) is False
-    with pytest.raises(OperationError, match=r"^advertise: "):
-        publications.add(Advertise(topic="/b", type="std_msgs/String"))
-    assert publications.remove("/a", None) is True
 
 
 def subscriptions(*operations, limit=100):
@@ -184,28 +131,6 @@ def test_the_least_fragment_size_that_is_given_serves_all():
 
 
 # The rules
-
-
-def test_without_a_throttle_every_message_is_admitted_and_due_at_once():
-    subscription = Subscription("/a")
-    assert all(subscription.admit(0.0) for _ in range(3))
-    assert subscription.due_count(3, 0.0) == 3
-    assert subscription.due_s == -float("inf")
-
-
-def test_without_a_queue_a_message_that_comes_too_early_is_not_admitted():
-    subscription = Subscription("/a", throttle_s=0.1)
-    assert [subscription.admit(now) for now in (5.0, 5.05, 5.11, 5.2, 5.22)] == [True, False, True, False, True]
-
-
-def test_with_a_queue_all_are_admitted_and_one_leaves_per_interval():
-    subscription = Subscription("/a", throttle_s=0.1, queue_length=4)
-    assert all(subscription.admit(5.0) for _ in range(4))
-    assert subscription.due_count(4, 5.0) == 1
-    subscription.sent(5.0)
-    assert subscription.due_count(3, 5.05) == 0
-    assert subscription.due_s == pytest.approx(5.1)
-    assert subscription.due_count(3, subscription.due_s) == 1
 
 
 def test_messages_queued_for_a_closed_subscription_are_due_at_once():

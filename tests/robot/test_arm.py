@@ -66,16 +66,6 @@ async def test_one_of_two_motions_is_stopped(rig: ArmOnServos) -> None:
     assert (await pan).outcome is Outcome.REACHED
 
 
-async def test_a_servo_that_goes_silent_ends_the_motion(rig: ArmOnServos) -> None:
-    motion = rig.arm.execute(to(1.0, duration_s=2.0))
-    await until(lambda: rig.pan_rad > 0.1)
-    rig.emulator.command(offline=[3])
-    ended = await asyncio.wait_for(motion, SOON_S)
-    rig.emulator.command(online=[3])
-    assert ended.outcome is Outcome.BUS_LOST
-    assert "elbow_flex" in ended.message
-
-
 async def test_an_arm_whose_bus_is_gone_is_found_when_it_is_back(rig: ArmOnServos) -> None:
     rig.emulator.command(plugged=False)
     await until(lambda: rig.arm.state.mode is Mode.DISCONNECTED)
@@ -104,7 +94,7 @@ async def test_a_stream_follows_its_setpoints_and_ends_at_rest_without_them(rig:
     stick = Stick(rig.arm)
     await until(lambda: stick.speed_rad_s == pytest.approx(0.5, abs=0.01) and rig.pan_rad > 0.15)
     ended = await asyncio.wait_for(stick.stream.ended, SOON_S)
-    assert ended.outcome is Outcome.STOPPED
+    assert ended.outcome is Outcome.UNSTEERED
     assert rig.arm.state.goal_rad[0] > 0.15
     assert (await rig.arm.execute(to(0.0, start_rad=float(rig.arm.state.goal_rad[0])))).outcome is Outcome.REACHED
 

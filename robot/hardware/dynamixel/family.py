@@ -11,6 +11,7 @@ import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from dynamixel_sdk import INST_REBOOT, PacketHandler
 
@@ -39,7 +40,7 @@ from robot.hardware.dynamixel.registers import (
     status_of,
 )
 from robot.hardware.interface import StatusFlag, Steps
-from robot.hardware.servos.bus import Sdk, ServoBus, StatusFrame, read, write_verified
+from robot.hardware.servos.bus import ServoBus, StatusFrame, read, write_verified
 from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, Watchdog, label
 from robot.hardware.servos.registers import Block, Telemetry
 from robot.hardware.servos.survey import limits_warnings
@@ -92,19 +93,10 @@ class Bus(ServoBus):
 
     registers = TABLE
     word_bytes = 2
-
-    def _make_sdk(self) -> Sdk:
-        sdk: Sdk = PacketHandler(PROTOCOL)
-        return sdk
-
-    def _packet(self, servo_id: int, instruction: int, parameters: Sequence[int]) -> list[int]:
-        return instruction_packet(servo_id, instruction, parameters)
-
-    def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-        return parse_status_frames(received, ids, data_length)
-
-    def _reply_bytes(self, data_length: int, replies: int) -> int:
-        return status_bytes(data_length, replies)
+    _make_sdk = staticmethod(partial(PacketHandler, PROTOCOL))
+    _packet = staticmethod(instruction_packet)
+    _parse_replies = staticmethod(parse_status_frames)
+    _reply_bytes = staticmethod(status_bytes)
 
     def _added_bytes(self, received: bytes) -> int:
         return stuffed_bytes(received)

@@ -148,4 +148,3 @@ value_range, encode, decode = TABLE.value_range, TABLE.encode, TABLE.decode
 # between (136 to 143) are not used.
 MOTION = TABLE.block(Register.PRESENT_PWM, Register.PRESENT_POSITION)
 TELEMETRY = TABLE.block(Register.PRESENT_PWM, Register.PRESENT_TEMPERATURE)
-MOTION_ADDRESS = MOTION.address

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import cycle
 
 from scservo_sdk import INST_PING, PacketHandler
@@ -25,7 +26,7 @@ from robot.hardware.feetech.packets import (
 )
 from robot.hardware.feetech.registers import TABLE
 from robot.hardware.port import BusPort
-from robot.hardware.servos.bus import BROADCAST_ID, MAX_BURST_BYTES, Sdk, ServoBus
+from robot.hardware.servos.bus import BROADCAST_ID, MAX_BURST_BYTES, ServoBus
 
 # Lengths of single reads, all longer than any register and shorter than any sync read.
 READ_LENGTHS = range(3, 15)
@@ -55,6 +56,10 @@ class Bus(ServoBus):
     """Bus of any number of Feetech servos."""
 
     registers = TABLE
+    _make_sdk = staticmethod(partial(PacketHandler, LITTLE_ENDIAN))
+    _packet = staticmethod(instruction_packet)
+    _parse_replies = staticmethod(parse_status_frames)
+    _reply_bytes = staticmethod(status_bytes)
 
     def __init__(self, port: BusPort, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(port, clock)
@@ -88,19 +93,6 @@ class Bus(ServoBus):
         if asked_length == length:
             return frames
         return {servo_id: StatusFrame(servo_id, frame.error, frame.data[:length]) for servo_id, frame in frames.items()}
-
-    def _make_sdk(self) -> Sdk:
-        sdk: Sdk = PacketHandler(LITTLE_ENDIAN)
-        return sdk
-
-    def _packet(self, servo_id: int, instruction: int, parameters: Sequence[int]) -> list[int]:
-        return instruction_packet(servo_id, instruction, parameters)
-
-    def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
-        return parse_status_frames(received, ids, data_length)
-
-    def _reply_bytes(self, data_length: int, replies: int) -> int:
-        return status_bytes(data_length, replies)
 
     def _read_length(self, size: int) -> int:  # noqa: ARG002 - longer than any register
         return next(self._read_lengths)

@@ -84,7 +84,7 @@ class Feetech(ServoFamily):
         if model not in (_named_model(joint), *MODELS.values()):
             known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
             raise StartupError(
-                f"servo {joint.servo_id} ({joint.joint}) is model {model}, none of {known}: if it is a clone with "
+                f"servo {joint.servo_id} ({joint.joint}) is model {model}, not one of {known}: if it is a clone with "
                 f'their registers, write model = "{model}" for it into the robot.toml of the arm'
             )
 
@@ -213,7 +213,7 @@ def _warnings(joint: JointCalibration, found: ServoFound, usual_firmware: tuple[
         yield ServoWarning(ServoAlert.RETURN_DELAY, sentence)
     if values[Register.LOCK] != 1:
         sentence = (
-            "the servo's EPROM is unlocked (register LOCK), as lerobot leaves it, so that what is written by mistake "
+            "the servo's EPROM is unlocked (register LOCK), as lerobot leaves it, so that a value written by mistake "
             "stays: armbridge setup --registers locks it"
         )
         yield ServoWarning(ServoAlert.EPROM_UNLOCKED, sentence)

@@ -53,7 +53,7 @@ def parse_status_frames(received: bytes, expected_ids: Sequence[int], data_lengt
     """Find the replies of the expected servos, in their order, in the bytes received since the instruction, by id.
 
     A frame counts only if its header, id, LEN and checksum fit, it contains no start of another reply (the sign of a
-    truncated one that swallowed its neighbour), it is followed by another header or nothing, its servo has not sent a
+    truncated frame that swallowed its neighbour), it is followed by another header or nothing, its servo has not sent a
     different one, and it is in turn: of two frames in the wrong order either may have a disturbed id, so both are left
     out. Noise between frames is skipped.
     """

@@ -102,7 +102,7 @@ class ServoBus(ABC):
         """Build an instruction for the SDK, which completes it; raise ValueError where it cannot send it."""
 
     @abstractmethod
-    def _parse_replies(self, received: bytes, ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
+    def _parse_replies(self, received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
         """Find the replies of the expected servos in the bytes received since the instruction."""
 
     @abstractmethod

@@ -17,7 +17,7 @@ from planners.problem import MoveItErrorCode
 from server.diagnostic_values import key_values
 from server.errors import RefusedError
 from server.execution.goal import Answer, GoalState, Progress
-from server.execution.motions import PlannedMotion
+from server.execution.motions import Performed, PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph import services
 from server.graph.actions import Goal
@@ -46,11 +46,7 @@ MAX_JOINTS = 200
 
 @dataclass(frozen=True)
 class ReadGoal:
-    """Request that can be carried out.
-
-    Attributes:
-        plan_only: true if the arm is not to move.
-    """
+    """Request that can be carried out."""
 
     message: Message
     motion: PlannedMotion
@@ -173,7 +169,6 @@ class GoalCalls:
         end: Callable[[Mapping[str, Any]], None],
         report: Callable[[Progress], None] = lambda _progress: None,
     ) -> str:
-        """Queue a goal; return its id."""
         queued = self._queue.submit(self._name, goal.motion, on_progress=report, message=goal.message, client=client)
         queued.answered.add_done_callback(
             lambda answered: end(self._result(goal.message, answered.result(), queued.goal_id))
@@ -194,7 +189,6 @@ class GoalCalls:
         return await plan_steps(goal.motion.steps, start, start.scene, self._context)
 
     def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
-        """Write the answer to a goal."""
         instead = suggestion(message, answer.details, self._context.robot)
         return {
             "success": answer.code is MoveItErrorCode.SUCCESS,
@@ -217,12 +211,9 @@ def _is_given(pose: Message) -> bool:
 
 def _duration_s(answer: Answer) -> float:
     """Return the duration of the motion as it was executed, or else as planned [s]; 0 without one."""
-    if answer.performed is None:
-        return 0.0
-    executed = answer.performed.executed
-    if executed is not None:
-        return executed.duration_s
-    return sum(motion.duration_s for motion in answer.performed.planned)
+    performed = answer.performed or Performed({})
+    motions = performed.planned if performed.executed is None else (performed.executed,)
+    return sum(motion.duration_s for motion in motions)
 
 
 def _feedback(progress: Progress) -> dict[str, Any]:

@@ -94,12 +94,7 @@ class GripperReading:
 
 @dataclass(frozen=True)
 class GripperLimits:
-    """Limits of a gripper's motions.
-
-    Attributes:
-        velocity_scaling: share of the joints' velocity limits.
-        torque: share of full motor duty.
-    """
+    """Limits of a gripper's motions."""
 
     velocity_scaling: float
     acceleration_scaling: float
@@ -112,7 +107,6 @@ class Gripper:
 
     Args:
         joints: the joints of its fingers, one or two, which all go to the same position; their limits are kept.
-        in_progress: gets its motions; None for a gripper without an arm that moves beside it.
     """
 
     def __init__(
@@ -165,11 +159,7 @@ class Gripper:
     async def move(
         self, claim: CancelScope, command: GripperCommand, report: Callable[[GripperReading], None]
     ) -> MotionEnded:
-        """Execute a command; every wait is bounded.
-
-        Args:
-            report: called with readings on the way.
-        """
+        """Execute a command; every wait is bounded."""
         async with self._turn:
             await self._arm.until_started(ARM_START_TIMEOUT_S)
             if claim.reason or claim.epoch < self._arm.last_stop:
@@ -357,7 +347,6 @@ ActionMessages: TypeAlias = GripperCommandMessages | ParallelGripperCommandMessa
 def _checked_command(
     joints: Sequence[Joint], position: float, max_effort: float, max_velocity: float, fingers: int = 1
 ) -> GripperCommand:
-    """Return a command within the limits."""
     lower, upper = max(joint.lower for joint in joints), min(joint.upper for joint in joints)
     unit = joints[0].unit
     beyond = CLAMPED_WITHIN_M if unit == "m" else CLAMPED_WITHIN_RAD

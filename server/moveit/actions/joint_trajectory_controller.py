@@ -292,11 +292,7 @@ class TrajectoryGoal:
 
 
 def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
-    """Read the tolerances of a goal.
-
-    Args:
-        goal: goal message of control_msgs/FollowJointTrajectory.
-    """
+    """Read the tolerances of a goal."""
     path = read_tolerances(goal["path_tolerance"], "path_tolerance", group.joints)
     end = read_tolerances(goal["goal_tolerance"], "goal_tolerance", group.joints)
     time_s = read_seconds(goal["goal_time_tolerance"], "goal_time_tolerance")
@@ -306,11 +302,7 @@ def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
 
 
 def read_tolerances(messages: Sequence[Message], field: str, joints: Sequence[str]) -> Tolerances:
-    """Read tolerances: 0 is the default and a negative one is no limit; both add nothing to the driver's monitoring.
-
-    Args:
-        messages: control_msgs/JointTolerance.
-    """
+    """Read tolerances: 0 is the default and a negative one is no limit; both add nothing to the driver's monitoring."""
     tolerances = {}
     for message in messages:
         name, position_rad = message["name"], message["position"]

@@ -18,7 +18,7 @@ from server.errors import RefusedError
 from server.execution.failures import with_nearest_goal
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.monitors import state_message
-from server.execution.motions import PlannedMotion, Positions, Step, plan_sequence
+from server.execution.motions import Performed, PlannedMotion, Positions, Step, plan_sequence
 from server.execution.queue import GoalQueue
 from server.graph.actions import Goal
 from server.graph.node import Node
@@ -62,8 +62,6 @@ class PlanningOptions:
     """Options of a goal, from moveit_msgs/PlanningOptions.
 
     Attributes:
-        plan_only: true if the arm is not to move.
-        delay_s: pause between attempts [s].
         scene_diff: moveit_msgs/PlanningScene to apply to the present scene for planning; None for none.
     """
 
@@ -103,24 +101,24 @@ class MoveGroupFeedback:
 
 def move_group_result(answer: Answer, robot: RobotModel) -> Message:
     """Write the result of moveit_msgs/MoveGroup."""
-    planned = _planned_messages(answer, robot)
-    executed = None if answer.performed is None else answer.performed.executed
+    performed = answer.performed or Performed({})
     return {
         "error_code": _explained_code(answer, robot),
-        "trajectory_start": _start_message(answer, robot),
-        "planned_trajectory": planned[0] if planned else _trajectory_message(None, robot),
-        "executed_trajectory": _trajectory_message(executed, robot),
-        "planning_time": _planning_time_s(answer),
+        "trajectory_start": state_message(dict(performed.start_rad), robot.root_link, time.time()),
+        "planned_trajectory": _trajectory_message(next(iter(performed.planned), None), robot),
+        "executed_trajectory": _trajectory_message(performed.executed, robot),
+        "planning_time": performed.planning_time_s,
     }
 
 
 def sequence_result(answer: Answer, robot: RobotModel) -> Message:
     """Write the result of moveit_msgs/MoveGroupSequence."""
+    performed = answer.performed or Performed({})
     response = {
         "error_code": _explained_code(answer, robot),
-        "sequence_start": _start_message(answer, robot),
-        "planned_trajectories": _planned_messages(answer, robot),
-        "planning_time": _planning_time_s(answer),
+        "sequence_start": state_message(dict(performed.start_rad), robot.root_link, time.time()),
+        "planned_trajectories": [_trajectory_message(motion, robot) for motion in performed.planned],
+        "planning_time": performed.planning_time_s,
     }
     return {"response": response}
 
@@ -130,25 +128,9 @@ def _explained_code(answer: Answer, robot: RobotModel) -> dict[str, Any]:
     return error_code(answer.code, with_suggestion(answer.message, answer.details, robot))
 
 
-def _start_message(answer: Answer, robot: RobotModel) -> dict[str, Any]:
-    """Write the moveit_msgs/RobotState at the start of an answer's motions; without joints if there are none."""
-    start_rad = {} if answer.performed is None else dict(answer.performed.start_rad)
-    return state_message(start_rad, robot.root_link, time.time())
-
-
 def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[str, Any]:
     """Write the moveit_msgs/RobotTrajectory of a motion; as in MoveIt, one of no duration has no points."""
     return to_message(None if motion is None or motion.duration_s == 0.0 else motion, robot.root_link)
-
-
-def _planned_messages(answer: Answer, robot: RobotModel) -> list[dict[str, Any]]:
-    """Write the moveit_msgs/RobotTrajectory of every planned motion."""
-    planned = () if answer.performed is None else answer.performed.planned
-    return [_trajectory_message(motion, robot) for motion in planned]
-
-
-def _planning_time_s(answer: Answer) -> float:
-    return 0.0 if answer.performed is None else answer.performed.planning_time_s
 
 
 @dataclass(frozen=True)
@@ -318,7 +300,6 @@ async def plan_steps(
 
 
 def _check_requests(requests: Sequence[Message], start_rad: Positions, context: PlanningContext) -> tuple[str, ...]:
-    """Build the problem of every request; returns their warnings."""
     built = [context.problems.motion_plan(request, start_rad) for request in requests]
     return tuple(warning for one in built for warning in one.warnings)
 

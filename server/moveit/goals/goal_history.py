@@ -16,7 +16,7 @@ from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.goal import Answer, Goal, GoalState, Progress
-from server.execution.motions import Motion, PlannedMotion
+from server.execution.motions import Motion, Performed, PlannedMotion
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
@@ -40,9 +40,7 @@ class GoalRecord:
     """Record of an answered goal.
 
     Attributes:
-        stamp_s: time of the answer [s since 1970].
         summary: methods and times of the plan, a sentence; empty without a plan.
-        planning_time_s: time spent on planning [s].
         problem: problem that failed, else the first one; None where no file can hold it.
         scene: in which it was planned; None once it is forgotten.
     """
@@ -90,14 +88,14 @@ class GoalHistory:
         summary = self._summaries.pop(goal.goal_id, "")
         if goal.only_for is not None:
             return
-        performed = answer.performed
+        performed = answer.performed or Performed({})
         self._records[goal.goal_id] = GoalRecord(
             self._wall_clock(),
             status,
             goal.message,
-            () if performed is None else performed.planned,
+            performed.planned,
             summary,
-            0.0 if performed is None else performed.planning_time_s,
+            performed.planning_time_s,
             PlanningFailure(answer.code, answer.message),
             *_problem(goal.motion, answer, scene),
         )

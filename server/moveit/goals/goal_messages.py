@@ -60,9 +60,6 @@ class GoalTranslator:
     Args:
         parameters: of planning; also the first group, its link, frame and tolerances of the goals.
         only: the one of several arms that the messages are for; None for all.
-
-    Attributes:
-        group: planning group of the goals, until :meth:`select_group` chooses another.
     """
 
     def __init__(
@@ -195,11 +192,7 @@ class GoalTranslator:
         return self._motion(group, goal, options)
 
     def pose_in_root(self, message: Message, positions_rad: Positions) -> Pose:
-        """Return the whole pose of a geometry_msgs/PoseStamped in the root link.
-
-        Args:
-            positions_rad: of the joints, for frames that move with the arm [rad].
-        """
+        """Return the whole pose of a geometry_msgs/PoseStamped in the root link."""
         pose = read_pose(message["pose"], "pose")
         return composed(self._frames.resolve(self._frame(message), positions_rad), pose)
 

@@ -25,7 +25,7 @@ from planners.scene import Pose
 from robot.description.model import Joint
 from server.moveit.error_codes import invalid
 from server.moveit.poses import Message
-from server.moveit.requests.context import RequestContext
+from server.moveit.requests.context import RequestContext, chooses_orientation
 
 # Positions this near to each other are one: MoveGroupInterface's default joint tolerance.
 LEAST_JOINT_TOLERANCE_RAD = 1e-4
@@ -61,11 +61,7 @@ MAX_ALTERNATIVES = 64
 def read_joint_constraints(
     messages: Sequence[Message], context: RequestContext, where: str
 ) -> tuple[JointConstraint, ...]:
-    """Read constraints on joints, one for each joint: several on the same joint become their common range.
-
-    Args:
-        messages: moveit_msgs/JointConstraint.
-    """
+    """Read constraints on joints, one for each joint: several on the same joint become their common range."""
     found: dict[str, JointConstraint] = {}
     for index, message in enumerate(messages):
         constraint = _constraint(message, context, f"{where}.joint_constraints[{index}]")
@@ -117,7 +113,6 @@ def _within_limits(joint: Joint, message: Message, context: RequestContext, wher
 
 
 def _common(first: JointConstraint, second: JointConstraint, where: str) -> JointConstraint:
-    """Return the common range of two constraints on one joint."""
     lower = max(first.position_rad - first.below_rad, second.position_rad - second.below_rad)
     upper = min(first.position_rad + first.above_rad, second.position_rad + second.above_rad)
     if lower > upper + LEAST_JOINT_TOLERANCE_RAD:
@@ -157,7 +152,7 @@ def is_binding(tolerance_rad: Point, context: RequestContext) -> bool:
     A group with six joints can reach any orientation, so there it is. A group with fewer rarely can: tolerances no
     wider than those that clients fill in by default do not bind it, and wider ones, which are chosen, do.
     """
-    return context.chooses_orientation or max(tolerance_rad) > DEFAULT_TOLERANCE_RAD
+    return chooses_orientation(context.group) or max(tolerance_rad) > DEFAULT_TOLERANCE_RAD
 
 
 def _tolerance(message: Message, axis: str, where: str) -> float:

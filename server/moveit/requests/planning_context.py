@@ -126,13 +126,7 @@ class PlanningStart:
 
 @dataclass(frozen=True)
 class PlanningContext:
-    """All that services and actions plan with.
-
-    Attributes:
-        assumed: joint positions that clients assume.
-        turn: held while a request is read.
-        urdf_responses: complete moveit_msgs/GetGroupUrdf responses by group.
-    """
+    """All that services and actions plan with."""
 
     robot: RobotModel
     pool: Planners

@@ -220,11 +220,7 @@ _READERS: Mapping[str, tuple[str, Callable[[_Lines], Message]]] = {
 
 
 class GeometryFiles:
-    """``/save_geometry_to_file`` and ``/load_geometry_from_file``, for files in one directory.
-
-    Args:
-        directory: where the files are; None for no files at all.
-    """
+    """``/save_geometry_to_file`` and ``/load_geometry_from_file``, for files in one directory."""
 
     def __init__(
         self, graph: Graph, node: Node, state: SceneState, current: CurrentState, directory: Path | None
@@ -267,11 +263,7 @@ class GeometryFiles:
 
 
 def file_within(directory: Path | None, name: str) -> Path:
-    """Return the path of a client's file; relative names start in the directory.
-
-    Args:
-        directory: where files may be; None for nowhere.
-    """
+    """Return the path of a client's file; relative names start in the directory."""
     if directory is None:
         raise invalid("the setting moveit.geometry_directory names no folder, so there are no files")
     folder = directory.resolve()

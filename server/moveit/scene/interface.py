@@ -253,11 +253,7 @@ def _subscriber(
 
 
 class MonitoredScenePublisher:
-    """Publisher of scene diffs on ``/monitored_planning_scene``; a new subscriber gets the whole scene first.
-
-    Args:
-        rate_hz: changes that come faster are published together [Hz].
-    """
+    """Publisher of scene diffs on ``/monitored_planning_scene``; a new subscriber gets the whole scene first."""
 
     def __init__(
         self,

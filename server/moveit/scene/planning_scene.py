@@ -277,7 +277,6 @@ def _unknown(draft: SceneDraft, name: str, where: str) -> RefusedError:
 
 
 def _shapes_by_kind(geometry: Mapping[str, Any], shapes: Shapes) -> dict[str, Shapes]:
-    """Sort shapes with their poses by field of the message."""
     kinds = {}
     for kind, _, _ in GEOMETRY_KINDS:
         count = len(geometry[kind])

@@ -271,7 +271,6 @@ class SceneState:
 
 
 def _elements(objects: Sequence[Message]) -> int:
-    """Count the elements of moveit_msgs/CollisionObject messages, as far as they take time."""
     count = 0
     for each in objects:
         count += OBJECT_ELEMENTS * (1 + sum(len(each[field]) for field, _, _ in GEOMETRY_KINDS))

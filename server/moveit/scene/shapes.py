@@ -34,7 +34,6 @@ def prism_mesh(polygon: Sequence[Corner], height_m: float) -> Mesh | None:
 
     Args:
         polygon: corners in their order, whichever way round [m]; the last is joined to the first.
-        height_m: along z [m].
     """
     corners = polygon if _area(polygon) > 0.0 else polygon[::-1]
     lid = _ears(corners)
@@ -94,11 +93,7 @@ def _area(corners: Sequence[Corner]) -> float:
 
 
 def read_primitive(message: Message, where: str) -> Shape:
-    """Read a shape_msgs/SolidPrimitive; dimensions beyond its type's are ignored, as in MoveIt.
-
-    Args:
-        message: the shape.
-    """
+    """Read a shape_msgs/SolidPrimitive; dimensions beyond its type's are ignored, as in MoveIt."""
     kind, sizes_m = message["type"], message["dimensions"]
     if kind not in DIMENSIONS:
         known = ", ".join(f"{number} ({name})" for number, name in NAMES.items())

@@ -142,13 +142,7 @@ class JumpThresholds:
 
 @dataclass(frozen=True)
 class Jump:
-    """First step beyond the thresholds.
-
-    Attributes:
-        along_m: length of the tip's path before it [m].
-        step_rad: size of the step [rad].
-        limit_rad: greatest size that is no jump [rad].
-    """
+    """First step beyond the thresholds."""
 
     along_m: float
     joint: str
@@ -163,11 +157,7 @@ def first_jump(
     step_m: float,
     thresholds: JumpThresholds,
 ) -> Jump | None:
-    """Find the first jump on a path; None if there is none.
-
-    Args:
-        step_m: length of a step of the tip [m].
-    """
+    """Find the first jump on a path; None if there is none."""
     configurations = _sampled(motion)
     along_m = _along_m(configurations, motion.joint_names, tip, others_rad)
     places_m = np.append(np.arange(0.0, along_m[-1], step_m), along_m[-1])
@@ -211,11 +201,7 @@ def length_m(start: Pose, lines: Sequence[Line]) -> float:
 
 
 def cut_lines(start: Pose, lines: Sequence[Line], along_m: float) -> tuple[Line, ...]:
-    """Cut a path of straight lines off at a length.
-
-    Args:
-        along_m: the length to keep [m].
-    """
+    """Cut a path of straight lines off at a length."""
     kept: list[Line] = []
     before, left_m = start, along_m
     for line in lines:
@@ -237,7 +223,6 @@ def _between(first: Pose, second: Pose, share: float) -> Pose:
 
 
 def _slerp(first: Vector, second: Vector, share: float) -> Vector:
-    """Interpolate two unit quaternions on the shorter arc."""
     cosine = float(first @ second)
     if cosine < 0.0:
         second, cosine = -second, -cosine

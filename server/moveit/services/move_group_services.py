@@ -164,7 +164,6 @@ def _distance(details: Mapping[str, Any]) -> float:
 
 
 def _contacts(pairs: Sequence[Mapping[str, Any]], robot: RobotModel, scene: Scene) -> list[dict[str, Any]]:
-    """Write the moveit_msgs/ContactInformation of each pair."""
     attached = {each.object.name for each in scene.attached}
 
     def body_type(name: str) -> int:

@@ -88,11 +88,7 @@ class _Topic:
 
 
 class TransformRepublisher:
-    """The action and the service.
-
-    Args:
-        clock: monotonic time [s].
-    """
+    """The action and the service."""
 
     def __init__(self, graph: Graph, frames: Frames, clock: Callable[[], float] = time.monotonic) -> None:
         self._graph = graph

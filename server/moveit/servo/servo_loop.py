@@ -92,8 +92,6 @@ class ServoSetup:
     """Setup of a servo loop.
 
     Attributes:
-        period_s: time between two setpoints [s].
-        timeout_s: time after which a command expires [s].
         at_once: whether a new command is followed when it comes, and not at the next period.
     """
 
@@ -160,7 +158,6 @@ def _scaled_vector(message: Message, part: str, scale: float, parameters: ServoP
 
 
 def _scaled(values: Mapping[str, float], scale: float, parameters: ServoParameters) -> list[float]:
-    """Scale values to speeds; their names are for errors."""
     unitless = parameters.command_in_type == UNITLESS
     for name, value in values.items():
         if not math.isfinite(value):
@@ -189,7 +186,6 @@ class ServoSession:
     Args:
         planning: frames, and positions of all joints, also of arms that are not steered.
         ask: has the planners answer; None for the planners of `planning`.
-        clock: monotonic time [s].
     """
 
     def __init__(

@@ -99,11 +99,7 @@ _TOPICS = {
 
 
 class StatusPublisher:
-    """Publisher of ``/servo_node/status``, after every step of the loop and for every rejected command.
-
-    Args:
-        type_name: ``moveit_msgs/ServoStatus`` or ``std_msgs/Int8``.
-    """
+    """Publisher of ``/servo_node/status``, after every step of the loop and for every rejected command."""
 
     def __init__(
         self, graph: LocalGraph, node: Node, type_name: str, clock: Callable[[], float] = time.monotonic
@@ -228,11 +224,7 @@ class CommandGate:
 
 
 class CommandTimeouts:
-    """Times after which commands expire, chosen by clients for their own commands, until they leave.
-
-    Args:
-        longest_s: ``incoming_command_timeout``, which a longer choice does not extend [s].
-    """
+    """Times after which commands expire, chosen by clients for their own commands, until they leave."""
 
     def __init__(self, longest_s: float) -> None:
         self._longest_s = longest_s
@@ -242,7 +234,6 @@ class CommandTimeouts:
         """Set the timeout of a client, and forget the timeouts of clients that have left.
 
         Args:
-            timeout_s: time after which its commands expire [s].
             present: every client that has a choice and is still connected.
         """
         if not math.isfinite(timeout_s) or timeout_s < LEAST_TIMEOUT_S:

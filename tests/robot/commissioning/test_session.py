@@ -101,7 +101,7 @@ def test_a_joint_that_met_one_stop_only_is_named_and_taken_on_the_persons_word()
     assert session.step.name == "sweep"
     session.answer(AS_IT_IS)
     assert "elbow_flex covered 4" in session.findings[0]
-    assert "its zero is wrong by half of what is missing" in session.findings[0]
+    assert "its zero is wrong by half of the missing part" in session.findings[0]
 
 
 SHORT_OF_STOP = STOPS[3][1] - round(0.19 * (STOPS[3][1] - STOPS[3][0]))

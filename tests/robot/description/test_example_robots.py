@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 
 from robot.description import model, robot_folder
-from robot.description.example_robots import PACKAGE, example_names, find_example
+from robot.description.example_robots import PACKAGE, _robots, _urdfs, find_example
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
 
@@ -68,11 +69,11 @@ def test_a_published_arm_that_lacks_something_is_refused_with_its_file_and_eleme
 
 
 @needs_package
-@pytest.mark.parametrize("name", example_names())
+@pytest.mark.parametrize("name", sorted(_urdfs(_robots() or Path())))
 def test_every_published_robot_is_read_or_refused_in_a_sentence(name: str) -> None:
     robot = robot_or_refusal(name)
     if isinstance(robot, str):
-        assert robot.startswith(("URDF /", "SRDF /"))
+        assert robot.startswith(("URDF /", "SRDF /", PACKAGE))
         return
     for group in robot.groups.values():
         assert group.joints
@@ -103,4 +104,3 @@ def test_without_the_package_no_robot_is_found(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(metadata, "distribution", missing)
     assert find_example("panda") is None
-    assert example_names() == ()

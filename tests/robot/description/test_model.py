@@ -33,18 +33,6 @@ def test_the_builtin_arm_has_its_joints_in_order_with_limits_of_the_servos() -> 
         assert 0.0 < joint.max_acceleration < 20.0
 
 
-def test_the_builtin_arm_has_the_named_targets() -> None:
-    states = so101().named_states["arm"]
-    assert set(states["home"].values()) == {0.0}
-    assert states["ready"] == {
-        "shoulder_pan": 0.0,
-        "shoulder_lift": -0.5,
-        "elbow_flex": 0.5,
-        "wrist_flex": 0.0,
-        "wrist_roll": 0.0,
-    }
-
-
 def test_every_link_with_a_shape_has_a_hull_whose_triangles_exist() -> None:
     robot = so101()
     shaped = {

@@ -54,7 +54,7 @@ def test_two_servos_of_one_id_or_joint_are_named(tmp_path: Path, key: str, first
     rows[0][key], rows[1][key] = first, second
     servos = "".join(f"[[hardware.servos]]\njoint = {row['joint']}\nid = {row['id']}\nmodel = 'x'\n" for row in rows)
     (problem,) = problems(tmp_path, f"[hardware]\nkind = 'feetech'\n{servos}")
-    assert f"servos[1].{key} {first} is that of servos[0] as well" in problem
+    assert f"servos[1].{key} {first} stands at servos[0] as well" in problem
 
 
 def test_everything_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:

@@ -149,7 +149,7 @@ def test_a_built_in_arm_is_found_by_its_name_and_a_folder_by_its_path(tmp_path: 
 
 
 def test_an_unknown_name_lists_those_there_are() -> None:
-    with pytest.raises(DescriptionError, match=r"'so102' is no folder, and none of the built-in arms .*so101"):
+    with pytest.raises(DescriptionError, match=r"'so102' is no folder, and no built-in arm .*so101"):
         robot_folder.resolve("so102")
 
 

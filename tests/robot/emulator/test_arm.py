@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,10 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from robot.calibration import Calibration
-from robot.description.gravity import LinkWeights
-from robot.emulator.arm import EmulatedArm, weight_of
+from robot.description import model
+from robot.emulator.arm import EmulatedArm, LinkWeights, weight_of
 from robot.emulator.dynamixel import emulated_dynamixel_arm
 from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos, emulated_feetech_arm
 from robot.errors import StartupError
@@ -215,3 +218,37 @@ def test_the_weight_is_put_on_again_when_the_arm_has_moved() -> None:
     servos[1].plant.position_ticks += 500
     weigh()
     assert servos[1].plant.gravity_permille < before - 1.0
+
+
+with warnings.catch_warnings(action="ignore"):  # of its own imports
+    import pinocchio
+
+ANGLE = st.floats(-1.6, 1.6)
+
+HOIST_URDF = """
+<robot name="hoist">
+  <link name="base"/>
+  <link name="load"><inertial><origin xyz="0.1 0 0"/><mass value="2"/></inertial></link>
+  <joint name="lift" type="prismatic"><parent link="base"/><child link="load"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="1" velocity="1" effort="1"/></joint>
+</robot>
+"""
+HOIST_SRDF = '<robot name="hoist"><group name="arm"><joint name="lift"/></group></robot>'
+
+
+@given(st.lists(ANGLE, min_size=6, max_size=6))
+def test_a_torque_is_the_gradient_of_the_links_energy(angles):
+    robot = so101()
+    pin = pinocchio.buildModelFromXML(robot.urdf)
+    position = np.zeros(pin.nq)
+    by_name = dict(zip((joint.name for joint in robot.movable_joints), angles, strict=True))
+    for name, angle in by_name.items():
+        position[pin.joints[pin.getJointId(name)].idx_q] = angle
+    expected = pinocchio.computeGeneralizedGravity(pin, pin.createData(), position)
+    for name, torque in LinkWeights(robot).holding_torques(by_name).items():
+        assert torque == pytest.approx(expected[pin.joints[pin.getJointId(name)].idx_v], abs=1e-6)
+
+
+def test_a_prismatic_joint_carries_all_that_hangs_on_it():
+    hoist = model.parse(HOIST_URDF, HOIST_SRDF)
+    assert LinkWeights(hoist).holding_torques({"lift": 0.3}) == {"lift": pytest.approx(19.62)}

@@ -8,7 +8,6 @@ from robot.emulator.populations import FACTORY, KIT, POPULATIONS, ROS2_DRIVER
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import Register, encode
-from robot.hardware.interface import StatusFlag
 from tests.helpers.emulated_family import run
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import nominal_calibration, so101
@@ -125,30 +124,6 @@ def test_a_hand_finds_a_position_behind_the_seam():
     wrist.plant.hand_ticks = wrist.encoder_ticks(50)
     run(wrist, 1.0)
     assert (wrist.plant.position_ticks, wrist.present_ticks) == (4146.0, 50)
-
-
-def latched_clone() -> FeetechServo:
-    servo = servos_of("clone")[ELBOW]
-    servo.plant.block(servo.plant.position_ticks)
-    put(servo, Register.GOAL_POSITION, servo.present_ticks + 800)
-    run(servo, 2.5)
-    assert servo.error == StatusFlag.OVERLOAD
-    return servo
-
-
-@pytest.mark.parametrize("data", [(Register.TORQUE_ENABLE, [0]), (39, [0, 0, 254])], ids=["alone", "in a block"])
-def test_a_servo_whose_overload_has_latched_ignores_torque_off_until_it_has_no_power(data):
-    servo = latched_clone()
-    address, values = data
-    servo.write(address, bytes(values))
-    run(servo, 1.0)
-    assert (servo.value(Register.TORQUE_ENABLE), servo.error) == (1, StatusFlag.OVERLOAD)
-    assert abs(servo.plant.duty_permille) == 200.0
-    servo.unplug()
-    servo.plug_in()
-    assert servo.error == 0
-    put(servo, Register.TORQUE_ENABLE, 0)
-    assert servo.value(Register.TORQUE_ENABLE) == 0
 
 
 def test_a_mirrored_horn_turns_the_weight_and_not_what_the_servo_says():

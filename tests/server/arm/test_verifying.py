@@ -5,14 +5,19 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from planners.problem import MoveItErrorCode
 from robot.faults import Fault, FaultCode
 from robot.messages import Mode
+from server.arm.arms import ServedArm
 from server.arm.commissioning import IDLE_TIMEOUT_S, Dialogue, ProcedureFailed
+from server.arm.first_motions import FirstMotions
 from server.arm.verifying import SLOWLY, VerificationProcedure
+from server.config import ArmSettings
 from server.execution.goal import Answer, Goal
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.robots import so101
@@ -49,8 +54,14 @@ class Verification:
     def __init__(self, goals: Goals) -> None:
         self.arm = FakeArm()
         self.arm.state = replace(self.arm.state, torque_enabled=True)
+        served = ServedArm("", ArmSettings(), SimpleNamespace(calibration_file=None), self.arm.as_arm)
         self.procedure = VerificationProcedure(
-            self.arm.as_arm, so101(), frozenset({"gripper"}), goals.go_to, goals.cancel
+            self.arm.as_arm,
+            so101(),
+            frozenset({"gripper"}),
+            goals.go_to,
+            goals.cancel,
+            FirstMotions(served, Path()),
         )
         self.dialogue = Dialogue("verify", lambda: None)
         self.task = asyncio.create_task(self.procedure.run(self.dialogue))

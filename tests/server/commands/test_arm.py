@@ -106,7 +106,7 @@ def test_an_arm_that_does_not_answer_is_a_finding_and_cannot_be_relaxed(emulator
 def test_a_calibration_that_is_not_there_and_less_than_one_cycle_are_refused(armbridge):
     answer = armbridge("doctor", "--calibration", "nobodys")
     assert answer.returncode == ExitCode.FAILED
-    assert "lerobot has none of that id" in answer.stderr
+    assert "lerobot has no calibration of that id" in answer.stderr
     assert armbridge("doctor", "--cycles", "0").returncode == ExitCode.USAGE
 
 

@@ -367,7 +367,7 @@ def test_a_servo_of_an_unknown_model_is_refused_until_it_is_said_to_be_fine(run_
 
     code, person = run_setup("--joint", "gripper", "--yes", plug=leave)
     assert code == ExitCode.FAILED
-    assert "servo 1 is model 777, none of STS3250 (2825)" in person.said
+    assert "servo 1 is model 777, not one of STS3250 (2825)" in person.said
     assert ids(kit) == [1] * 6
     assert run_setup("--joint", "gripper", "--yes", "--any-model", plug=plug)[0] == ExitCode.DONE
 

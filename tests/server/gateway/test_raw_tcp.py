@@ -23,7 +23,7 @@ from server.gateway import connection, transport
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
-from server.gateway.transport import OUT_OF_MEMORY, WRITE_LIMIT_BYTES
+from server.gateway.transport import OUT_OF_MEMORY
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.conformance.players import TURNS, serving, streams_of, until_read
@@ -301,63 +301,6 @@ async def test_a_client_that_closes_its_side_is_not_waited_for_any_longer(
     await until_empty(listener)
 
 
-async def test_a_connection_that_is_closing_is_not_waited_for(listener: Listener) -> None:
-    async with await RawClient.connect(port_of(listener)) as client:
-        client.send(op="call_service", service="/trigger")
-        await client.receive()
-        (stream,) = streams_of(listener)
-        stream.abort()
-        stream.end("too late")
-        assert stream._end_timer is None
-        assert await client.next_frame() is None
-
-
-async def test_a_connection_that_is_held_reads_on_where_it_stopped(graph: Graph, listener: Listener) -> None:
-    async with await RawClient.connect(port_of(listener)) as client:
-        client.send(op="subscribe", topic="/t")
-        assert await client.until_topic("/t") == {"data": "hello"}
-        (stream,) = streams_of(listener)
-        stream.hold_reading()
-        for number in range(100):
-            client.send(op="publish", topic="/t", msg={"data": str(number)})
-        # What the socket had received already.
-        stream.data_received(json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "first"}}).encode())
-        graph.publish(TALKER, "/t", {"data": "before all of them"})
-        assert await client.until_topic("/t") == {"data": "before all of them"}
-        stream.release_reading()
-        wanted = ["first", *map(str, range(100))]
-        assert [(await client.until_topic("/t"))["data"] for _ in range(101)] == wanted
-
-
-async def test_a_client_that_never_reads_costs_a_bounded_amount_and_is_closed(
-    graph: Graph, listener: Listener, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(connection, "UNREAD_TIMEOUT_S", 0.2)
-    graph.services.offer(TALKER, "/long", "std_srvs/Trigger", lambda _: {"message": "x" * 100_000})
-    async with await RawClient.connect(port_of(listener)) as client:
-        client.writer.transport.pause_reading()  # type: ignore[attr-defined]
-        for _ in range(300):
-            client.send(op="call_service", service="/long")
-        await asyncio.wait_for(until_empty(listener), TIMEOUT_S)
-    assert "does not read its replies; closing" in caplog.text
-
-
-async def test_no_more_is_taken_at_once_than_the_limit(listener: Listener) -> None:
-    encoded = EncodedMessage(Frame(b"x" * 1000, text=True))
-    async with await RawClient.connect(port_of(listener)) as client:
-        client.send(op="subscribe", topic="/t")
-        await client.receive()
-        (stream,) = streams_of(listener)
-        before = stream.sent_bytes
-        while stream.send_at_once(encoded):
-            assert stream.sent_bytes - stream.taken_bytes <= WRITE_LIMIT_BYTES + 1000
-        assert stream.taken_bytes < stream.sent_bytes
-        await asyncio.wait_for(client.reader.readexactly(stream.sent_bytes - before), TIMEOUT_S)
-        await stream.drain()
-        assert stream.taken_bytes == stream.sent_bytes
-        assert stream.takes_more
-
-
 async def test_the_writer_waits_while_the_client_reads_nothing(listener: Listener) -> None:
     encoded = EncodedMessage(Frame(b"x" * 100_000, text=True))
     async with await RawClient.connect(port_of(listener)) as client:
@@ -392,12 +335,6 @@ async def test_a_client_that_leaves_is_taken_out_of_the_graph_and_counted(graph:
         len(b'{"op":"publish","topic":"/t","msg":{"data":"hello"}}'),
     )
     assert listener.traffic.clients == 0
-
-
-async def test_clients_by_tcp_are_listed_with_the_others(graph: Graph, listener: Listener) -> None:
-    async with await RawClient.connect(port_of(listener)) as client:
-        client.send(op="subscribe", topic="/client_count")
-        assert await client.until_topic("/client_count") == {"data": 1}
 
 
 async def test_connections_of_both_ports_count_together() -> None:
@@ -503,21 +440,6 @@ class TestGuarded:
             client.send(op="auth", token=self.TOKEN)
             client.send(op="call_service", service="/trigger", id="1")
             assert (await client.receive())["result"] is True
-
-    @both
-    async def test_any_other_first_operation_ends_the_connection(self, guarded: Listener, *, speaks_bson: bool) -> None:
-        async with await RawClient.connect(port_of(guarded), speaks_bson=speaks_bson) as client:
-            client.send(op="call_service", service="/trigger", id="1")
-            assert "the first message must be auth" in (await client.receive())["msg"]
-            assert await client.next_frame() is None
-
-    async def test_a_client_that_says_nothing_is_closed(
-        self, guarded: Listener, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(connection, "AUTH_TIMEOUT_S", 0.05)
-        async with await RawClient.connect(port_of(guarded)) as client:
-            assert "the op auth is wanted" in (await client.receive())["msg"]
-            assert await client.next_frame() is None
 
     async def test_a_long_message_without_a_token_is_not_read(self, guarded: Listener) -> None:
         async with await RawClient.connect(port_of(guarded), speaks_bson=True) as client:

@@ -2,112 +2,14 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections import deque
-from collections.abc import Callable
 
 import pytest
 
 from protocol.errors import MessageError
 from protocol.publication import EncodedMessage, Frame
-from server.gateway.turns import ROUND_S, TURN_S, Threads, Turns
-from tests.helpers.clock import FakeClock
+from server.gateway.turns import Threads
 
 TIMEOUT_S = 30.0
-
-
-class Loop:
-    """Event loop that turns when it is told to."""
-
-    def __init__(self) -> None:
-        self._soon: deque[Callable[[], object]] = deque()
-
-    def call_soon(self, callback: Callable[[], object]) -> None:
-        self._soon.append(callback)
-
-    def turn(self) -> None:
-        for _ in range(len(self._soon)):
-            self._soon.popleft()()
-
-
-class Steps:
-    """Work of some steps, each of which takes a while."""
-
-    def __init__(self, clock: FakeClock, done: list[str], name: str, steps: int, step_s: float) -> None:
-        self._clock, self._done, self._name, self._left, self._step_s = clock, done, name, steps, step_s
-
-    def work(self, until_s: float) -> bool:
-        while self._left:
-            self._left -= 1
-            self._done.append(self._name)
-            self._clock.advance(self._step_s)
-            if self._clock() >= until_s:
-                break
-        return self._left > 0
-
-
-@pytest.fixture
-def loop() -> Loop:
-    return Loop()
-
-
-@pytest.fixture
-def clock() -> FakeClock:
-    return FakeClock()
-
-
-@pytest.fixture
-def turns(loop: Loop, clock: FakeClock) -> Turns:
-    return Turns(loop.call_soon, clock)
-
-
-def test_the_loop_serves_its_sockets_after_a_round_however_much_waits(
-    loop: Loop, clock: FakeClock, turns: Turns
-) -> None:
-    done: list[str] = []
-    for name in "abcdefgh":
-        turns.add(Steps(clock, done, name, 1000, TURN_S / 10))
-    before_s = clock()
-    loop.turn()
-    assert ROUND_S <= clock() - before_s <= ROUND_S + TURN_S / 10
-
-
-def test_a_worker_with_much_to_do_gets_no_more_turns_than_one_with_little(
-    loop: Loop, clock: FakeClock, turns: Turns
-) -> None:
-    done: list[str] = []
-    turns.add(Steps(clock, done, "much", 10_000, TURN_S / 10))
-    turns.add(Steps(clock, done, "little", 3, TURN_S / 10))
-    loop.turn()
-    assert done.count("little") == 3
-    assert done.count("much") <= ROUND_S / TURN_S * 10
-
-
-def test_a_step_that_takes_long_ends_the_round(loop: Loop, clock: FakeClock, turns: Turns) -> None:
-    done: list[str] = []
-    for name in "ab":
-        turns.add(Steps(clock, done, name, 1, 10 * ROUND_S))
-    loop.turn()
-    assert done == ["a"]
-    loop.turn()
-    assert done == ["a", "b"]
-
-
-def test_a_worker_that_was_removed_gets_no_turn(loop: Loop, clock: FakeClock, turns: Turns) -> None:
-    done: list[str] = []
-    worker = Steps(clock, done, "a", 1, 0.0)
-    turns.add(worker)
-    turns.remove(worker)
-    loop.turn()
-    assert done == []
-
-
-def test_what_comes_is_done_at_once_until_the_round_is_over(loop: Loop, clock: FakeClock, turns: Turns) -> None:
-    until_s = turns.until_s()
-    assert until_s == clock() + TURN_S
-    clock.advance(1.01 * ROUND_S)
-    assert turns.until_s() is None
-    loop.turn()
-    assert turns.until_s() == clock() + TURN_S
 
 
 class TestThreads:

@@ -19,9 +19,9 @@ from server.recording import files
 from server.recording.files import (
     METADATA_NAME,
     QOS_KEY,
-    FileSeries,
     McapFile,
     RecordedMessage,
+    RecordingSeries,
     check_path,
     is_latched,
 )
@@ -100,8 +100,8 @@ def test_a_topic_with_two_types_has_two_channels(tmp_path: Path) -> None:
 LIMIT = 20_000
 
 
-def series(path: Path, limit: int | None = LIMIT, keep: int = 0) -> FileSeries:
-    return FileSeries(path, REGISTRY, {}, limit, keep)
+def series(path: Path, limit: int | None = LIMIT, keep: int = 0) -> RecordingSeries:
+    return RecordingSeries(path, REGISTRY, {}, limit, keep)
 
 
 def picture(number: int) -> RecordedMessage:
@@ -110,7 +110,7 @@ def picture(number: int) -> RecordedMessage:
     return entry("/picture", "sensor_msgs/CompressedImage", {"format": str(number), "data": octets}, number)
 
 
-def fill(written: FileSeries, count: int) -> None:
+def fill(written: RecordingSeries, count: int) -> None:
     for number in range(count):
         written.add(picture(number))
         written.flush()
@@ -168,7 +168,7 @@ def test_only_so_much_that_is_latched_is_repeated(tmp_path: Path, monkeypatch: p
 
 def test_a_disk_that_is_full_from_the_beginning_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     full = Path("/dev/full")
-    monkeypatch.setattr(FileSeries, "_open_next", lambda _series: (full.open("wb"), full))
+    monkeypatch.setattr(RecordingSeries, "_open_next", lambda _series: (full.open("wb"), full))
     with pytest.raises(OSError, match="No space left"):
         series(tmp_path / "run.mcap")
 

@@ -14,7 +14,7 @@ from server.errors import StartError
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.recording import recorder as recorder_module
-from server.recording.files import FileSeries, RecordedMessage
+from server.recording.files import RecordedMessage, RecordingSeries
 from server.recording.recorder import QueuedMessage, Recorder, WriterThread
 from server.recording.replay import Recording
 from tests.helpers.waiting import wait_until
@@ -116,7 +116,7 @@ async def test_what_is_published_before_the_file_is_opened_is_in_it(graph: Graph
 # The thread.
 
 
-class BlockedFiles(FileSeries):
+class BlockedFiles(RecordingSeries):
     """Files on a disk that stands still until it is let go."""
 
     def __init__(self, path: Path) -> None:
@@ -130,7 +130,7 @@ class BlockedFiles(FileSeries):
         super().add(entry)
 
 
-class FullDisk(FileSeries):
+class FullDisk(RecordingSeries):
     """Files on a disk that has no room any more; the errors are the system's."""
 
     def add(self, entry: RecordedMessage) -> None:
@@ -148,7 +148,7 @@ def queued(number: int = 0, size_bytes: int = 20) -> QueuedMessage:
 
 def test_queued_messages_are_in_the_file_in_order(tmp_path: Path) -> None:
     writer = WriterThread(REGISTRY)
-    writer.start(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0))
+    writer.start(RecordingSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0))
     for number in range(100):
         writer.put(queued(number))
     assert writer.close()
@@ -196,7 +196,7 @@ def test_a_recent_message_can_be_read_while_the_recording_goes_on(
 ) -> None:
     monkeypatch.setattr(recorder_module, "FLUSH_PERIOD_S", 0.01)
     writer = WriterThread(REGISTRY)
-    writer.start(FileSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0))
+    writer.start(RecordingSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0))
     writer.put(queued())
     wait_until(lambda: len(recorded_messages(tmp_path / "run.mcap")) == 1)
     assert writer.close()

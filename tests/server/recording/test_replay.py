@@ -18,7 +18,7 @@ from server.graph.topics import Graph, Subscriber
 from server.interfaces import load_registry
 from server.recording import replay as replay_module
 from server.recording.files import RecordedMessage
-from server.recording.replay import Player, RecordedTopic, Recording, ReplayOptions, ReplayServer
+from server.recording.replay import RecordedTopic, Recording, RecordingPlayer, ReplayOptions, ReplayServer
 from tests.conformance.cases import INTERFACES
 from tests.helpers.clients import frame_client
 from tests.helpers.waiting import until
@@ -137,10 +137,10 @@ class Heard:
         self.times_s.append(asyncio.get_running_loop().time())
 
 
-def player(path: Path, graph: Graph, entries: list[RecordedMessage], rate: float = 100.0) -> Player:
+def player(path: Path, graph: Graph, entries: list[RecordedMessage], rate: float = 100.0) -> RecordingPlayer:
     """A player that has offered what is recorded."""
     recording = Recording(record(path / "run.mcap", entries))
-    made = Player(graph, recording, rate)
+    made = RecordingPlayer(graph, recording, rate)
     made.advertise(recording.summary().topics)
     return made
 
@@ -188,7 +188,7 @@ async def test_a_topic_of_a_type_nobody_knows_is_left_out_and_told(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     graph = Graph(REGISTRY)
-    playing = Player(graph, Recording(tmp_path / "run.mcap"))
+    playing = RecordingPlayer(graph, Recording(tmp_path / "run.mcap"))
     playing.advertise(
         [RecordedTopic("/own", "my_msgs/msg/Thing", False), RecordedTopic("/t", "std_msgs/msg/String", False)]
     )
@@ -254,13 +254,13 @@ async def test_a_client_gets_what_was_recorded(
 ) -> None:
     caplog.set_level("INFO")
     # In place of a delay, which a client on a busy machine may miss.
-    subscribed, play = asyncio.Event(), Player.play
+    subscribed, play = asyncio.Event(), RecordingPlayer.play
 
-    async def play_when_subscribed(player: Player) -> None:
+    async def play_when_subscribed(player: RecordingPlayer) -> None:
         await subscribed.wait()
         await play(player)
 
-    monkeypatch.setattr(Player, "play", play_when_subscribed)
+    monkeypatch.setattr(RecordingPlayer, "play", play_when_subscribed)
     replay = ReplayServer(options)
     playing = asyncio.create_task(replay.run())
     async with frame_client(await url(caplog)) as client:

@@ -34,6 +34,13 @@ def test_targets_stay_within_the_followers_limits() -> None:
     assert joint_map(ROBOT, "", JOINTS).targets_rad({"shoulder_pan": 9.0}) == {"shoulder_pan": pan.upper}
 
 
+@pytest.mark.parametrize(("pan_rad", "says"), [(45.0, "45.00 rad"), (-2.5, "-2.50 rad"), (2.0, "")])
+def test_a_target_far_beyond_the_range_is_named_with_a_hint_at_degrees(pan_rad: float, says: str) -> None:
+    found = joint_map(ROBOT, "", JOINTS).beyond_range({"shoulder_pan": pan_rad})
+    assert ("the leader's shoulder_pan leads shoulder_pan" in found and "not in degrees" in found) is bool(says)
+    assert says in found
+
+
 def test_pairs_name_who_follows_whom() -> None:
     joints = joint_map(ROBOT, "", ["a", "b"], pairs=(["b"], ["wrist_roll"]))
     assert joints.targets_rad({"a": 0.1, "b": 0.2}) == {"wrist_roll": 0.2}

@@ -153,7 +153,8 @@ def swinging(at_s: float) -> dict[str, float]:
 
 def folding(at_s: float) -> dict[str, float]:
     """A leader that goes at 1.5 rad/s to where a follower would touch itself."""
-    return {"shoulder_lift": max(-1.5 * at_s, -1.7), "elbow_flex": min(1.5 * at_s, 1.7), "wrist_flex": 1.5 * at_s}
+    bent_rad = 1.5 * at_s
+    return {"shoulder_lift": -min(bent_rad, 1.7), "elbow_flex": min(bent_rad, 1.7), "wrist_flex": min(bent_rad, 1.9)}
 
 
 @functools.cache

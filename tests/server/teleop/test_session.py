@@ -117,3 +117,12 @@ async def test_the_latency_counts_from_the_reading_to_the_planners_answer(rig: R
     rig.session._tell()
     assert rig.told[-1].latency_s == pytest.approx(0.004 + PLANNING_S)
     await rig.session.close()
+
+
+async def test_a_leader_that_speaks_in_degrees_leads_nowhere(rig: Rig) -> None:
+    rig.read(30.0)
+    rig.session.start()
+    await rig.until(lambda: rig.session.following.ended)
+    assert "beyond its range of -1.69 to 1.69 rad: positions are in radians" in rig.session.following.message
+    assert rig.arm.setpoints == []
+    await rig.session.close()

@@ -15,7 +15,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.zenoh import network
-from server.zenoh.network import Declaration, NameFilter, Namespace, Network
+from server.zenoh.network import Declaration, Namespace, Network, SharedNames
 from server.zenoh.rmw import LivelinessTokens
 from server.zenoh.session import SessionThread
 from tests.conformance.cases import INTERFACES
@@ -86,19 +86,19 @@ def test_only_what_was_declared_is_taken_back_the_last_first() -> None:
 
 
 def test_a_pattern_fits_whole_names_with_all_that_lies_below() -> None:
-    patterns = NameFilter(["/joint_states", "/arm/*"])
+    patterns = SharedNames(["/joint_states", "/arm/*"])
     names = ("/joint_states", "/joint_states2", "/arm/a/b", "/arm", "/armada")
     assert [name for name in names if patterns.matches(name)] == ["/joint_states", "/arm/a/b"]
 
 
 def test_further_names_match_whatever_the_patterns_are() -> None:
     for patterns in ([], ["/goal"]):
-        assert NameFilter(patterns, lambda name: name == "/stop").matches("/stop")
-        assert not NameFilter(patterns).matches("/stop")
+        assert SharedNames(patterns, lambda name: name == "/stop").matches("/stop")
+        assert not SharedNames(patterns).matches("/stop")
 
 
 def test_a_name_that_is_a_pattern_of_keys_is_never_shared() -> None:
-    assert not NameFilter(["*"]).matches("/**")
+    assert not SharedNames(["*"]).matches("/**")
 
 
 @pytest.mark.parametrize(

@@ -200,23 +200,6 @@ def test_a_servo_that_its_watchdog_has_stopped_stays_where_it_stopped(
     assert servo.value(Register.BUS_WATCHDOG) == WATCHDOG
 
 
-def test_an_error_is_cleared_by_a_reboot_and_the_servo_holds_again(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
-    enable(torque, dynamixels)
-    servo = dynamixels.servo(3)
-    servo.fail(0x20)
-    assert servo.value(Register.TORQUE_ENABLE) == 0
-    before = positions(dynamixels)
-    run_to_end(torque.clear_error(3, hold=True), dynamixels.run)
-    dynamixels.run(0.2)
-    assert servo.value(Register.HARDWARE_ERROR_STATUS) == 0
-    assert servo.value(Register.TORQUE_ENABLE) == 1
-    assert servo.value(Register.BUS_WATCHDOG) == WATCHDOG
-    assert servo.value(Register.GOAL_PWM) == round(0.8 * FULL_PWM)
-    assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
-
-
 def test_a_servo_that_does_not_come_back_from_its_reboot_is_named(
     torque: ServoTorque, dynamixels: SteppedDynamixels
 ) -> None:
@@ -285,6 +268,8 @@ def test_a_servo_that_has_protected_itself_is_a_fault_that_can_be_reset(
     rig.run(0.5)
     assert rig.mode is Mode.HOLDING
     assert rig.torque() == [1] * 6
+    assert dynamixels.registers(Register.BUS_WATCHDOG) == [WATCHDOG] * 6
+    assert dynamixels.servo(3).value(Register.GOAL_PWM) == round(0.8 * FULL_PWM)
 
 
 def test_servos_stop_by_themselves_when_the_host_dies(servos: DynamixelsInUse) -> None:

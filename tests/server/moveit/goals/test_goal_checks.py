@@ -12,25 +12,22 @@ from planners.problem import Deviation, IkAnswer, IkQuestion, MoveItErrorCode, P
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from protocol.registry import Registry
 from robot.description.forward_kinematics import ForwardPlacements
-from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
-from server.moveit.goals import goal_topics as goal_topics_module
-from server.moveit.goals.goal_topics import (
+from server.moveit.goals import goal_checks
+from server.moveit.goals.goal_checks import (
     GOAL_TIME_S,
     MAX_GOALS,
     NOT_CHECKED,
     SERVICE,
     GoalChecks,
-    GoalReports,
     answers_in_time,
+    goal_check,
 )
-from server.moveit.parameters import MoveItParameters
 from server.moveit.poses import composed, pose_of
-from server.moveit.scene.scene_state import SceneState
 from tests.helpers.fake_arm import FakeArm
-from tests.helpers.moveit import TRANSLATOR, DirectPool
+from tests.helpers.moveit import TRANSLATOR, DirectPool, planning_of
 from tests.helpers.robots import so101
 
 CLIENT = Node("client")
@@ -40,7 +37,6 @@ ROBOT = so101()
 HOME = {joint.name: 0.0 for joint in ROBOT.movable_joints}
 TURNED = {**HOME, "shoulder_pan": 0.5}
 TIP = "gripper_frame_link"
-REPORTS = GoalReports(ROBOT, MoveItParameters())
 FOUND_AT_HOME = IkAnswer((HOME,), (Deviation(),))
 FOUND = IkAnswer((TURNED,), (Deviation(0.002),))
 
@@ -48,10 +44,10 @@ FOUND = IkAnswer((TURNED,), (Deviation(0.002),))
 class Desk:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
-        self.scene = SceneState(ROBOT)
         self.arm = FakeArm()
-        reports = GoalReports(ROBOT, MoveItParameters())
-        GoalChecks(self.graph, reports, TRANSLATOR, CurrentState(self.arm, ROBOT), DirectPool(), self.scene)  # type: ignore[arg-type]
+        planning = planning_of(self.arm, ROBOT, pool=DirectPool())
+        self.scene = planning.scene_state
+        GoalChecks(self.graph, TRANSLATOR, planning)
 
     async def check(self, **request: Any) -> Response:
 
@@ -70,7 +66,7 @@ def point(x: float, y: float, z: float, frame: str = "") -> dict[str, Any]:
 
 
 async def test_poses_and_joint_goals_are_answered_in_their_order(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(goal_topics_module, "GOAL_TIME_S", 1.0)
+    monkeypatch.setattr(goal_checks, "GOAL_TIME_S", 1.0)
     wall = SceneObject("wall", ((Box((0.6, 0.1, 0.6)), Pose()),), Pose((0.3, 0.3, 0.3)))
     desk.scene.scene = Scene(version=77, objects=(wall,))
     answer = await desk.check(
@@ -119,7 +115,7 @@ class Slow:
         return answer
 
     async def answers(self, monkeypatch: pytest.MonkeyPatch, count: int) -> list[IkAnswer | PlanningFailure]:
-        monkeypatch.setattr("server.moveit.goals.goal_topics.time.monotonic", lambda: self.now_s)
+        monkeypatch.setattr("server.moveit.goals.goal_checks.time.monotonic", lambda: self.now_s)
         problems: list[PlanningProblem | PlanningFailure] = [
             PlanningProblem("arm", HOME, JointGoal({"elbow_flex": at / count})) for at in range(count)
         ]
@@ -143,5 +139,5 @@ async def test_the_wait_for_busy_planners_is_limited(monkeypatch: pytest.MonkeyP
 def test_the_orientation_error_is_the_angle_to_the_goal_pose(turn_rad: float) -> None:
     tip = pose_of(ForwardPlacements(ROBOT).transforms(TURNED)[TIP])
     turn = Pose(orientation=(0.0, math.sin(turn_rad / 2), 0.0, math.cos(turn_rad / 2)))
-    told = REPORTS.report(HOME, FOUND, TIP, composed(tip, turn))
+    told = goal_check(planning_of(FakeArm(), ROBOT), HOME, FOUND, TIP, composed(tip, turn))
     assert told["orientation_error_rad"] == pytest.approx(turn_rad, abs=1e-6)

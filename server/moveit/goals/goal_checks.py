@@ -1,0 +1,200 @@
+"""Check of many goals of topics at once, without planning or moving: the service ``/check_goals``."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from planners.interface import Planners
+from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
+from planners.scene import Pose, Scene
+from robot.trajectory import rest_to_rest_s
+from server.errors import RefusedError, ServiceError
+from server.execution.motions import PlannedMotion, Positions
+from server.graph.list_limits import ListLimits
+from server.graph.node import Node
+from server.graph.permissions import PLANNING
+from server.graph.topics import Graph
+from server.moveit.goals.goal_messages import GoalTranslator
+from server.moveit.poses import Message, matrix_of
+from server.moveit.requests.planning_context import PlanningContext
+
+SERVICE = "/check_goals"
+
+MAX_GOALS = 100
+
+# The planners' time for a goal on average, of 5 ms in all, and what they search at first: most need a millisecond.
+GOAL_TIME_S = 0.004
+FIRST_CHECK_S = 0.003
+
+# Few goals have time for the nearest point as well, where a gizmo out of reach is drawn; 20 times a second is smooth.
+MIN_CALL_S = 0.04
+
+# The rest of a call's time goes to the goals that have no answer yet: to find the reason of a failure may take a tenth
+# of a second. The way to the planner and back comes on top, and shorter checks than this find nothing.
+WAY_S = 0.002
+MIN_CHECK_S = 0.003
+
+# Other calls ask the planners too; a call that has waited so long for its turns is answered with what it has.
+WAITING_S = 2.0
+
+NOT_CHECKED = PlanningFailure(
+    MoveItErrorCode.TIMED_OUT, f"not looked at: the planners were busy for {WAITING_S:g} s, ask again"
+)
+
+# In place of unknown distances and times.
+UNKNOWN = -1.0
+
+
+class GoalChecks:
+    """The service ``/check_goals``."""
+
+    def __init__(self, graph: Graph, translator: GoalTranslator, planning: PlanningContext) -> None:
+        self._translator = translator
+        self._planning = planning
+        self._turn = asyncio.Lock()
+        # Each may be the only ones; both together are counted in the call.
+        fields = ("poses", "joints")
+        limits = ListLimits({f"armbridge_msgs/srv/CheckGoals_Request.{field}": MAX_GOALS for field in fields})
+        node = Node("goal checks")
+        graph.services.offer(node, SERVICE, "armbridge_msgs/CheckGoals", self._check, limits=limits, rule=PLANNING)
+
+    async def _check(self, request: dict[str, Any]) -> dict[str, Any]:
+        poses, joints = request["poses"], request["joints"]
+        if len(poses) + len(joints) > MAX_GOALS:
+            raise ServiceError(f"poses and joints: {len(poses) + len(joints)} goals, the limit is {MAX_GOALS}")
+        present_rad = self._planning.current.positions_rad()
+        if present_rad is None:
+            raise ServiceError("joint positions unknown: the arm is not connected")
+        problems, results, tip = [], [], self._translator.tip
+        # Each goal takes part of a millisecond; others have their turn in between, and other calls theirs afterwards.
+        async with self._turn:
+            for translate, messages in ((self._translator.pose, poses), (self._translator.joints, joints)):
+                for each in messages:
+                    await asyncio.sleep(0)
+                    problems.append(_problem(translate, each, present_rad))
+        scene = self._planning.scene_state
+        await scene.settled()
+        answers = await answers_in_time(problems, self._planning.pool, scene.scene)
+        async with self._turn:
+            for answer, message in itertools.zip_longest(answers, poses):
+                await asyncio.sleep(0)
+                desired = None if message is None else self._desired_pose(message, present_rad)
+                results.append(goal_check(self._planning, present_rad, answer, tip, desired))
+        return {"results": results}
+
+    def _desired_pose(self, message: Message, present_rad: Positions) -> Pose | None:
+        try:
+            return self._translator.pose_in_root(message, present_rad)
+        except RefusedError:
+            return None
+
+
+def _problem(
+    translate: Callable[[Message], PlannedMotion], message: Message, present_rad: Positions
+) -> PlanningProblem | PlanningFailure:
+    """Return the problem that would be planned for a goal from here, or the reason why there is none."""
+    try:
+        problem = translate(message).steps[0](present_rad)
+    except RefusedError as error:
+        return error.failure
+    match problem:
+        case PlanningProblem():
+            return problem
+        case other:
+            raise AssertionError(f"a goal message asks for {other}")
+
+
+async def answers_in_time(
+    problems: list[PlanningProblem | PlanningFailure], pool: Planners, scene: Scene
+) -> list[IkAnswer | PlanningFailure]:
+    """Answer all goals: each gets a short check, then those without an answer share the rest of the time."""
+    until_s = time.monotonic() + max(GOAL_TIME_S * len(problems), MIN_CALL_S)
+    answers = []
+    for problem in problems:
+        late = time.monotonic() > until_s + WAITING_S
+        answers.append(NOT_CHECKED if late else await _find(problem, FIRST_CHECK_S, pool, scene))
+    undecided = [at for at, answer in enumerate(answers) if _undecided(answer)]
+    for done, at in enumerate(undecided):
+        share_s = (until_s - time.monotonic()) / (len(undecided) - done) - WAY_S
+        if share_s < MIN_CHECK_S:
+            break
+        answers[at] = await _find(problems[at], share_s, pool, scene)
+    return answers
+
+
+def _undecided(answer: IkAnswer | PlanningFailure) -> bool:
+    return (
+        isinstance(answer, PlanningFailure) and answer.code is MoveItErrorCode.TIMED_OUT and answer is not NOT_CHECKED
+    )
+
+
+async def _find(
+    problem: PlanningProblem | PlanningFailure, allowed_s: float, pool: Planners, scene: Scene
+) -> IkAnswer | PlanningFailure:
+    if isinstance(problem, PlanningFailure):
+        return problem
+    question = IkQuestion(problem.group, problem.start_rad, problem.goal, allowed_time_s=allowed_s)
+    return await pool.ask(question, scene)
+
+
+def goal_check(
+    planning: PlanningContext,
+    start_rad: Positions,
+    answer: IkAnswer | PlanningFailure,
+    tip: str,
+    desired: Pose | None,
+) -> dict[str, Any]:
+    """Return the armbridge_msgs/GoalCheck of one goal.
+
+    Args:
+        desired: the goal pose in the root link; None for a joint goal.
+    """
+    if isinstance(answer, PlanningFailure):
+        return _refused(answer)
+    end_rad, angle_rad = answer.positions_rad[0], 0.0
+    if desired is not None:
+        turn = planning.forward.transforms(end_rad)[tip][:3, :3].T @ matrix_of(desired)[:3, :3]
+        angle_rad = math.acos(float(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
+    parameters = planning.parameters.configured
+    # The slowest joint's, when nothing is in the way.
+    duration_s = max(
+        rest_to_rest_s(
+            abs(end_rad[joint.name] - start_rad[joint.name]),
+            parameters.max_velocity_scaling * joint.max_velocity,
+            parameters.max_acceleration_scaling * joint.max_acceleration,
+        )
+        for joint in planning.robot.movable_joints
+    )
+    return {
+        "code": int(MoveItErrorCode.SUCCESS),
+        "reachable": True,
+        "free": True,
+        "decided": True,
+        "position_error_m": answer.deviations[0].position_m,
+        "orientation_error_rad": angle_rad,
+        "duration_s": duration_s,
+        "solution": {"name": list(end_rad), "position": list(end_rad.values())},
+    }
+
+
+def _refused(failure: PlanningFailure) -> dict[str, Any]:
+    nearest_rad: Mapping[str, float] = failure.details.get("nearest_rad", {})
+    return {
+        "code": int(failure.code),
+        "message": failure.message,
+        # A goal in collision is within reach all the same.
+        "reachable": failure.code is MoveItErrorCode.GOAL_IN_COLLISION,
+        "free": False,
+        "decided": failure.code is not MoveItErrorCode.TIMED_OUT,
+        "position_error_m": float(failure.details.get("distance_m", UNKNOWN)),
+        "orientation_error_rad": UNKNOWN,
+        "duration_s": UNKNOWN,
+        "solution": {"name": list(nearest_rad), "position": list(nearest_rad.values())},
+    }

@@ -47,7 +47,7 @@ def plan_joint_path(
     if budget.used_up():
         return budget.failure()
     if motion is None:
-        return _invalid(
+        return invalid_motion(
             f"the path stands still, bends too sharply to be timed, or takes more than {MAX_DURATION_S:g} s"
         )
     refusal = _beyond_limits(motion, robot)
@@ -63,13 +63,15 @@ def _flaw(problem: JointPathProblem, robot: RobotModel) -> PlanningFailure | Non
     names, points = problem.joint_names, problem.positions_rad
     unknown = [name for name in names if name not in robot.joints or not robot.joints[name].movable]
     if not names or unknown or len(set(names)) < len(names):
-        return _invalid(f"the path must name movable joints of the robot, each once, not {', '.join(names) or 'none'}")
+        return invalid_motion(
+            f"the path must name movable joints of the robot, each once, not {', '.join(names) or 'none'}"
+        )
     if len(problem.time_s) < 2 or points.shape != (len(problem.time_s), len(names)):
-        return _invalid(f"the path must have 2 points or more, each of {len(names)} joints, not {points.shape}")
+        return invalid_motion(f"the path must have 2 points or more, each of {len(names)} joints, not {points.shape}")
     if not (np.isfinite(problem.time_s).all() and np.isfinite(points).all() and (np.diff(problem.time_s) > 0.0).all()):
-        return _invalid("the path must have finite numbers and times that increase")
+        return invalid_motion("the path must have finite numbers and times that increase")
     if not 0.0 < problem.speed < np.inf:
-        return _invalid(f"speed must be above 0, not {problem.speed:g}")
+        return invalid_motion(f"speed must be above 0, not {problem.speed:g}")
     return None
 
 
@@ -130,5 +132,6 @@ def touching(contact: Contact, code: MoveItErrorCode) -> PlanningFailure:
     )
 
 
-def _invalid(message: str) -> PlanningFailure:
+def invalid_motion(message: str) -> PlanningFailure:
+    """Return the failure of a motion that cannot be meant."""
     return PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, message)

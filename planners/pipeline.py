@@ -21,9 +21,9 @@ from planners.errors import StoppedError
 from planners.geometry.collision import CollisionModel
 from planners.geometry.concurrent_motions import encounter
 from planners.geometry.joint_space import JointSpace
-from planners.ik.goal_refusals import start_violates
+from planners.ik.goal_refusals import check_start_place
 from planners.ik.goal_states import GoalQuery, GoalState, GoalStates
-from planners.joint_path import contact_on, plan_joint_path, touching
+from planners.joint_path import contact_on, invalid_motion, plan_joint_path, touching
 from planners.motions.motion import MotionTask, find_motion
 from planners.nearest_goal import nearest_goal
 from planners.problem import (
@@ -136,7 +136,7 @@ class Planner:
         start_q = self._collision.clipped(problem.start_rad)
         contacts = self._collision.colliding_pairs(start_q)
         violations = self._states.condition_set(problem.path_constraints).violations(start_q)
-        refusal = checks.check_start_contact(contacts) or (start_violates(violations) if violations else None)
+        refusal = check_start_place(contacts, violations)
         if refusal is not None:
             return refusal
         group = self._robot.groups[problem.group]
@@ -251,7 +251,7 @@ def check_concurrency(
     first, second = question.first, question.second
     shared = set(first.joint_names) & set(second.joint_names)
     if shared:
-        return _invalid(f"both motions are of joint {min(shared)}")
+        return invalid_motion(f"both motions are of joint {min(shared)}")
     ends = {
         name: float(q)
         for one in (first, second)
@@ -279,11 +279,13 @@ def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFai
     if question.group:
         known = robot.groups[question.group].joints
     if not (motion.joint_names == known if question.group else set(motion.joint_names) <= set(known)):
-        return _invalid(f"a motion of {', '.join(motion.joint_names)} is no motion of the joints {', '.join(known)}")
+        return invalid_motion(
+            f"a motion of {', '.join(motion.joint_names)} is no motion of the joints {', '.join(known)}"
+        )
     if not all(np.all(np.isfinite(part)) for part in (motion.time_s, motion.positions_rad, motion.velocities_rad_s)):
-        return _invalid("the motion has numbers that are not finite")
+        return invalid_motion("the motion has numbers that are not finite")
     if not 0.0 <= question.from_s <= motion.duration_s:
-        return _invalid(
+        return invalid_motion(
             f"the motion lasts from 0 to {motion.duration_s:.4g} s, there is no time {question.from_s:.4g} s"
         )
     return None
@@ -300,7 +302,3 @@ def _rest(motion: Trajectory, from_s: float) -> Trajectory:
         np.vstack((velocity, motion.velocities_rad_s[after])),
         np.vstack((acceleration, motion.accelerations_rad_s2[after])),
     )
-
-
-def _invalid(message: str) -> PlanningFailure:
-    return PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, message)

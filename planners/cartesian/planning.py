@@ -17,7 +17,7 @@ from planners.geometry.joint_space import JointSpace
 from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import ConditionSet, Joints, conditions
 from planners.ik.goal_checks import in_words
-from planners.ik.goal_refusals import start_violates
+from planners.ik.goal_refusals import check_start_place
 from planners.motions.path_timing import MAX_DURATION_S, standing, time_along
 from planners.motions.spline import NaturalSpline
 from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure, RateLimits
@@ -57,11 +57,9 @@ def plan_cartesian(
     joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
     constraints = ConditionSet(forward, conditions(problem.path_constraints, joints))
     contacts = collision.colliding_pairs(start_q) if problem.avoid_collisions else []
-    refusal = checks.check_start_contact(contacts)
+    refusal = check_start_place(contacts, constraints.violations(start_q))
     if refusal is not None:
         return refusal
-    if not constraints.holds(start_q):
-        return start_violates(constraints.violations(start_q))
     allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
     names = robot.groups[problem.group].joints
     space = JointSpace(collision, names, start_q, allowed, constraints.holds, should_stop=budget.should_stop)

@@ -6,7 +6,7 @@ limits of the joints demand it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -25,6 +25,9 @@ METHOD = "given path"
 
 # The spline may leave the limits between points that keep them, by no more than the arm's controller tolerates.
 LIMIT_TOLERANCE_RAD = 0.002
+
+# The arm's own links are thicker than this, so a check this sparse misses only grazing contacts.
+SPARSE_STEP_M = 0.03
 
 
 def plan_joint_path(
@@ -47,9 +50,12 @@ def plan_joint_path(
         return _invalid(
             f"the path stands still, bends too sharply to be timed, or takes more than {MAX_DURATION_S:g} s"
         )
-    refusal = _beyond_limits(motion, robot) or _contact(problem, motion, collision, budget.should_stop)
+    refusal = _beyond_limits(motion, robot)
+    contact = None if refusal else contact_on(motion, problem.start_rad, collision, budget.should_stop)
     if budget.used_up():
         return budget.failure()
+    if contact is not None:
+        return touching(contact, MoveItErrorCode.INVALID_MOTION_PLAN)
     return refusal or Plan(motion, METHOD, budget.spent_s)
 
 
@@ -82,23 +88,43 @@ def _beyond_limits(motion: Trajectory, robot: RobotModel) -> PlanningFailure | N
     return None
 
 
-def _contact(
-    problem: JointPathProblem, motion: Trajectory, collision: CollisionModel, should_stop: Callable[[], bool]
-) -> PlanningFailure | None:
-    start_rad = {**problem.start_rad, **dict(zip(motion.joint_names, motion.positions_rad[0].tolist(), strict=True))}
-    start_q = collision.clipped(start_rad)
+def contact_on(
+    motion: Trajectory, others_rad: Mapping[str, float], collision: CollisionModel, should_stop: Callable[[], bool]
+) -> Contact | None:
+    """Return the first contact of a motion, certified if there is none; other joints stay where they are.
+
+    Contacts that are shallow at its start do not count unless it deepens them, as at the start of a plan.
+    """
+    names = motion.joint_names
+    start_q = collision.clipped({**others_rad, **dict(zip(names, motion.positions_rad[0].tolist(), strict=True))})
     contacts = collision.colliding_pairs(start_q)
     if checks.check_start_contact(contacts) is not None:
-        return touching(Contact(0.0, tuple(contacts)))
-    space = JointSpace(collision, motion.joint_names, start_q, collision.overlaps_m(start_q), should_stop=should_stop)
-    found = certify(space, motion)
-    return None if found is None else touching(found)
+        return Contact(0.0, tuple(contacts))
+    space = JointSpace(collision, names, start_q, collision.overlaps_m(start_q), should_stop=should_stop)
+    return _sparse_contact(space, motion) or certify(space, motion)
 
 
-def touching(contact: Contact) -> PlanningFailure:
+def _sparse_contact(space: JointSpace, motion: Trajectory) -> Contact | None:
+    """Return the first sample in contact, by a sparse check of the samples in their order.
+
+    It finds an obstacle in a quarter of the time that the certificate takes to find where the contact begins.
+    """
+    travel_m = np.cumsum(np.abs(np.diff(motion.positions_rad, axis=0)) @ space.travel_m_per_rad)
+    checked = np.flatnonzero(np.diff(np.floor(travel_m / SPARSE_STEP_M), prepend=0.0)) + 1
+    before = 0
+    for index in checked:
+        if not space.free_by_parts(motion.positions_rad[index]):
+            touching = (i for i in range(before + 1, index + 1) if not space.free_by_parts(motion.positions_rad[i]))
+            first = next(touching)
+            return Contact(float(motion.time_s[first]), space.contacts(motion.positions_rad[first]))
+        before = int(index)
+    return None
+
+
+def touching(contact: Contact, code: MoveItErrorCode) -> PlanningFailure:
     """Return the failure of a motion that touches something: when, what and how deep."""
     return PlanningFailure(
-        MoveItErrorCode.INVALID_MOTION_PLAN,
+        code,
         f"at {contact.time_s:.2f} s of the motion would touch: {checks.describe_pairs(contact.pairs)}",
         {"pairs": checks.pairs_as_data(contact.pairs), "contact_s": contact.time_s},
     )

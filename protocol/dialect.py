@@ -1,4 +1,4 @@
-"""The two spellings of a message: that of ROS 2, which the server works with, and that of ROS 1.
+"""The two spellings of a message: ROS 2's, which the server works with, and ROS 1's.
 
 They differ in the times (``secs`` and ``nsecs``), in the header's ``seq``, in the names of types, and in fields
 that one generation added, dropped or renamed. What ROS 1 lacks is left out on the way there and has its default
@@ -55,7 +55,7 @@ def spell_type(type_name: str, dialect: Dialect) -> str:
 
     Args:
         type_name: canonical name of a message, service or action, or of a member of one of the latter; one in two parts
-            is in ROS 1 spelling but for its package.
+            is in ROS 1 spelling except for its package.
     """
     if dialect == "ros2":
         return type_name
@@ -71,7 +71,7 @@ def to_ros1(registry: Registry, type_name: str, msg: Mapping[str, Any], sequence
 
     Args:
         msg: a message as `protocol.messages.complete` returns it; it is left as it was and may share parts
-            with what is returned.
+            with the returned message.
         sequence_number: ``seq`` of the message's own header, which publishers of ROS 1 count from 1 (rospy/topics.py).
     """
     translate = _to_ros1(registry, registry.message(type_name).name)
@@ -93,7 +93,7 @@ def from_ros1(registry: Registry, type_name: str, msg: object) -> Any:
 
 
 def declared_in_ros1(registry: Registry, type_name: str) -> MessageType:
-    """Return a message type as ROS 1 declares it; one that exists only in ROS 2 is returned as it is there.
+    """Return a message type as ROS 1 declares it; a type of ROS 2 alone is returned as declared there.
 
     Args:
         type_name: name of the type in either generation.
@@ -113,7 +113,7 @@ def _in_ros1(type_name: str) -> str:
 
 
 def _pair(ours: MessageType, theirs: MessageType) -> list[tuple[Field, Field | None]]:
-    """Return ROS 1's fields, each with that of ROS 2 which means the same, None where there is none."""
+    """Return ROS 1's fields, each with its counterpart in ROS 2, None without one."""
     exact = {field.name: field for field in ours.fields}
     in_lower_case = {field.name.lower(): field for field in ours.fields}
     renamed = _RENAMED.get(theirs.name, {})

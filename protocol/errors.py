@@ -6,7 +6,7 @@ ProtocolError
 ├── MessageError      a message that does not fit its type
 ├── LargeMessageError a message that takes longer to complete than everybody may be kept waiting
 ├── OperationError    an operation that is unknown, incomplete or senseless
-│   └── NothingToDoError    one that withdraws what is not there
+│   └── NothingToDoError    nothing to withdraw
 └── FrameError        a frame that cannot be decoded
 """
 
@@ -22,7 +22,7 @@ MAX_QUOTED_BITS = 64
 
 
 class ProtocolError(Exception):
-    """Base of all refusals of this room; ``str(error)`` is one line, fit for a log and for the client."""
+    """Base of all refusals of this package; ``str(error)`` is one line, fit for a log and for the client."""
 
 
 class InterfaceError(ProtocolError):
@@ -41,7 +41,7 @@ class InterfaceFilesError(ProtocolError):
     """Interface files of the user that cannot be used; ``str(error)`` has a line for each problem.
 
     Attributes:
-        problems: each with file, line, the text there and what is wanted.
+        problems: each with file, line, the text there and the expected text.
     """
 
     def __init__(self, problems: Sequence[object]) -> None:
@@ -104,7 +104,7 @@ class OperationError(ProtocolError):
 
 
 class NothingToDoError(OperationError):
-    """An operation that withdraws what is not there: no harm, but hardly what the client meant."""
+    """An operation with nothing to withdraw: harmless, but hardly meant."""
 
 
 class FrameError(ProtocolError):

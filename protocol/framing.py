@@ -16,7 +16,7 @@ from protocol.errors import FrameError, OperationError
 from protocol.limits import Limits
 from protocol.operations import Fragment
 
-# Where an object may begin: garbage seldom has a brace with a key, or nothing, behind it. At the end of what is there
+# Start of an object: garbage seldom has a brace with a key, or nothing, behind it. At the end of the received data
 # the rest may be still to come.
 _START = re.compile(rb'\{(?=[ \t\r\n]*+(?:["}]|\Z))')
 
@@ -66,7 +66,7 @@ class FrameReader:
         return not self._pending and not self.last_was_bson
 
     def feed(self, frame: str | bytes, *, light: bool = False) -> list[object | FrameError]:
-        """Return what was completed by this frame, in order: decoded values, and errors for what is none.
+        """Return the values that end in this frame, in order; an error stands for a value that cannot be decoded.
 
         Args:
             frame: text, or the bytes of a binary frame.
@@ -80,7 +80,7 @@ class FrameReader:
             return [error] if self.last_was_bson else self._read_on(frame, error)
         if not self._pending:
             return [value]
-        # An operation tells that what waits will not end; any other value may belong into its middle.
+        # Behind an operation the pending object never ends; any other value may belong into its middle.
         if isinstance(value, dict) and "op" in value:
             return [*self._give_up(), value]
         return self._read_on(frame, FrameError("not an operation"))
@@ -100,7 +100,7 @@ class FrameReader:
         return found if found or self._pending else [error]
 
     def _find_objects(self, data: bytes) -> list[object | FrameError]:
-        """Return the objects that end in this data; one that does not end stays pending."""
+        """Return the objects that end in this data; an object without its end stays pending."""
         found: list[object | FrameError] = []
         refusals = 0
         opened = bool(self._pending)
@@ -123,7 +123,7 @@ class FrameReader:
         """Go to where the next object may begin; without one nothing of what waits is of use."""
         start = _START.search(self._pending, 0, MAX_LEADING_BYTES)
         if start is not None:
-            # It may have taken the end of the search for that of the text.
+            # The end of the search may have been taken for the end of the text.
             start = _START.match(self._pending, start.start())
         del self._pending[: len(self._pending) if start is None else start.start()]
         self._end = ObjectEnd()
@@ -176,7 +176,7 @@ class ObjectEnd:
         return False
 
     def _skip(self, data: bytearray) -> bool:
-        """Go to the next mark that counts; False when there is none, or it cannot be told yet what it is."""
+        """Go to the next mark that counts; return False until there is a complete one."""
         pattern = _INSIDE_TEXT if self._in_text else _OUTSIDE_TEXT
         while (match := pattern.match(data, self.position)) is not None and match.end() > self.position:
             self.position = match.end()
@@ -204,7 +204,7 @@ def split(frame: str, size: int, fragment_id: str) -> list[bytes]:
 
 @dataclass(slots=True)
 class _Message:
-    """A message of which fragments are missing.
+    """Message with missing fragments.
 
     Attributes:
         started_s: when its first fragment came [s].
@@ -231,7 +231,7 @@ class Reassembly:
         self._size_bytes = 0
 
     def add(self, fragment: Fragment, now: float) -> str | None:
-        """Take one fragment; one that is there already changes nothing.
+        """Take one fragment; a repeated one changes nothing.
 
         Returns:
             The frame, when this was its last missing fragment.

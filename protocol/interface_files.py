@@ -1,6 +1,6 @@
 """Reader of one interface file of ROS: the text of a ``.msg``, ``.srv`` or ``.action`` becomes a definition.
 
-The grammar is that of the generation whose package the file is in: of ROS 2 with bounds, defaults and wide text
+The grammar depends on the package's generation: ROS 2's has bounds, defaults and wide text
 (rosidl_adapter), of ROS 1 with ``time``, ``duration`` and ``Header`` (genmsg). Comments are passed over.
 
 A file is read to its end; each line that cannot be read becomes a `Problem`. Types that the file refers to are left to
@@ -65,7 +65,7 @@ _ROS1_LINE = re.compile(r"^[ \t]*(?:(?P<time>time|duration)|Header)(?:\[[0-9]*\]
 
 _OLD_TIMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
 
-# The second is that of ROS 1 before Fuerte.
+# The second is of ROS 1 before Fuerte.
 _HEADERS_OF_ROS1 = frozenset(("Header", "roslib/Header"))
 
 
@@ -76,7 +76,7 @@ class Problem(NamedTuple):
         path: file or folder.
         line: number of the line, from 1; None where it is no single one.
         text: what stands there; empty where nothing does.
-        sentence: what is wanted, or wrong.
+        sentence: the problem, or the expected text.
     """
 
     path: Path
@@ -217,7 +217,7 @@ class _Declaration(NamedTuple):
         spelled: as the tables spell it.
         base: the primitive, or the message type's name in two parts.
         max_length: greatest number of characters of a text; None for no bound.
-        brackets: those of an array; empty for a single value.
+        brackets: an array's; empty for a single value.
     """
 
     spelled: str

@@ -1,7 +1,7 @@
 """ROS packages of the user: their ``msg``, ``srv`` and ``action`` files become tables beside the packaged ones.
 
 A folder is a package, or has packages in it at any depth, as a workspace's ``src`` and an install's ``share`` have.
-All problems of all files are told at once.
+All problems of all files are reported at once.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MAX_DEPTH = 6
 MAX_FOLDERS = 20_000
 
 # Values that a message has without its lists, for each of which its compiled form has a part, made when the first
-# message comes: of so many in 0.3 s, while all wait. The largest packaged type has 94.
+# message comes: in 0.3 s for the limit, while all wait. The largest packaged type has 94.
 MAX_FIELDS = 2_000
 # Values of a message in which nothing is set, with the elements of its arrays of fixed size.
 MAX_DEFAULT_VALUES = 1_000_000
@@ -61,8 +61,8 @@ class UserInterfaces:
     """Types of the user's packages.
 
     Attributes:
-        ros2: those of ROS 2 packages, by their canonical names.
-        ros1: those of ROS 1 packages, with the messages of their actions.
+        ros2: types of ROS 2 packages, by their canonical names.
+        ros1: types of ROS 1 packages, with the messages of their actions.
         packages: names of the packages.
         kept: names of types that differ from the packaged ones, which stay, for the program itself uses them.
         replaced: names of types that take the place of packaged ones.
@@ -83,7 +83,7 @@ class UserInterfaces:
 
 @dataclass
 class _Package:
-    """A package: its folder, its name, its generation as far as package.xml tells, and the texts of its files."""
+    """A package: its folder, its name, its generation by package.xml, and the texts of its files."""
 
     folder: Path
     name: str
@@ -149,7 +149,7 @@ class _PackageReader:
         packages = [package for package in found if package is not None]
         if not packages and not self.problems:
             self._refuse(folder, "no package in it has msg/*.msg, srv/*.srv or action/*.action files")
-        # Packages that tell no generation are those of one author, who writes for one of the two.
+        # Packages without a stated generation have one author, who writes for one of the two.
         unknown = [package for package in packages if package.generation is None]
         generation: Generation = "ros1" if any(map(_is_spelled_as_ros1, unknown)) else "ros2"
         for package in unknown:
@@ -242,7 +242,7 @@ def _unread_files(folder: Path) -> list[Path]:
 
 
 def _generation(manifest: ET.Element) -> Generation | None:
-    """Return the generation by the build tool that a package.xml names; None where it names those of both, or none."""
+    """Return the generation by the build tool that a package.xml names; None where it is unclear."""
     tools = {(each.text or "").strip() for tag in ("buildtool_depend", "build_type") for each in manifest.iter(tag)}
     ros1 = any(tool.startswith("catkin") for tool in tools)
     ros2 = any(tool.startswith(("ament", "rosidl")) for tool in tools)
@@ -294,7 +294,7 @@ def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterat
             if registry.knows(name):
                 continue
             known = known or [_spell(each) for each in registry.type_names() if registry.knows(each)]
-            # The right name in the wrong package, or in none, tells more than a similar one does.
+            # The right name in the wrong package, or in none, helps more than a similar one.
             suffix = f"/{name.split('/')[1]}"
             meant = [each for each in known if each.endswith(suffix)] or get_close_matches(name, known, n=1)
             hint = f"; did you mean {meant[0]}?" if meant else ""

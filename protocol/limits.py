@@ -37,7 +37,7 @@ class Limits:
     max_calls_in_flight: int = 1_000
     # rosbridge_server's default_call_service_timeout: for the answer of a service that this client offers.
     call_timeout_s: float = 5.0
-    # All that waits for a client, of which topic data gives way: two seconds of pictures of 1 MB at 30 Hz.
+    # Everything that waits for a client; topic data gives way: two seconds of pictures of 1 MB at 30 Hz.
     max_queued_bytes: int = 64_000_000
     # Messages of topics among it, so that a queue of small ones is given up in 50 ms, not in half a second.
     max_queued_messages: int = 20_000

@@ -53,10 +53,10 @@ class MessageBudget(threading.local):
         return self._max_values - self._left
 
     def take(self, count: int) -> None:
-        """Take so many values.
+        """Take a number of values.
 
         Raises:
-            MessageError: there are not so many left.
+            MessageError: the budget is exhausted.
             LargeMessageError: there are, but the message is too large to be completed at once.
         """
         self._left -= count
@@ -157,7 +157,7 @@ def complete(
 
     Args:
         type_name: name of a message type, in two parts or three.
-        received: the time of receipt, or a function that tells it, called where it is wanted.
+        received: the time of receipt, or a function that returns it, called when needed.
         max_values: values that the elements of all its lists of messages may have, at most `MAX_VALUES`.
         max_values_at_once: such values beyond which the message is left to the background.
 
@@ -297,7 +297,7 @@ class _MessageShape:
         if self._other_names:
             value = self._translate(value, self._other_names)
         completed = {}
-        # Counting the fields found tells whether there are unknown ones without looking for them in every message.
+        # A count of the fields found shows unknown ones without a search in every message.
         found = 0
         for name, complete_field, default in self._fields:
             if name not in value:

@@ -59,7 +59,7 @@ OperationId: TypeAlias = Annotated[
     Annotated[str, Field(max_length=MAX_ID_CHARACTERS)] | int | Annotated[float, Field(allow_inf_nan=False)] | None,
     Field(description=f"text of up to {MAX_ID_CHARACTERS} characters, a number or null"),
 ]
-# What providers answer is told apart by the id that they were given, so there it must be one.
+# Answers of providers are matched by the id that the providers were given, so an id is mandatory.
 GivenId: TypeAlias = Annotated[
     str, Field(max_length=MAX_ID_CHARACTERS, description=f"text of up to {MAX_ID_CHARACTERS} characters")
 ]
@@ -87,7 +87,7 @@ OptionalSecret: TypeAlias = Annotated[
     Annotated[str, Field(max_length=MAX_SECRET_CHARACTERS)] | None,
     Field(repr=False, description=f"text of up to {MAX_SECRET_CHARACTERS} characters"),
 ]
-# Up to the year 9999; larger ones cannot be told as a time.
+# Up to the year 9999; larger ones cannot be written as a time.
 UnixSeconds: TypeAlias = Annotated[
     float, Field(ge=0, le=253_402_300_799, allow_inf_nan=False, description="seconds since 1970, >= 0")
 ]
@@ -187,7 +187,7 @@ class Subscribe(Operation):
 
     @property
     def encoding(self) -> Compression:
-        """The compression as it is applied: one that is unknown counts as none, as in rosbridge_library."""
+        """Applied compression: an unknown one counts as none, as in rosbridge_library."""
         return _COMPRESSIONS.get(self.compression, "none")
 
 
@@ -204,7 +204,7 @@ class CallService(Operation):
     Attributes:
         service: its name; what follows a ``#`` is the id, where no id is given.
         args: the request's fields by name or in order of declaration; anything else stands for no fields.
-        type: the service's type as the client calls it, which tells its dialect.
+        type: the service's type as the client calls it, which shows its dialect.
         timeout: how long to wait for the response [s], 0 for as long as the server allows, None for its default.
     """
 
@@ -216,7 +216,7 @@ class CallService(Operation):
 
 
 class AdvertiseService(Operation):
-    """Offer a service, instead of whoever offered it before."""
+    """Offer a service, in place of its former provider."""
 
     op: Literal["advertise_service"] = "advertise_service"
     service: Name
@@ -269,7 +269,7 @@ class CancelActionGoal(Operation):
 
 
 class AdvertiseAction(Operation):
-    """Offer an action, instead of whoever offered it before."""
+    """Offer an action, in place of its former provider."""
 
     op: Literal["advertise_action"] = "advertise_action"
     action: Name
@@ -284,7 +284,7 @@ class UnadvertiseAction(Operation):
 
 
 class ActionFeedback(Operation):
-    """Tell how a goal goes, as its provider; the id is the goal's, as the provider got it."""
+    """Report the progress of a goal, as its provider; the id is the goal's, as the provider got it."""
 
     op: Literal["action_feedback"] = "action_feedback"
     id: GivenId
@@ -325,7 +325,7 @@ class Fragment(Operation):
 
 
 class Png(Operation):
-    """A frame packed into a picture: its bytes are those of the pixels."""
+    """A frame packed into a picture: its bytes are the pixels."""
 
     op: Literal["png"] = "png"
     data: Text

@@ -137,7 +137,7 @@ class EncodedMessage:
         return self._frames
 
     def wire_pieces(self) -> tuple[bytes, ...]:
-        """Return `on_wire` in pieces that are to leave together: those of a large message are not copied into one."""
+        """Return `on_wire` in pieces that leave together: a large message is not copied into one."""
         if self._on_wire is None and self._parts and self.size_bytes >= LARGE_BYTES:
             opening, *others = self._parts
             return (_header(_TEXT, self.size_bytes - FRAME_OVERHEAD_BYTES) + opening, *others)
@@ -177,7 +177,7 @@ def pack(frame: Frame, fragment_size: int | None, fragment_id: str) -> EncodedMe
 # What a subscription may ask for as its compression, and BSON for clients that speak it.
 Encoding: TypeAlias = Literal["none", "png", "cbor", "cbor-raw", "bson"]
 
-# Topic as it is spelled, encoding, dialect and greatest length of a frame.
+# Spelled topic, encoding, dialect and greatest length of a frame.
 _Key: TypeAlias = tuple[str, Encoding, Dialect, int | None]
 
 # The topics of a large robot, each in two spellings.
@@ -247,7 +247,7 @@ class PublishedMessage:
 
     @property
     def msg(self) -> Mapping[str, Any]:
-        """The message; one that was given as JSON is decoded when it is first asked for."""
+        """The message; JSON is decoded when it is first asked for."""
         if self._msg is None:
             decoded: Any = json.decode(self._encoded["none", "ros2"])
             self._msg = decoded
@@ -301,7 +301,7 @@ class PublishedMessage:
 
         A large message is not ready yet: it is still to be encoded.
 
-        The other arguments are those of :meth:`frame`.
+        The other arguments are as of :meth:`frame`.
         """
         key = spelled_topic, encoding, dialect, fragment_size
         encoded = self._by_key.get(key)

@@ -49,7 +49,7 @@ def with_action_messages(table: Table) -> Table:
 
 
 def same_definition(one: Definition, other: Definition) -> bool:
-    """Tell whether two definitions declare the same, however their values are spelled."""
+    """Return True for definitions that declare the same, however their values are spelled."""
     return bool(_normalized(one) == _normalized(other))
 
 
@@ -213,7 +213,7 @@ class Registry:
 
     Args:
         table: the interface definitions of this generation.
-        ros1_table: those of ROS 1, for the registry of ROS 2.
+        ros1_table: ROS 1's definitions, for the registry of ROS 2.
     """
 
     def __init__(self, table: Table, ros1_table: Table | None = None) -> None:
@@ -236,12 +236,12 @@ class Registry:
         return (name for name in self._table if name not in ROS1_TIMES)
 
     def knows(self, name: str, kind: Kind = "msg") -> bool:
-        """Tell whether a type of this name and kind can be looked up."""
+        """Return True for a known type of this name and kind."""
         definition = self._find(_canonical(name, kind))
         return definition is not None and definition["kind"] == kind
 
     def exists_only_in_ros1(self, name: str, kind: Kind = "msg") -> bool:
-        """Tell whether a client that uses this type must be speaking ROS 1."""
+        """Return True for a type whose users must be speaking ROS 1."""
         canonical = _canonical(name, kind)
         return _definition(self._table, canonical) is None and _definition(self._ros1_table, canonical) is not None
 
@@ -329,7 +329,7 @@ class Registry:
 
 
 def _canonical(name: str, kind: Kind) -> str:
-    # Which kind two parts mean must be told: control_msgs/GripperCommand is a message and an action.
+    # A name in two parts does not show its kind: control_msgs/GripperCommand is a message and an action.
     # rosbridge_library drops empty parts, as of /std_msgs/String and std_msgs/String/ (ros_loader, _splittype).
     parts = [part for part in name.split("/") if part]
     return f"{parts[0]}/{kind}/{parts[1]}" if len(parts) == 2 else "/".join(parts)

@@ -1,7 +1,7 @@
 """Memory for what waits to be sent, which the clients of a server share.
 
 The bytes of a message count for each client that it waits for. Several clients may share one message, so the memory in
-use is never more than what is counted; and what a client gives up makes room at once, whoever else waits for it.
+use is never more than the count, and a message that one client gives up makes room at once.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ class SendBudget:
     """Bytes that wait to be sent to all clients of a server.
 
     When they are used up, the client that has read least recently gives up its oldest topic data: a client that stands
-    still loses something for one that reads, and never the other way round.
+    still loses messages in favour of a client that reads, never the other way round.
     """
 
     def __init__(self, limit_bytes: int = MAX_SERVER_QUEUED_BYTES) -> None:
         self.limit_bytes = limit_bytes
         self.used_bytes = 0
-        # Those for which something waits, the one that has read least recently first.
+        # Clients with waiting messages, the least recent reader first.
         self._holders: OrderedDict[Holder, None] = OrderedDict()
 
     @property
@@ -76,6 +76,6 @@ class SendBudget:
         return True
 
     def make_room_for_reply(self) -> None:
-        """Make room for what is never dropped: where no topic data is left, clients that do not read are closed."""
+        """Make room for replies: without any topic data left, clients that do not read are closed."""
         while not self.make_room():
             next(iter(self._holders)).give_up()

@@ -59,7 +59,7 @@ class SendQueue:
     """The messages of one client, in order of queuing.
 
     Args:
-        budget: that of all clients of the server; None for one of its own.
+        budget: shared by all clients of the server; None for a budget of its own.
 
     Attributes:
         dropped: number of topic messages given up because the client was slow or its queue_length was reached;
@@ -83,8 +83,8 @@ class SendQueue:
         # Which of them are requests of others; these have a bound of their own.
         self._requests: set[int] = set()
         self._request_bytes = 0
-        # Topic data by sequence number, oldest first: what may leave at any time, what is bulky, and what waits for a
-        # throttle, which must not be gone through each time that the rest is sent.
+        # Topic data by sequence number, oldest first: free to leave at any time, bulky, and waiting for a throttle,
+        # which must not be gone through each time that the rest is sent.
         self._free: OrderedDict[int, _TopicData] = OrderedDict()
         self._bulky: OrderedDict[int, _TopicData] = OrderedDict()
         self._paced: OrderedDict[int, _TopicData] = OrderedDict()
@@ -157,7 +157,7 @@ class SendQueue:
     def put_topic_data(
         self, subscription: Subscription, encoded: EncodedMessage, now: float, *, in_order: bool = False
     ) -> None:
-        """Queue topic data that its subscription has admitted, and drop what is then too much.
+        """Queue topic data that its subscription has admitted, and drop what exceeds the bounds then.
 
         Args:
             in_order: True when no reply may overtake it.
@@ -343,7 +343,7 @@ class SendQueue:
 
     def _keep_limit(self) -> None:
         """Drop the oldest topic data beyond what may wait for one client."""
-        # The newest always stays, even one that is larger than the bound: else it could never be delivered.
+        # The newest always stays, even beyond the bound: else it could never be delivered.
         limits = self._limits
         while (count := len(self._free) + len(self._bulky) + len(self._paced)) > 1 and (
             count > limits.max_queued_messages

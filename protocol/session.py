@@ -19,11 +19,11 @@ from protocol.dialect import Dialect
 from protocol.errors import FrameError, OperationError
 from protocol.framing import FrameReader
 from protocol.limits import Limits
-from protocol.operations import Fragment, Mark, Operation, Png
+from protocol.operations import Advertise, Fragment, Mark, Operation, Png
 from protocol.publication import LARGE_BYTES, EncodedMessage, Encoding, Frame, PublishedMessage, pack
 from protocol.send_budget import SendBudget
 from protocol.send_queue import SendQueue
-from protocol.subscriptions import Publications, Subscription, Subscriptions
+from protocol.subscriptions import Registrations, Subscription, Subscriptions
 
 # What is taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
 SEND_BUDGET_BYTES = 65_536
@@ -31,7 +31,8 @@ SEND_BUDGET_BYTES = 65_536
 # A client that is too slow gets slower by every message about it.
 DROPS_TOLD_EVERY_S = 1.0
 
-# Offered a message when nothing waits before it; returns True when it has been sent. Who keeps up is spared the queue.
+# Offered a message when nothing waits before it; returns True when it has been sent. Clients that keep up bypass the
+# queue.
 SendAtOnce: TypeAlias = Callable[[EncodedMessage], bool]
 
 
@@ -43,7 +44,7 @@ def never_at_once(_encoded: EncodedMessage) -> bool:
 # Returns the fields of an operation whose message is large.
 LaterFields: TypeAlias = Callable[[], Mapping[str, Any]]
 
-# Each level tells what the ones before it tell.
+# Each level includes the ones before it.
 LEVELS = ("none", "error", "warning", "info")
 
 
@@ -87,7 +88,7 @@ class Packed:
         return self.packing.id
 
 
-# A client's next operations wait while so many bytes of replies wait to be read, or this share of their bound.
+# A client's next operations wait while this many bytes of replies wait to be read, or this share of their bound.
 CONGESTED_BYTES = 262_144
 CONGESTED_SHARE = 0.25
 
@@ -115,7 +116,9 @@ class Session:
         newest_only: bool = False,
     ) -> None:
         self.limits = limits or Limits()
-        self.publications = Publications(self.limits.max_publications)
+        self.publications: Registrations[Advertise] = Registrations(
+            "advertise", "unadvertise", self.limits.max_publications
+        )
         self.subscriptions = Subscriptions(self.limits.max_subscriptions)
         # None asked for: some clients log a traceback for every status message.
         self.status_level = "none"
@@ -126,7 +129,7 @@ class Session:
         self._reassembly = framing.Reassembly(self.limits)
         self._fragment_size: int | None = None
         self._fragment_ids = itertools.count(1)
-        # How many of the dropped messages the client has been told of, and when it was [s].
+        # Number of dropped messages that the client was warned of, and the time of the warning [s].
         self._drops_told = 0
         self._drops_told_s = -math.inf
         # Feedback may be dropped like topic data; all goals share one lane, so that it keeps its order.
@@ -143,7 +146,7 @@ class Session:
         connection lives on after each of them. Nothing that a client sends makes this raise. A thread may read a
         long frame, while no other frame of this client is read.
         """
-        # Before decoding: what is too long must not cost the time and memory of being decoded.
+        # Before decoding: an oversized frame must not cost the time and memory of its decoding.
         size_bytes = _size_bytes(frame)
         if size_bytes > self.limits.max_message_bytes:
             text = f"message of {size_bytes} bytes, the limit is {self.limits.max_message_bytes}"
@@ -165,7 +168,7 @@ class Session:
         return operation
 
     def reads_by_itself(self, frame: str) -> bool:
-        """Tell whether a frame may be read without :meth:`receive_frame`, as nothing but it counts for its meaning."""
+        """Return True for a frame that may be read without :meth:`receive_frame`, by itself alone."""
         return self._reader.between_objects and self.dialect == "ros2" and len(frame) <= self.limits.max_message_bytes
 
     def unpack(self, packed: Packed) -> Operation | Refusal:
@@ -283,8 +286,8 @@ class Session:
     def data_to_send(self, now: float) -> list[EncodedMessage]:
         """Return messages that are due, in order of queuing, `SEND_BUDGET_BYTES` of them and one message at most.
 
-        Call it only when the socket takes data, and until nothing is due: what is not fetched is bounded here,
-        what is fetched is not.
+        Call it only when the socket takes data, and until nothing is due: messages are bounded here
+        until they are fetched.
         """
         if self.dropped > self._drops_told:
             self._tell_drops(now)
@@ -297,7 +300,7 @@ class Session:
 
     @property
     def congested(self) -> bool:
-        """True while so many replies wait that the client's next operations had better wait for them to be read."""
+        """True while too many replies wait to be read for the client's next operations."""
         limit_bytes = min(CONGESTED_BYTES, CONGESTED_SHARE * self.limits.max_queued_reply_bytes)
         return self.send_queue.reply_bytes > limit_bytes
 
@@ -341,7 +344,7 @@ def _size_bytes(frame: str | bytes) -> int:
 
 
 def _id(value: object) -> Mark:
-    """Return the id of an operation that could not be read, if it is one that can be sent back."""
+    """Return the id of an operation that could not be read; None for an id that cannot be sent back."""
     mark = value.get("id") if isinstance(value, dict) else None
     if isinstance(mark, str):
         return mark if len(mark) <= operations.MAX_ID_CHARACTERS else None
@@ -349,6 +352,6 @@ def _id(value: object) -> Mark:
 
 
 def _called(value: object) -> str:
-    """Return the service or action that an operation names, if it is one that can be sent back."""
+    """Return the service or action that an operation names; empty for a name that cannot be sent back."""
     name = (value.get("service") or value.get("action")) if isinstance(value, dict) else None
     return name if isinstance(name, str) and len(name) <= operations.MAX_NAME_CHARACTERS else ""

@@ -20,7 +20,7 @@ _LENGTH_BYTES = 4
 _MIN_DOCUMENT_BYTES = 5
 
 # The highest byte of a length up to 150 MB, which settings allow 100 of. No JSON text has such a byte, for it is a
-# control character; a length of 123 has the first byte of an object, and is told from it by this one.
+# control character; a length of 123 has the first byte of an object, and differs from it by this one.
 _MAX_HIGH_BYTE = 8
 
 # Between objects: JSON's whitespace, and the zero that programs in C send along with a text.

@@ -1,7 +1,7 @@
 """Messages that are just as their types declare them: read, checked and written in C.
 
 msgspec decodes JSON into a struct in one pass and refuses what is missing, unknown or of another kind. What it refuses
-is left to :mod:`protocol.messages`, which forgives more and tells what is wrong. What it takes comes out of both ways
+is left to :mod:`protocol.messages`, which forgives more and names the problem. What it takes comes out of both ways
 alike, except that the general way also fills in and converts.
 """
 
@@ -42,7 +42,7 @@ class StrictType:
 
     Attributes:
         struct: msgspec's struct of the type, with the fields' names as they are sent.
-        has_lists_of_messages: True where a message, as it is complete, may be much larger than it came.
+        has_lists_of_messages: True where a completed message may be much larger than the received one.
     """
 
     def __init__(self, registry: Registry, type_name: str) -> None:
@@ -95,7 +95,7 @@ def strict_type(registry: Registry, type_name: str) -> StrictType | None:
 
 
 class PublicationReader:
-    """Reads the publish operations of one message type from JSON, and writes their messages anew."""
+    """Reads the publish operations of one message type from JSON, and writes their messages in ASCII."""
 
     def __init__(self, strict: StrictType) -> None:
         self._suits = strict.suits

@@ -1,6 +1,6 @@
 """Descriptions of interface types: for rosapi as text and TypeDefs, for ROS 2 as the hash of a type's version.
 
-The text is that of `gendeps --cat`. Text and TypeDefs are those of one generation of ROS; a type that exists only in
+The text is that of `gendeps --cat`. Text and TypeDefs belong to one generation of ROS; a type that exists only in
 ROS 2 is described as if ROS 1 had it.
 
 The hash (REP-2016, "RIHS01") is the SHA-256 of a description in JSON, with the fields of the type and of all types in
@@ -174,7 +174,7 @@ _IDS = {
     "string": 17,
     "wstring": 18,
 }
-# Of bounded text, more than that of text.
+# Added to the id of a text where its length is bounded.
 _BOUNDED_TEXT = 4
 _NESTED, _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 1, 48, 96, 144
 
@@ -197,7 +197,7 @@ def message_hash(registry: Registry, name: str) -> str:
 
 @functools.lru_cache(maxsize=MAX_HASHED_TYPES)
 def service_hash(registry: Registry, name: str) -> str:
-    """Return the hash of a service type, which covers its request, its response and the event that tells of both.
+    """Return the hash of a service type, which covers its request, its response and the event of both.
 
     Raises:
         InterfaceError: no such type.

@@ -99,7 +99,7 @@ def converter(name: str, max_length: int | None = None) -> Convert:
 def element_converter(name: str, max_length: int | None = None) -> Convert:
     """Return the converter of an element of a list: as :func:`converter`, and true and false are numbers too.
 
-    rosbridge_library hands a list of numbers on as it is, and rclpy takes Python's truth values for integers.
+    rosbridge_library passes a list of numbers on unchanged, and rclpy takes Python's truth values for integers.
     """
     convert = converter(name, max_length)
     if name == "bool" or name in TEXTS:
@@ -168,7 +168,7 @@ def octets_in(text: str) -> int | None:
     return count if not padding or text[-1 - padding] in _LAST_CHARACTERS[padding] else None
 
 
-# Of base64 text, in front of so many characters of padding (RFC 4648, 3.5: the bits that are left over are zero).
+# Last characters of base64 text by the length of its padding (RFC 4648, 3.5: the unused bits are zero).
 _LAST_CHARACTERS = {1: "AEIMQUYcgkosw048", 2: "AQgw"}
 
 
@@ -224,7 +224,7 @@ def _floats32(values: list[Any]) -> list[Any] | None:
 
 def _fit_float32(numbers: list[float]) -> bool:
     try:
-        # Only with a byte order given does struct refuse what is too large, rather than store infinity.
+        # Only with a byte order given does struct refuse a number that is too large; else it stores infinity.
         struct.pack(f"<{len(numbers)}f", *numbers)
     except OverflowError:
         return False

@@ -10,7 +10,7 @@ import numpy as np
 from planners import checks
 from planners.budget import Budget
 from planners.cartesian.following import FollowedPath, PathEnd, PathFollower, TipTracker, leaves_limits, tip_curve
-from planners.cartesian.tip_path import TipPath, as_pose, check_path, check_shape
+from planners.cartesian.tip_path import TipPath, check_path, check_shape, rounded_pose
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.joint_space import JointSpace
@@ -145,7 +145,7 @@ class _Task:
     ) -> CartesianPlan:
         done_m, length_m = float(followed.along_m[-1]), self.path.length_m
         fraction = done_m / length_m if length_m > 0.0 else 1.0
-        reached = as_pose(self.path.at(done_m), DIGITS)
+        reached = rounded_pose(self.path.at(done_m), DIGITS)
         stopped_by = None if followed.ended is None else _stopped_by(followed.ended, done_m, length_m, reached)
         return CartesianPlan(motion, fraction, stopped_by, budget.spent_s, deviation)
 

@@ -31,7 +31,7 @@ _PLAIN = (str, int, float, bool, type(None))
 
 
 def is_document(frame: bytes) -> bool:
-    """Tell whether a binary frame is one BSON document: it begins with its own length and ends with zero."""
+    """Return True for a binary frame that is one BSON document: it begins with its own length and ends with zero."""
     return len(frame) >= _MIN_DOCUMENT_BYTES and int.from_bytes(frame[:4], "little") == len(frame) and frame[-1] == 0
 
 

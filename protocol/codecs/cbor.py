@@ -18,7 +18,7 @@ import cbor2
 from protocol.codecs.pieces import Notation, encoded_pieces
 from protocol.registry import Field, Registry
 
-# Packs one value; None where it stays as it is.
+# Packs one value; None where it stays unchanged.
 Pack: TypeAlias = Callable[[Any], Any] | None
 
 # As many as there are compiled types in protocol.messages, with and without packed numbers.
@@ -102,7 +102,7 @@ def _number_packing(base: str) -> Callable[[list[Any]], cbor2.CBORTag]:
 # RFC 8949, 3.1.
 _ARRAY, _MAP = 4, 5
 
-# A map of three pairs: op, topic and msg, of which the first never changes.
+# A map of three pairs: op, topic and msg; the first never changes.
 _PUBLISH_HEAD = b"\xa3" + cbor2.dumps("op") + cbor2.dumps("publish") + cbor2.dumps("topic")
 _MSG_KEY = cbor2.dumps("msg")
 
@@ -117,7 +117,7 @@ def encode(msg: Mapping[str, Any]) -> bytes:
 
 
 def _length(major_type: int, length: int) -> bytes:
-    """Return the head of a map or an array, of which an encoded integer differs in its major type alone."""
+    """Return the head of a map or an array; an encoded integer differs from it in the major type alone."""
     head = cbor2.dumps(length)
     return bytes((head[0] | major_type << 5,)) + head[1:]
 

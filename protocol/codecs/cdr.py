@@ -5,7 +5,7 @@ DDS-XTypes 1.3, section 7.4.3; DDSI-RTPS 2.5, section 10). Text ends with a zero
 structure is one octet, for the C structures behind ROS 2 messages need a member (rosidl,
 structure_needs_at_least_one_member).
 
-A type is compiled once into a tree of functions that write it, and into one that reads it. Input may come from another
+A type is compiled once into a tree of functions that write it, and a tree that reads it. Input may come from another
 machine or from a damaged file: every length is checked against the octets that are there before anything is allocated
 for it.
 """

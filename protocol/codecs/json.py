@@ -56,7 +56,7 @@ def decode(frame: str | bytes, *, light: bool = False) -> object:
 
 
 def is_light(frame: str) -> bool:
-    """Tell whether a long frame is decoded, and encoded again, in little time: 1 MiB in a millisecond."""
+    """Return True for a long frame that is decoded and encoded quickly: 1 MiB in a millisecond."""
     # Text that is not ASCII, or is escaped so, is escaped character by character on its way out.
     if len(frame) > _LIGHT_CHARACTERS or not frame.isascii():
         return False

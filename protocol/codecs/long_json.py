@@ -1,8 +1,8 @@
 """Long JSON text, decoded in pieces.
 
 The decoder holds the interpreter's lock until it has read its text to the end, which takes 0.1 s for 10 MB of numbers.
-So a long text is cut at commas into pieces of which each is decoded by itself: in front of a piece go the brackets that
-are open there, behind it those that close what is still open, and what was cut is put together again. In between,
+So a long text is cut at commas into pieces, and each piece is decoded by itself: in front of it go the brackets that
+are open there, behind it the closing ones, and the decoded pieces are put together again. In between,
 other threads have their turn. ``{"a":[1,2],"b":[3`` and ``4,5]}`` are decoded as ``{"a":[1,2],"b":[3]}`` and
 ``{KEY:[4,5]}``.
 """

@@ -60,8 +60,8 @@ class Notation:
     """Bytes of an encoding around the members of maps and lists.
 
     Attributes:
-        map_head: returns what stands in front of a map with so many members.
-        list_head: returns what stands in front of a list with so many members.
+        map_head: returns the head of a map with a number of members.
+        list_head: returns the head of a list with a number of members.
     """
 
     encode: Callable[[Any], bytes]
@@ -110,7 +110,7 @@ def encoded_pieces(value: Any, notation: Notation, piece_bytes: int = PIECE_BYTE
 
 
 def _runs(value: dict[Any, Any] | list[Any], piece_bytes: int) -> Iterator[dict[Any, Any] | list[Any]]:
-    """Cut a map or a list into maps or lists of members that make a piece together, or of one that is too long."""
+    """Cut a map or a list into maps or lists of members that make a piece together, or of one long member."""
     if isinstance(value, list):
         for start, end in _cuts(value, piece_bytes):
             yield value[start:end]

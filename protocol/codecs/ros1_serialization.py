@@ -5,7 +5,7 @@ of the message as a whole. Texts, and arrays without a fixed length, come behind
 zero at its end, and an empty message has no octets. Times are two integers of 32 bits (roscpp_serialization,
 genpy/generator.py).
 
-A type is compiled once into a tree of functions, each of which appends a value to the octets before it.
+A type is compiled once into a tree of functions, and each of them appends a value to the octets before it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LENGTH = struct.Struct("<I")
 # ROS 2's seconds of a time are signed and its nanoseconds of a duration are not: what ROS 1 cannot hold keeps its bits.
 _TIME, _WORD = struct.Struct("<II"), 0xFFFF_FFFF
 
-# Types of both generations; a type that exists only in ROS 2 has those of ROS 2.
+# Types of both generations; a type that exists only in ROS 2 has ROS 2's.
 _TIMES = (*ROS1_TIMES, "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
 
@@ -32,7 +32,7 @@ def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any], sequen
     """Return a complete message in ROS 1's serialization.
 
     Args:
-        type_name: name of the message's type; one that exists only in ROS 2 is written as if ROS 1 had it.
+        type_name: name of the message's type; a type of ROS 2 alone is written as if ROS 1 had it.
         msg: a message as `protocol.messages.complete` returns it, in ROS 2 spelling.
         sequence_number: as of :func:`protocol.dialect.to_ros1`.
     """

@@ -23,7 +23,7 @@ from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Difference
 from server.commands.arm import relax_arm
 from server.commands.options import Subparsers, add_command, add_robot, add_serial, open_bus, read_hardware
-from server.commands.terminal import ExitCode, Terminal, table
+from server.commands.terminal import ExitCode, Terminal, chosen, prompt, table
 
 # Fast enough to follow a hand across the seam (no joint turns by half a turn meanwhile), slow enough to be read.
 SWEEP_PERIOD_S = 0.02
@@ -155,15 +155,13 @@ class _Conversation:
         """Return the answer to a step; positions are followed and shown meanwhile."""
         if self._yes and step.name in (HOLD, WRITE):
             return step.answers[0]
-        first, *others = step.answers
-        typed = "".join(f", or type {each!r} and Enter" for each in others)
-        self._terminal.ask(f"{step.instruction} Enter: {first}{typed}.")
+        self._terminal.ask(f"{step.instruction}{prompt(step.answers)}")
         while (line := self._terminal.line_typed()) is None:
             if step.name != HOLD:
                 self._follow()
             time.sleep(SWEEP_PERIOD_S)
-        answer = line.strip().lower() or first
-        if step.name == HOLD and answer != first:
+        answer = chosen(line, step.answers)
+        if step.name == HOLD and answer not in step.answers:
             raise CalibrationError("answer", answer, "the arm was not relaxed")
         return answer
 

@@ -11,6 +11,7 @@ from enum import IntEnum
 
 from robot.errors import RobotError
 
+YES_OR_NO = frozenset({"yes", "no"})
 YES = frozenset({"y", "yes"})
 
 READ_BYTES = 4096
@@ -94,6 +95,24 @@ class Terminal:
         if not data:
             raise AnswerMissing("the question was not answered: the input ended")
         self._received += data
+
+
+def prompt(answers: Sequence[str]) -> str:
+    """Describe the keys for the answers to a question. Enter alone answers no question about yes or no."""
+    if not answers:
+        return ""
+    if set(answers) >= YES_OR_NO:
+        return f" Type {' or '.join(answers)} and Enter."
+    return f" Enter: {answers[0]}{''.join(f', or type {each!r} and Enter' for each in answers[1:])}."
+
+
+def chosen(typed: str, answers: Sequence[str]) -> str:
+    """Return the answer that a typed line begins, if there is one alone, the first for an empty line, else the line."""
+    line = typed.strip().lower()
+    if not line:
+        return "" if set(answers) >= YES_OR_NO else answers[0]
+    begun = [each for each in answers if each.startswith(line)]
+    return begun[0] if len(begun) == 1 else line
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

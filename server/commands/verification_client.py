@@ -13,7 +13,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from robot.errors import RobotError
 from server.arm.commissioning import ANSWER, BEGIN, CANCEL, STATE_TOPIC
-from server.commands.terminal import ExitCode, Terminal, table
+from server.commands.terminal import ExitCode, Terminal, chosen, prompt, table
 
 # A server on the same network answers within milliseconds, a busy one within seconds.
 ANSWER_TIMEOUT_S = 10.0
@@ -72,7 +72,7 @@ class VerificationClient:
             if line is None:
                 self._receive(POLL_S)
                 continue
-            answer = line.strip().lower() or self._state["answers"][0]
+            answer = chosen(line, self._state["answers"])
             try:
                 self._call(ANSWER, {"step": step, "answer": answer})
             except ServerLost as refusal:
@@ -98,10 +98,8 @@ class VerificationClient:
         ]
         if measured and answers:
             self._terminal.say(table(("joint", "deg from its goal"), measured))
-        others = "".join(f", or type {each!r} and Enter" for each in answers[1:])
-        asked = f" Enter: {answers[0]}{others}." if answers else ""
         if instruction := self._state.get("instruction", ""):
-            self._terminal.ask(f"{instruction}{asked}")
+            self._terminal.ask(f"{instruction}{prompt(answers)}")
 
     def _send(self, operation: Mapping[str, Any]) -> None:
         self._websocket.send(json.dumps(operation))

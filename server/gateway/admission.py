@@ -1,10 +1,9 @@
 """Admission: limits of connections, the check of requests by ``Host``, ``Origin`` and token, and open addresses.
 
-A connection counts from the moment websockets is told of it: when the TCP connection is made, and with TLS when the
-handshake is done.
+A connection counts from the moment when the TCP connection is made, and with TLS when the handshake is done.
 
-A browser lets every page open a WebSocket to every address that its machine reaches, and tells the server only in
-``Origin`` whose page it is. A page of another host can have its own name point to the server's address (DNS rebinding),
+A browser lets every page open a WebSocket to every address that its machine reaches, and names the page only
+in ``Origin``. A page of another host can have its own name point to the server's address (DNS rebinding),
 and is then of one origin with the server for its browser; the name still stands in the ``Host`` header of each request.
 """
 
@@ -40,7 +39,7 @@ from server.graph.permissions import ANYONE, Identity, Role
 
 log = logging.getLogger("armbridge.gateway")
 
-# Connections at once from an address: those of this time at the rate [s].
+# Connections at once from an address: as many as the rate allows in this time [s].
 BURST_TIME_S = 10
 
 # Refused connections are answered with the reason while they are few: an answer costs a handshake, and a flood gets
@@ -102,9 +101,9 @@ class ConnectionLimiter:
         self._settings = settings
         self._max_clients = settings.max_clients
         self._max_per_address = settings.max_clients_per_address
-        # Behind the limits in refusals: the reason for which they are not those of the settings.
+        # Behind the limits in refusals: the reason for which they differ from the settings.
         self._reduction = ""
-        # Addresses with connections, and those without, the one that left last at the end.
+        # Addresses with connections, and addresses without, the last to leave at the end.
         self._present: dict[str, _Address] = {}
         self._absent: OrderedDict[str, _Address] = OrderedDict()
         self._answered = 0
@@ -213,7 +212,7 @@ class Authority:
 
     Attributes:
         host: a name in lower case without the dot at its end, or an IP address without brackets.
-        port: TCP port; None for that of the scheme.
+        port: TCP port; None for the scheme's.
     """
 
     host: str
@@ -283,7 +282,7 @@ def own_names(hostname: str | None = None) -> Sequence[str]:
     """Return the names of this machine that need no look-up: its hostname, and its name in multicast DNS.
 
     Args:
-        hostname: None for the one that the system has.
+        hostname: None for the system's.
     """
     name = (socket.gethostname() if hostname is None else hostname).lower()
     short = name.partition(".")[0]
@@ -291,11 +290,11 @@ def own_names(hostname: str | None = None) -> Sequence[str]:
 
 
 class AllowedOrigins:
-    """Origins whose pages may connect: those of this machine, the server's own, and those that are named.
+    """Origins whose pages may connect: this machine's, the server's own, and the named ones.
 
     Args:
-        allowed: origins, as ``access.allowed_origins`` has them: ``*`` for any text; ``null`` is that of a page from
-            a file or a sandbox.
+        allowed: origins, as ``access.allowed_origins`` has them: ``*`` for any text; ``null`` is the origin of a
+            page from a file or a sandbox.
     """
 
     def __init__(self, allowed: Iterable[str] = ()) -> None:
@@ -451,7 +450,7 @@ class AdmissionPolicy:
 
 
 def check_exposure(host: str, addresses: Iterable[str], tokens: Tokens, *, insecure: bool) -> None:
-    """Check the addresses to listen on: one that others can reach needs tokens, or ``access.insecure``.
+    """Check the addresses to listen on: an address that others can reach needs tokens, or ``access.insecure``.
 
     An address that stays open is warned of at each start.
 

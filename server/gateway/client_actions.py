@@ -34,7 +34,7 @@ class ClientActions:
         self._actions = context.graph.actions
         self._limits = context.session.limits
         self._offered: set[str] = set()
-        # Goals that the client is to reach, by the ids that it got, none of which is ever given twice.
+        # Goals that the client is to reach, by the ids that it got; no id is given twice.
         self._requested: dict[Mark, Goal] = {}
         self._numbers = itertools.count(1)
         # Goals that the client has sent: action and the client's id.
@@ -163,9 +163,9 @@ class ClientActions:
         self._client.send(with_id(fields, id_))
 
     def cancel(self, operation: CancelActionGoal) -> None:
-        """Cancel the goal of this id; one that is unknown has most likely just ended.
+        """Cancel the goal of this id; an unknown goal has most likely just ended.
 
-        A client that connects anew for each request, as ros-mcp does, cancels goals of its former connections. In
+        A client that connects for each request, as ros-mcp does, cancels goals of its former connections. In
         rosbridge_library (capabilities/send_action_goal.py) all clients share one table of goals.
         """
         wanted = name, id_ = qualify(operation.action), operation.id

@@ -59,7 +59,7 @@ class ClientAuth:
         self._auth.release()
 
     def check_first_frame(self, frame: str | bytes) -> bool:
-        """Check a frame of a client without identity; return True for one that may be read."""
+        """Check a frame of a client without identity; return True if it may be read."""
         if not self._disconnected and len(frame) > MAX_FIRST_BYTES:
             self._disconnect(_NOT_FIRST)
         return not self._disconnected

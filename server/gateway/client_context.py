@@ -1,6 +1,6 @@
 """Context that the parts of one client share, with its status messages and the translation of all others.
 
-The levels of status messages are those of the rosbridge protocol (section 3.2, status): an error is not carried out, a
+The levels of status messages are rosbridge's (section 3.2, status): an error is not carried out, a
 warning is carried out but was most likely not meant so, info confirms a success.
 """
 
@@ -83,8 +83,8 @@ _DONE: Mapping[type[Operation], _Done] = {
 class ClientStatus:
     """Status messages of one client, as it wants them by ``set_level``, and log lines about it.
 
-    Until its first operation is carried out, a client is told unasked of a frame that is no operation and of a topic
-    that does not exist: someone who types JSON by hand would wait for an answer in vain.
+    Until its first operation is carried out, a client gets unasked errors about frames without an operation and about
+    unknown topics: someone who types JSON by hand would wait for an answer in vain.
 
     Args:
         wake: called when there is something to send.
@@ -108,7 +108,7 @@ class ClientStatus:
         self._wake = _do_nothing
 
     def refuse(self, refusal: Refusal) -> None:
-        """Tell of an operation that is not carried out."""
+        """Report an operation that is not carried out."""
         self._refuse(refusal, unasked=refusal.op is None)
 
     def _refuse(self, refusal: Refusal, *, unasked: bool) -> None:
@@ -121,7 +121,7 @@ class ClientStatus:
         self._wake()
 
     def reject(self, operation: Operation, reason: str) -> None:
-        """Tell of an operation that the client may not do; repeated ones are logged once, for they may come fast."""
+        """Report an operation that the client may not do; repeated ones are logged once, for they may come fast."""
         self.refused += 1
         text = one_line(f"{operation.op}: {reason}")
         if text != self._last_rejection:
@@ -131,7 +131,7 @@ class ClientStatus:
         self._wake()
 
     def refuse_error(self, op: str, error: ProtocolError | GraphError, id_: Mark = None) -> None:
-        """Tell of an operation that has ended with an error."""
+        """Report an operation that has ended with an error."""
         # An OperationError names the operation itself.
         text = str(error) if isinstance(error, OperationError) else f"{op}: {error}"
         if isinstance(error, NothingToDoError):
@@ -141,7 +141,7 @@ class ClientStatus:
             self._refuse(Refusal(op, id_, text), unasked=isinstance(error, GraphError))
 
     def tell(self, level: Literal["error", "warning", "info"], operation: Operation, text: str) -> None:
-        """Tell of an operation that is carried out; of an error that is logged elsewhere."""
+        """Report on an operation that is carried out, or an error that is logged elsewhere."""
         if self._session.status_level == "none":
             return
         self._session.status(level, f"{operation.op}: {text}", operation.id)
@@ -281,7 +281,7 @@ class ClientContext:
         Args:
             fields: the operation, its message complete in ROS 2 spelling.
             field: the field with the message.
-            type_name: type of the message; a name that the registry does not know for what is sent as it is.
+            type_name: type of the message; a name that the registry does not know for values that are sent unchanged.
         """
         if not self.left and self.session.reply(self._translated(fields, field, type_name), self.send_at_once):
             self.wake()

@@ -1,4 +1,4 @@
-"""Topics of one client: its publications, and its subscriptions with what is delivered to them."""
+"""Topics of one client: its publications, and its subscriptions with their deliveries."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class ClientTopics:
         self._doubt_misspelt(operation, topic)
 
     def _doubt_misspelt(self, operation: Advertise | Subscribe, topic: str) -> None:
-        """Warn of a topic that this client alone uses, and whose name is nearly that of one of the server's."""
+        """Warn of a topic that this client alone uses, and whose name is nearly a topic's of the server."""
         if not self._client.status.hears_doubts:
             return
         if {*self._graph.publishers(topic), *self._graph.subscribers(topic)} == {self._node}:
@@ -160,7 +160,7 @@ class ClientTopics:
         try:
             self._graph.turn_away(self._node, topic, received, problem)
         except PostponedError:
-            # Of what is so large nothing is answered but that it is refused.
+            # A message of this size is refused without its values.
             self._graph.turn_away(self._node, topic, None, problem)
 
     def subscribe(self, operation: Subscribe) -> None:
@@ -185,7 +185,7 @@ class ClientTopics:
 
     def _deliver_earlier(self, topic: str, earlier: Sequence[PublishedMessage]) -> None:
         subscription = self._session.subscriptions.get(topic)
-        # Under a throttle that drops, one of them gets through: it shall be the newest.
+        # Under a throttle that drops, one message gets through: the newest.
         newest_only = self._session.newest_only or (subscription is not None and subscription.skips)
         queued = [self._queue(published) for published in (earlier[-1:] if newest_only else earlier)]
         # Not before all are there: of what waits for a throttle, only the last ones are to be sent.

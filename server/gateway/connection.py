@@ -63,7 +63,7 @@ class TrafficCounts(NamedTuple):
 
     Attributes:
         received_messages: WebSocket messages received.
-        received_bytes: bytes received, those of the handshake included.
+        received_bytes: bytes received, with the handshake's.
         sent_messages: WebSocket messages sent; a fragment is one.
         sent_bytes: bytes of these messages.
         dropped_messages: messages of topics dropped because the client read too slowly.
@@ -183,7 +183,7 @@ class Connection:
         """Carry out what a client that leaves has sent before, unless it would have to read its replies first."""
         ends_s = time.monotonic() + LEAVE_TIMEOUT_S
         inbox, session = self._client.inbox, self._client.session
-        # No event tells of it, for nearly every client has nothing waiting when it leaves.
+        # Polled: nearly every client has nothing waiting when it leaves.
         while not inbox.empty and not session.congested and time.monotonic() < ends_s:  # noqa: ASYNC110
             await asyncio.sleep(LEAVE_POLL_S)
 
@@ -233,7 +233,7 @@ class Connection:
         self._watch = asyncio.get_running_loop().call_later(delay_s, self._check_reading, taken_bytes, since_s)
 
     def _check_reading(self, taken_bytes: int, since_s: float) -> None:
-        """Drop what waits for too long, if the client stands still; disconnect one that does not read its replies."""
+        """Drop what waits for too long, if the client stands still; disconnect it if it does not read its replies."""
         self._watch = None
         session, now_s = self._client.session, time.monotonic()
         if self._transport.taken_bytes > taken_bytes:
@@ -267,7 +267,7 @@ class Connection:
 
     def _check_authenticated(self) -> None:
         if self._client.node.identity is None and self._closing is None:
-            log.warning("%s: has not said who it is within %g s; closing", self._client.node, AUTH_TIMEOUT_S)
+            log.warning("%s: authentication timed out after %g s; closing", self._client.node, AUTH_TIMEOUT_S)
             self._disconnect(f"the op auth is wanted within {AUTH_TIMEOUT_S:g} s")
 
     def _disconnect(self, reason: str) -> None:
@@ -277,9 +277,9 @@ class Connection:
 
     async def _close(self, reason: str) -> None:
         """Close the connection with a reason, and end it even if the client reads nothing."""
-        told = reason.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
+        short = reason.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._transport.close(POLICY_VIOLATION, told), CLOSE_TIMEOUT_S)
+            await asyncio.wait_for(self._transport.close(POLICY_VIOLATION, short), CLOSE_TIMEOUT_S)
         self._transport.abort()
 
     def _flush(self) -> None:

@@ -1,7 +1,7 @@
 """Opening handshake in one step, for requests as nearly every client sends them; all others are left to websockets.
 
 websockets reads a request line by line in a generator, and makes its answer out of parts: together the half of what a
-connection costs. Here one pattern tells that a request is whole, that it has each header once, and that websockets
+connection costs. Here one pattern shows that a request is whole, that it has each header once, and that websockets
 would accept it. The tests hold both ways to the same requests and the same answers.
 """
 
@@ -42,7 +42,7 @@ def read_upgrade(data: bytes) -> Request | None:
     """Return a request that opens a WebSocket and that websockets would accept.
 
     Returns:
-        The request; None for one that is not complete, has anything behind it, or is not plain.
+        The request; None for a request that is incomplete, not plain, or followed by anything.
     """
     if len(data) > MAX_REQUEST_BYTES or (found := _REQUEST.fullmatch(data)) is None:
         return None
@@ -68,7 +68,7 @@ def _is_plain(values: dict[str, str]) -> bool:
 
 
 def accept(request: Request) -> bytes:
-    """Return the answer that opens the WebSocket, as it is sent."""
+    """Return the bytes of the answer that opens the WebSocket."""
     accepted = accept_key(request.headers["Sec-WebSocket-Key"])
     return _ACCEPTED.format(date=_date(int(time.time())), accept=accepted).encode("ascii")
 

@@ -50,8 +50,8 @@ _FOR_EVER = "public, max-age=31536000, immutable"
 # Kept by the browser, and asked about at each use: an ETag that still holds costs 300 bytes.
 _ASK_AGAIN = "no-cache"
 
-# Nothing of another host is loaded or asked, nothing runs that is not a file of ours, nobody frames the page: whoever
-# made a person click on a page within a page would move the arm. Textures are made from data and blobs.
+# Nothing of another host is loaded or asked, nothing runs that is not a file of ours, nobody frames the page: a
+# click on a page within a page would move the arm. Textures are made from data and blobs.
 POLICY = "; ".join(
     (
         "default-src 'none'",
@@ -312,7 +312,7 @@ class HttpResponse:
 
 
 def bad_request(sentence: str) -> bytes:
-    """Return the answer, as it is sent, to a request that was not read to its end."""
+    """Return the bytes of the answer to a request that was not read to its end."""
     return HttpResponse.of_text(HTTPStatus.BAD_REQUEST, sentence).response(Request("/", Headers())).serialize()
 
 
@@ -360,7 +360,7 @@ class HttpHandler:
         """Answer a request.
 
         Args:
-            request: one that does not ask for a WebSocket.
+            request: it does not ask for a WebSocket.
             send: sends the response, and returns when the client has read it.
         """
         if request.method not in METHODS:
@@ -436,7 +436,7 @@ def _sentence(error: ServiceError) -> str:
 
 
 def _name(path: str) -> str | None:
-    """Return the path of a request without its first slash, None for one that cannot be a file."""
+    """Return the path of a request without its first slash, None for a path that cannot be a file."""
     try:
         name = unquote(path.partition("?")[0], errors="strict")
     except ValueError:

@@ -44,7 +44,7 @@ from server.timers import CallLater, Timer, call_later
 log = logging.getLogger("armbridge.gateway")
 
 # Addresses that stand for all of this machine's.
-EVERY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 - what is compared with
+EVERY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 - compared with, not bound
 
 CERTIFICATE, KEY = "server.tls_certificate", "server.tls_key"
 
@@ -87,7 +87,7 @@ class Tls:
         connection.context = self._latest
 
     def _tell_plain_text(self) -> None:
-        """Tell once of a client that does not encrypt: asyncio closes its connection without a word."""
+        """Log once that a client does not encrypt: asyncio closes its connection without a word."""
         line = "refused: a client speaks ws:// or http://, and here is wss:// and https://"
         self._log.write(log, logging.WARNING, line, "plain text")
 
@@ -326,7 +326,7 @@ class Listener:
         return f"[{self._host}]" if ":" in self._host else self._host
 
     def refused_connections(self) -> Mapping[str, int]:
-        """Return the numbers of refused connections and requests by reason: ``limit``, and those of the admission."""
+        """Return the numbers of refused connections and requests by reason: ``limit``, and the admission's reasons."""
         return {**self.admission.refusals, "limit": self._limiter.rejected_count}
 
     async def bind(self) -> None:
@@ -382,7 +382,7 @@ class Listener:
     def reload_certificate(self) -> None:
         """Read the certificate again, for connections from now on."""
         if self._tls is None:
-            log.info("nothing to read again: there is no certificate (server.tls_certificate)")
+            log.info("TLS is not configured (server.tls_certificate); nothing to reload")
         else:
             self._tls.reload()
 
@@ -458,7 +458,7 @@ def listen(places: Sequence[Place], host: str, port: int, option: str = "--port"
         option: option of the command line that chooses another one, for the error.
 
     Raises:
-        StartError: the port is in use, not allowed, or none of the addresses is ours.
+        StartError: the port is in use, not allowed, or the machine has no such address.
     """
     for tries_left in reversed(range(FREE_PORT_TRIES)):
         try:
@@ -488,7 +488,7 @@ def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
 
 
 def _listen_on(place: Place, port: int, *, alone: bool) -> socket.socket:
-    # With the protocol named, asyncio takes what is accepted for TCP, and sends small messages at once.
+    # With the protocol named, asyncio treats accepted sockets as TCP, and sends small messages at once.
     made = socket.socket(place.family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

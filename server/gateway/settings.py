@@ -40,7 +40,7 @@ class ServerSettings(SettingsSection):
     tls_key: Path | None = None
     """PEM file of its key, without a passphrase; with tls_certificate only."""
     max_clients: int = Field(default=1000, ge=1, le=100_000)
-    """connections at a time, those of a page that loads among them."""
+    """connections at a time, including a page's while it loads."""
     # Behind a container's proxy all clients have one address.
     max_clients_per_address: int = Field(default=800, ge=1, le=100_000)
     """connections at a time from one address."""
@@ -50,7 +50,7 @@ class ServerSettings(SettingsSection):
     ping_interval_s: float = Field(default=20.0, ge=1.0, le=3600.0)
     """how often each client is asked whether it is still there [s]."""
     ping_timeout_s: float = Field(default=20.0, ge=1.0, le=3600.0)
-    """time to answer; who does not is disconnected [s]."""
+    """a client that sends no pong in this time is disconnected [s]."""
     unregister_timeout_s: float = Field(default=10.0, ge=0.0, le=3600.0)
     """for how long a topic keeps its type, and what is latched there, after the last one who used it has left: some
     clients open a new socket between advertise and publish [s].

@@ -58,7 +58,7 @@ class Transport(asyncio.Protocol):
         query: choices of the client, as a URL's query has them: ``ros``, ``on_disconnect``.
         max_message_bytes: size of a received frame beyond which the connection ends, before it is read.
         is_open: True while frames can be sent.
-        received_bytes: bytes received, those of a handshake included.
+        received_bytes: bytes received, with the handshake's.
         sent_messages: frames sent; a fragment is one.
         sent_bytes: bytes of these frames.
     """
@@ -105,7 +105,7 @@ class Transport(asyncio.Protocol):
 
     @abstractmethod
     def _begin(self, rejection: HttpResponse | None) -> None:
-        """Begin with a new connection, or end one that the limiter rejects."""
+        """Begin with a new connection, or end it when the limiter rejects it."""
 
     @abstractmethod
     def _add(self, data: bytes) -> None:
@@ -203,7 +203,7 @@ class Transport(asyncio.Protocol):
         self._close_after_replies(linger=False)
 
     async def close(self, code: int, reason: str) -> None:
-        """Tell the client the reason, and wait until the connection has ended; arguments as of :meth:`end`."""
+        """End the connection with a reason, and wait for its end; arguments as of :meth:`end`."""
         self.end(reason, code)
         await self._lost.wait()
 
@@ -240,7 +240,7 @@ class Transport(asyncio.Protocol):
             self._take_turn()
 
     def eof_received(self) -> bool:
-        """End the client when all has been read; return True to let it read what is still to be said."""
+        """End the client when all has been read; return True to let it read its last replies."""
         self._at_eof = True
         if self._ending:
             return False
@@ -380,7 +380,7 @@ class Transport(asyncio.Protocol):
         try:
             self._transport.writelines(pieces)
         except MemoryError:
-            # Part of a frame may have been written, behind which the client can be told nothing.
+            # Part of a frame may have been written, so no reason can follow.
             self._failure = ConnectionAbortedError(OUT_OF_MEMORY)
             self.abort()
 

@@ -160,7 +160,7 @@ class Threads:
 
 
 def encode_or_log(encoded: EncodedMessage) -> None:
-    """Encode a message; one that cannot be is left out, with a log line."""
+    """Encode a message, or leave it out with a log line."""
     try:
         encoded.encode()
     except ProtocolError as error:

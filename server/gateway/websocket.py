@@ -40,7 +40,7 @@ _OPEN, _TEXT, _BINARY, _CONT, _PONG, _CLOSE = (
     Opcode.CLOSE,
 )
 
-# Clients send their request at once; one that takes longer only holds the connection (slow loris).
+# Clients send their request at once; a slow one only holds the connection (slow loris).
 REQUEST_TIMEOUT_S = 10.0
 
 # Time for an answer over HTTP to be read. The largest mesh, 20 MB, takes so long at 170 kB/s, over a poor wireless
@@ -193,7 +193,7 @@ class WebSocket(Transport):
         self._refuse_request(f"the request was not complete within {timeout_s:g} s")
 
     def _refuse_request(self, sentence: str) -> None:
-        # A connection on which nothing ever came is one that a browser has opened ahead, or a port scan.
+        # A connection without a byte was opened ahead by a browser, or is a port scan.
         if self.received_bytes:
             self._write((bad_request(sentence),))
         self._close_after_replies(linger=bool(self.received_bytes))
@@ -243,7 +243,7 @@ class WebSocket(Transport):
         self._data, self._begin_at = left + data if left else data, 0
 
     def _next_frame(self) -> str | bytes | None:
-        """Return the next message; whole ones that are short are read here, all others by websockets."""
+        """Return the next message; short whole ones are read here, all others by websockets."""
         data = self._data
         while self._begin_at < len(data) and not self._ending:
             begin = self._begin_at

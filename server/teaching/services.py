@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable
-from typing import Any, TypeAlias
+from typing import Any
 
 from planners.interface import Planners
 from planners.problem import Plan, PlanningFailure
 from robot.description.model import RobotModel
 from robot.messages import ArmState
+from server.answers import Work, telling
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState, SceneSource
 from server.graph.node import Node
@@ -36,7 +36,6 @@ BEGIN = "/teach/begin"
 END = "/teach/end"
 DISCARD = "/teach/discard"
 
-_Work: TypeAlias = Callable[[Message], Awaitable[dict[str, Any]]]
 
 # Ten minutes of six joints are timed and checked in half a second on a quiet machine.
 CHECK_TIME_S = 10.0
@@ -260,15 +259,10 @@ class Teaching:
 
     # Messages.
 
-    def _offer(self, name: str, type_name: str, work: _Work, rule: Rule) -> None:
-        async def serve(request: Message) -> dict[str, Any]:
-            try:
-                return await work(request)
-            except ServiceError as error:
-                log.warning("%s: %s", name, error)
-                return {"success": False, "message": str(error)}
-
-        self._graph.services.offer(self._node, name, type_name, serve, limits=TRAJECTORY_LIMITS, rule=rule)
+    def _offer(self, name: str, type_name: str, work: Work, rule: Rule) -> None:
+        self._graph.services.offer(
+            self._node, name, type_name, telling(name, work, log), limits=TRAJECTORY_LIMITS, rule=rule
+        )
 
     def _show(self) -> None:
         recorder = self._recorder

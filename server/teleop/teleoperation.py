@@ -7,15 +7,16 @@ import functools
 import logging
 import math
 import time
-from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 from protocol.errors import MessageError
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from robot.messages import ArmState
 from robot.stop_epochs import STOP_EPOCHS
+from server.answers import Work, telling
 from server.arrival import arrival_epoch
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
@@ -47,8 +48,6 @@ MAX_JOINTS = 32
 
 # A leader's message that cannot be read is repeated many times a second.
 LOGGED_AGAIN_S = 5.0
-
-_Work: TypeAlias = Callable[[Message], Awaitable[dict[str, Any]]]
 
 
 def read_sample(message: Message, received_s: float) -> LeaderSample:
@@ -379,17 +378,10 @@ class Teleoperation:
             },
         )
 
-    def _offer(self, name: str, type_name: str, work: _Work, rule: Rule) -> None:
-        async def serve(request: Message) -> dict[str, Any]:
-            try:
-                return await work(request)
-            except ServiceError as error:
-                log.warning("%s: %s", name, error)
-                return {"success": False, "message": str(error)}
-
+    def _offer(self, name: str, type_name: str, work: Work, rule: Rule) -> None:
         arm = name[1:].partition("/")[0]
         rule = replace(rule, arm=arm if arm in self._followers else "")
-        self._graph.services.offer(self._node, name, type_name, serve, rule=rule)
+        self._graph.services.offer(self._node, name, type_name, telling(name, work, log), rule=rule)
 
 
 def _state_message(follower: str, leader: str, state: FollowingState) -> dict[str, Any]:

@@ -161,13 +161,7 @@ class ThirdServos:
         self._input = b""
 
     def power_up(self, servo_id: int) -> None:
-        start = {Register.MODEL_NUMBER: MODEL, Register.TORQUE_PERCENT: FULL_PERCENT, Register.GOAL_POSITION: 0}
-        for register, value in {
-            **start,
-            Register.TORQUE_ENABLE: 0,
-            Register.SUPPLY: 74,
-            Register.TEMPERATURE: 30,
-        }.items():
+        for register, value in AFTER_POWER_UP.items():
             self.set(servo_id, register, value)
 
     def value(self, servo_id: int, register: Register) -> int:

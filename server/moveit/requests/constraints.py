@@ -25,7 +25,7 @@ from planners.scene import Pose
 from robot.description.model import Joint
 from server.moveit.error_codes import invalid
 from server.moveit.poses import Message
-from server.moveit.requests.context import RequestContext
+from server.moveit.requests.context import RequestContext, chooses_orientation
 
 # Positions this near to each other are one: MoveGroupInterface's default joint tolerance.
 LEAST_JOINT_TOLERANCE_RAD = 1e-4
@@ -152,7 +152,7 @@ def is_binding(tolerance_rad: Point, context: RequestContext) -> bool:
     A group with six joints can reach any orientation, so there it is. A group with fewer rarely can: tolerances no
     wider than those that clients fill in by default do not bind it, and wider ones, which are chosen, do.
     """
-    return context.chooses_orientation or max(tolerance_rad) > DEFAULT_TOLERANCE_RAD
+    return chooses_orientation(context.group) or max(tolerance_rad) > DEFAULT_TOLERANCE_RAD
 
 
 def _tolerance(message: Message, axis: str, where: str) -> float:

@@ -32,11 +32,6 @@ class RequestContext:
     parameters: MoveItParameters
     warnings: list[str] = field(default_factory=list)
 
-    @property
-    def chooses_orientation(self) -> bool:
-        """True if the group has the joints to reach any orientation."""
-        return chooses_orientation(self.group)
-
     def link(self, name: str) -> str:
         """Return the name of a link; the tip's for an empty name."""
         if not name:

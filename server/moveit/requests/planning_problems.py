@@ -55,7 +55,7 @@ from server.moveit.requests.constraints import (
     read_goal,
     read_path_constraints,
 )
-from server.moveit.requests.context import RequestContext, planning_group
+from server.moveit.requests.context import RequestContext, chooses_orientation, planning_group
 from server.moveit.scene.frames import Frames
 from server.moveit.trajectories import read_seconds
 
@@ -204,7 +204,7 @@ class ProblemBuilder:
             start_rad=start_rad,
             link=context.link(request["link_name"]),
             segments=tuple(Line(end) for end in ends),
-            keep_orientation=context.chooses_orientation,
+            keep_orientation=chooses_orientation(context.group),
             max_step_m=max_step_m,
             tip_speed_m_s=_tip_speed_m_s(request, context),
             avoid_collisions=request["avoid_collisions"],
@@ -445,7 +445,7 @@ def _ik_goal(request: Message, context: RequestContext) -> Goal:
         pose,
         LEAST_TOLERANCE_M,
         (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3,
-        strict=context.chooses_orientation,
+        strict=chooses_orientation(context.group),
     )
 
 
@@ -453,7 +453,7 @@ def _goal_of_links(links: Sequence[str], poses: Sequence[Message], context: Requ
     """Make the goal of several links at once: only their positions if the group has few joints."""
     placed = [(context.link(link), _stamped_pose(pose, context)) for link, pose in zip(links, poses, strict=True)]
     positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
-    if not context.chooses_orientation:
+    if not chooses_orientation(context.group):
         context.warnings.append("the orientations of several links are ignored")
         return ConstraintGoal(Constraints(positions=positions))
     turned = tuple(

@@ -8,9 +8,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from protocol.errors import MessageError
+from server.answers import telling
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
@@ -82,14 +83,11 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
         return f"the scene {name!r} is deleted"
 
     def offer(name: str, type_name: str, work: _Work, rule: Rule) -> None:
-        async def serve(request: Message) -> Message:
-            try:
-                return {"success": True, "message": await work(request["name"])}
-            except ServiceError as error:
-                log.warning("/arm/scenes/%s: %s", name, error)
-                return {"success": False, "message": str(error)}
+        async def told(request: Message) -> dict[str, Any]:
+            return {"success": True, "message": await work(request["name"])}
 
-        graph.services.offer(node, f"/arm/scenes/{name}", f"armbridge_msgs/srv/{type_name}", serve, rule=rule)
+        name = f"/arm/scenes/{name}"
+        graph.services.offer(node, name, f"armbridge_msgs/srv/{type_name}", telling(name, told, log), rule=rule)
 
     graph.services.offer(node, "/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names, rule=LOOKING)
     offer("save", "SaveScene", scenes.save, CONFIGURING)

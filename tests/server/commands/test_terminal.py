@@ -5,7 +5,7 @@ import pty
 
 import pytest
 
-from server.commands.terminal import AnswerMissing, Terminal, table
+from server.commands.terminal import AnswerMissing, Terminal, chosen, table
 
 
 @pytest.fixture
@@ -87,3 +87,17 @@ def test_a_live_table_replaces_the_last_one_and_is_for_terminals_only(capsys, mo
 
 def test_columns_are_as_wide_as_their_widest_entry():
     assert table(("id", "joint"), [(1, "pan"), (100, "x")]) == "id   joint\n1    pan\n100  x"
+
+
+@pytest.mark.parametrize(
+    ("typed", "answers", "answer"),
+    [
+        ("", ("done", "skip", "skip all"), "done"),
+        (" Skip ", ("done", "skip", "skip all"), "skip"),
+        ("y", ("yes", "no"), "yes"),
+        ("", ("yes", "no"), ""),
+        ("s", ("done", "skip", "skip all"), "s"),
+    ],
+)
+def test_enter_is_the_first_answer_but_answers_no_question_about_yes_or_no(typed, answers, answer):
+    assert chosen(typed, answers) == answer

@@ -378,7 +378,7 @@ async def test_without_a_certificate_there_is_nothing_to_read_again(
 ) -> None:
     caplog.set_level("INFO")
     listener.reload_certificate()
-    assert "nothing to read again: there is no certificate (server.tls_certificate)" in caplog.text
+    assert "TLS is not configured (server.tls_certificate); nothing to reload" in caplog.text
 
 
 async def test_closing_ends_every_connection(listener: Listener) -> None:

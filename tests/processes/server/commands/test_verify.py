@@ -30,7 +30,7 @@ def test_a_person_at_a_terminal_compares_the_arm_pose_by_pose(arm: ServerOnBus, 
     file = tmp_path / "token"
     file.write_text(f"{TOKEN}\n")
     # Move; yes at three poses; the gripper does not look as the model.
-    answer = verify(arm.server.url, "\n\n\n\nno\ngripper\n", "--token-file", str(file))
+    answer = verify(arm.server.url, "\ny\ny\ny\nno\ngripper\n", "--token-file", str(file))
     assert answer.returncode == ExitCode.PROBLEMS, answer.stderr
     assert "deg from its goal" in answer.stderr
     assert "* gripper looks otherwise than the model" in answer.stdout

@@ -54,24 +54,6 @@ async def test_scenes_are_listed_by_name_and_deleted(tmp_path):
     assert await scenes.call("list") == {"names": ["b"]}
 
 
-async def test_a_name_that_is_no_file_is_refused_with_the_limit(tmp_path):
-    scenes = Scenes(tmp_path / "new")
-    for name in ("", "../x", "a/b", ".x", " a", "a ", "x" * 51, "\0", "a\nb"):
-        for service in ("save", "load", "delete"):
-            answer = await scenes.call(service, name=name)
-            assert not answer["success"], (service, name)
-            assert answer["message"].startswith("name: must be 1 to 50 letters"), (service, name)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("service", ["load", "delete"])
-async def test_an_unknown_scene_is_refused_with_those_that_are_saved(tmp_path, service):
-    scenes = Scenes(tmp_path / "new", box("cup"))
-    assert (await scenes.call(service, name="x"))["message"].endswith(": no scene is saved")
-    await scenes.call("save", name="kitchen")
-    assert (await scenes.call(service, name="x"))["message"].endswith("none of this name; saved are: kitchen")
-
-
 async def test_more_scenes_than_the_limit_are_refused_but_a_known_one_is_replaced(tmp_path, monkeypatch):
     monkeypatch.setattr(named_scenes, "MAX_SCENES", 2)
     scenes = Scenes(tmp_path, box("cup"))

@@ -15,7 +15,6 @@ from planners.scene import Pose
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory
 from server.moveit.services.cartesian_path import (
-    MAX_SAMPLES,
     JumpThresholds,
     cut_lines,
     first_jump,
@@ -174,17 +173,3 @@ def test_nothing_jumps_without_thresholds_evenly_or_at_rest() -> None:
     assert jump(EVEN) is None
     assert jump(EVEN, step_m=0.1, factor=1.2) is None
     assert jump(panned(0.3), step_rad=0.01, factor=1.0) is None
-
-
-def test_a_slow_path_is_looked_at_no_more_often_than_is_quick() -> None:
-    placed = 0
-
-    class Counting(ForwardPlacements):
-        def transforms(self, positions_rad):
-            nonlocal placed
-            placed += 1
-            return super().transforms(positions_rad)
-
-    slow = panned(0.0, 1.0, duration_s=1000.0)
-    assert first_jump(slow, (Counting(ROBOT), TIP), HOME, 0.05, JumpThresholds(9.0, 0.0)) is None
-    assert placed <= MAX_SAMPLES

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from planners.checks import check_group
-from planners.geometry.shapes import placement
+from planners.checks import check_group, rate_flaws
+from planners.geometry.shapes import as_point, as_pose, placement
 from planners.ik.constraints import ROTATION_ARM_M
 from planners.ik.goal_checks import check_constraints, check_link, invalid_goal
 from planners.problem import Arc, CartesianProblem, Line, PlanningFailure
@@ -68,11 +68,10 @@ class _Piece:
 
     def part(self, share: float, digits: int) -> Line | Arc:
         """Return a segment for the first share of the piece, its end rounded."""
-        end = as_pose(self.pose(share), digits)
+        end = rounded_pose(self.pose(share), digits)
         if self.angle == 0.0:
             return Line(end)
-        x, y, z = self.position(0.5 * share).tolist()
-        return Arc((x, y, z), end)
+        return Arc(as_point(self.position(0.5 * share)), end)
 
 
 class TipPath:
@@ -114,12 +113,10 @@ def first_part(start: pin.SE3, segments: Sequence[Line | Arc], along_m: float, d
     return tuple(kept)
 
 
-def as_pose(placement: pin.SE3, digits: int) -> Pose:
+def rounded_pose(place: pin.SE3, digits: int) -> Pose:
     """Return a pose as plain data, its position rounded to some decimals."""
     # Minus 0 is a strange number to read.
-    x, y, z = (round(value, digits) + 0.0 for value in placement.translation.tolist())
-    qx, qy, qz, qw = pin.Quaternion(placement.rotation).coeffs().tolist()
-    return Pose((x, y, z), (qx, qy, qz, qw))
+    return as_pose(pin.SE3(place.rotation, np.round(place.translation, digits) + 0.0))
 
 
 def apart_m(a: pin.SE3, b: pin.SE3) -> float:
@@ -197,6 +194,7 @@ def check_path(robot: RobotModel, problem: CartesianProblem) -> PlanningFailure 
         check_group(robot, problem.group)
         or check_constraints(robot, problem.path_constraints)
         or check_link(robot, problem.link)
+        or next(rate_flaws(problem), None)
     )
     if refusal is not None:
         return refusal
@@ -221,12 +219,6 @@ def check_shape(start_m: Vector, problem: CartesianProblem) -> PlanningFailure |
 
 
 def _flaws(problem: CartesianProblem) -> Iterator[str]:
-    for name, value in (
-        ("velocity scaling", problem.velocity_scaling),
-        ("acceleration scaling", problem.acceleration_scaling),
-    ):
-        if not 0.0 < value <= 1.0:
-            yield f"the {name} must be above 0 and at most 1, not {value:g}"
     for name, value in _positive(problem):
         if not (math.isfinite(value) and value > 0.0):
             yield f"the {name} must be a finite number above 0, not {value:g}"
@@ -239,7 +231,6 @@ def _flaws(problem: CartesianProblem) -> Iterator[str]:
 
 
 def _positive(problem: CartesianProblem) -> Iterator[tuple[str, float]]:
-    yield "allowed planning time [s]", problem.allowed_time_s
     yield "greatest step [m]", problem.max_step_m
     if problem.tip_speed_m_s is not None:
         yield "tip speed [m/s]", problem.tip_speed_m_s

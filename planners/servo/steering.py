@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from planners.checks import check_group, check_start
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
-from planners.geometry.shapes import placement
+from planners.geometry.shapes import as_point, as_pose, placement
 from planners.ik.differential import Limit, Task, solve, velocity_limit
 from planners.ik.goal_checks import check_link, invalid_goal
 from planners.problem import MoveItErrorCode, PlanningFailure
-from planners.scene import Point, Pose
 from planners.servo.question import (
     ACCELERATION_SHARE,
     MAX_PERIOD_S,
@@ -275,7 +274,7 @@ def twist_motion(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> Desi
     """Return the desired motion of a twist; directions that it does not command are held, from no anchor at first."""
     linear, angular = np.array(command.linear_m_s), np.array(command.angular_rad_s)
     along, about = _unit_or_zero(linear), _unit_or_zero(angular)
-    kept = anchor or Anchor(_pose(tip))
+    kept = anchor or Anchor(as_pose(tip))
     if command.zero:
         # It still brakes: along its last motion it need not come back.
         along, about = np.array(kept.along), np.array(kept.about)
@@ -289,14 +288,14 @@ def twist_motion(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> Desi
         linear + GAIN_PER_S * drift,
         angular + righting_per_s * turned,
         float(np.linalg.norm(turned)),
-        Anchor(_pose(place), _point(along), _point(about)),
+        Anchor(as_pose(place), as_point(along), as_point(about)),
     )
 
 
 def relaxed_anchor(anchor: Anchor, tip: pin.SE3) -> Anchor:
     """Return the anchor of a tip that limits hold back: pulled to its path, it could not go where it is free to."""
     drift = _shortened(placement(anchor.pose).translation - tip.translation, HELD_DRIFT_M)
-    return Anchor(_pose(pin.SE3(tip.rotation, tip.translation + drift)), anchor.along, anchor.about)
+    return Anchor(as_pose(pin.SE3(tip.rotation, tip.translation + drift)), anchor.along, anchor.about)
 
 
 def target_motion(command: TipTarget, tip: pin.SE3, limits: ServoLimits) -> DesiredMotion:
@@ -323,16 +322,6 @@ def _across(vector: Vector, direction: Vector) -> Vector:
 def _shortened(vector: Vector, longest: float) -> Vector:
     length = float(np.linalg.norm(vector))
     return vector if length <= longest else vector * (longest / length)
-
-
-def _pose(place: pin.SE3) -> Pose:
-    x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(place).tolist()
-    return Pose((x, y, z), (qx, qy, qz, qw))
-
-
-def _point(vector: Vector) -> Point:
-    x, y, z = vector.tolist()
-    return x, y, z
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import pinocchio as pin
 from planners.checks import check_group, rate_flaws
 from planners.geometry.shapes import as_point, as_pose, placement
 from planners.ik.constraints import ROTATION_ARM_M
-from planners.ik.goal_checks import check_constraints, check_link, invalid_goal
+from planners.ik.goal_checks import check_constraints, check_link, invalid_goal, length_flaws, point_flaws
 from planners.problem import Arc, CartesianProblem, Line, PlanningFailure
 from planners.scene import Pose
 from robot.description.model import RobotModel
@@ -32,9 +32,6 @@ LARGEST_RADIUS_M = 100.0
 
 # Following takes some 0.3 ms a point, 3 s in all.
 MOST_POINTS = 10_000
-
-# Quaternions from single precision are off by less; others are mistakes.
-NORM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -190,16 +187,12 @@ def _is_corner(first: _Piece, second: _Piece) -> bool:
 
 def check_path(robot: RobotModel, problem: CartesianProblem) -> PlanningFailure | None:
     """Check names and numbers of a problem."""
-    refusal = (
+    return (
         check_group(robot, problem.group)
         or check_constraints(robot, problem.path_constraints)
         or check_link(robot, problem.link)
-        or next(rate_flaws(problem), None)
+        or next(_flaws(problem), None)
     )
-    if refusal is not None:
-        return refusal
-    flaw = next(_flaws(problem), None)
-    return None if flaw is None else invalid_goal(flaw)
 
 
 def check_shape(start_m: Vector, problem: CartesianProblem) -> PlanningFailure | None:
@@ -218,16 +211,21 @@ def check_shape(start_m: Vector, problem: CartesianProblem) -> PlanningFailure |
     return None
 
 
-def _flaws(problem: CartesianProblem) -> Iterator[str]:
+def _flaws(problem: CartesianProblem) -> Iterator[PlanningFailure]:
+    yield from rate_flaws(problem)
     for name, value in _positive(problem):
         if not (math.isfinite(value) and value > 0.0):
-            yield f"the {name} must be a finite number above 0, not {value:g}"
-    if not (math.isfinite(problem.max_joint_step_rad) and problem.max_joint_step_rad >= 0.0):
-        yield f"the greatest joint step must be a finite number of 0 rad or more, not {problem.max_joint_step_rad:g}"
+            yield invalid_goal(f"the {name} must be a finite number above 0, not {value:g}")
+    step_rad = problem.max_joint_step_rad
+    if not (math.isfinite(step_rad) and step_rad >= 0.0):
+        yield invalid_goal(f"the greatest joint step must be a finite number of 0 rad or more, not {step_rad:g}")
     if not problem.segments:
-        yield "the path has no segment"
+        yield invalid_goal("the path has no segment")
     for index, segment in enumerate(problem.segments):
-        yield from (f"segment {index}: {flaw}" for flaw in _segment_flaws(segment))
+        yield from point_flaws(segment.end.position_m, f"end of segment {index}", "m")
+        yield from length_flaws(segment.end.orientation, f"quaternion of segment {index}")
+        if isinstance(segment, Arc):
+            yield from point_flaws(segment.via_m, f"point on the way of segment {index}", "m")
 
 
 def _positive(problem: CartesianProblem) -> Iterator[tuple[str, float]]:
@@ -236,13 +234,3 @@ def _positive(problem: CartesianProblem) -> Iterator[tuple[str, float]]:
         yield "tip speed [m/s]", problem.tip_speed_m_s
     if problem.keep_orientation:
         yield "orientation tolerance [rad]", problem.orientation_tolerance_rad
-
-
-def _segment_flaws(segment: Line | Arc) -> Iterator[str]:
-    if not np.all(np.isfinite(segment.end.position_m)):
-        yield f"its end {tuple(segment.end.position_m)} m is not finite"
-    norm = float(np.linalg.norm(segment.end.orientation))
-    if not abs(norm - 1.0) <= NORM_TOLERANCE:
-        yield f"the quaternion at its end has the length {norm:.4g}, not 1"
-    if isinstance(segment, Arc) and not np.all(np.isfinite(segment.via_m)):
-        yield f"the point {tuple(segment.via_m)} m on its way is not finite"

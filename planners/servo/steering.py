@@ -19,7 +19,7 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.shapes import as_point, as_pose, placement
 from planners.ik.differential import Limit, Task, solve, velocity_limit
-from planners.ik.goal_checks import check_link, invalid_goal
+from planners.ik.goal_checks import check_link, invalid_goal, length_flaws
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import (
     ACCELERATION_SHARE,
@@ -40,9 +40,6 @@ from robot.trajectory import Vector
 
 # Joints that it takes to move a tip in any direction.
 POSITION_DIRECTIONS = 3
-
-# Greatest deviation of a unit quaternion's length from 1.
-UNIT_TOLERANCE = 1e-3
 
 # An error shrinks to a third in a quarter of a second: ten times the delay from question to servo.
 GAIN_PER_S = 4.0
@@ -251,8 +248,7 @@ def _command_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[Plann
             values = [*command.linear_m_s, *command.angular_rad_s]
         case TipTarget():
             values = [*command.pose.position_m, *command.pose.orientation]
-            if abs(math.hypot(*command.pose.orientation) - 1.0) > UNIT_TOLERANCE:
-                yield invalid_goal(f"the target's orientation {command.pose.orientation} is no unit quaternion")
+            yield from length_flaws(command.pose.orientation, "target's orientation")
     if not 0.0 < question.period_s <= MAX_PERIOD_S:
         yield invalid_goal(f"the period must be above 0 and at most {MAX_PERIOD_S} s, not {question.period_s:g}")
     for value in (*values, *question.velocity_rad_s.values()):

@@ -116,7 +116,7 @@ def add_emulate_parser(subparsers: Subparsers) -> None:
         "emulate",
         _emulate,
         "emulate the servo bus of an arm on a pseudo terminal",
-        "Emulate the six servos of an SO-101 on a pseudo terminal, print its path, and run until Ctrl+C. "
+        "Emulate the six Feetech servos of an SO-101 on a pseudo terminal, print its path, and run until Ctrl+C. "
         "Other programs, and armbridge's commands with --serial, take the path for a serial port.",
         epilog=f"Standard input takes:\n\n{control.COMMANDS_HELP}\n{SCRIPTS}\n{EXIT_CODES}",
         formatter_class=argparse.RawDescriptionHelpFormatter,

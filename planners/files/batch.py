@@ -38,7 +38,7 @@ CONNECT_TIMEOUT_S = 5.0
 MAX_PLANNERS = 8
 
 # All that is pickled, and all that makes the answers, is defined there.
-_SOURCES = (("planners", "**/*.py"), ("robot", "model.py"), ("robot", "trajectory.py"))
+_SOURCES = (("planners", "**/*.py"), ("robot", "description/*.py"), ("robot", "trajectory.py"))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from planners.errors import ProblemFileError
 from planners.goals import AnyOf, AxisGoal, ConstraintGoal, Goal, JointGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Scene
-from robot.description.model import Group, RobotModel
+from robot.description.model import RobotModel
 
 Point = tuple[float, float, float]
 Kind = Literal["box", "sphere", "cylinder", "cone", "plane", "mesh"]
@@ -160,13 +160,8 @@ def scene_fields(described: scene.Scene) -> dict[str, Any]:
 
 
 def _object_fields(scene_object: scene.SceneObject) -> dict[str, Any]:
-    name = {"id": scene_object.name, "pose": _pose_fields(scene_object.pose)}
-    if len(scene_object.shapes) == 1 and scene_object.shapes[0][1] == scene.Pose():
-        return {**_shape_fields(scene_object.shapes[0][0]), **name}
-    return {
-        **name,
-        "shapes": [{**_shape_fields(shape), "pose": _pose_fields(pose)} for shape, pose in scene_object.shapes],
-    }
+    shapes = [{**_shape_fields(shape), "pose": _pose_fields(pose)} for shape, pose in scene_object.shapes]
+    return {"id": scene_object.name, "pose": _pose_fields(scene_object.pose), "shapes": shapes}
 
 
 def _pose_fields(pose: scene.Pose) -> dict[str, Any]:
@@ -416,31 +411,19 @@ def text(name: str, problem: PlanningProblem, scene: Scene, robot: RobotModel, a
     entry = {
         "id": name,
         "start": [problem.start_rad.get(name, math.nan) for name in names],
+        "goal": _kind_and_fields(problem.goal),
         "options": _ADAPTERS[PlanningProblem].dump_python(
             problem, mode="json", exclude_none=True, exclude=_NOT_OPTIONS
         ),
         "error_code": int(answer.code),
         "message": answer.message,
     }
-    key, goal = _goal_fields(problem.goal, group)
     # JSON has no number for NaN.
     whole = _replaced(
-        {**fields, key: [{**entry, **goal}]},
+        {**fields, "goal_problems": [entry]},
         lambda leaf: None if isinstance(leaf, float) and not math.isfinite(leaf) else leaf,
     )
     return json.dumps(whole, allow_nan=False, indent=1) + "\n"
-
-
-def _goal_fields(goal: Goal, group: Group | None) -> tuple[str, dict[str, Any]]:
-    """The list that a goal belongs to, and its fields there."""
-    match goal:
-        case JointGoal(positions_rad) if goal == JointGoal(positions_rad) and group is not None:
-            if set(positions_rad) == set(group.joints):
-                return "joint_problems", {"goal": [positions_rad[name] for name in group.joints]}
-        case PositionGoal(link, position_m, tolerance_m) if goal == PositionGoal(link, position_m, tolerance_m):
-            if group is not None and link == group.tip_link:
-                return "position_problems", {"position": list(position_m), "tolerance": tolerance_m}
-    return "goal_problems", {"goal": _kind_and_fields(goal)}
 
 
 def _kind_and_fields(goal: Goal) -> dict[str, Any]:

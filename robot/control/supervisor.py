@@ -137,6 +137,8 @@ class Supervisor:
         self._end: EndState | None = None
         self._end_begun_s: float | None = None
         self._end_ticks = 0
+        self._ended = False
+        self._lost_driven = False  # True when torque was on as the hardware was lost
         self._parking = Parking(self._joint_names)
 
     @property
@@ -170,6 +172,7 @@ class Supervisor:
     def disconnect(self, reason: str) -> None:
         """End motions and orders in progress: the hardware is gone, or could not be opened."""
         if self._controller is not None:
+            self._lost_driven = self._controller.torque_enabled
             lost = Fault(FaultCode.BUS_LOST, reason, simulated=self._config.hardware.simulated)
             self._report(self._controller.abandon(Outcome.BUS_LOST, str(lost)))
         self._fault = self.fault
@@ -267,29 +270,33 @@ class Supervisor:
         return 0.0
 
     def finished(self) -> bool:
-        """Return True when the process may end: the server has ended, and the arm is in its end state."""
+        """Return True when the process may end: the server has ended, and the arm is in its end state, or late."""
+        self._ended = self._ended or self._reaches_end()
+        return self._ended
+
+    def _reaches_end(self) -> bool:
         if self._end is None:
             return False
         controller, now_s = self._controller, self._clock()
-        if controller is None:
-            self._interrupt("the server is ending")
-            return True
         self._end_begun_s = self._end_begun_s or now_s
-        driven = self._end is not EndState.HOLD and controller.torque_enabled
-        if not controller.moving and self._task is None and not driven:
-            return True
-        timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
         taken_s = now_s - self._end_begun_s
-        if self._end_ticks * PERIOD_S <= timeout_s and taken_s <= END_LIMIT_S:
-            return False
+        if controller is None:
+            late = self._lost_driven and self._end is not EndState.HOLD
+        else:
+            driven = self._end is not EndState.HOLD and controller.torque_enabled
+            late = controller.moving or self._task is not None or driven
+            timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
+            if late and self._end_ticks * PERIOD_S <= timeout_s and taken_s <= END_LIMIT_S:
+                return False
         self._interrupt("the server is ending")
-        log.error(
-            "the arm is not in its end state (%s) after %.0f s, in which it had %d ticks; the process ends: %s",
-            self._end.value,
-            taken_s,
-            self._end_ticks,
-            self._torque_left(),
-        )
+        if late:
+            log.error(
+                "the arm is not in its end state (%s) after %.0f s, in which it had %d ticks; the process ends: %s",
+                self._end.value,
+                taken_s,
+                self._end_ticks,
+                self._torque_left(),
+            )
         return True
 
     def _check_servos(self, now_s: float) -> None:
@@ -304,18 +311,18 @@ class Supervisor:
 
     def _torque_left(self) -> str:
         """Describe where torque is on, with the remedy."""
-        if self.arm is None:
-            return ""
-        hardware = self.arm.hardware
-        try:
-            driven = run_to_end(hardware.driven(), lambda _wait_s: None)
-        except RobotError as error:
-            where = f"torque may be on at every joint: {error}"
-        else:
-            labels = [hardware.label(joint) for joint in np.flatnonzero(driven).tolist()]
-            if not labels:
-                return "torque is off at every joint"
-            where = f"torque is on at {', '.join(labels)}"
+        where = f"torque may be on at every joint: the arm is not connected: {self._reason}"
+        if self.arm is not None:
+            hardware = self.arm.hardware
+            try:
+                driven = run_to_end(hardware.driven(), lambda _wait_s: None)
+            except RobotError as error:
+                where = f"torque may be on at every joint: {error}"
+            else:
+                labels = [hardware.label(joint) for joint in np.flatnonzero(driven).tolist()]
+                if not labels:
+                    return "torque is off at every joint"
+                where = f"torque is on at {', '.join(labels)}"
         return where if self._config.hardware.simulated else f"{where}. {TORQUE_LEFT_ON}"
 
     def lose_server(self) -> None:

@@ -127,12 +127,12 @@ def add_doctor_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--cycles", type=int, default=DEFAULT_CYCLES, metavar="N", help=f"measured ({DEFAULT_CYCLES})")
     agreement = parser.add_mutually_exclusive_group()
     agreement.add_argument("--yes", action="store_true", help="agree to every question that needs no hands")
-    agreement.add_argument("--read-only", action="store_true", help="ask none of these questions, and write nothing")
+    agreement.add_argument("--read-only", action="store_true", help="ask no such question, and write nothing")
     parser.add_argument(
         "--servo",
         type=int,
         metavar="ID",
-        help="servo that may be driven; it must be relaxed (the last one: the gripper, of which nothing falls)",
+        help="servo that may be driven; it must be relaxed (the last one, the gripper: nothing falls)",
     )
 
 

@@ -3,7 +3,7 @@
 Sessions of four clients are made up by chance and played, in batches; the seed and its number tell all of a batch.
 Streams of raw TCP and interface files are among them.
 Each find is cut down to the frames that it needs and saved as a file that the corpus may take.
-``coverage run -m tests.fuzz`` counts the lines that sessions reach; `tests/fuzz/fuzz_session.py` is guided by them.
+``coverage run -m tests.fuzz`` counts the lines that sessions reach.
 """
 
 from __future__ import annotations

@@ -268,14 +268,6 @@ def post(*position_m, size_m=(0.05, 0.05, 0.8)):
     return thing(Box(size_m), *position_m, name="post")
 
 
-def test_an_obstacle_on_the_way_is_named_with_its_time(robot, collision, motion, put):
-    put(collision, post(0.25, 0.0, 0.2))
-    answer = ask(robot, collision, motion)
-    assert answer.contact.code == MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
-    assert "post" in answer.contact.message
-    assert collision.in_collision(np.array([*motion.sample(answer.contact_s)[0], 0.0]))
-
-
 @pytest.mark.parametrize("angle_rad", [-1.0, -0.4, 0.1, 0.7])
 def test_the_first_contact_of_the_rest_is_found(robot, collision, motion, put, angle_rad):
     put(collision, post(float(0.3 * np.cos(angle_rad)), float(0.3 * np.sin(angle_rad)), 0.2))
@@ -284,7 +276,10 @@ def test_the_first_contact_of_the_rest_is_found(robot, collision, motion, put, a
         times_s = np.linspace(from_s, motion.duration_s, 200)
         touching = [t for t in times_s if collision.in_collision(np.array([*motion.sample(t)[0], 0.0]))]
         assert (answer.contact is not None) == bool(touching)
-        assert not touching or answer.contact_s == pytest.approx(touching[0], abs=0.03)
+        if touching:
+            assert answer.contact_s == pytest.approx(touching[0], abs=0.03)
+            assert answer.contact.code == MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
+            assert "post" in answer.contact.message
 
 
 def test_an_obstacle_where_the_arm_is_touches_now(robot, collision, motion, put):

@@ -51,11 +51,6 @@ def every_message_name(registry):
     return [name for name in registry.type_names() if registry.knows(name)]
 
 
-def test_a_type_is_the_same_in_two_parts_and_in_three(registry):
-    assert registry.message("std_msgs/String") is registry.message("std_msgs/msg/String")
-    assert registry.canonical("std_msgs/String") == "std_msgs/msg/String"
-
-
 def test_every_message_type_of_the_tables_and_all_that_it_refers_to_can_be_read(registry):
     names = every_message_name(registry)
     assert len(names) == 338
@@ -83,16 +78,6 @@ def test_a_name_shared_by_message_and_action_is_the_message_in_two_parts(registr
     assert registry.canonical("control_msgs/GripperCommand") == "control_msgs/msg/GripperCommand"
 
 
-def test_fields_keep_the_order_of_their_declaration(registry):
-    names = [field.name for field in registry.message("sensor_msgs/JointState").fields]
-    assert names == ["header", "name", "position", "velocity", "effort"]
-
-
-def test_references_are_resolved_to_canonical_names(registry):
-    header = field(registry, "sensor_msgs/JointState", "header")
-    assert (header.base, header.array, header.primitive) == ("std_msgs/msg/Header", None, False)
-
-
 def test_arrays_are_free_fixed_or_bounded(registry):
     free = field(registry, "sensor_msgs/JointState", "position").array
     fixed = field(registry, "unique_identifier_msgs/UUID", "uuid").array
@@ -113,11 +98,6 @@ def test_a_field_type_that_cannot_be_read_is_refused_by_name():
     table = {"a/msg/B": {"kind": "msg", "fields": [["data", "float64[x]"]], "consts": []}}
     with pytest.raises(InterfaceError, match="field data"):
         Registry(table).message("a/B")
-
-
-def test_a_text_default_stays_text():
-    table = {"a/msg/B": {"kind": "msg", "fields": [["data", "string", "7"]], "consts": []}}
-    assert Registry(table).message("a/B").fields[0].default == "7"
 
 
 @pytest.mark.parametrize("name", ["std_srvs/SetBool", "std_srvs/srv/SetBool"])

@@ -451,6 +451,21 @@ def test_an_arm_that_cannot_be_read_at_its_end_is_reported_as_possibly_driven(
     assert "torque may be on at every joint: " in given_up(rig, caplog)
 
 
+@pytest.mark.parametrize("end", [EndState.RELAX, EndState.HOLD])
+def test_an_arm_that_is_lost_with_torque_on_is_reported_once_at_its_end(
+    start_rig: Start, caplog: pytest.LogCaptureFixture, end: EndState
+) -> None:
+    rig = start_rig(on_exit=end)
+    rig.until_mode(Mode.HOLDING)
+    rig.supervisor.disconnect("serial port was lost")
+    rig.supervisor.handle(Shutdown())
+    assert [rig.supervisor.finished() for _ in range(2)] == [True, True]
+    lines = [record.getMessage() for record in caplog.records if "end state" in record.getMessage()]
+    assert len(lines) == (end is EndState.RELAX)
+    for line in lines:
+        assert "torque may be on at every joint: the arm is not connected: serial port was lost. Hold the arm" in line
+
+
 def test_a_lost_bus_ends_the_motion_and_a_new_one_adopts_the_arm(moving: ArmRig) -> None:
     moving.supervisor.disconnect("serial port was lost")
     assert moving.mode is Mode.DISCONNECTED

@@ -32,13 +32,6 @@ def test_the_number_of_offers_of_a_client_is_bounded(world: InProcess, caplog: p
     assert "advertise_service: this client has 2, the limit is 2" in caplog.text
 
 
-def test_an_offer_that_is_withdrawn_makes_room(world: InProcess) -> None:
-    world.say("p", op="unadvertise_service", service="/s")
-    for service in ("/a", "/b"):
-        world.say("p", op="advertise_service", service=service, type=TYPE)
-    assert set(world.graph.services.types()) == {"/a", "/b"}
-
-
 def test_at_the_limit_an_offer_may_be_made_anew(world: InProcess) -> None:
     world.say("p", op="advertise_service", service="/a", type=TYPE)
     world.say("p", op="advertise_service", service="/a", type="std_srvs/Trigger")
@@ -55,13 +48,6 @@ def test_calls_beyond_the_limit_fail_at_once_and_ended_ones_make_room(world: InP
     world.say("c", op="call_service", service="/s", id=3)
     assert [answer["id"] for answer in world.heard("c")] == [0]
     assert len(world.heard("p")) == 3
-
-
-def test_calls_that_failed_make_room_too(world: InProcess) -> None:
-    for _ in range(5):
-        world.say("c", op="call_service", service="/nobody")
-    world.say("c", op="call_service", service="/s")
-    assert len(world.heard("p")) == 1
 
 
 def test_a_call_that_timed_out_is_forgotten(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:

@@ -16,11 +16,9 @@ from urllib.parse import urljoin
 from urllib.request import urlopen
 
 import pytest
-from websockets.asyncio.client import connect
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from robot.logs import MAX_KEYS
 from server import robot_files
 from server.errors import FileTooLargeError, ServiceError
 from server.gateway import http as gate
@@ -30,11 +28,9 @@ from server.gateway.http import (
     HttpResponse,
     StoredFile,
     accepts_gzip,
-    compressible,
     find_page_file,
     media_type,
     names,
-    page_is_built,
 )
 from server.gateway.websocket import ANSWER_TIMEOUT_S
 from tests.helpers.gateway import listening
@@ -238,14 +234,6 @@ async def test_a_file_that_is_too_large_is_told_once_with_the_limit(
     assert caplog.text.count("the limit is 4") == 1
 
 
-async def test_the_log_is_told_of_no_more_files_than_one_reads(caplog: pytest.LogCaptureFixture) -> None:
-    made = HttpHandler()
-    for number in range(2 * MAX_KEYS):
-        made._tell(f"file {number}")
-    # The last one says that there are more.
-    assert len(caplog.records) == MAX_KEYS + 1
-
-
 async def test_a_file_that_cannot_be_read_is_an_error_of_the_server(
     site: Site, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -272,13 +260,6 @@ async def test_a_robot_without_files_has_its_description_and_no_robot_nothing() 
     assert answer.body == so101().urdf.encode()
     with pytest.raises(ServiceError, match="no robot"):
         await HttpHandler()._robot_file("description.urdf", gzipped=False)
-
-
-async def test_a_websocket_is_one_whatever_its_path(site: Site) -> None:
-    for path in ("/", "/robot/description.urdf", "/nothing", "/?ros=1"):
-        async with connect(f"ws://127.0.0.1:{site.port}{path}") as websocket:
-            await websocket.send('{"op": "call_service", "service": "/none", "id": "a"}')
-            assert "/none" in str(await asyncio.wait_for(websocket.recv(), 30.0)), path
 
 
 async def test_the_log_is_silent_about_pages_that_load(site: Site, caplog: pytest.LogCaptureFixture) -> None:
@@ -382,14 +363,6 @@ def test_a_sentence_has_no_name_to_be_known_by() -> None:
     assert answer.response(Request("/", Headers(), "HEAD")).headers["Content-Length"] == "10"
 
 
-def test_data_of_the_moment_is_not_to_be_cached() -> None:
-    sent = HttpResponse.of_data(HTTPStatus.SERVICE_UNAVAILABLE, b"{}", "application/json").response(
-        Request("/", Headers())
-    )
-    assert (sent.status_code, sent.body, sent.headers["Content-Type"]) == (503, b"{}", "application/json")
-    assert sent.headers["Cache-Control"] == "no-store"
-
-
 LONG = b"0123456789" * 1000
 
 
@@ -462,11 +435,6 @@ def test_a_page_file_that_is_too_large_is_refused_with_the_limit(
         find_page_file(folders / "dist", "")
 
 
-def test_a_page_is_there_once_it_is_built(folders: Path) -> None:
-    assert page_is_built(folders / "dist")
-    assert not page_is_built(folders)
-
-
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
@@ -484,9 +452,3 @@ def test_a_page_is_there_once_it_is_built(folders: Path) -> None:
 )
 def test_a_file_is_what_its_name_ends_in(name: str, kind: str) -> None:
     assert media_type(name) == kind
-
-
-def test_a_compressed_format_is_not_compressed_again() -> None:
-    assert compressible("vendor.js")
-    assert compressible("base.STL")
-    assert not compressible("texture.PNG")

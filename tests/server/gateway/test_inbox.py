@@ -27,7 +27,6 @@ from server.gateway.inbox import (
     STOP_TURN_S,
     Inbox,
     Scheduling,
-    WaitingBytes,
 )
 from server.gateway.turns import ROUND_S, TURN_S, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
@@ -70,7 +69,7 @@ class World:
         self.threads = Later()
         self.done: list[str] = []
         self.last_stop = 0
-        self.waiting = WaitingBytes()
+        self.scheduling = Scheduling(self.turns, self.threads, self.clock.call_later)
 
     def client(self, name: str = "", step_s: float = 0.0) -> Handler:
         return Handler(self, name, step_s)
@@ -95,8 +94,7 @@ class Handler:
         self.changed_topics: set[str] = set()
         self.session = Session()
         self.socket = UnreadSocket()
-        scheduling = Scheduling(world.turns, world.threads, world.clock.call_later, world.waiting)
-        self.inbox = Inbox(self, self.session, TYPES, scheduling, self.socket, world.clock)
+        self.inbox = Inbox(self, self.session, TYPES, world.scheduling, self.socket, world.clock)
 
     def admit_frame(self, frame: str | bytes) -> bool:
         return True
@@ -354,15 +352,6 @@ def test_a_cancel_goes_ahead_and_is_carried_out_in_its_turn_as_well(world: World
     assert world.done.count("/cancel") == 1
 
 
-def test_a_cancel_behind_a_frame_that_is_not_read_yet_is_carried_out_twice_at_most(world: World) -> None:
-    client = world.client(step_s=ROUND_S)
-    client.publish("/goal", length=LONG_FRAME_BYTES)
-    client.publish("/cancel")
-    assert world.done == ["/cancel"]
-    world.run()
-    assert world.done == ["/cancel", "/goal", "again /cancel"]
-
-
 def test_what_comes_behind_a_frame_that_a_thread_reads_is_read_after_it(world: World) -> None:
     client = world.client()
     client.publish("/1", length=LONG_FRAME_BYTES)
@@ -389,15 +378,6 @@ def test_a_stop_overtakes_what_a_thread_completes_or_has_not_read_yet(
     assert world.done == ["/stop"]
     world.run()
     assert world.done == ["/stop", carried_out] + ["no /goal"] * 5
-
-
-def test_what_is_behind_a_message_completed_in_the_background_waits_for_it(world: World) -> None:
-    client = world.client()
-    client.publish("/large")
-    client.publish("/b")
-    assert world.done == []
-    world.run()
-    assert world.done == ["/large", "/b"]
 
 
 def test_a_client_has_the_threads_for_half_of_the_time_at_most(world: World) -> None:

@@ -137,7 +137,7 @@ def _state() -> dict[str, Any]:
 
 
 def _encode(published: PublishedMessage) -> None:
-    published.frame("/joint_states")
+    published.encoded("/joint_states", "none", "ros2", None)
 
 
 def _row(rate_hz: int, recorded: str, cost: Cost, plain: Cost) -> list[str]:

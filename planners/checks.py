@@ -14,6 +14,7 @@ from planners.geometry.collision import CollidingPair
 from planners.ik.goal_checks import check_constraints, check_goal, invalid_goal
 from planners.problem import (
     PLANNER_IDS,
+    CartesianProblem,
     IkQuestion,
     MoveItErrorCode,
     PlanningFailure,
@@ -127,7 +128,8 @@ def pairs_as_data(pairs: Sequence[CollidingPair]) -> list[dict[str, Any]]:
     return [asdict(pair) for pair in pairs[:MAX_PAIRS]]
 
 
-def _number_flaws(problem: PlanningProblem) -> Iterator[PlanningFailure]:
+def rate_flaws(problem: PlanningProblem | CartesianProblem) -> Iterator[PlanningFailure]:
+    """Yield a failure for each share of the limits, and for a time, that cannot be."""
     scalings = {
         "velocity scaling": problem.velocity_scaling,
         "acceleration scaling": problem.acceleration_scaling,
@@ -136,6 +138,10 @@ def _number_flaws(problem: PlanningProblem) -> Iterator[PlanningFailure]:
         if not 0.0 < value <= 1.0:
             yield invalid_goal(f"the {name} must be above 0 and at most 1, not {value:g}", value=value)
     yield from _time_flaws(problem.allowed_time_s)
+
+
+def _number_flaws(problem: PlanningProblem) -> Iterator[PlanningFailure]:
+    yield from rate_flaws(problem)
     if not 0.0 <= problem.optimization_time_s <= MAX_PLANNING_TIME_S:
         value = problem.optimization_time_s
         yield invalid_goal(f"the optimization time must be 0 to {MAX_PLANNING_TIME_S:g} s, not {value:g}", value=value)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,13 +18,12 @@ from planners.budget import Budget, never, preempted
 from planners.cartesian.nearest_end import nearest_end
 from planners.cartesian.planning import plan_cartesian
 from planners.errors import StoppedError
-from planners.geometry.certificate import Contact, certify
-from planners.geometry.collision import CollidingPair, CollisionModel
+from planners.geometry.collision import CollisionModel
 from planners.geometry.concurrent_motions import encounter
 from planners.geometry.joint_space import JointSpace
-from planners.ik.goal_refusals import start_violates
+from planners.ik.goal_refusals import check_start_place
 from planners.ik.goal_states import GoalQuery, GoalState, GoalStates
-from planners.joint_path import plan_joint_path
+from planners.joint_path import contact_on, invalid_motion, plan_joint_path, touching
 from planners.motions.motion import MotionTask, find_motion
 from planners.nearest_goal import nearest_goal
 from planners.problem import (
@@ -59,9 +59,6 @@ SOLUTIONS = 1
 
 # Measured positions of an arm that rests on a limit lie beyond it by noise.
 LIMIT_TOLERANCE_RAD = 1e-3
-
-# The arm's own links are thicker than this, so a check this sparse misses only grazing contacts.
-SPARSE_STEP_M = 0.03
 
 
 class Planner:
@@ -139,7 +136,7 @@ class Planner:
         start_q = self._collision.clipped(problem.start_rad)
         contacts = self._collision.colliding_pairs(start_q)
         violations = self._states.condition_set(problem.path_constraints).violations(start_q)
-        refusal = checks.check_start_contact(contacts) or (start_violates(violations) if violations else None)
+        refusal = check_start_place(contacts, violations)
         if refusal is not None:
             return refusal
         group = self._robot.groups[problem.group]
@@ -228,7 +225,7 @@ def recheck(
 ) -> RecheckAnswer | PlanningFailure:
     """Check the rest of a motion against the present scene, as plans are checked before they leave.
 
-    Contacts that are shallow where the motion is now do not count unless it deepens them, as at the start of a plan.
+    Its start is where the motion is now.
     """
     refusal = _check_question(question, robot)
     if refusal is not None:
@@ -238,15 +235,13 @@ def recheck(
     refusal = checks.check_start(robot, positions)
     if refusal is not None:
         return refusal
-    now_q = np.array([positions[name] for name in collision.joint_names])
-    contacts = collision.colliding_pairs(now_q)
-    if checks.check_start_contact(contacts) is not None:
-        return RecheckAnswer(_contact(contacts, question.from_s), question.from_s)
-    space = JointSpace(collision, rest.joint_names, now_q, collision.overlaps_m(now_q), should_stop=should_stop)
-    found = _sparse_contact(space, rest) or certify(space, rest)
-    if found is None:
+    contact = contact_on(rest, question.others_rad, collision, should_stop)
+    if contact is None:
         return RecheckAnswer(None)
-    return RecheckAnswer(_contact(found.pairs, question.from_s + found.time_s), question.from_s + found.time_s)
+    contact = replace(contact, time_s=question.from_s + contact.time_s)
+    return RecheckAnswer(
+        touching(contact, MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE), contact.time_s
+    )
 
 
 def check_concurrency(
@@ -256,7 +251,7 @@ def check_concurrency(
     first, second = question.first, question.second
     shared = set(first.joint_names) & set(second.joint_names)
     if shared:
-        return _invalid(f"both motions are of joint {min(shared)}")
+        return invalid_motion(f"both motions are of joint {min(shared)}")
     ends = {
         name: float(q)
         for one in (first, second)
@@ -275,23 +270,6 @@ def check_concurrency(
     return RecheckAnswer(failure, found.first_s)
 
 
-def _sparse_contact(space: JointSpace, motion: Trajectory) -> Contact | None:
-    """Return the first sample in contact, by a sparse check of the samples in their order.
-
-    It finds an obstacle in a quarter of the time that the certificate takes to find where the contact begins.
-    """
-    travel_m = np.cumsum(np.abs(np.diff(motion.positions_rad, axis=0)) @ space.travel_m_per_rad)
-    checked = np.flatnonzero(np.diff(np.floor(travel_m / SPARSE_STEP_M), prepend=0.0)) + 1
-    before = 0
-    for index in checked:
-        if not space.free_by_parts(motion.positions_rad[index]):
-            touching = (i for i in range(before + 1, index + 1) if not space.free_by_parts(motion.positions_rad[i]))
-            first = next(touching)
-            return Contact(float(motion.time_s[first]), space.contacts(motion.positions_rad[first]))
-        before = int(index)
-    return None
-
-
 def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFailure | None:
     refusal = checks.check_group(robot, question.group) if question.group else None
     if refusal is not None:
@@ -301,11 +279,13 @@ def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFai
     if question.group:
         known = robot.groups[question.group].joints
     if not (motion.joint_names == known if question.group else set(motion.joint_names) <= set(known)):
-        return _invalid(f"a motion of {', '.join(motion.joint_names)} is no motion of the joints {', '.join(known)}")
+        return invalid_motion(
+            f"a motion of {', '.join(motion.joint_names)} is no motion of the joints {', '.join(known)}"
+        )
     if not all(np.all(np.isfinite(part)) for part in (motion.time_s, motion.positions_rad, motion.velocities_rad_s)):
-        return _invalid("the motion has numbers that are not finite")
+        return invalid_motion("the motion has numbers that are not finite")
     if not 0.0 <= question.from_s <= motion.duration_s:
-        return _invalid(
+        return invalid_motion(
             f"the motion lasts from 0 to {motion.duration_s:.4g} s, there is no time {question.from_s:.4g} s"
         )
     return None
@@ -322,15 +302,3 @@ def _rest(motion: Trajectory, from_s: float) -> Trajectory:
         np.vstack((velocity, motion.velocities_rad_s[after])),
         np.vstack((acceleration, motion.accelerations_rad_s2[after])),
     )
-
-
-def _contact(pairs: Sequence[CollidingPair], time_s: float) -> PlanningFailure:
-    return PlanningFailure(
-        MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE,
-        f"at {time_s:.2f} s of the motion would touch: {checks.describe_pairs(pairs)}",
-        {"pairs": checks.pairs_as_data(pairs), "contact_s": time_s},
-    )
-
-
-def _invalid(message: str) -> PlanningFailure:
-    return PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, message)

@@ -284,24 +284,13 @@ class PublishedMessage:
         """True for a message that is encoded later, for that takes longer than everybody may be kept waiting."""
         return self.cost_bytes >= LARGE_BYTES
 
-    def frame(self, spelled_topic: str, encoding: Encoding = "none", dialect: Dialect = "ros2") -> Frame:
-        """Return the frame for subscribers that spell the topic like this and want this encoding and dialect.
-
-        A message of a type that the registry does not know goes out as it came, and as ``cbor`` instead of
-        ``cbor-raw``.
-        """
-        encoded = self.encoded(spelled_topic, encoding, dialect, None)
-        encoded.encode()
-        return encoded.frames[0]
-
     def encoded(
         self, spelled_topic: str, encoding: Encoding, dialect: Dialect, fragment_size: int | None
     ) -> EncodedMessage:
-        """Return the frame, or its fragments where it is longer than ``fragment_size`` [characters].
+        """Return the frame for subscribers that ask alike, or its fragments beyond ``fragment_size`` [characters].
 
-        A large message is not ready yet: it is still to be encoded.
-
-        The other arguments are as of :meth:`frame`.
+        A large message is not ready yet: it is still to be encoded. A message of a type that the registry does not know
+        goes out as it came, and as ``cbor`` instead of ``cbor-raw``.
         """
         key = spelled_topic, encoding, dialect, fragment_size
         encoded = self._by_key.get(key)

@@ -19,11 +19,11 @@ from protocol.dialect import Dialect
 from protocol.errors import FrameError, OperationError
 from protocol.framing import FrameReader
 from protocol.limits import Limits
-from protocol.operations import Fragment, Mark, Operation, Png
+from protocol.operations import Advertise, Fragment, Mark, Operation, Png
 from protocol.publication import LARGE_BYTES, EncodedMessage, Encoding, Frame, PublishedMessage, pack
 from protocol.send_budget import SendBudget
 from protocol.send_queue import SendQueue
-from protocol.subscriptions import Publications, Subscription, Subscriptions
+from protocol.subscriptions import Registrations, Subscription, Subscriptions
 
 # What is taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
 SEND_BUDGET_BYTES = 65_536
@@ -116,7 +116,9 @@ class Session:
         newest_only: bool = False,
     ) -> None:
         self.limits = limits or Limits()
-        self.publications = Publications(self.limits.max_publications)
+        self.publications: Registrations[Advertise] = Registrations(
+            "advertise", "unadvertise", self.limits.max_publications
+        )
         self.subscriptions = Subscriptions(self.limits.max_subscriptions)
         # None asked for: some clients log a traceback for every status message.
         self.status_level = "none"

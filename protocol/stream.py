@@ -51,11 +51,6 @@ class StreamSplitter:
         """True once the stream has shown to be BSON."""
         return self._is_bson is True
 
-    @property
-    def waiting_bytes(self) -> int:
-        """Size of what has come and is in no frame yet [bytes]."""
-        return len(self._data)
-
     def add(self, data: bytes) -> None:
         """Take bytes as they come."""
         self._data += data

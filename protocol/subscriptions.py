@@ -11,16 +11,21 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
 from protocol.errors import NothingToDoError, OperationError, describe
 from protocol.operations import Advertise, Compression, Mark, Subscribe, qualify
 
-T = TypeVar("T")
+T = TypeVar("T", Advertise, Subscribe)
 
 
 class Registrations(Generic[T]):
-    """A table topic -> id -> entry, in which a topic has one key however it is spelled."""
+    """Operations that have registered something, by topic and id; a topic has one key however it is spelled.
+
+    Args:
+        op: the operation that registers, for errors.
+        opposite: the operation that withdraws.
+    """
 
     def __init__(self, op: str, opposite: str, limit: int) -> None:
         self._op = op
@@ -37,26 +42,27 @@ class Registrations(Generic[T]):
         return qualify(topic) in self._entries
 
     def entries(self, topic: str) -> Collection[T]:
-        """Return the entries of all ids on a topic."""
+        """Return the operations of all ids on a topic."""
         return self._entries.get(qualify(topic), {}).values()
 
-    def put(self, topic: str, entry_id: Mark, entry: T) -> bool:
-        """Register an entry; the same id on the same topic is replaced.
+    def add(self, operation: T) -> bool:
+        """Register an operation, after the graph has accepted it; the same id on the same topic is replaced.
 
         Returns:
-            True when this is the first entry on the topic.
+            True when this is the first on the topic.
 
         Raises:
             OperationError: the limit is reached.
         """
-        # A refused entry must leave no empty topic behind, so the topic is made only afterwards.
-        if entry_id not in self._entries.get(qualify(topic), {}):
+        topic = qualify(operation.topic)
+        # A refused operation must leave no empty topic behind, so the topic is made only afterwards.
+        if operation.id not in self._entries.get(topic, {}):
             if self._count >= self._limit:
                 raise OperationError(self._op, None, f"this client has {self._count}, the limit is {self._limit}")
             self._count += 1
-        ids = self._entries.setdefault(qualify(topic), {})
+        ids = self._entries.setdefault(topic, {})
         first = not ids
-        ids[entry_id] = entry
+        ids[operation.id] = operation
         return first
 
     def remove(self, topic: str, entry_id: Mark) -> bool:
@@ -81,42 +87,8 @@ class Registrations(Generic[T]):
         return not ids
 
 
-class Publications(Registrations[None]):
-    """The topics a client has advertised."""
-
-    def __init__(self, limit: int) -> None:
-        super().__init__("advertise", "unadvertise", limit)
-
-    def add(self, operation: Advertise) -> bool:
-        """Register the client as a publisher, after the graph has accepted the operation.
-
-        Returns:
-            True when this is the client's first registration on the topic.
-
-        Raises:
-            OperationError: the client's limit is reached.
-        """
-        return self.put(operation.topic, operation.id, None)
-
-
 # From rosbridge_library, capabilities/subscribe.py: the first that any id asks for serves them all.
 COMPRESSIONS: tuple[Compression, ...] = ("cbor-raw", "cbor", "png", "none")
-
-
-class Rule(NamedTuple):
-    """Request of one subscription id.
-
-    Attributes:
-        throttle_s: least time between two messages [s].
-        queue_length: how many messages may wait, 0 for none.
-        compression: one of `COMPRESSIONS`.
-        fragment_size: greatest length of a frame [characters], None for the client's.
-    """
-
-    throttle_s: float
-    queue_length: int
-    compression: Compression = "none"
-    fragment_size: int | None = None
 
 
 @dataclass(eq=False, slots=True)
@@ -156,12 +128,12 @@ class Subscription:
         """True when messages that come too early for the throttle are dropped."""
         return self.throttle_s > 0 and self.queue_length == 0
 
-    def merge(self, rules: Collection[Rule]) -> None:
-        """Set the rule that serves all ids."""
-        self.throttle_s = min(rule.throttle_s for rule in rules)
-        self.queue_length = min(rule.queue_length for rule in rules)
-        self.compression = min((rule.compression for rule in rules), key=COMPRESSIONS.index)
-        self.fragment_size = min((rule.fragment_size for rule in rules if rule.fragment_size is not None), default=None)
+    def merge(self, asked: Collection[Subscribe]) -> None:
+        """Serve the requests of all ids."""
+        self.throttle_s = min(each.throttle_rate for each in asked) / 1000
+        self.queue_length = min(each.queue_length for each in asked)
+        self.compression = min((each.encoding for each in asked), key=COMPRESSIONS.index)
+        self.fragment_size = min((each.fragment_size for each in asked if each.fragment_size is not None), default=None)
 
     def admit(self, now: float) -> bool:
         """Decide on a message that has just come: take it, or drop it because it comes too early."""
@@ -188,15 +160,15 @@ class Subscriptions:
     """The topics a client has subscribed to."""
 
     def __init__(self, limit: int) -> None:
-        self._rules: Registrations[Rule] = Registrations("subscribe", "unsubscribe", limit)
+        self._asked: Registrations[Subscribe] = Registrations("subscribe", "unsubscribe", limit)
         self._merged: dict[str, Subscription] = {}
 
     def __iter__(self) -> Iterator[str]:
         """Go over the topics, by fully qualified name; the table may change meanwhile."""
-        return iter(self._rules)
+        return iter(self._asked)
 
     def __contains__(self, topic: str) -> bool:
-        return topic in self._rules
+        return topic in self._asked
 
     def get(self, topic: str) -> Subscription | None:
         """Return the delivery of a topic, given by its fully qualified name, None without a subscription."""
@@ -211,11 +183,10 @@ class Subscriptions:
         Raises:
             OperationError: the client's limit is reached.
         """
-        rule = Rule(operation.throttle_rate / 1000, operation.queue_length, operation.encoding, operation.fragment_size)
-        first = self._rules.put(operation.topic, operation.id, rule)
+        first = self._asked.add(operation)
         # The delivery outlives the id that opened it: its spelling and its throttle's clock belong to the topic.
         subscription = self._merged.setdefault(qualify(operation.topic), Subscription(operation.topic))
-        subscription.merge(self._rules.entries(operation.topic))
+        subscription.merge(self._asked.entries(operation.topic))
         return first
 
     def remove(self, topic: str, subscription_id: Mark) -> bool:
@@ -227,10 +198,10 @@ class Subscriptions:
         Raises:
             NothingToDoError: there is no such subscription.
         """
-        none_left = self._rules.remove(topic, subscription_id)
+        none_left = self._asked.remove(topic, subscription_id)
         if none_left:
             # Frames of it may still wait in the send queue, which holds the delivery, not the table.
             self._merged.pop(qualify(topic)).closed = True
         else:
-            self._merged[qualify(topic)].merge(self._rules.entries(topic))
+            self._merged[qualify(topic)].merge(self._asked.entries(topic))
         return none_left

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from planners.errors import AssistantError
+from robot.description.elements import root_of
 from robot.description.mesh_files import find_mesh
 
 MESHES = "meshes"
@@ -17,16 +18,12 @@ MAX_MESH_BYTES = 500 << 20
 
 
 def parse_urdf(urdf_path: Path) -> ET.Element:
-    """Read a URDF; AssistantError for a file that cannot be read or is no URDF."""
+    """Read a URDF; AssistantError for a file that cannot be read, DescriptionError for one that is no URDF."""
     try:
-        root = ET.fromstring(urdf_path.read_text(encoding="utf-8"))  # noqa: S314 - the user's own file
+        text = urdf_path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise AssistantError(f"{urdf_path} cannot be read: {error}") from error
-    except ET.ParseError as error:
-        raise AssistantError(f"{urdf_path} is not XML: {error}") from error
-    if root.tag != "robot":
-        raise AssistantError(f"{urdf_path} is no URDF: it must start with <robot>, not <{root.tag}>")
-    return root
+    return root_of(text, str(urdf_path))
 
 
 def copy_meshes(root: ET.Element, urdf_path: Path, packages: Sequence[Path], folder: Path) -> int:

@@ -10,14 +10,14 @@ import numpy as np
 from planners import checks
 from planners.budget import Budget
 from planners.cartesian.following import FollowedPath, PathEnd, PathFollower, TipTracker, leaves_limits, tip_curve
-from planners.cartesian.tip_path import TipPath, as_pose, check_path, check_shape
+from planners.cartesian.tip_path import TipPath, check_path, check_shape, rounded_pose
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.kinematics import ForwardKinematics
 from planners.ik.constraints import ConditionSet, Joints, conditions
 from planners.ik.goal_checks import in_words
-from planners.ik.goal_refusals import start_violates
+from planners.ik.goal_refusals import check_start_place
 from planners.motions.path_timing import MAX_DURATION_S, standing, time_along
 from planners.motions.spline import NaturalSpline
 from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure, RateLimits
@@ -57,11 +57,9 @@ def plan_cartesian(
     joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
     constraints = ConditionSet(forward, conditions(problem.path_constraints, joints))
     contacts = collision.colliding_pairs(start_q) if problem.avoid_collisions else []
-    refusal = checks.check_start_contact(contacts)
+    refusal = check_start_place(contacts, constraints.violations(start_q))
     if refusal is not None:
         return refusal
-    if not constraints.holds(start_q):
-        return start_violates(constraints.violations(start_q))
     allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
     names = robot.groups[problem.group].joints
     space = JointSpace(collision, names, start_q, allowed, constraints.holds, should_stop=budget.should_stop)
@@ -145,7 +143,7 @@ class _Task:
     ) -> CartesianPlan:
         done_m, length_m = float(followed.along_m[-1]), self.path.length_m
         fraction = done_m / length_m if length_m > 0.0 else 1.0
-        reached = as_pose(self.path.at(done_m), DIGITS)
+        reached = rounded_pose(self.path.at(done_m), DIGITS)
         stopped_by = None if followed.ended is None else _stopped_by(followed.ended, done_m, length_m, reached)
         return CartesianPlan(motion, fraction, stopped_by, budget.spent_s, deviation)
 

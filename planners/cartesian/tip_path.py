@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from planners.checks import check_group
-from planners.geometry.shapes import placement
+from planners.checks import check_group, rate_flaws
+from planners.geometry.shapes import as_point, as_pose, placement
 from planners.ik.constraints import ROTATION_ARM_M
-from planners.ik.goal_checks import check_constraints, check_link, invalid_goal
+from planners.ik.goal_checks import check_constraints, check_link, invalid_goal, length_flaws, point_flaws
 from planners.problem import Arc, CartesianProblem, Line, PlanningFailure
 from planners.scene import Pose
 from robot.description.model import RobotModel
@@ -32,9 +32,6 @@ LARGEST_RADIUS_M = 100.0
 
 # Following takes some 0.3 ms a point, 3 s in all.
 MOST_POINTS = 10_000
-
-# Quaternions from single precision are off by less; others are mistakes.
-NORM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -68,11 +65,10 @@ class _Piece:
 
     def part(self, share: float, digits: int) -> Line | Arc:
         """Return a segment for the first share of the piece, its end rounded."""
-        end = as_pose(self.pose(share), digits)
+        end = rounded_pose(self.pose(share), digits)
         if self.angle == 0.0:
             return Line(end)
-        x, y, z = self.position(0.5 * share).tolist()
-        return Arc((x, y, z), end)
+        return Arc(as_point(self.position(0.5 * share)), end)
 
 
 class TipPath:
@@ -114,12 +110,10 @@ def first_part(start: pin.SE3, segments: Sequence[Line | Arc], along_m: float, d
     return tuple(kept)
 
 
-def as_pose(placement: pin.SE3, digits: int) -> Pose:
+def rounded_pose(place: pin.SE3, digits: int) -> Pose:
     """Return a pose as plain data, its position rounded to some decimals."""
     # Minus 0 is a strange number to read.
-    x, y, z = (round(value, digits) + 0.0 for value in placement.translation.tolist())
-    qx, qy, qz, qw = pin.Quaternion(placement.rotation).coeffs().tolist()
-    return Pose((x, y, z), (qx, qy, qz, qw))
+    return as_pose(pin.SE3(place.rotation, np.round(place.translation, digits) + 0.0))
 
 
 def apart_m(a: pin.SE3, b: pin.SE3) -> float:
@@ -193,15 +187,12 @@ def _is_corner(first: _Piece, second: _Piece) -> bool:
 
 def check_path(robot: RobotModel, problem: CartesianProblem) -> PlanningFailure | None:
     """Check names and numbers of a problem."""
-    refusal = (
+    return (
         check_group(robot, problem.group)
         or check_constraints(robot, problem.path_constraints)
         or check_link(robot, problem.link)
+        or next(_flaws(problem), None)
     )
-    if refusal is not None:
-        return refusal
-    flaw = next(_flaws(problem), None)
-    return None if flaw is None else invalid_goal(flaw)
 
 
 def check_shape(start_m: Vector, problem: CartesianProblem) -> PlanningFailure | None:
@@ -220,38 +211,26 @@ def check_shape(start_m: Vector, problem: CartesianProblem) -> PlanningFailure |
     return None
 
 
-def _flaws(problem: CartesianProblem) -> Iterator[str]:
-    for name, value in (
-        ("velocity scaling", problem.velocity_scaling),
-        ("acceleration scaling", problem.acceleration_scaling),
-    ):
-        if not 0.0 < value <= 1.0:
-            yield f"the {name} must be above 0 and at most 1, not {value:g}"
+def _flaws(problem: CartesianProblem) -> Iterator[PlanningFailure]:
+    yield from rate_flaws(problem)
     for name, value in _positive(problem):
         if not (math.isfinite(value) and value > 0.0):
-            yield f"the {name} must be a finite number above 0, not {value:g}"
-    if not (math.isfinite(problem.max_joint_step_rad) and problem.max_joint_step_rad >= 0.0):
-        yield f"the greatest joint step must be a finite number of 0 rad or more, not {problem.max_joint_step_rad:g}"
+            yield invalid_goal(f"the {name} must be a finite number above 0, not {value:g}")
+    step_rad = problem.max_joint_step_rad
+    if not (math.isfinite(step_rad) and step_rad >= 0.0):
+        yield invalid_goal(f"the greatest joint step must be a finite number of 0 rad or more, not {step_rad:g}")
     if not problem.segments:
-        yield "the path has no segment"
+        yield invalid_goal("the path has no segment")
     for index, segment in enumerate(problem.segments):
-        yield from (f"segment {index}: {flaw}" for flaw in _segment_flaws(segment))
+        yield from point_flaws(segment.end.position_m, f"end of segment {index}", "m")
+        yield from length_flaws(segment.end.orientation, f"quaternion of segment {index}")
+        if isinstance(segment, Arc):
+            yield from point_flaws(segment.via_m, f"point on the way of segment {index}", "m")
 
 
 def _positive(problem: CartesianProblem) -> Iterator[tuple[str, float]]:
-    yield "allowed planning time [s]", problem.allowed_time_s
     yield "greatest step [m]", problem.max_step_m
     if problem.tip_speed_m_s is not None:
         yield "tip speed [m/s]", problem.tip_speed_m_s
     if problem.keep_orientation:
         yield "orientation tolerance [rad]", problem.orientation_tolerance_rad
-
-
-def _segment_flaws(segment: Line | Arc) -> Iterator[str]:
-    if not np.all(np.isfinite(segment.end.position_m)):
-        yield f"its end {tuple(segment.end.position_m)} m is not finite"
-    norm = float(np.linalg.norm(segment.end.orientation))
-    if not abs(norm - 1.0) <= NORM_TOLERANCE:
-        yield f"the quaternion at its end has the length {norm:.4g}, not 1"
-    if isinstance(segment, Arc) and not np.all(np.isfinite(segment.via_m)):
-        yield f"the point {tuple(segment.via_m)} m on its way is not finite"

@@ -20,7 +20,16 @@ from planners.geometry.contacts import (
 from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.nearness import Nearest, NearPair
 from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import frame_of_link, link_name, placement, robot_shapes, scaled, solid, urdf_shapes
+from planners.geometry.shapes import (
+    as_point,
+    frame_of_link,
+    link_name,
+    placement,
+    robot_shapes,
+    scaled,
+    solid,
+    urdf_shapes,
+)
 from planners.goals import ZERO
 from planners.problem import PlanningFailure
 from planners.scene import EMPTY_SCENE, AttachedObject, Point, Scene
@@ -254,7 +263,7 @@ class CollisionModel:
             first, second = (self._bodies[i].name for i in self._pairs[index])
             nearest = self._broadphase.nearest(index)
             depth_m = max(0.0, float(self._apart_m[index]) - nearest.distance_m)
-            pair = CollidingPair(first, second, depth_m, _point(nearest.middle_m), _point(nearest.normal))
+            pair = CollidingPair(first, second, depth_m, as_point(nearest.middle_m), as_point(nearest.normal))
             known = deepest.get(pair.links)
             if known is not None and known.depth_m >= pair.depth_m:
                 continue
@@ -397,8 +406,3 @@ class CollisionModel:
         if index not in self._known_parts:
             self._known_parts[index] = self._parts.of_link(body.name) if body.is_link else parts_of([body.shape])
         return self._known_parts[index], self._broadphase.placement(body.shape.parentJoint)
-
-
-def _point(vector: Vector) -> Point:
-    x, y, z = vector.tolist()
-    return x, y, z

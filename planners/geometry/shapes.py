@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planners.errors import ShapeError
 from planners.geometry.plain_urdf import plain_urdf
-from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
+from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Point, Pose, Shape, Sphere
 from robot.description.mesh_files import with_mesh_paths
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
@@ -170,6 +170,18 @@ def placement(pose: Pose) -> pin.SE3:
     """A pose as pinocchio has it."""
     x, y, z, w = pose.orientation
     return pin.SE3(pin.Quaternion(w, x, y, z).normalized(), np.array(pose.position_m))
+
+
+def as_pose(place: pin.SE3) -> Pose:
+    """A pose of pinocchio as plain data."""
+    x, y, z, w = pin.Quaternion(place.rotation).coeffs().tolist()
+    return Pose(as_point(place.translation), (x, y, z, w))
+
+
+def as_point(vector: Vector) -> Point:
+    """A vector of shape (3,) as plain data."""
+    x, y, z = vector.tolist()
+    return x, y, z
 
 
 def solid(shape: Shape, reach_m: float) -> tuple[coal.CollisionGeometry, pin.SE3]:

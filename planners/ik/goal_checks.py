@@ -69,17 +69,17 @@ def _goal_flaws(robot: RobotModel, group: Group, goal: SingleGoal) -> Iterator[P
         yield from _constraint_flaws(robot, goal.constraints)
         return
     yield from _link_flaws(robot, goal.link)
-    yield from _point_flaws(goal.position_m, "goal position", "m")
+    yield from point_flaws(goal.position_m, "goal position", "m")
     yield from _tolerance_flaws("position", goal.tolerance_m, "m")
     match goal:
         case PositionGoal():
-            yield from _point_flaws(goal.offset_m, "offset of the point", "m")
+            yield from point_flaws(goal.offset_m, "offset of the point", "m")
         case AxisGoal():
-            yield from _length_flaws(goal.axis, "axis")
-            yield from _length_flaws(goal.direction, "direction")
+            yield from length_flaws(goal.axis, "axis")
+            yield from length_flaws(goal.direction, "direction")
             yield from _tolerance_flaws("axis", goal.axis_tolerance_rad, "rad")
         case PoseGoal():
-            yield from _length_flaws(goal.pose.orientation, "orientation")
+            yield from length_flaws(goal.pose.orientation, "orientation")
             for tolerance_rad in goal.orientation_tolerance_rad:
                 yield from _tolerance_flaws("orientation", tolerance_rad, "rad")
 
@@ -119,7 +119,7 @@ def _constraint_flaws(robot: RobotModel, constraints: Constraints) -> Iterator[P
         yield from _position_constraint_flaws(robot, position)
     for orientation in constraints.orientations:
         yield from _link_flaws(robot, orientation.link)
-        yield from _length_flaws(orientation.orientation, "orientation")
+        yield from length_flaws(orientation.orientation, "orientation")
         for tolerance_rad in orientation.tolerance_rad:
             yield from _tolerance_flaws("orientation", tolerance_rad, "rad")
 
@@ -159,9 +159,9 @@ def _contradictions(constraints: Sequence[JointConstraint]) -> Iterator[Planning
 
 def _position_constraint_flaws(robot: RobotModel, constraint: PositionConstraint) -> Iterator[PlanningFailure]:
     yield from _link_flaws(robot, constraint.link)
-    yield from _point_flaws(constraint.region.position_m, "region of a position constraint", "m")
-    yield from _length_flaws(constraint.region.orientation, "orientation of a region")
-    yield from _point_flaws(constraint.offset_m, "offset of the point", "m")
+    yield from point_flaws(constraint.region.position_m, "region of a position constraint", "m")
+    yield from length_flaws(constraint.region.orientation, "orientation of a region")
+    yield from point_flaws(constraint.offset_m, "offset of the point", "m")
     if (constraint.half_size_m is None) == (constraint.radius_m is None):
         yield invalid_goal(f"the region for {constraint.link!r} must be either a box or a sphere", link=constraint.link)
     for size_m in (*(constraint.half_size_m or ()), *(() if constraint.radius_m is None else (constraint.radius_m,))):
@@ -187,12 +187,14 @@ def _link_flaws(robot: RobotModel, link: str) -> Iterator[PlanningFailure]:
         yield flaw
 
 
-def _point_flaws(point: Sequence[float], what: str, unit: str) -> Iterator[PlanningFailure]:
+def point_flaws(point: Sequence[float], what: str, unit: str) -> Iterator[PlanningFailure]:
+    """Yield the failure of a point that is not of three finite numbers."""
     if len(point) != 3 or not all(math.isfinite(value) for value in point):
         yield invalid_goal(f"the {what} {in_words(point)} {unit} is not finite")
 
 
-def _length_flaws(vector: Sequence[float], what: str) -> Iterator[PlanningFailure]:
+def length_flaws(vector: Sequence[float], what: str) -> Iterator[PlanningFailure]:
+    """Yield the failure of a vector or quaternion whose length is not 1."""
     length = math.hypot(*vector)
     if not abs(length - 1.0) <= LENGTH_TOLERANCE:
         yield invalid_goal(f"the {what} {in_words(vector)} has the length {length:.4g}, not 1", length=length)

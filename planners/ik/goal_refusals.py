@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from planners.checks import contact_failure
+from planners.checks import check_start_contact, contact_failure
 from planners.geometry.collision import CollidingPair
 from planners.goals import AxisGoal, ConstraintGoal, PoseGoal, PositionGoal
 from planners.ik.constraints import Violation
@@ -25,8 +25,11 @@ def goal_violates(violations: Sequence[Violation]) -> PlanningFailure:
     return _violated(MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS, "the goal violates the constraints", violations)
 
 
-def start_violates(violations: Sequence[Violation]) -> PlanningFailure:
-    """Return the failure of a start that violates the path constraints."""
+def check_start_place(pairs: Sequence[CollidingPair], violations: Sequence[Violation]) -> PlanningFailure | None:
+    """Check for contact at the start, of which there may be shallow ones, and for violated path constraints."""
+    refusal = check_start_contact(pairs)
+    if refusal is not None or not violations:
+        return refusal
     return _violated(
         MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, "the start violates the path constraints", violations
     )

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from planners.checks import check_group, check_start
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
-from planners.geometry.shapes import placement
+from planners.geometry.shapes import as_point, as_pose, placement
 from planners.ik.differential import Limit, Task, solve, velocity_limit
-from planners.ik.goal_checks import check_link, invalid_goal
+from planners.ik.goal_checks import check_link, invalid_goal, length_flaws
 from planners.problem import MoveItErrorCode, PlanningFailure
-from planners.scene import Point, Pose
 from planners.servo.question import (
     ACCELERATION_SHARE,
     MAX_PERIOD_S,
@@ -41,9 +40,6 @@ from robot.trajectory import Vector
 
 # Joints that it takes to move a tip in any direction.
 POSITION_DIRECTIONS = 3
-
-# Greatest deviation of a unit quaternion's length from 1.
-UNIT_TOLERANCE = 1e-3
 
 # An error shrinks to a third in a quarter of a second: ten times the delay from question to servo.
 GAIN_PER_S = 4.0
@@ -252,8 +248,7 @@ def _command_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[Plann
             values = [*command.linear_m_s, *command.angular_rad_s]
         case TipTarget():
             values = [*command.pose.position_m, *command.pose.orientation]
-            if abs(math.hypot(*command.pose.orientation) - 1.0) > UNIT_TOLERANCE:
-                yield invalid_goal(f"the target's orientation {command.pose.orientation} is no unit quaternion")
+            yield from length_flaws(command.pose.orientation, "target's orientation")
     if not 0.0 < question.period_s <= MAX_PERIOD_S:
         yield invalid_goal(f"the period must be above 0 and at most {MAX_PERIOD_S} s, not {question.period_s:g}")
     for value in (*values, *question.velocity_rad_s.values()):
@@ -275,7 +270,7 @@ def twist_motion(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> Desi
     """Return the desired motion of a twist; directions that it does not command are held, from no anchor at first."""
     linear, angular = np.array(command.linear_m_s), np.array(command.angular_rad_s)
     along, about = _unit_or_zero(linear), _unit_or_zero(angular)
-    kept = anchor or Anchor(_pose(tip))
+    kept = anchor or Anchor(as_pose(tip))
     if command.zero:
         # It still brakes: along its last motion it need not come back.
         along, about = np.array(kept.along), np.array(kept.about)
@@ -289,14 +284,14 @@ def twist_motion(command: TipTwist, tip: pin.SE3, anchor: Anchor | None) -> Desi
         linear + GAIN_PER_S * drift,
         angular + righting_per_s * turned,
         float(np.linalg.norm(turned)),
-        Anchor(_pose(place), _point(along), _point(about)),
+        Anchor(as_pose(place), as_point(along), as_point(about)),
     )
 
 
 def relaxed_anchor(anchor: Anchor, tip: pin.SE3) -> Anchor:
     """Return the anchor of a tip that limits hold back: pulled to its path, it could not go where it is free to."""
     drift = _shortened(placement(anchor.pose).translation - tip.translation, HELD_DRIFT_M)
-    return Anchor(_pose(pin.SE3(tip.rotation, tip.translation + drift)), anchor.along, anchor.about)
+    return Anchor(as_pose(pin.SE3(tip.rotation, tip.translation + drift)), anchor.along, anchor.about)
 
 
 def target_motion(command: TipTarget, tip: pin.SE3, limits: ServoLimits) -> DesiredMotion:
@@ -323,16 +318,6 @@ def _across(vector: Vector, direction: Vector) -> Vector:
 def _shortened(vector: Vector, longest: float) -> Vector:
     length = float(np.linalg.norm(vector))
     return vector if length <= longest else vector * (longest / length)
-
-
-def _pose(place: pin.SE3) -> Pose:
-    x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(place).tolist()
-    return Pose((x, y, z), (qx, qy, qz, qw))
-
-
-def _point(vector: Vector) -> Point:
-    x, y, z = vector.tolist()
-    return x, y, z
 
 
 @dataclass(frozen=True)

@@ -12,18 +12,24 @@ XACRO_NAMESPACES = ("http://www.ros.org/wiki/xacro", "http://wiki.ros.org/xacro"
 
 
 def root_of(text: str, source: str) -> ET.Element:
-    """Parse a URDF or SRDF, whose source is named in errors; xacro is rejected."""
+    """Parse a URDF or SRDF, whose source is named in errors; xacro and MJCF are rejected with the next step."""
     try:
         root = ET.fromstring(text)  # noqa: S314 - the user's own file, given on the command line
     except ET.ParseError as error:
         raise DescriptionError(source, f"is not XML: {error}") from error
-    if root.tag != "robot":
-        raise DescriptionError(source, f"must start with <robot>, not <{root.tag}>")
-    macros = [element.tag for element in root.iter() if _is_xacro(element)]
-    if macros:
+    if root.tag == "mujoco":
         raise DescriptionError(
             source,
-            f"is xacro, with the element <xacro:{macros[0].rpartition('}')[2]}>: expand it first with "
+            "is MJCF, MuJoCo's format: convert it to a URDF first (pip install mjcf-urdf-simple-converter), or use the "
+            "URDF of the arm's maker, and give that",
+        )
+    if root.tag != "robot":
+        raise DescriptionError(source, f"must start with <robot>, not <{root.tag}>")
+    macros = (macro for element in root.iter() for macro in _macros(element))
+    if macro := next(macros, ""):
+        raise DescriptionError(
+            source,
+            f"is xacro, with {macro}: expand it first with "
             "`xacro FILE.xacro > FILE` (pip install xacro), and give the result",
         )
     return root
@@ -51,5 +57,8 @@ def number(element: ET.Element, name: str, where: str) -> float:
     return value
 
 
-def _is_xacro(element: ET.Element) -> bool:
-    return element.tag.startswith(tuple(f"{{{namespace}}}" for namespace in XACRO_NAMESPACES))
+def _macros(element: ET.Element) -> list[str]:
+    """Return the parts of an element that xacro replaces: the element itself, and expressions in its attributes."""
+    if element.tag.startswith(tuple(f"{{{namespace}}}" for namespace in XACRO_NAMESPACES)):
+        return [f"the element <xacro:{element.tag.rpartition('}')[2]}>"]
+    return [f'{name}="{value}"' for name, value in element.attrib.items() if "${" in value or "$(" in value]

@@ -282,7 +282,7 @@ class ServoBus(Generic[S]):
         arriving = self.faults.apply(packet)
         self._wire_free_s = start_s + max(len(packet), len(arriving)) * byte_s
         self._given_s = max(self._given_s, self._wire_free_s + self.faults.hold_up_s())
-        self._on_wire.append(Reply(start_s, byte_s, self._wire_free_s, self._given_s, arriving))
+        self._on_wire.append(Reply(start_s, wire_time_s(1, baudrate), self._wire_free_s, self._given_s, arriving))
 
     def _byte_s(self, baudrate: int) -> float:
         return wire_time_s(1, baudrate) if self._wire_time else 0.0

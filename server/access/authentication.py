@@ -110,7 +110,7 @@ class RosauthVerifier:
             if hmac.compare_digest(expected.encode(), mac.encode(errors="surrogatepass")):
                 owner = identity
         if owner is None:
-            return "field mac: it was made with none of the tokens here"
+            return "field mac: it was made with an invalid token"
         # Not by rand: fields stand in the text without a sign between them, and so could lend one another characters.
         return self._once(mac, now_s) or owner
 

@@ -45,8 +45,7 @@ CONTROLLER_ACTIONS = tuple(
 MAX_SETTLED = 1000
 
 _NO_TOKEN = (
-    "field token: it is none of the tokens here; a one-time token lets one connection in, within"
-    f" {VALID_FOR_S:g} s after it was issued"
+    f"field token: invalid token; a one-time token lets one connection in, within {VALID_FOR_S:g} s after it was issued"
 )
 
 _WHAT_TO_SHOW = {

@@ -42,8 +42,8 @@ class ControlLease:
         idle_s: time without a request of the holder after which the arm is free for others [s].
 
     Attributes:
-        excluded_by: leases that nobody else may hold when a client takes this one: of several arms that of all arms
-            excludes those of each, and each of them excludes it.
+        excluded_by: leases that nobody else may hold when a client takes this one: the lease of all arms and the
+            lease of each arm exclude each other.
     """
 
     def __init__(
@@ -221,8 +221,8 @@ class ControlServices:
     def _who(self, call: Call) -> None:
         caller = call.caller
         role = "" if caller.identity is None else caller.identity.role.name.lower()
-        told = {"name": caller.name, "address": caller.address, "role": role, "version": metadata.version("armbridge")}
-        answer(call, lambda _request: {"success": True, "message": json.dumps(told)})
+        names = {"name": caller.name, "address": caller.address, "role": role, "version": metadata.version("armbridge")}
+        answer(call, lambda _request: {"success": True, "message": json.dumps(names)})
 
     def _answer(self, call: Call, refusal: str | None) -> None:
         message = self._sentence() if refusal is None else refusal

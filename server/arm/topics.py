@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from protocol.messages import Stamp
+from robot.calibration import Calibration
 from robot.description.model import RobotModel
 from robot.faults import Fault
 from robot.messages import ArmHealth, ArmState, Mode, Pace
@@ -62,6 +63,9 @@ _SENTENCES = {
     Mode.MOVING: "the arm moves",
     Mode.FAULT: "the arm has a fault",
 }
+# Start of the keys with the calibrated range of each joint, "LOWER UPPER" [rad].
+CALIBRATED_RANGE = "calibrated_range_rad."
+
 _LEVELS = {Mode.DISCONNECTED: LEVEL_ERROR, Mode.CONNECTED: LEVEL_WARN, Mode.FAULT: LEVEL_ERROR}
 
 
@@ -70,10 +74,17 @@ class ArmStateTopics:
 
     Args:
         robot: the arm; names the hardware, and gives the limits until the servos' own are known.
+        calibration: its ranges are published as they were measured, without the margin of the limits.
     """
 
-    def __init__(self, graph: LocalGraph, robot: RobotModel, state: ArmState) -> None:
+    def __init__(
+        self, graph: LocalGraph, robot: RobotModel, state: ArmState, calibration: Calibration | None = None
+    ) -> None:
         self._graph = graph
+        self._ranges = {
+            f"{CALIBRATED_RANGE}{each.joint}": f"{each.lower_rad:.5f} {each.upper_rad:.5f}"
+            for each in (calibration.joints if calibration else ())
+        }
         self._robot = robot
         self._node = Node("arm state")
         # All that the last message told.
@@ -94,7 +105,7 @@ class ArmStateTopics:
         if told != self._told:
             self._told = told
             message = status(state, self._robot.name)
-            message["values"] += key_values({"last_stop": str(last_stop)})
+            message["values"] += key_values({"last_stop": str(last_stop)} | self._ranges)
             self._graph.publish(self._node, STATE_TOPIC, message)
 
     def take_health(self, health: ArmHealth) -> None:

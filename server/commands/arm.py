@@ -7,6 +7,7 @@ import contextlib
 import json
 import textwrap
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from robot.calibration import Calibration
 from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
@@ -15,15 +16,19 @@ from robot.commissioning.scan import BAUDRATES, ScanResult, ServoRegisters, expl
 from robot.commissioning.timing import measure_cycles, measure_reads
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
+from robot.hardware.dynamixel.family import Dynamixel
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import PERMILLE, Register
+from robot.hardware.feetech.family import Feetech
+from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end, status_names
 from robot.hardware.port import resolve_port
-from robot.hardware.servos.family import Limit
+from robot.hardware.servos.bus import ServoBus, read_registers
+from robot.hardware.servos.family import Limit, ServoFamily
 from robot.hardware.servos.servo_map import full_torque
-from robot.hardware.servos.torque import LOWER_S, relax
+from robot.hardware.servos.torque import LOWER_S, relax, write_limits
 from robot.messages import GuardLimits
 from server.commands.options import (
+    FEETECH_ONLY,
     Subparsers,
     add_calibration,
     add_command,
@@ -35,6 +40,8 @@ from server.commands.options import (
 )
 from server.commands.terminal import ExitCode, Terminal, table
 from server.errors import ConfigurationError
+
+FAMILIES: Mapping[str, type[ServoFamily]] = {"feetech": Feetech, "dynamixel": Dynamixel}
 
 HEADINGS = (
     "id", "joint", "model", "firmware", "V", "degC", "mode", "position", "limits", "offset", "torque", "complaints",
@@ -49,7 +56,8 @@ def add_scan_parser(subparsers: Subparsers) -> None:
         _scan,
         "list the servos on the bus, and say which are missing and why",
         "List every servo on the bus: id, model, firmware, supply voltage, temperature, operating mode, "
-        "position, angle limits, homing offset [ticks], and whether torque is on. Only reads; nothing moves.",
+        "position, angle limits, homing offset [ticks], and whether torque is on. Only reads; nothing moves."
+        + FEETECH_ONLY,
     )
     add_robot(parser)
     add_serial(parser)
@@ -118,7 +126,7 @@ def add_doctor_parser(subparsers: Subparsers) -> None:
         "measure the arm and its bus, judge them, and say what to do",
         "Look at every servo, measure the bus for a few seconds, and print a verdict per check with what "
         "to do. Then, one by one and only if you agree, ask the arm what no document says; some of these questions "
-        "switch one servo's torque (see --servo) or move it by 2 degrees.",
+        "switch one servo's torque (see --servo) or move it by 2 degrees." + FEETECH_ONLY,
     )
     add_robot(parser)
     add_serial(parser)
@@ -127,12 +135,12 @@ def add_doctor_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--cycles", type=int, default=DEFAULT_CYCLES, metavar="N", help=f"measured ({DEFAULT_CYCLES})")
     agreement = parser.add_mutually_exclusive_group()
     agreement.add_argument("--yes", action="store_true", help="agree to every question that needs no hands")
-    agreement.add_argument("--read-only", action="store_true", help="ask none of these questions, and write nothing")
+    agreement.add_argument("--read-only", action="store_true", help="ask no such question, and write nothing")
     parser.add_argument(
         "--servo",
         type=int,
         metavar="ID",
-        help="servo that may be driven; it must be relaxed (the last one: the gripper, of which nothing falls)",
+        help="servo that may be driven; it must be relaxed (the last one, the gripper: nothing falls)",
     )
 
 
@@ -230,14 +238,17 @@ def add_relax_parser(subparsers: Subparsers) -> None:
 
 
 def _relax(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    servos = read_hardware(options).servos
-    with contextlib.closing(open_bus(options)) as bus:
-        return relax_arm(bus, servos, terminal)
+    hardware = read_hardware(options, tuple(FAMILIES))
+    family = FAMILIES[hardware.kind]()
+    with contextlib.closing(family.bus.open(resolve_port(options.serial), hardware.baud)) as bus:
+        return relax_arm(bus, hardware.servos, terminal, family)
 
 
-def relax_arm(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> ExitCode:
-    """Relax whatever holds; says which servos may still be driven."""
-    holding, silent = _look(bus, servos)
+def relax_arm(
+    bus: ServoBus, servos: Sequence[ServoSpec], terminal: Terminal, family: ServoFamily | None = None
+) -> ExitCode:
+    """Relax whatever holds; says which servos may still be driven. The family is Feetech's unless it is given."""
+    holding, full, silent = _look(family or Feetech(), bus, servos)
     if not holding and not silent:
         terminal.say("torque is off on all servos")
         return ExitCode.DONE
@@ -245,9 +256,10 @@ def relax_arm(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> Exit
         terminal.say("no servo answers: see armbridge scan")
         return ExitCode.FAILED
     terminal.say("relaxing: support the arm ...")
-    shares = full_torque(Calibration.nominal(servos), GuardLimits())
-    full = {servo.servo_id: _limit(round(share * PERMILLE)) for servo, share in zip(servos, shares, strict=True)}
-    driven = run_to_end(relax(bus, list(full), holding, full))
+    if family is not None and family.watchdog is not None:
+        # Without its program a servo has stopped, and takes no limit until its watchdog is disarmed.
+        write_limits(bus, {servo_id: Limit(family.watchdog.register, 0) for servo_id in holding})
+    driven = run_to_end(relax(bus, [servo.servo_id for servo in servos], holding, full))
     if driven:
         listed = ", ".join(f"{servo.joint} (id {servo.servo_id})" for servo in servos if servo.servo_id in driven)
         terminal.say(f"{listed} may still be driven: torque off could not be verified. Cut the servos' supply.")
@@ -256,17 +268,22 @@ def relax_arm(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> Exit
     return ExitCode.DONE
 
 
-def _look(bus: Bus, servos: Sequence[ServoSpec]) -> tuple[dict[int, Limit], list[int]]:
-    """Return the torque limits of the servos that hold, by id, and the servos that do not answer."""
-    holding, silent = {}, []
-    for joint in servos:
+def _look(
+    family: ServoFamily, bus: ServoBus, servos: Sequence[ServoSpec]
+) -> tuple[dict[int, Limit], dict[int, Limit], list[int]]:
+    """Return present and full torque limits of the servos that hold, by id, and the servos that do not answer."""
+    present: dict[int, Limit] = {}
+    full: dict[int, Limit] = {}
+    silent, arm = [], Calibration.nominal(servos)
+    for joint, share in zip(arm.joints, full_torque(arm, GuardLimits()), strict=True):
+        servo_id, values = joint.servo_id, dict[Any, int]()
         try:
-            if bus.read(joint.servo_id, Register.TORQUE_ENABLE):
-                holding[joint.servo_id] = _limit(bus.read(joint.servo_id, Register.TORQUE_LIMIT))
+            if bus.read(servo_id, bus.registers.torque_enable):
+                for block in family.survey_blocks(joint):
+                    values |= run_to_end(read_registers(bus, servo_id, block))
+                limit = family.limit(joint, values, share)
+                present[servo_id] = Limit(limit.register, bus.read(servo_id, limit.register))
+                full[servo_id] = limit
         except NoReply:
-            silent.append(joint.servo_id)
-    return holding, silent
-
-
-def _limit(permille: int) -> Limit:
-    return Limit(Register.TORQUE_LIMIT, permille)
+            silent.append(servo_id)
+    return present, full, silent

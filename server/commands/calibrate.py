@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from robot.calibration import Calibration, find_calibration, new_calibration_path, reserved, save
+from robot.calibration import Calibration, new_calibration_path, reserved, save
 from robot.commissioning.directions import asked_motions
 from robot.commissioning.scan import explain_missing, read_telemetry, scan
 from robot.commissioning.session import HOLD, WRITE, Act, CalibrationSession, Step
@@ -22,7 +22,16 @@ from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES,
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Difference
 from server.commands.arm import relax_arm
-from server.commands.options import Subparsers, add_command, add_robot, add_serial, open_bus, read_hardware
+from server.commands.options import (
+    FEETECH_ONLY,
+    Subparsers,
+    add_command,
+    add_robot,
+    add_serial,
+    load_calibration,
+    open_bus,
+    read_hardware,
+)
 from server.commands.terminal import ExitCode, Terminal, chosen, prompt, table
 
 # Fast enough to follow a hand across the seam (no joint turns by half a turn meanwhile), slow enough to be read.
@@ -38,7 +47,7 @@ def add_calibrate_parser(subparsers: Subparsers) -> None:
         "record the ranges and directions of the joints in a calibration file of lerobot's format",
         "Switches torque off, asks you to move every joint from stop to stop, asks for a motion of each "
         "joint that shows its direction, and writes a file like lerobot's. "
-        "Nothing is written to the servos unless you say --write-servos.",
+        "Nothing is written to the servos unless you say --write-servos." + FEETECH_ONLY,
     )
     parser.add_argument(
         "file", metavar="NAME_OR_PATH", help="where to write: a file, or an id for lerobot's calibration directory"
@@ -65,7 +74,7 @@ def add_calibrate_parser(subparsers: Subparsers) -> None:
 
 def _write_back(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     hardware = read_hardware(options)
-    calibration = Calibration.load(find_calibration(options.file, hardware.calibrations, os.environ), hardware.servos)
+    calibration = load_calibration(options.file, hardware)
     with contextlib.closing(open_bus(options)) as bus:
         changes = differences(calibration, _all_there(bus, hardware.servos, terminal))
         if not changes:

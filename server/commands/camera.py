@@ -26,7 +26,7 @@ def add_camera_parser(subparsers: Subparsers) -> None:
         "publish a camera's images on a running server",
         "Publish the images of a camera as sensor_msgs/CompressedImage on a running server, which records"
         " them like everything else (docs/datasets.md). Images that a slow network cannot take are dropped. It connects"
-        " again when the server comes back, and ends with Ctrl+C. Needs armbridge[camera], but for the device test.",
+        " again when the server comes back, and ends with Ctrl+C. Needs armbridge[camera], except for the device test.",
     )
     parser.add_argument(
         "device", metavar="DEVICE", help="number or path of a camera, a video file, or test for a test pattern"

@@ -157,7 +157,7 @@ def add_systemd_unit_parser(subparsers: Subparsers) -> None:
         "Print a systemd unit for this installation: armbridge systemd-unit > armbridge.service.",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="settings in TOML, for the service to read")
-    parser.add_argument("--user", metavar="NAME", help="run as this user (one that systemd makes up)")
+    parser.add_argument("--user", metavar="NAME", help="run as this user (made up by systemd)")
     parser.add_argument("--group", metavar="NAME", default="dialout", help="that serial ports belong to (dialout)")
 
 

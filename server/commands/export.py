@@ -7,10 +7,13 @@ from pathlib import Path
 
 from server.commands.options import Subparsers, add_command, add_interfaces, number
 from server.commands.terminal import ExitCode, Terminal
+from server.datasets.episodes import MAX_GAP_S
 from server.interfaces import load_registry
 
 MAX_FPS = 100
 DEFAULT_FPS = 30
+
+GREATEST_GAP_S = 60.0
 
 
 def add_export_parser(subparsers: Subparsers) -> None:
@@ -22,7 +25,7 @@ def add_export_parser(subparsers: Subparsers) -> None:
         "write recordings as a dataset for learning (LeRobotDataset v3.0)",
         "Write recordings of serve --record as a dataset for learning (docs/datasets.md): the states of the"
         " arm, the actions that were asked for, and what cameras saw, at a fixed rate. Episodes are those marked on"
-        " /dataset/episode; a recording without marks is one episode. What is left out counts as a problem found. Needs"
+        " /dataset/episode; a recording without marks is one episode. Omissions count as problems. Needs"
         " armbridge[datasets].",
     )
     parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING.mcap", help="the recordings")
@@ -47,6 +50,13 @@ def add_export_parser(subparsers: Subparsers) -> None:
         default="rad",
         help="radians, or degrees with the gripper in percent of its range, as lerobot has them (rad)",
     )
+    parser.add_argument(
+        "--max-gap",
+        type=number(float, 0.0, GREATEST_GAP_S),
+        default=MAX_GAP_S,
+        metavar="S",
+        help=f"longest time without a state, action or image in an episode that is exported [s] ({MAX_GAP_S})",
+    )
     parser.add_argument("--no-video", action="store_true", help="leave the cameras out")
     add_interfaces(parser)
 
@@ -63,6 +73,7 @@ def _export(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         options.action_topic,
         options.units,
         video=not options.no_video,
+        max_gap_s=options.max_gap,
     )
     try:
         done = export(chosen, load_registry(options.interfaces or ()), terminal.say)

@@ -8,7 +8,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,7 +16,7 @@ from robot import logs
 from robot.calibration import Calibration, find_calibration
 from robot.description import robot_folder
 from robot.description.servo_table import HardwareTable
-from robot.errors import DescriptionError, PortBusy, RobotError
+from robot.errors import CalibrationError, DescriptionError, PortBusy, RobotError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.port import AUTO, resolve_port
 from server.arm.setup import DEFAULT_ROBOT
@@ -37,6 +37,9 @@ DEFAULT_URL = "ws://127.0.0.1:9090"
 
 # Where a token does not show in the list of processes.
 TOKEN_VARIABLE = "ARMBRIDGE_TOKEN"  # noqa: S105 - the name of a variable
+
+# End of the description of a command that other servos do not know.
+FEETECH_ONLY = " For Feetech servos only."
 
 # Carries a command out; its errors become exit codes in `guarded`.
 Run: TypeAlias = Callable[[argparse.Namespace, Terminal], ExitCode]
@@ -138,12 +141,13 @@ def websocket_url(text: str) -> str:
     return text
 
 
-def read_hardware(options: argparse.Namespace) -> HardwareTable:
-    """Read the hardware of the robot that the options name, which has Feetech servos."""
+def read_hardware(options: argparse.Namespace, kinds: Collection[str] = ("feetech",)) -> HardwareTable:
+    """Read the hardware of the robot that the options name, which has servos of one of these kinds."""
     hardware = robot_folder.resolve(options.robot).hardware
-    if hardware.kind != "feetech":
+    if hardware.kind not in kinds:
+        wanted = " or ".join(each.capitalize() for each in kinds)
         raise DescriptionError(
-            f"robot {options.robot!r}", f"has hardware of the kind {hardware.kind}: this command needs Feetech servos"
+            f"robot {options.robot!r}", f"has hardware of the kind {hardware.kind}: this command needs {wanted} servos"
         )
     return hardware
 
@@ -155,10 +159,19 @@ def open_bus(options: argparse.Namespace) -> Bus:
 
 def read_calibration(options: argparse.Namespace) -> Calibration | None:
     """Read the calibration that the options name, if they name one."""
-    if options.calibration is None:
-        return None
-    hardware = read_hardware(options)
-    return Calibration.load(find_calibration(options.calibration, hardware.calibrations, os.environ), hardware.servos)
+    return None if options.calibration is None else load_calibration(options.calibration, read_hardware(options))
+
+
+def load_calibration(name: str, hardware: HardwareTable) -> Calibration:
+    """Read the calibration of this name or path.
+
+    Raises:
+        ConfigurationError: it is missing or cannot be used.
+    """
+    try:
+        return Calibration.load(find_calibration(name, hardware.calibrations, os.environ), hardware.servos)
+    except CalibrationError as error:
+        raise ConfigurationError(str(error)) from error
 
 
 def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
@@ -168,7 +181,7 @@ def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
         return command(terminal)
     except PortBusy as error:
         terminal.say(f"armbridge: {error}. If that is armbridge serve, stop it first or use its services.")
-    except ConfigurationError as error:
+    except (ConfigurationError, DescriptionError) as error:
         terminal.say(f"armbridge: {error}")
         return ExitCode.USAGE
     except (RobotError, ServerError) as error:

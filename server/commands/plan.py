@@ -42,7 +42,7 @@ def add_plan_parser(subparsers: Subparsers) -> None:
     plan.add_argument("--urdf", type=Path, metavar="FILE", help="a URDF in place of the robot's")
     plan.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
     plan.add_argument(
-        "--time", type=float, dest="allowed_time_s", metavar="S", help="give up after so many seconds a problem"
+        "--time", type=float, dest="allowed_time_s", metavar="S", help="seconds after which a problem is given up"
     )
     plan.add_argument(
         "--optimize", type=float, dest="optimization_time_s", metavar="S", help="seconds to spend on a shorter motion"

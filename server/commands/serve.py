@@ -82,9 +82,9 @@ def add_replay_parser(subparsers: Subparsers) -> None:
         type=number(float, 0.0, MAX_DELAY_S),
         default=0.0,
         metavar="S",
-        help=f"begin after so many seconds, for clients to connect; up to {MAX_DELAY_S:g} (0)",
+        help=f"seconds before it begins, for clients to connect; up to {MAX_DELAY_S:g} (0)",
     )
-    parser.add_argument("--loop", action="store_true", help="begin again at the end, until told to end")
+    parser.add_argument("--loop", action="store_true", help="begin again at the end, until a signal")
 
 
 def _replay(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
@@ -116,8 +116,8 @@ def add_emulate_parser(subparsers: Subparsers) -> None:
         "emulate",
         _emulate,
         "emulate the servo bus of an arm on a pseudo terminal",
-        "Emulate the six servos of an SO-101 on a pseudo terminal, print its path, and run until told to "
-        "end. Other programs, and armbridge's commands with --serial, take the path for a serial port.",
+        "Emulate the six Feetech servos of an SO-101 on a pseudo terminal, print its path, and run until Ctrl+C. "
+        "Other programs, and armbridge's commands with --serial, take the path for a serial port.",
         epilog=f"Standard input takes:\n\n{control.COMMANDS_HELP}\n{SCRIPTS}\n{EXIT_CODES}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

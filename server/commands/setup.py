@@ -36,7 +36,7 @@ from robot.hardware.feetech.profiles import PROFILES, ServoProfile, profile_of
 from robot.hardware.feetech.registers import Register
 from robot.hardware.port import resolve_port
 from server.commands.arm import relax_arm
-from server.commands.options import Subparsers, add_command, add_robot, add_serial, read_hardware
+from server.commands.options import FEETECH_ONLY, Subparsers, add_command, add_robot, add_serial, read_hardware
 from server.commands.terminal import ExitCode, Terminal, table
 from server.errors import ConfigurationError
 from server.moveit.named_states import default_path
@@ -51,7 +51,7 @@ def add_setup_parser(subparsers: Subparsers) -> None:
         "give new servos their ids and settings, one at a time",
         "Asks for one servo after the other, from the gripper to the base, and gives each its id, 1 Mbaud, "
         "and the settings that the arm needs. Only what differs is written, after a yes, and read back. The registers "
-        "from before are saved to a file first. Break it off whenever you like: the next run goes on.",
+        "from before are saved to a file first. Break it off whenever you like: the next run goes on." + FEETECH_ONLY,
     )
     add_robot(parser)
     add_serial(parser)

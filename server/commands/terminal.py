@@ -107,7 +107,7 @@ def prompt(answers: Sequence[str]) -> str:
 
 
 def chosen(typed: str, answers: Sequence[str]) -> str:
-    """Return the answer for a typed line: the first one for none, or the only one that begins so; else the line."""
+    """Return the answer that a typed line begins, if there is one alone, the first for an empty line, else the line."""
     line = typed.strip().lower()
     if not line:
         return "" if set(answers) >= YES_OR_NO else answers[0]

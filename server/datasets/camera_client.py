@@ -53,7 +53,7 @@ class CameraOptions:
 
 
 class CameraConnection(Protocol):
-    """What a client needs of a connection."""
+    """Connection, as far as a client uses it."""
 
     async def send(self, message: str) -> None:
         """Send a frame."""

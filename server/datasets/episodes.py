@@ -13,6 +13,9 @@ START: Kind = "start"
 STOP: Kind = "stop"
 DISCARD: Kind = "discard"
 
+# 25 periods of the states: a longer gap is no jitter of a network, and nobody knows what happened in it.
+MAX_GAP_S = 0.5
+
 # A task is one sentence for a model that reads language; lerobot's own are some 50 characters long.
 MAX_TASK_CHARACTERS = 300
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
@@ -15,7 +15,7 @@ import numpy as np
 from protocol.errors import ProtocolError
 from protocol.registry import Registry
 from server.datasets import lerobot
-from server.datasets.episodes import checked_task, episodes_of
+from server.datasets.episodes import MAX_GAP_S, checked_task, episodes_of
 from server.datasets.frames import Frames, LeftOutError, Tracks, frames_of, in_lerobot_units, is_gripper
 from server.datasets.samples import (
     CONTROLLER_STATE,
@@ -63,6 +63,7 @@ class ExportOptions:
     action_topic: str | None = None
     units: Literal["rad", "lerobot"] = "rad"
     video: bool = True
+    max_gap_s: float = MAX_GAP_S
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,8 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
     source = _Source(samples, action_name or "the next state", cameras)
     for number, episode in enumerate(episodes, 1):
         try:
-            frames = frames_of(replace(episode, task=episode.task or options.task or NO_TASK), tracks, options.fps)
+            tasked = replace(episode, task=episode.task or options.task or NO_TASK)
+            frames = frames_of(tasked, tracks, options.fps, options.max_gap_s)
         except LeftOutError as error:
             where = f"episode {number} ({episode.start_s:.1f} to {episode.end_s:.1f} s)"
             problems.append(f"{path}: {where} is left out: {error}")
@@ -182,15 +184,24 @@ def _actions(samples: Samples, joints: Sequence[str], topic: str | None) -> tupl
         if topic not in samples.joints:
             known = ", ".join(sorted(samples.joints))
             raise ExportError(f"{samples.path}: --action-topic must be one of {known}, not {topic}")
-        missing = sorted(set(joints) - {name for sample in samples.joints[topic] for name in sample.names})
-        if missing:
-            raise ExportError(f"{samples.path}: --action-topic {topic} has no {', '.join(missing)}")
-        return topic, samples.joints[topic]
+        missing = set(joints) - {name for sample in samples.joints[topic] for name in sample.names}
+        # A leader or a program may command the arm alone; the gripper has a controller of its own.
+        others = _controllers(samples, sorted(missing))
+        if missing and not others:
+            raise ExportError(f"{samples.path}: --action-topic {topic} has no {', '.join(sorted(missing))}")
+        added = [[_only(sample, missing) for sample in samples.joints[name]] for name in others]
+        chosen = samples.joints[topic]
+        return " and ".join([topic, *others]), merged([chosen, *added]) if added else chosen
     if samples.joints.get(LEADER_TOPIC):
         return LEADER_TOPIC, samples.joints[LEADER_TOPIC]
     if controllers := _controllers(samples, joints):
         return " and ".join(controllers), merged([samples.joints[name] for name in controllers])
     return "", ()
+
+
+def _only(sample: JointSample, joints: Collection[str]) -> JointSample:
+    kept = [pair for pair in zip(sample.names, sample.positions, strict=False) if pair[0] in joints]
+    return sample._replace(names=tuple(name for name, _ in kept), positions=tuple(value for _, value in kept))
 
 
 def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
@@ -212,12 +223,13 @@ def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
 def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> Frames:
     if options.units == "rad":
         return frames
-    missing = [name for name in joints if is_gripper(name) and name not in samples.limits]
+    ranges = samples.limits | samples.calibrated
+    missing = [name for name in joints if is_gripper(name) and name not in ranges]
     if missing:
         needed = f"the range of {', '.join(missing)}, as on /arm/joint_limits, which was not recorded"
         raise ExportError(f"{samples.path}: --units lerobot needs {needed}")
-    states = in_lerobot_units(frames.states, joints, samples.limits)
-    return replace(frames, states=states, actions=in_lerobot_units(frames.actions, joints, samples.limits))
+    states = in_lerobot_units(frames.states, joints, ranges)
+    return replace(frames, states=states, actions=in_lerobot_units(frames.actions, joints, ranges))
 
 
 def _image_times_s(images: Sequence[tuple[float, float]]) -> Times:

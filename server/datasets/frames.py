@@ -9,11 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from server.datasets.episodes import Episode
+from server.datasets.episodes import MAX_GAP_S, Episode
 from server.datasets.samples import Positions, Times
-
-# 25 periods of the states: a longer gap is no jitter of a network, and nobody knows what happened in it.
-MAX_GAP_S = 0.5
 
 # One frame has no motion.
 MIN_FRAMES = 2
@@ -66,20 +63,20 @@ class Frames:
         return len(self.states)
 
 
-def frames_of(episode: Episode, tracks: Tracks, fps: int) -> Frames:
+def frames_of(episode: Episode, tracks: Tracks, fps: int, max_gap_s: float = MAX_GAP_S) -> Frames:
     """Return the frames of an episode: the first one where everything has begun, the others at a fixed rate after it.
 
     A state is interpolated between the two that were measured around the frame. Action and image are the last ones
     before it: what comes later nobody knew then.
 
     Raises:
-        LeftOutError: something is missing for longer than `MAX_GAP_S`, or there are fewer than `MIN_FRAMES` frames.
+        LeftOutError: something is missing for longer than ``max_gap_s``, or there are fewer than `MIN_FRAMES` frames.
     """
     names = {"the states": tracks.state_times_s}
     if tracks.action_times_s is not None:
         names[f"the actions on {tracks.action_name}"] = tracks.action_times_s
     names |= {f"the images on {topic}": times for topic, times in tracks.image_times_s.items()}
-    start_s = max(_begun(name, times, episode) for name, times in names.items())
+    start_s = max(_begun(name, times, episode, max_gap_s) for name, times in names.items())
     within = tracks.state_times_s[tracks.state_times_s <= episode.end_s + TIME_TOLERANCE_S]
     end_s = min(episode.end_s, float(within[-1])) if within.size else start_s
     count = math.floor((end_s - start_s + TIME_TOLERANCE_S) * fps) + 1 if end_s >= start_s else 0
@@ -89,8 +86,10 @@ def frames_of(episode: Episode, tracks: Tracks, fps: int) -> Frames:
         raise LeftOutError(f"it has {max(0, usable)} frames at {fps} a second, and needs {MIN_FRAMES}")
     at_s = start_s + np.arange(count) / fps
     for name, times in names.items():
-        _check_gaps(name, times, at_s, episode.start_s, interpolated=times is tracks.state_times_s)
-    if episode.end_s - end_s > MAX_GAP_S:
+        gap_s, begun_s = _greatest_gap(times, at_s, interpolated=times is tracks.state_times_s)
+        if gap_s > max_gap_s:
+            raise LeftOutError(f"{name} have a gap of {gap_s:.1f} s, {begun_s - episode.start_s:.1f} s after it begins")
+    if episode.end_s - end_s > max_gap_s:
         raise LeftOutError(f"the states end {episode.end_s - end_s:.1f} s before it does")
     states = np.column_stack([np.interp(at_s, tracks.state_times_s, column) for column in tracks.states.T])
     if tracks.actions is None or tracks.action_times_s is None:
@@ -119,7 +118,7 @@ def in_lerobot_units(
 
     Args:
         positions: shape (n, joints) [rad].
-        limits: of the grippers at least [rad].
+        limits: lower and upper end of the range, of the grippers at least [rad].
     """
     columns = [
         gripper_percent(column, limits[name]) if is_gripper(name) else np.degrees(column)
@@ -128,31 +127,30 @@ def in_lerobot_units(
     return np.column_stack(columns)
 
 
-def _begun(name: str, times: Times, episode: Episode) -> float:
+def _begun(name: str, times: Times, episode: Episode, max_gap_s: float) -> float:
     """Return the time in the episode from which on there is something.
 
     A sample from before the episode counts unless a gap follows it: some topics are silent between episodes.
     """
     after = int(np.searchsorted(times, episode.start_s - TIME_TOLERANCE_S))
     following_s = float(times[after]) if after < times.size else episode.end_s
-    if after > 0 and following_s - times[after - 1] <= MAX_GAP_S:
+    if after > 0 and following_s - times[after - 1] <= max_gap_s:
         return episode.start_s
     if after == times.size or following_s > episode.end_s:
         raise LeftOutError(f"{name} are missing")
-    if following_s - episode.start_s > MAX_GAP_S:
+    if following_s - episode.start_s > max_gap_s:
         raise LeftOutError(f"{name} begin {following_s - episode.start_s:.1f} s after it does")
     return max(episode.start_s, following_s)
 
 
-def _check_gaps(name: str, times: Times, at_s: Times, start_s: float, *, interpolated: bool) -> None:
-    """Refuse frames with a gap between the samples that they are made of."""
+def _greatest_gap(times: Times, at_s: Times, *, interpolated: bool) -> tuple[float, float]:
+    """Return length and start of the longest gap between the samples that frames are made of [s]."""
     first, last = _last_before(times, at_s[[0, -1]])
     after = min(int(np.searchsorted(times, at_s[-1] - TIME_TOLERANCE_S)), times.size - 1)
     span = np.append(times[first : last + 1], times[after] if interpolated else at_s[-1])
     gaps = np.diff(span)
     worst = int(np.argmax(gaps))
-    if gaps[worst] > MAX_GAP_S:
-        raise LeftOutError(f"{name} have a gap of {gaps[worst]:.1f} s, {span[worst] - start_s:.1f} s after it begins")
+    return float(gaps[worst]), float(span[worst])
 
 
 def _last_before(times: Times, at_s: Times) -> NDArray[np.int64]:

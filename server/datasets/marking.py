@@ -12,6 +12,7 @@ from server.datasets.episodes import (
     DISCARD,
     EPISODE_TOPIC,
     EPISODE_TYPE,
+    MAX_GAP_S,
     START,
     STOP,
     EpisodeMarks,
@@ -31,6 +32,8 @@ DISCARD_SERVICE = "/dataset/discard_episode"
 
 # What this server knows of the episodes is for its answers alone; the recording has them all.
 MAX_KEPT = 10_000
+
+IMAGE = "sensor_msgs/msg/CompressedImage"
 
 # Published while somebody subscribes, and the arm's states are read at their full rate then.
 STATE_TOPIC, COMMANDED_TOPICS = "/joint_states", "_controller/controller_state"
@@ -52,6 +55,8 @@ class EpisodeServices:
         self._node = Node("dataset")
         self._observer = Node("dataset observer")
         self._marks = EpisodeMarks()
+        # Cameras, and the arm's states: time of the last message and the longest silence of the episode [s].
+        self._watched: dict[str, tuple[float, float]] = {}
         graph.advertise(self._node, EPISODE_TOPIC, EPISODE_TYPE)
         graph.subscribe(self._node, EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take, rule=WORKING))
         graph.services.offer(self._node, START_SERVICE, START_TYPE, self._start, rule=WORKING)
@@ -64,8 +69,14 @@ class EpisodeServices:
         except ValueError as error:
             log.warning("%s: %s", EPISODE_TOPIC, error)
             return
-        self._marks.take(mark, self._clock())
+        now_s, was_open = self._clock(), self._marks.open is not None
+        self._marks.take(mark, now_s)
         self._marks.notes.clear()
+        if mark.kind == STOP and was_open and (silences := self._silences()):
+            log.warning("episode %d %s", len(self._marks.ended), silences)
+        if mark.kind == START:
+            # A camera of an earlier episode that is gone is missing in this one.
+            self._watched = dict.fromkeys(self._watched, (now_s, 0.0))
         del self._marks.ended[:-MAX_KEPT]
         self._observe(wanted=self._marks.open is not None and self._recording())
 
@@ -76,8 +87,22 @@ class EpisodeServices:
         if not wanted:
             return
         for topic, type_name in self._graph.topic_types().items():
-            if topic == STATE_TOPIC or topic.endswith(COMMANDED_TOPICS):
-                self._graph.subscribe(self._observer, topic, type_name, Subscriber(lambda _published: None))
+            if type_name == IMAGE or topic == STATE_TOPIC:
+                self._watched.setdefault(topic, (self._clock(), 0.0))
+            if topic in self._watched or topic.endswith(COMMANDED_TOPICS):
+                self._graph.subscribe(self._observer, topic, type_name, Subscriber(self._heard))
+
+    def _heard(self, published: PublishedMessage) -> None:
+        if (watched := self._watched.get(published.topic)) is not None:
+            now_s = self._clock()
+            self._watched[published.topic] = now_s, max(watched[1], now_s - watched[0])
+
+    def _silences(self) -> str:
+        """Return the sentence about topics that were silent in the episode that ends now; empty for none."""
+        now_s = self._clock()
+        longest_s = {topic: max(gap_s, now_s - last_s) for topic, (last_s, gap_s) in self._watched.items()}
+        silent = [f"{topic} was silent for {gap_s:.1f} s" for topic, gap_s in longest_s.items() if gap_s > MAX_GAP_S]
+        return f"would be left out of a dataset: {', '.join(silent)}" if silent and self._recording() else ""
 
     def _start(self, request: dict[str, Any]) -> dict[str, Any]:
         try:
@@ -92,9 +117,10 @@ class EpisodeServices:
     def _stop(self, _request: dict[str, Any]) -> dict[str, Any]:
         if self._marks.open is None:
             return _refused(f"no episode is in progress: {START_SERVICE} begins one")
-        begun_s = self._marks.open.start_s
+        begun_s, silences = self._marks.open.start_s, self._silences()
         self._publish(Mark(STOP))
-        return self._answer(f"episode {len(self._marks.ended)} has ended after {self._clock() - begun_s:.1f} s")
+        ended = f"episode {len(self._marks.ended)} has ended after {self._clock() - begun_s:.1f} s"
+        return self._answer(f"{ended}. It {silences}" if silences else ended)
 
     def _discard(self, _request: dict[str, Any]) -> dict[str, Any]:
         if self._marks.open is None and not self._marks.ended:

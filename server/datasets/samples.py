@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from protocol.codecs import cdr
 from protocol.errors import ProtocolError
 from protocol.registry import Registry
+from server.arm.topics import CALIBRATED_RANGE
 from server.datasets.episodes import EPISODE_TOPIC
 from server.errors import RecordingError
 from server.recording.files import RecordedMessage
@@ -30,6 +32,7 @@ LIMITS_TOPIC = "/arm/joint_limits"
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
+ARM_STATE = "diagnostic_msgs/msg/DiagnosticStatus"
 IMAGE = "sensor_msgs/msg/CompressedImage"
 
 # A day of the arm's states at 50 Hz; they are held in memory, at most 40 bytes a joint.
@@ -61,6 +64,7 @@ class Samples:
             of the file.
         marks: time of recording [s since the epoch] and text of each mark of an episode.
         limits: joint -> its limits [rad, m], where they were recorded.
+        calibrated: joint -> its calibrated range [rad], where it was recorded.
     """
 
     path: Path
@@ -70,6 +74,7 @@ class Samples:
     marks: list[tuple[float, str]] = field(default_factory=list)
     robot: str = ""
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
+    calibrated: dict[str, tuple[float, float]] = field(default_factory=dict)
     unreadable: int = 0
 
 
@@ -106,11 +111,8 @@ def image_data(message: RecordedMessage, registry: Registry) -> bytes:
 def _take(samples: Samples, message: RecordedMessage, registry: Registry) -> int:
     """Take a message; return 1 if it was a sample, else 0."""
     topic, type_name, log_s = message.topic, message.type_name, message.log_time_ns / 1e9
-    if type_name not in (JOINT_STATE, CONTROLLER_STATE, IMAGE) and topic not in (
-        EPISODE_TOPIC,
-        ARM_STATE_TOPIC,
-        LIMITS_TOPIC,
-    ):
+    is_sample = type_name in (JOINT_STATE, CONTROLLER_STATE, IMAGE)
+    if not is_sample and type_name != ARM_STATE and topic not in (EPISODE_TOPIC, LIMITS_TOPIC):
         return 0
     values = cdr.deserialize(registry, type_name, message.octets)
     if type_name in (JOINT_STATE, CONTROLLER_STATE):
@@ -123,8 +125,14 @@ def _take(samples: Samples, message: RecordedMessage, registry: Registry) -> int
     if topic == EPISODE_TOPIC and "data" in values:
         samples.marks.append((log_s, str(values["data"])))
         return 1
-    if topic == ARM_STATE_TOPIC:
-        samples.robot = str(values.get("hardware_id", ""))
+    if type_name == ARM_STATE and topic.endswith(ARM_STATE_TOPIC):
+        if topic == ARM_STATE_TOPIC:
+            samples.robot = values["hardware_id"]
+        for each in values["values"]:
+            if each["key"].startswith(CALIBRATED_RANGE):
+                with contextlib.suppress(ValueError):
+                    lower, upper = map(float, each["value"].split())
+                    samples.calibrated[each["key"].removeprefix(CALIBRATED_RANGE)] = lower, upper
     elif topic == LIMITS_TOPIC:
         for limit in values.get("limits", ()):
             samples.limits[limit["joint_name"]] = limit["min_position"], limit["max_position"]

@@ -21,7 +21,10 @@ class ArmControl(Feature):
         self._arms = {each.name: each for each in context.arms}
         self._joint_states = {each.name: JointStates(each.graph) for each in context.arms}
         self._states = {
-            each.name: ArmStateTopics(each.graph, each.robot, each.served.arm.state) for each in context.arms
+            each.name: ArmStateTopics(
+                each.graph, each.robot, each.served.arm.state, each.served.description.calibration
+            )
+            for each in context.arms
         }
         self._control = []
         for each in context.arms:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from protocol.errors import ProtocolError
 from protocol.operations import (
@@ -57,10 +58,10 @@ class Client:
         self._context = context
         self._graph = context.graph
         self._authorizer = auth.access.authorizer(context.node, context.graph)
-        self._topics = ClientTopics(context, self._authorizer)
-        self._services = ClientServices(context)
-        self._actions = ClientActions(context)
-        self._auth = ClientAuth(context, auth, self._authorizer)
+        self.topics = ClientTopics(context, self._authorizer)
+        self.services = ClientServices(context)
+        self.actions = ClientActions(context)
+        self.auth = ClientAuth(context, auth, self._authorizer)
         self.inbox = Inbox(self, context.session, context.graph.message_types, scheduling, transport, context.clock)
 
     def receive_frame(self, frame: str | bytes) -> None:
@@ -82,8 +83,8 @@ class Client:
     def _release(self) -> None:
         """Let go of what leads back here, so that all of the client is freed at once, without the garbage collector."""
         self._context.release()
-        self._auth.release()
-        self._topics.release()
+        self.auth.release()
+        self.topics.release()
         self.inbox.release()
 
     # As the inbox's handler.
@@ -95,21 +96,21 @@ class Client:
 
     def admit_frame(self, frame: str | bytes) -> bool:
         """Check a frame before it is read; return False when it is not to be read."""
-        return self.identified or self._auth.check_first_frame(frame)
+        return self.identified or self.auth.check_first_frame(frame)
 
     def admit_first(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
         """Check the operations of an unidentified client's frame; return False when they are refused."""
-        return self._auth.check_first_operation(items)
+        return self.auth.check_first_operation(items)
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
         """Read a frame by itself."""
-        publication = self._topics.read_strictly(frame)
+        publication = self.topics.read_strictly(frame)
         return publication if publication is not None and self.session.reads_by_itself(frame) else None
 
     def publish_strictly(self, publication: StrictPublication) -> bool:
         """Publish a message, or return False."""
         try:
-            return self._topics.publish_strictly(publication)
+            return self.topics.publish_strictly(publication)
         except (ProtocolError, GraphError) as error:
             self.status.refuse_error("publish", error)
         except Exception:  # a bug in serving one operation must not take the client with it
@@ -132,11 +133,11 @@ class Client:
         with contextlib.suppress(ProtocolError, GraphError, PostponedError):
             match operation:
                 case CancelActionGoal():
-                    self._actions.cancel(operation)
+                    self.actions.cancel(operation)
                 case CallService():
-                    self._services.call_unanswered(operation)
+                    self.services.call_unanswered(operation)
                 case Publish():
-                    self._topics.publish(operation, _message_of(operation, 0, light=True))
+                    self.topics.publish(operation, _message_of(operation, 0, light=True))
                 case _:
                     pass
 
@@ -156,11 +157,11 @@ class Client:
         self.status.reject(operation, reason)
         match operation:
             case Publish():
-                self._topics.reject(operation, reason)
+                self.topics.reject(operation, reason)
             case CallService():
-                self._services.reject(operation, reason)
+                self.services.reject(operation, reason)
             case SendActionGoal():
-                self._actions.reject(operation, reason)
+                self.actions.reject(operation, reason)
             case _:
                 pass
 
@@ -171,7 +172,7 @@ class Client:
             if refusal is not None:
                 self.reject(operation, refusal)
                 return
-            self._serve(operation, message)
+            _HANDLERS[type(operation)](self, operation, message)
         except (ProtocolError, GraphError) as error:
             self.status.refuse_error(operation.op, error, operation.id)
         except PostponedError:
@@ -185,73 +186,60 @@ class Client:
                 "info", operation, "its type exists only in ROS 1, whose spelling this client gets from now on"
             )
 
-    def _serve(self, operation: Operation, message: ReceivedMessage) -> None:
-        # The most frequent first.
-        match operation:
-            case Publish():
-                self._topics.publish(operation, message)
-            case CallService():
-                self._services.call(operation, message)
-            case ServiceResponse():
-                self._services.respond(operation, message)
-            case ActionFeedback():
-                self._actions.report_feedback(operation, message)
-            case ActionResult():
-                self._actions.finish(operation, message)
-            case SendActionGoal():
-                self._actions.send_goal(operation, message)
-            case CancelActionGoal():
-                self._actions.cancel(operation)
-            case Subscribe():
-                self._topics.subscribe(operation)
-            case Unsubscribe():
-                self._topics.unsubscribe(operation)
-            case Advertise():
-                self._topics.advertise(operation)
-            case Unadvertise():
-                self._topics.unadvertise(operation)
-            case AdvertiseService():
-                self._services.advertise(operation)
-            case UnadvertiseService():
-                self._services.unadvertise(operation)
-            case AdvertiseAction():
-                self._actions.advertise(operation)
-            case UnadvertiseAction():
-                self._actions.unadvertise(operation)
-            case SetLevel():
-                self.status.set_level(operation)
-            case Status():
-                self.status.log_status(operation)
-            case Auth():
-                self._auth.authenticate(operation)
-            case _:
-                raise AssertionError(f"no handler for op {operation.op}")
-
     def _refuse(self, refusal: Refusal) -> None:
         """Report an operation that cannot be read; clients that wait for it, or for its answer, get a failure."""
         self.status.refuse(refusal)
         match refusal.op:
             case "call_service":
-                self._services.reject_call(refusal.called, refusal.id, refusal.text)
+                self.services.reject_call(refusal.called, refusal.id, refusal.text)
             case "send_action_goal":
-                self._actions.reject_goal(refusal.called, refusal.id, refusal.text)
+                self.actions.reject_goal(refusal.called, refusal.id, refusal.text)
             case "service_response":
-                self._services.fail(refusal.id, refusal.text)
+                self.services.fail(refusal.id, refusal.text)
             case "action_result":
-                self._actions.fail(refusal.id, refusal.text)
+                self.actions.fail(refusal.id, refusal.text)
+
+
+# Handler of each operation; fragments and pictures are unpacked before.
+_HANDLERS: Mapping[type[Operation], Callable[[Client, Any, ReceivedMessage], None]] = {
+    Publish: lambda client, operation, message: client.topics.publish(operation, message),
+    Subscribe: lambda client, operation, _: client.topics.subscribe(operation),
+    Unsubscribe: lambda client, operation, _: client.topics.unsubscribe(operation),
+    Advertise: lambda client, operation, _: client.topics.advertise(operation),
+    Unadvertise: lambda client, operation, _: client.topics.unadvertise(operation),
+    CallService: lambda client, operation, message: client.services.call(operation, message),
+    ServiceResponse: lambda client, operation, message: client.services.respond(operation, message),
+    AdvertiseService: lambda client, operation, _: client.services.advertise(operation),
+    UnadvertiseService: lambda client, operation, _: client.services.unadvertise(operation),
+    SendActionGoal: lambda client, operation, message: client.actions.send_goal(operation, message),
+    CancelActionGoal: lambda client, operation, _: client.actions.cancel(operation),
+    ActionFeedback: lambda client, operation, message: client.actions.report_feedback(operation, message),
+    ActionResult: lambda client, operation, message: client.actions.finish(operation, message),
+    AdvertiseAction: lambda client, operation, _: client.actions.advertise(operation),
+    UnadvertiseAction: lambda client, operation, _: client.actions.unadvertise(operation),
+    SetLevel: lambda client, operation, _: client.status.set_level(operation),
+    Status: lambda client, operation, _: client.status.log_status(operation),
+    Auth: lambda client, operation, _: client.auth.authenticate(operation),
+}
+
+# Field of an operation with its message.
+_MESSAGE_FIELDS: Mapping[type[Operation], str] = {
+    Publish: "msg",
+    CallService: "args",
+    SendActionGoal: "args",
+    ServiceResponse: "values",
+    ActionResult: "values",
+    ActionFeedback: "values",
+}
 
 
 def _message_of(operation: Operation, size_bytes: int, *, light: bool) -> ReceivedMessage:
     """Return the message in an operation; an empty one for operations without."""
-    match operation:
-        case Publish():
-            return ReceivedMessage(operation.msg, size_bytes, light=light)
-        case CallService() | SendActionGoal():
-            return ReceivedMessage(operation.args, size_bytes, light=light)
-        case ServiceResponse() | ActionResult() | ActionFeedback():
-            return ReceivedMessage({} if operation.values is None else operation.values, size_bytes, light=light)
-        case _:
-            return _NO_MESSAGE
+    field = _MESSAGE_FIELDS.get(type(operation))
+    if field is None:
+        return _NO_MESSAGE
+    message = getattr(operation, field)
+    return ReceivedMessage({} if message is None and field == "values" else message, size_bytes, light=light)
 
 
 _NO_MESSAGE = ReceivedMessage({}, 0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from protocol.codecs.json import is_light
@@ -53,30 +53,24 @@ READ_AHEAD_S = 0.02
 MAX_COMPLETIONS = 3
 
 
-class WaitingBytes:
-    """Count of the bytes in the inboxes of all clients."""
-
-    def __init__(self) -> None:
-        self.total = 0
-
-    @property
-    def limit_bytes(self) -> int:
-        """Bound of one client's inbox at present."""
-        return MAX_WAITING_BYTES if self.total <= MAX_SERVER_WAITING_BYTES else LEAST_WAITING_BYTES
-
-
-@dataclass(frozen=True)
+@dataclass
 class Scheduling:
     """Turns, threads and memory, which all clients share.
 
     Attributes:
         background: threads for long frames and large messages.
+        waiting_bytes: bytes in the inboxes of all clients.
     """
 
     turns: Turns
     background: Threads
     call_later: CallLater = call_later
-    waiting: WaitingBytes = field(default_factory=WaitingBytes)
+    waiting_bytes: int = 0
+
+    @property
+    def limit_bytes(self) -> int:
+        """Bound of one client's inbox at present."""
+        return MAX_WAITING_BYTES if self.waiting_bytes <= MAX_SERVER_WAITING_BYTES else LEAST_WAITING_BYTES
 
 
 @dataclass(slots=True, eq=False)
@@ -116,7 +110,7 @@ class Inbox:
         self._types = types
         self._turns = scheduling.turns
         self._background = scheduling.background
-        self._all_waiting = scheduling.waiting
+        self._scheduling = scheduling
         self._call_later = scheduling.call_later
         self._transport = transport
         self._clock = clock
@@ -203,12 +197,12 @@ class Inbox:
 
     def _count(self, size_bytes: int) -> None:
         self._waiting_bytes += size_bytes
-        self._all_waiting.total += size_bytes
+        self._scheduling.waiting_bytes += size_bytes
 
     def _hold_or_release(self) -> None:
         """Leave the client's socket unread while much waits."""
         count = len(self._waiting) + len(self._stops)
-        full = count > MAX_WAITING or self._waiting_bytes > self._all_waiting.limit_bytes
+        full = count > MAX_WAITING or self._waiting_bytes > self._scheduling.limit_bytes
         if full and not self._holds_reader:
             self._transport.hold_reading()
         elif self._holds_reader and not full:

@@ -42,7 +42,7 @@ class PendingRequest(Generic[End]):
             try:
                 callback(end)
             except Exception:  # an error of one listener must not keep the others from stopping the arm
-                log.exception("the end of a request could not be told to everybody")
+                log.exception("a listener to the end of a request failed")
 
 
 ProvidedKind: TypeAlias = Literal["service", "action"]

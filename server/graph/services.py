@@ -34,7 +34,7 @@ class CompleteResponse:
     message: Mapping[str, Any]
 
 
-# Fields of a response message, of which some may be left out, or all of them.
+# Fields of a response message; any of them may be left out.
 Answered: TypeAlias = Mapping[str, Any] | CompleteResponse
 
 # Offered by a local part: request in, response out, both in ROS 2 spelling.
@@ -95,7 +95,7 @@ class Call(PendingRequest[Response]):
     def succeed_as_it_is(self, response: Mapping[str, Any], reason: str = "") -> None:
         """Answer with a response message that is complete and valid already.
 
-        For a large response of the server's own, most of which has been sent before. Nobody may change it from here on.
+        For a large response of the server's own that has mostly been sent before. Nobody may change it from here on.
         """
         self._end(Response(ok=True, values=response, reason=reason))
 

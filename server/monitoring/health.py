@@ -125,6 +125,6 @@ def _warnings(sources: Sources) -> Iterator[str]:
     if sources.arm is not None and sources.arm.state.mode is Mode.RELAXED:
         yield "the arm is relaxed, and has to be enabled before it moves"
     if sources.recorder is not None and sources.recorder.ended and not sources.stopping:
-        yield "the recording has ended; the log tells why"
+        yield "the recording has ended; the log has the reason"
     if sources.recorder is not None and sources.recorder.dropped:
         yield "messages are missing in the recording"

@@ -327,7 +327,7 @@ class Monitor:
         """
         self._sources.stopping = True
         if starts_anew:
-            self._notifier.notify_status("starting anew")
+            self._notifier.notify_status("starting again")
         else:
             self._notifier.notify_stopping()
 

@@ -119,7 +119,7 @@ class RunningServer:
         if answer["result"]:
             report.add("server/log.txt", answer["values"]["message"] + "\n")
         else:
-            report.note(f"server: its log is not told: {answer['values']}")
+            report.note(f"server: its log is not returned: {answer['values']}")
 
 
 def _histories(client: ClientConnection, diagnostics: dict[str, Any]) -> dict[str, Any]:

@@ -100,7 +100,7 @@ class Recorder:
         """Stop recording, and end the file; there is none without :meth:`start`."""
         self._graph.unwatch(self._record)
         if not await asyncio.to_thread(self._writer.close):
-            log.error("recording: %s was not ended within %g s; what is in it can be read", self._path, CLOSE_TIMEOUT_S)
+            log.error("recording: %s was not ended within %g s; its content can be read", self._path, CLOSE_TIMEOUT_S)
 
     def _record(self, published: PublishedMessage, latched: bool) -> None:
         if self._writer.ended:
@@ -223,7 +223,7 @@ class WriterThread:
         now_s = self._clock()
         if self.dropped > self._dropped_logged and now_s - self._drops_logged_at_s >= DROPS_LOG_PERIOD_S:
             log.warning(
-                "recording: %d messages were dropped, the disk or the processor is too slow for what is published",
+                "recording: %d messages were dropped, the disk or the processor is too slow",
                 self.dropped - self._dropped_logged,
             )
             self._dropped_logged, self._drops_logged_at_s = self.dropped, now_s

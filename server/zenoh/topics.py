@@ -147,7 +147,7 @@ class Source(NamedTuple):
 
     @property
     def subscription(self) -> tuple[Endpoint, bool]:
-        """What the subscription on the network depends on: the endpoint, and whether it is latched."""
+        """Properties of the subscription on the network: the endpoint, and whether it is latched."""
         return self.endpoint, self.latched
 
 

@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 from server import cli
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
 from tests.helpers.clients import call_on
-from tests.helpers.server import FAST, RunningServer, free_port
+from tests.helpers.server import FAST_ARMS, RunningServer, free_port
 
 SCREEN_LINES = 100
 
@@ -154,7 +154,7 @@ def test_a_point_out_of_reach_becomes_the_nearest_one(run_example: RunExample, s
 
 
 def test_two_arms_are_moved_each_by_its_name_and_then_together(run_example: RunExample) -> None:
-    with RunningServer(f"--port 0 --config {EXAMPLES / 'two_arms.toml'}", FAST) as arms:
+    with RunningServer(f"--port 0 --config {EXAMPLES / 'two_arms.toml'}", FAST_ARMS) as arms:
         done = run_example("two_hands.py", "--port", str(arms.port))
     assert done.returncode == 0, done.stdout + done.stderr
     *each, both = done.stdout.splitlines()
@@ -163,7 +163,7 @@ def test_two_arms_are_moved_each_by_its_name_and_then_together(run_example: RunE
 
 
 def test_an_arm_follows_its_leader_until_ctrl_c() -> None:
-    with RunningServer(f"--port 0 --config {EXAMPLES / 'leader_follower.toml'}", FAST) as arms:
+    with RunningServer(f"--port 0 --config {EXAMPLES / 'leader_follower.toml'}", FAST_ARMS) as arms:
         command = [sys.executable, str(EXAMPLES / "leader_follower.py"), "--port", str(arms.port)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as following:
             assert following.stdout is not None

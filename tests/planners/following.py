@@ -5,15 +5,14 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import pinocchio as pin
 from hypothesis import strategies as st
 
 from planners.budget import Budget
 from planners.cartesian.following import TipTracker
 from planners.cartesian.planning import plan_cartesian
 from planners.geometry.kinematics import ForwardKinematics
+from planners.geometry.shapes import as_pose
 from planners.problem import Arc, CartesianProblem, Line
-from planners.scene import Pose
 from tests.planners.invariants import never
 
 TIP = "gripper_frame_link"
@@ -53,11 +52,6 @@ class Follower:
     def plan(self, problem, should_stop=never):
         budget = Budget(time.monotonic, problem.allowed_time_s, should_stop)
         return plan_cartesian(problem, self.robot, self.collision, self.forward, budget)
-
-
-def as_pose(placement):
-    x, y, z, w = pin.Quaternion(placement.rotation).coeffs()
-    return Pose(tuple(map(float, placement.translation)), (float(x), float(y), float(z), float(w)))
 
 
 def line(placement):

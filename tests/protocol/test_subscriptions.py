@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import NothingToDoError, OperationError
-from protocol.operations import Subscribe, qualify
+from protocol.operations import Advertise, Subscribe, qualify
 from protocol.subscriptions import Registrations, Subscription, Subscriptions
 
 
@@ -18,9 +18,9 @@ def table():
 
 def test_one_entry_too_many_is_refused_and_changes_nothing(table):
     for mark in (1, 2, 3):
-        table.put("/a", mark, "x")
+        table.add(Advertise(topic="/a", type="t", id=mark))
     with pytest.raises(OperationError, match="advertise: this client has 3, the limit is 3"):
-        table.put("/b", 1, "x")
+        table.add(Advertise(topic="/b", type="t", id=1))
     assert list(table) == ["/a"]
 
 
@@ -34,11 +34,11 @@ def test_the_limit_counts_what_is_there(steps):
     for put, topic, mark in steps:
         key = (qualify(topic), mark)
         if put and (key in model or len(model) < limit):
-            table.put(topic, mark, "x")
+            table.add(Advertise(topic=topic, type="t", id=mark))
             model.add(key)
         elif put:
             with pytest.raises(OperationError):
-                table.put(topic, mark, "x")
+                table.add(Advertise(topic=topic, type="t", id=mark))
         elif any(topic_there == key[0] and mark in (None, there) for topic_there, there in model):
             table.remove(topic, mark)
             model = {k for k in model if k[0] != key[0] or (mark is not None and k[1] != mark)}

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -141,6 +142,24 @@ def test_what_cannot_be_imported_is_refused(urdf, tmp_path):
     assert default_folder(urdf) == Path("mesh_arm")
     with pytest.raises(AssistantError, match="--samples 0: must be from 1 to 1000000"):
         import_robot(ImportOptions(urdf, tmp_path / "arm", samples=0), silent)
-    (tmp_path / "a.urdf").write_text("<sdf/>")
-    with pytest.raises(AssistantError, match="is no URDF: it must start with <robot>, not <sdf>"):
+
+
+XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
+
+
+@pytest.mark.parametrize(
+    ("text", "next_step"),
+    [
+        ("<sdf/>", "must start with <robot>, not <sdf>"),
+        ('<mujoco model="arm"/>', "is MJCF, MuJoCo's format: convert it to a URDF first"),
+        (XACRO.format('<xacro:include filename="arm.xacro"/>'), "<xacro:include>: expand it first with `xacro"),
+        (
+            XACRO.format('<link name="${side}_hand"/>'),
+            'is xacro, with name="${side}_hand": expand it first with `xacro',
+        ),
+    ],
+)
+def test_a_file_of_another_format_is_refused_by_its_name_with_the_next_step(tmp_path, text, next_step):
+    (tmp_path / "a.urdf").write_text(text)
+    with pytest.raises(DescriptionError, match=f"{tmp_path / 'a.urdf'} .*{re.escape(next_step)}"):
         import_robot(ImportOptions(tmp_path / "a.urdf", tmp_path / "out"), silent)

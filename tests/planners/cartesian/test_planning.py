@@ -7,11 +7,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from planners.cartesian.tip_path import arc_flaw
+from planners.geometry.shapes import as_pose
 from planners.goals import Constraints, JointConstraint, OrientationConstraint
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Box
 from tests.helpers.resources import examples
-from tests.planners.following import TIP, arc, as_pose, line, shares
+from tests.planners.following import TIP, arc, line, shares
 from tests.planners.invariants import (
     assert_keeps_positions,
     assert_keeps_rates,

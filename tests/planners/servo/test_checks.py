@@ -46,7 +46,7 @@ def refusal(robot, command, velocity_rad_s=None):
         (JointVelocities({"gripper": 0.1}), "'gripper'"),
         (JointVelocities({"elbow_flex": math.nan}), "nan"),
         (TipTarget(Pose((math.nan, 0.0, 0.0))), "nan"),
-        (TipTarget(Pose(orientation=(0.0, 0.0, 0.0, 0.5))), "unit quaternion"),
+        (TipTarget(Pose(orientation=(0.0, 0.0, 0.0, 0.5))), "length 0.5, not 1"),
     ],
 )
 def test_commands_that_mean_nothing_are_refused_with_what_is_wrong(robot, command, said):

@@ -66,11 +66,6 @@ def test_a_floating_joint_rests() -> None:
     assert not tree(text).joints["base"].movable
 
 
-def test_xacro_is_refused_with_the_way_to_expand_it() -> None:
-    text = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="arm.xacro"/></robot>'
-    assert "xacro FILE.xacro" in refusal(text)
-
-
 def test_the_namespace_of_xacro_alone_is_no_xacro() -> None:
     tree(HAND.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" '))
 

@@ -14,7 +14,7 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clients import ArmClient, values_of
-from tests.helpers.robots import so101
+from tests.helpers.robots import nominal_calibration, so101
 
 ROBOT = so101()
 STALLED = Fault(FaultCode.STALLED, "joint elbow_flex is stalled", "elbow_flex", 12.5)
@@ -52,6 +52,14 @@ def health(limits_rad: list[tuple[float, float]]) -> ArmHealth:
     )
     times = (0.0, 0.0, 0.0)
     return ArmHealth(0.0, Mode.HOLDING, "", servos, BusCounters(), times, times, True, limits_rad=np.array(limits_rad))
+
+
+def test_the_state_has_the_calibrated_ranges(heard: Heard) -> None:
+    calibration = nominal_calibration()
+    ArmStateTopics(LocalGraph(heard.graph), ROBOT, ArmState(0.0, Mode.CONNECTED, ()), calibration)
+    gripper = calibration.joints[-1]
+    ends = values_of(heard.states[-1])["calibrated_range_rad.gripper"].split()
+    assert [float(end) for end in ends] == pytest.approx([gripper.lower_rad, gripper.upper_rad], abs=1e-5)
 
 
 def test_a_state_is_published_when_it_says_something_new(heard: Heard) -> None:

@@ -1,12 +1,20 @@
 from __future__ import annotations
 
+import functools
 import json
+
+import pytest
 
 from robot.calibration import save
 from robot.commissioning.experiments import EXPERIMENTS
+from robot.hardware.dynamixel import registers as dynamixel_registers
+from robot.hardware.dynamixel.family import Dynamixel
 from robot.hardware.feetech.registers import Register
+from robot.hardware.interface import run_to_end
 from server import cli
+from server.commands import arm
 from server.commands.terminal import ExitCode
+from tests.helpers.dynamixel import SteppedDynamixels
 from tests.helpers.robots import nominal_calibration
 from tests.helpers.server import read_write_log
 
@@ -105,7 +113,7 @@ def test_an_arm_that_does_not_answer_is_a_finding_and_cannot_be_relaxed(emulator
 
 def test_a_calibration_that_is_not_there_and_less_than_one_cycle_are_refused(armbridge):
     answer = armbridge("doctor", "--calibration", "nobodys")
-    assert answer.returncode == ExitCode.FAILED
+    assert answer.returncode == ExitCode.USAGE
     assert "lerobot has no calibration of that id" in answer.stderr
     assert armbridge("doctor", "--cycles", "0").returncode == ExitCode.USAGE
 
@@ -145,3 +153,37 @@ def test_a_servo_that_does_not_confirm_is_named_as_perhaps_driven(armbridge, emu
     assert "wrist_flex (id 4) may still be driven" in answer.stderr
     emulator.command(online=[4])
     assert torque(bus) == [0, 0, 0, 1, 0, 0]
+
+
+def test_dynamixel_servos_are_relaxed_gently_also_after_their_watchdogs_have_stopped_them(monkeypatch, capsys):
+    dynamixels = SteppedDynamixels()
+    bus, registers = dynamixels.open_bus(), dynamixel_registers.Register
+    for servo_id in IDS:
+        bus.write(servo_id, registers.TORQUE_ENABLE, 1)
+        bus.write(servo_id, registers.BUS_WATCHDOG, 25)
+    dynamixels.run(1.0)
+    lowered = []
+
+    def wait(wait_s):
+        dynamixels.run(wait_s)
+        lowered.append(dynamixels.registers(registers.GOAL_PWM)[0])
+
+    monkeypatch.setattr(Dynamixel.bus, "open", lambda _port, _baud: dynamixels.open_bus())
+    monkeypatch.setattr(arm, "run_to_end", functools.partial(run_to_end, wait=wait))
+    assert cli.main(["relax", "--robot", "koch_v1_1", "--serial", "/dev/stepped"]) == ExitCode.DONE
+    assert capsys.readouterr().err.splitlines()[-1] == "torque is off on all servos"
+    assert dynamixels.registers(registers.TORQUE_ENABLE) == [0] * 6
+    assert len(set(lowered)) > 10
+
+
+@pytest.mark.parametrize("command", ["scan", "setup", "calibrate", "doctor"])
+def test_a_command_for_feetech_servos_alone_says_so(command, capsys):
+    with pytest.raises(SystemExit):
+        cli.main([command, "--help"])
+    assert "For Feetech servos only." in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("command", [("relax",), ("doctor",), ("serve", "--port", "0")])
+def test_a_robot_that_cannot_be_read_has_the_same_exit_code_with_every_command(command, tmp_path):
+    (tmp_path / "robot.toml").write_text("no TOML")
+    assert cli.main([*command, "--robot", str(tmp_path)]) == ExitCode.USAGE

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from robot.calibration import save
-from robot.errors import CalibrationError, PortBusy, PortNotFound
+from robot.errors import PortBusy, PortNotFound
 from server import cli
 from server.commands.options import (
     add_calibration,
@@ -35,7 +35,7 @@ def parsed(*arguments):
 def test_a_calibration_is_read_from_its_file_and_one_of_unknown_id_is_refused(tmp_path):
     save(nominal_calibration(), tmp_path / "arm.json")
     assert read_calibration(parsed("--calibration", str(tmp_path / "arm.json"))) == nominal_calibration()
-    with pytest.raises(CalibrationError):
+    with pytest.raises(ConfigurationError):
         read_calibration(parsed("--calibration", "nobodys"))
 
 

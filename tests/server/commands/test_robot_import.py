@@ -37,6 +37,6 @@ def test_packages_may_be_elsewhere(urdf, tmp_path, capsys):
     (tmp_path / "packages").mkdir()
     (tmp_path / "elsewhere" / "deep").rename(tmp_path / "packages" / "mesh_arm")
     arguments = ["robot", "import", str(elsewhere), "--out", str(tmp_path / "arm"), "--samples", "10", "--no-convex"]
-    assert cli.main(arguments) == ExitCode.FAILED
+    assert cli.main(arguments) == ExitCode.USAGE
     assert "--package-path" in capsys.readouterr().err
     assert cli.main([*arguments, "--package-path", str(tmp_path / "packages")]) == ExitCode.DONE

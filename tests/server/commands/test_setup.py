@@ -376,7 +376,7 @@ def test_a_servo_of_an_unknown_model_is_refused_until_it_is_said_to_be_fine(run_
     ("options", "code", "words"),
     [
         (("--registers", "--yes"), ExitCode.FAILED, "several servos with the id 1"),
-        (("--robot", "koch_v1_1"), ExitCode.FAILED, "this command needs Feetech servos"),
+        (("--robot", "koch_v1_1"), ExitCode.USAGE, "this command needs Feetech servos"),
         (("--joint", "elbow"), ExitCode.USAGE, "elbow_flex"),
     ],
     ids=["two servos of one id", "Dynamixel servos", "no such joint"],

@@ -206,20 +206,40 @@ def test_without_a_leader_the_positions_that_the_controllers_of_all_joints_comma
     assert column(tmp_path / "data", "action") == pytest.approx(expected)
 
 
-def test_units_of_lerobot_need_the_grippers_range_and_use_it(recorded: Record, tmp_path: Path) -> None:
+def test_a_gripper_that_the_action_topic_lacks_has_the_commands_of_its_controller(
+    recorded: Record, tmp_path: Path
+) -> None:
+    name = "/program/joint_states"
+    commands = [{"header": stamp(n / 10), "name": [JOINTS[0]], "position": [0.3]} for n in range(11)]
+    arm = [entry(name, "sensor_msgs/JointState", msg, n / 10) for n, msg in enumerate(commands)]
+    with pytest.raises(ExportError, match=f"--action-topic {name} has no gripper"):
+        exported(tmp_path / "none", recorded([*states(1.0), *arm]), action_topic=name)
+    gripper = [commanded(JOINTS[1], n / 10, 0.1 * n) for n in range(11)]
+    done = exported(tmp_path / "data", recorded([*states(1.0), *arm, *gripper]), action_topic=name)
+    assert done.actions == f"{name} and /gripper_controller/controller_state"
+    expected = np.column_stack([np.full(11, 0.3), 0.1 * np.arange(11)])
+    assert column(tmp_path / "data", "action") == pytest.approx(expected)
+
+
+def test_units_of_lerobot_use_the_grippers_calibrated_range_or_its_limits(recorded: Record, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="--units lerobot needs the range of gripper"):
         exported(tmp_path / "data", recorded(states(1.0)), units="lerobot")
     limit = {"joint_name": "gripper", "min_position": 0.0, "max_position": 2.0}
     limits = entry(
         "/arm/joint_limits", "moveit_msgs/KinematicSolverInfo", {"joint_names": ["gripper"], "limits": [limit]}
     )
-    exported(tmp_path / "data", recorded([limits, *states(1.0)]), units="lerobot")
-    assert column(tmp_path / "data", "observation.state")[-1] == pytest.approx([np.degrees(0.09), 25.0])
+    told = [{"key": "calibrated_range_rad.gripper", "value": value} for value in ("none", "-0.5 1.5")]
+    calibrated = entry("/arm/state", "diagnostic_msgs/DiagnosticStatus", {"values": told})
+    for name, known, percent in (("limits", [limits], 25.0), ("ends", [limits, calibrated], 50.0)):
+        exported(tmp_path / name, recorded([*known, *states(1.0)]), units="lerobot")
+        assert column(tmp_path / name, "observation.state")[-1] == pytest.approx([np.degrees(0.09), percent])
 
 
 def test_an_episode_with_a_gap_is_left_out_and_said(recorded: Record, tmp_path: Path) -> None:
     marks = [mark("start", 0.0), mark("stop", 1.0), mark("start", 1.2), mark("stop", 3.0)]
-    done = exported(tmp_path / "data", recorded([*states(1.5), *states(3.0, 2.3), *marks]))
+    recording = recorded([*states(1.5), *states(3.0, 2.3), *marks])
+    assert exported(tmp_path / "all", recording, max_gap_s=1.0).episodes == 2
+    done = exported(tmp_path / "data", recording)
     assert done.episodes == 1
     (problem,) = done.problems
     assert problem.endswith(

@@ -59,6 +59,32 @@ async def test_a_mark_that_does_not_fit_is_refused_and_not_published() -> None:
     assert marked.texts == ["start"]
 
 
+async def test_a_camera_that_was_silent_is_reported_as_soon_as_its_episode_ends(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    marked, camera, topic = Marked(), Node("camera"), "/wrist/image/compressed"
+    marked.graph.advertise(camera, topic, "sensor_msgs/CompressedImage")
+    sentences = []
+    for images_s in ([0.3, 0.3, 0.3], [0.3, 0.9], []):
+        await marked.call(START_SERVICE, task="")
+        for wait_s in images_s:
+            marked.now_s += wait_s
+            marked.graph.publish(camera, topic, {})
+        marked.now_s += 0.4
+        if not images_s:
+            # The camera is gone.
+            marked.now_s += 1.0
+            marked.graph.unadvertise(camera, topic)
+        sentences.append((await marked.call(STOP_SERVICE))[1])
+    left_out = f"It would be left out of a dataset: {topic} was silent for"
+    assert sentences == [
+        "episode 1 has ended after 1.3 s",
+        f"episode 2 has ended after 1.6 s. {left_out} 0.9 s",
+        f"episode 3 has ended after 1.4 s. {left_out} 1.4 s",
+    ]
+    assert f"episode 2 would be left out of a dataset: {topic} was silent for 0.9 s" in caplog.text
+
+
 async def test_the_services_know_the_marks_of_clients(caplog: pytest.LogCaptureFixture) -> None:
     marked = Marked()
     client = Node("client", remote=True)

@@ -27,7 +27,6 @@ from server.gateway.inbox import (
     STOP_TURN_S,
     Inbox,
     Scheduling,
-    WaitingBytes,
 )
 from server.gateway.turns import ROUND_S, TURN_S, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
@@ -70,7 +69,7 @@ class World:
         self.threads = Later()
         self.done: list[str] = []
         self.last_stop = 0
-        self.waiting = WaitingBytes()
+        self.scheduling = Scheduling(self.turns, self.threads, self.clock.call_later)
 
     def client(self, name: str = "", step_s: float = 0.0) -> Handler:
         return Handler(self, name, step_s)
@@ -95,8 +94,7 @@ class Handler:
         self.changed_topics: set[str] = set()
         self.session = Session()
         self.socket = UnreadSocket()
-        scheduling = Scheduling(world.turns, world.threads, world.clock.call_later, world.waiting)
-        self.inbox = Inbox(self, self.session, TYPES, scheduling, self.socket, world.clock)
+        self.inbox = Inbox(self, self.session, TYPES, world.scheduling, self.socket, world.clock)
 
     def admit_frame(self, frame: str | bytes) -> bool:
         return True

@@ -535,7 +535,7 @@ async def test_a_client_that_has_left_is_freed_without_the_garbage_collector() -
                 (each,) = listener._transports
                 (connection,) = listener.traffic._open
                 assert isinstance(connection, Connection)
-                parts = (each, connection, connection._client, connection._client._topics)
+                parts = (each, connection, connection._client, connection._client.topics)
                 left = [weakref.ref(part) for part in parts]
                 del each, connection, parts
             await until_empty(listener)

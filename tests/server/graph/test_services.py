@@ -238,7 +238,7 @@ def test_an_error_of_one_that_hears_of_the_end_keeps_it_from_no_other(
     call.fail("stopped")
     call.fail("once more")
     assert heard == responses == [Response(ok=False, values="stopped")]
-    assert "could not be told" in caplog.text
+    assert "a listener to the end of a request failed" in caplog.text
 
 
 def test_a_call_says_what_dialect_its_caller_wants_to_be_told_in(services: Services) -> None:

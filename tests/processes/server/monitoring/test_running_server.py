@@ -62,7 +62,7 @@ def test_a_viewer_gets_all_but_the_log(guarded: ServerOnBus) -> None:
     told, _ = told_by(RunningServer(settings(guarded.server.port), VIEW_TOKEN))
     assert "server/diagnostics.json" in told
     assert "server/log.txt" not in told
-    assert "its log is not told" in told["problems.txt"]
+    assert "its log is not returned" in told["problems.txt"]
 
 
 def test_without_a_token_there_is_the_health_alone(guarded: ServerOnBus) -> None:

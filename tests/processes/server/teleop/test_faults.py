@@ -12,7 +12,7 @@ import pytest
 
 from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.robots import so101
-from tests.helpers.server import FAST, ROOT, EmulatorControl, RunningServer
+from tests.helpers.server import FAST_ARMS, ROOT, EmulatorControl, RunningServer
 
 STATE, CONTROLLER = "/teleop/state", "/follower/arm_controller/controller_state"
 TIMEOUT_S = 60.0
@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def server(folder: Path) -> Iterator[RunningServer]:
     buses = {f"ARMBRIDGE_ARMS__{arm.upper()}__EMULATOR__CONTROL": str(folder / arm) for arm in ("leader", "follower")}
-    settings = {**FAST, **buses, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
+    settings = {**FAST_ARMS, **buses, "ARMBRIDGE_ACCESS__CONTROL": "shared"}
     with RunningServer(f"--port 0 --config {ROOT / 'examples' / 'leader_follower.toml'}", settings) as running:
         yield running
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.clients import ArmClient, arm_client
-from tests.helpers.server import FAST, EmulatorControl, RunningServer
+from tests.helpers.server import FAST_ARMS, EmulatorControl, RunningServer
 
 CONFIG = """
 [arms.left]
@@ -35,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def server(folder: Path) -> Iterator[RunningServer]:
     config = folder / "arms.toml"
     config.write_text(CONFIG.format(folder=folder))
-    with RunningServer(f"--port 0 --config {config}", FAST) as running:
+    with RunningServer(f"--port 0 --config {config}", FAST_ARMS) as running:
         yield running
 
 

@@ -84,10 +84,10 @@ test-pythons:
 test-processes: install-dev
 	$(PYTEST) tests/processes -n 4 --dist loadfile $(ARGS)
 
-# The page from its lock: types and build, then its logic, then in the browser.
+# The page from its lock: types and build, then its logic, then in the browser, whose frames are the work of both cores.
 test-page: install-dev page
 	cd $(PAGE) && npm test
-	$(PYTEST) tests/page $(ARGS)
+	$(PYTEST) tests/page -n 3 --dist loadfile $(ARGS)
 
 # The pictures of README.md and docs/page.md, and the digest of the page that they show.
 pictures: install-dev page
@@ -96,7 +96,7 @@ pictures: install-dev page
 
 # The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
 test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed
-	$(PYTEST) tests/clients tests/examples $(ARGS)
+	$(PYTEST) tests/clients tests/examples -n 2 --dist loadfile $(ARGS)
 
 build/compas_fab/.installed:
 	$(PYTHON) -m venv build/compas_fab

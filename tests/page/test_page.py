@@ -15,8 +15,6 @@ from tests.helpers.server import RunningServer
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-# The page is to be ready in 1.5 s, which benchmarks/page.py measures; here other tests may run besides.
-READY_MS = 15_000
 
 # The server's own tolerance for a point (0.01 m), and the servos' droop.
 ARRIVED_M = 0.02
@@ -72,7 +70,6 @@ def is_uncovered(page: OpenPage, test_id: str) -> bool:
 
 
 def test_the_arm_is_drawn(page: OpenPage, server: RunningServer) -> None:
-    assert page.page.evaluate("window.armbridge.drawn.arm_ms") < READY_MS
     page.until("window.armbridge.drawn.frames > 3")
     assert page.colours() > 50
     page.shot("ready")
@@ -109,8 +106,8 @@ def test_the_target_is_dragged_and_the_arm_arrives(page: OpenPage, server: Runni
     mouse.down()
     mouse.move(foot[0] + 70 * along[0], foot[1] + 70 * along[1], steps=5)
     mouse.up()
+    page.until_state(f"s.target.position_m[2] > {start_m[2] + 0.005}")
     wished = page.state("target.position_m")
-    assert wished[2] > start_m[2] + 0.005
     assert wished[:2] == pytest.approx(start_m[:2], abs=1e-3)
     page.until_state("s.target.reachable === true && s.target.joints_rad !== null")
     page.shot("target")

@@ -82,7 +82,7 @@ test-pythons:
 
 # A module's server is started once. Most of these tests wait: more workers than cores wait side by side.
 test-processes: install-dev
-	$(PYTEST) tests/processes -n 4 --dist loadfile $(ARGS)
+	$(PYTEST) tests/processes -n 6 --dist loadfile $(ARGS)
 
 # The page from its lock: types and build, then its logic, then in the browser, whose frames are the work of both cores.
 test-page: install-dev page

@@ -272,7 +272,9 @@ class OpenPage:
         return red, green, blue
 
     def screen_of(self, position_m: tuple[float, float, float]) -> tuple[float, float]:
-        """Return the place of a point of the root link's frame on the screen [px]."""
+        """Return the place of a point of the root link's frame on the screen, as it is drawn now [px]."""
+        # What changed is in the next frame, and can be grabbed from then on.
+        self.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
         x, y = self.page.evaluate("p => window.armbridge.screen_of(...p)", list(position_m))
         return float(x), float(y)
 

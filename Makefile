@@ -84,10 +84,10 @@ test-pythons:
 test-processes: install-dev
 	$(PYTEST) tests/processes -n 6 --dist loadfile $(ARGS)
 
-# The page from its lock: types and build, then its logic, then in the browser, whose frames are the work of both cores.
+# The page from its lock: types and build, then its logic, then in the browser.
 test-page: install-dev page
 	cd $(PAGE) && npm test
-	$(PYTEST) tests/page -n 3 --dist loadfile $(ARGS)
+	$(PYTEST) tests/page $(ARGS)
 
 # The pictures of README.md and docs/page.md, and the digest of the page that they show.
 pictures: install-dev page

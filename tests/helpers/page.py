@@ -38,7 +38,6 @@ FLAGS = (
     "--enable-unsafe-swiftshader",
     "--disable-gpu-rasterization",
     "--disable-accelerated-2d-canvas",
-    "--disable-gpu-compositing",
 )
 
 DESKTOP = (1280, 800)
@@ -320,28 +319,10 @@ def at_ready(page: OpenPage, url: str) -> None:
     assert goal(url, "/moveit_goal_named", {"data": "ready"})["val"] == 1
 
 
-# Draws ten frames a second: in software the frames of a moving arm take a whole core, which the tests wait for.
-SLOW_DISPLAY = """(() => {
-    const draw = window.requestAnimationFrame.bind(window), waiting = new Map();
-    let last = 0;
-    window.requestAnimationFrame = callback => {
-        last += 1;
-        const id = last;
-        waiting.set(id, setTimeout(() => { waiting.delete(id); draw(callback); }, 80));
-        return id;
-    };
-    window.cancelAnimationFrame = id => { clearTimeout(waiting.get(id)); waiting.delete(id); };
-})();"""
-
-
 @contextmanager
-def opened(
-    browser: Browser, size: tuple[int, int] = DESKTOP, *, slow_display: bool = True, **options: Any
-) -> Iterator[OpenPage]:
+def opened(browser: Browser, size: tuple[int, int] = DESKTOP, **options: Any) -> Iterator[OpenPage]:
     """A page in a context of its own: nothing is kept from the one before."""
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
-    if slow_display:
-        context.add_init_script(SLOW_DISPLAY)
     try:
         yield OpenPage(context.new_page())
     finally:

@@ -169,7 +169,7 @@ def assert_both_are_moved_by_one_goal_and_not_by_hand(page: OpenPage, arms: Runn
     page.open_panel("move")
     page.part("group").select_option("both_arms")
     page.part("section-target").wait_for(state="hidden")
-    assert page.part("section-gripper").is_hidden()
+    page.wait(page.part("section-gripper").is_hidden)
     page.part("named-home").click()
     page.part("plan-and-move").click()
     page.until_state("s.goal.code === 1 && s.selection.kind === 'none'")

@@ -9,7 +9,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -75,12 +75,10 @@ RESTING_RAD_S = 0.02
 
 
 @dataclass(frozen=True)
-class TwistCommand:
-    """Twist in a frame that may move with the arm; [m/s], [rad/s]."""
+class TwistCommand(TipTwist):
+    """Twist in a frame that may move with the arm; an empty frame is the root link."""
 
-    linear_m_s: Point
-    angular_rad_s: Point
-    frame_id: str
+    frame_id: str = ""
 
 
 # MoveIt Servo's name for any of its commands.
@@ -316,8 +314,11 @@ class ServoSession:
     def _command(self, positions_rad: Positions) -> ServoCommand:
         """Return the command to follow now, in the root link; a halt if the last command has expired or is zero."""
         command = to_planning_frame(self._input, self._resolve, positions_rad)
-        expired = self._clock() > self._expires_at_s
-        return JointVelocities({}) if expired or command.zero else command
+        return JointVelocities({}) if self._halted else command
+
+    @property
+    def _halted(self) -> bool:
+        return self._clock() > self._expires_at_s or self._input.zero
 
     async def _answer(
         self,
@@ -332,8 +333,9 @@ class ServoSession:
         A halt needs no planners: joints that all brake alike keep the tip on its path, as in a stop. An SO-101 whose
         tip was held where it was at a zero twist came to rest after 0.3 to 0.7 s. A stop takes 0.15 s.
         """
+        halt = ServoAnswer(dict.fromkeys(self._setup.joints, 0.0))
         if command.zero:
-            return ServoAnswer(dict.fromkeys(self._setup.joints, 0.0))
+            return halt
         question = ServoQuestion(
             self._setup.group,
             self._setup.link,
@@ -348,8 +350,8 @@ class ServoSession:
         asking = asyncio.ensure_future(self._ask(question))
         try:
             while not (await asyncio.wait([asking], timeout=KEEP_ALIVE_S))[0]:
-                late = self._clock() - asked_s > MAX_PERIOD_S
-                stream.steer(np.array([0.0 if late else velocity.get(name, 0.0) for name in self._setup.joints]))
+                braking = self._halted or self._clock() - asked_s > MAX_PERIOD_S
+                stream.steer(np.array([0.0 if braking else velocity.get(name, 0.0) for name in self._setup.joints]))
             answer = asking.result()
         finally:
             asking.cancel()
@@ -360,5 +362,6 @@ class ServoSession:
         elif took_s > MAX_PERIOD_S:
             refusal = f"the planners took {took_s:.2f} s for an answer, more than {MAX_PERIOD_S:g} s: the arm brakes"
         else:
-            return answer
-        return ServoAnswer(dict.fromkeys(self._setup.joints, 0.0), ServoStatus.INVALID, refusal, 0.0)
+            # A halt that has come meanwhile counts more than an answer to the command before.
+            return halt if self._input.zero else answer
+        return replace(halt, status=ServoStatus.INVALID, message=refusal, share=0.0)

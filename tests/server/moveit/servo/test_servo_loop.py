@@ -260,6 +260,27 @@ async def test_while_an_answer_is_late_the_stream_is_kept_and_then_brakes(rig: R
     assert any(moves for _, moves in sent[:4])
 
 
+async def test_letting_go_while_an_answer_is_late_brakes_without_it(rig: Rig) -> None:
+    asked, late = asyncio.Event(), asyncio.Event()
+
+    async def ask(_question: ServoQuestion) -> ServoAnswer:
+        if len(rig.arm.setpoints) >= 2:
+            asked.set()
+            await late.wait()
+        return ServoAnswer(MOVING, anchor=KEPT)
+
+    session = rig.made(ask)
+    session.set_command(NORTH)
+    await asked.wait()
+    session.set_command(TwistCommand((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ""))
+    await until(lambda: not rig.arm.setpoints[-1].velocity_rad_s.any())
+    before = len(rig.arm.setpoints)
+    late.set()
+    await until(lambda: len(rig.arm.setpoints) > before + 1)
+    assert not any(setpoint.velocity_rad_s.any() for setpoint in rig.arm.setpoints[before:])
+    await session.close()
+
+
 async def test_after_a_pause_of_the_servers_own_nobody_has_to_let_go(rig: Rig) -> None:
     rig.session.set_command(NORTH)
     await rig.until_asked(2)

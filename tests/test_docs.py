@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.page import page_digest
+from harness.server import ROOT
 from protocol.registry import Registry
 from robot.description.limits import END_STOP_MARGIN_RAD
 from robot.description.robot_folder import built_in_names
 from robot.faults import REMEDIES, FaultCode
 from server import cli
 from server.config_loader import load
-from tests.helpers.page import page_digest
-from tests.helpers.server import ROOT
 from tests.helpers.source import ROOMS, paths, sentences
 from tests.test_readme import blocks
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from harness.server import ROOT, RunningServer
 from server.config_loader import load
-from tests.helpers.server import ROOT, RunningServer
 
 
 def blocks(path: Path, language: str) -> list[str]:

@@ -160,7 +160,9 @@ async def _measure(rows: list[list[str]]) -> None:
     ticking = asyncio.create_task(ticker.run())
     await asyncio.sleep(QUIET_S)
     rows.append(ticker.row("at rest"))
-    client = await asyncio.create_subprocess_exec(sys.executable, "-m", "benchmarks.goal_flood", str(PORT), str(LOAD_S))
+    client = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "benchmarks.flood_clients", "goals", f"ws://127.0.0.1:{PORT}", str(LOAD_S)
+    )
     await asyncio.sleep(LOAD_S)
     rows.append(ticker.row("planning without pause"))
     ticking.cancel()

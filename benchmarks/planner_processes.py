@@ -14,8 +14,8 @@ import psutil
 import uvloop
 
 from benchmarks.event_loop import Ticker
-from benchmarks.make_scenes import SCENES
 from benchmarks.planning import AT_ZERO, EASY, LONG
+from benchmarks.planning_scenes import SCENES
 from harness.figures import percentiles, print_table
 from planners import worker, worker_process
 from planners.budget import never

@@ -77,7 +77,8 @@ class RunningServer:
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        assert self._ready.wait(START_TIMEOUT_S), "the server did not start:\n" + "\n".join(self.lines)
+        self._ready.wait(START_TIMEOUT_S)
+        assert self.port, "the server did not start:\n" + "\n".join(self.lines)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -119,6 +120,8 @@ class RunningServer:
             if found:
                 self.port = int(found[1])
                 self._ready.set()
+        # A server that has ended before it was ready is waited for no longer.
+        self._ready.set()
 
 
 def free_port() -> int:

@@ -30,6 +30,7 @@ PAGES = sorted((ROOT / "docs").glob("*.md"))
 
 # Beginnings of commands of other programs, which are not run.
 FOREIGN = (
+    "curl --json ",
     "pipx install ",
     "python3 -m http.server ",
     "python3 -m venv ",

@@ -11,12 +11,12 @@ import json
 from pathlib import Path
 
 from benchmarks.make_scenes import SCENES
+from harness.full_meshes import Judge
+from harness.server import REFERENCE
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options, Outcome
 from planners.problem import Plan
 from robot.description.robot_folder import built_in
-from tests.helpers.full_meshes import Judge
-from tests.helpers.resources import SHARED
 
 SEEDS = range(100, 104)
 OPTIMIZATION_S = 0.5
@@ -27,7 +27,7 @@ def note(path: Path) -> None:
     """Update the durations of one file."""
     fields = json.loads(path.read_text())
     entries = {entry["id"]: entry for entry in fields["joint_problems"]}
-    judge = Judge(SHARED, fields)
+    judge = Judge(REFERENCE, fields)
     for seed in SEEDS:
         for outcome in _outcomes(path, tuple(entries), seed):
             entry = entries[outcome.file_problem.id]

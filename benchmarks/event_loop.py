@@ -21,13 +21,13 @@ import numpy as np
 import uvloop
 from numpy.typing import NDArray
 
+from benchmarks.planning import EASY, LONG
+from harness.figures import percentiles, print_table
 from planners.pool import PlannerPool
 from planners.worker_process import NICENESS
 from robot.description.robot_folder import built_in
 from server.app import App
 from server.config_loader import load
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.motions import EASY, LONG
 
 BUSY_PROGRAM = f"import os; os.nice({NICENESS})\nwhile True: sum(range(100_000))"
 

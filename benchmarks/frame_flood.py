@@ -6,7 +6,7 @@ import asyncio
 import sys
 import time
 
-from tests.helpers.clients import frame_client
+from harness.clients import frame_client
 
 TOPIC, TYPE = "/flood", "sensor_msgs/JointState"
 NAMES = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]

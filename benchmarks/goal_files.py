@@ -11,9 +11,9 @@ import os
 import tempfile
 from pathlib import Path
 
-from tests.helpers.clients import frame_client
-from tests.helpers.figures import print_table
-from tests.helpers.server import RunningServer
+from harness.clients import frame_client
+from harness.figures import print_table
+from harness.server import RunningServer
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("server", "protocol", "planners", "robot")

@@ -7,7 +7,7 @@ import random
 import sys
 import time
 
-from tests.helpers.clients import FrameClient, frame_client
+from harness.clients import FrameClient, frame_client
 
 SEED = 3
 

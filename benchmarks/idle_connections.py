@@ -9,8 +9,8 @@ import time
 import psutil
 from websockets.asyncio.client import connect
 
-from tests.helpers.figures import print_table
-from tests.helpers.server import RunningServer
+from harness.figures import print_table
+from harness.server import RunningServer
 
 CONNECTIONS = 500
 ROUNDS = 3

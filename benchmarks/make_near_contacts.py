@@ -14,11 +14,11 @@ import numpy as np
 
 from benchmarks.make_scenes import GRIPPER_RAD, JOINTS, LIMITS, SCENES, Vector
 from benchmarks.scene_things import near_contacts
+from harness.full_meshes import Judge
+from harness.server import REFERENCE
 from planners.files import problem_file
 from planners.geometry.collision import CollisionModel
 from robot.description.robot_folder import built_in
-from tests.helpers.full_meshes import Judge
-from tests.helpers.resources import SHARED
 
 NAME = "near_contacts"
 SEED = 21
@@ -54,7 +54,7 @@ def main() -> None:
     robot = built_in("so101").model
     collision = CollisionModel(robot)
     collision.set_scene(problem_file.read(path, robot).scene)
-    judge = Judge(SHARED, fields)
+    judge = Judge(REFERENCE, fields)
     rng = np.random.default_rng(SEED)
     wanted = {"free": FREE, "touching": TOUCHING}
     found: dict[str, list[tuple[Vector, Vector]]] = {kind: [] for kind in wanted}

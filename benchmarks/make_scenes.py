@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scene_things import Arrangement, Fields, arrangements
-from tests.helpers.full_meshes import Judge
-from tests.helpers.resources import SHARED
+from harness.full_meshes import Judge
+from harness.server import REFERENCE
 
 Vector = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class Draw:
             "objects": list(arrangement.objects),
             "attached": list(arrangement.attached),
         }
-        self.judge = Judge(SHARED, self.fields)
+        self.judge = Judge(REFERENCE, self.fields)
 
     def file(self) -> Fields:
         """Return the content of the problem file."""

@@ -21,7 +21,7 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from benchmarks.gateway import ROUNDS, SERVERS, running
 from benchmarks.gateway_load import server_cpu_s
-from tests.helpers.figures import print_table
+from harness.figures import print_table
 
 READERS = 4
 RATE_HZ = 30.0

@@ -24,6 +24,8 @@ import pinocchio as pin
 
 from benchmarks.make_scenes import GRIPPER_RAD, JOINTS, TOLERANCE_M, Draw, Vector
 from benchmarks.scene_things import IN_TABLE, TABLE, Arrangement, Fields, box, thing
+from harness.figures import percentiles, print_table
+from harness.server import REFERENCE
 from planners.files import problem_file
 from planners.geometry.kinematics import ForwardKinematics
 from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
@@ -32,8 +34,6 @@ from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, Planni
 from planners.scene import Pose
 from planners.warm_up import warm_up
 from robot.description.robot_folder import built_in
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.resources import SHARED
 
 SEED = 1
 SCENES = 6
@@ -55,7 +55,7 @@ KINDS = ("joint goal", "position goal", "pose goal", "path of the tip")
 
 def run(seed: int = SEED) -> None:
     """Measure the scenes of a seed and print the tables."""
-    if not SHARED.is_dir():
+    if not REFERENCE.is_dir():
         print("random scenes are not measured: there is no reference data beside the checkout")
         return
     rows: dict[str, list[tuple[bool, list[str], float]]] = defaultdict(list)

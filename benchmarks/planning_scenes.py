@@ -18,14 +18,14 @@ import numpy as np
 
 from benchmarks import mplib_side
 from benchmarks.make_scenes import SCENES
+from harness.figures import percentiles, print_table
+from harness.full_meshes import Judge
+from harness.server import REFERENCE
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Outcome
 from planners.motions.motion import STRAIGHT_LINE
 from planners.problem import Plan
 from robot.description.robot_folder import built_in
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.full_meshes import Judge
-from tests.helpers.resources import SHARED
 
 # A feasible problem counts as solved within this time.
 ALLOWED_TIME_S = 1.0
@@ -86,7 +86,7 @@ class Measured:
 def run() -> None:
     """Measure every scene and print the tables."""
     paths = scene_files()
-    if not SHARED.is_dir():
+    if not REFERENCE.is_dir():
         print("no reference data beside the checkout: its scenes and the judgement by the official meshes are left out")
     reason = mplib_side.installed()
     default, first, longer = list[Measured](), list[Measured](), list[Measured]()
@@ -110,7 +110,7 @@ def run() -> None:
 
 def scene_files() -> list[Path]:
     """Return every problem file."""
-    return [*sorted((SHARED / "planning_problems").glob("*.json")), *sorted(SCENES.glob("*.json"))]
+    return [*sorted((REFERENCE / "planning_problems").glob("*.json")), *sorted(SCENES.glob("*.json"))]
 
 
 def measure(path: Path, settings: dict[str, Any]) -> Iterator[Measured]:
@@ -118,7 +118,7 @@ def measure(path: Path, settings: dict[str, Any]) -> Iterator[Measured]:
     fields = json.loads(path.read_text())
     entries = {entry["id"]: entry for key in _LISTS for entry in fields.get(key, [])}
     mesh = any(thing.get("type") == "mesh" for thing in fields["objects"])
-    judge = _judge(path) if SHARED.is_dir() else None
+    judge = _judge(path) if REFERENCE.is_dir() else None
     file = problem_file.read(path, built_in("so101").model)
     options = plan_command.Options([path], every=True, settings={"allowed_time_s": ALLOWED_TIME_S, **settings})
     for outcome in plan_command.plan_all(file, plan_command.chosen(file, options)):
@@ -205,7 +205,7 @@ def _row_of_mplib(rrt_range: float, answers: Sequence[Answered], ours: dict[str,
     ratios = []
     for path, answer in returned:
         asked = ours[answer["problem"]]
-        faults = _judge(path).faults(asked.fields, answer, MPLIB_RATE_EXCESS) if SHARED.is_dir() else []
+        faults = _judge(path).faults(asked.fields, answer, MPLIB_RATE_EXCESS) if REFERENCE.is_dir() else []
         kind = next((kind for kind in MPLIB_FAULTS if any(kind in fault for fault in faults)), None)
         best_s = asked.fields.get("best_known_duration")
         if kind is not None:
@@ -228,4 +228,4 @@ def _row_of_mplib(rrt_range: float, answers: Sequence[Answered], ours: dict[str,
 
 @cache
 def _judge(path: Path) -> Judge:
-    return Judge(SHARED, json.loads(path.read_text()))
+    return Judge(REFERENCE, json.loads(path.read_text()))

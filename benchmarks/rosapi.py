@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import time
 
+from harness.figures import percentiles, print_table
 from protocol.registry import Registry
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
 from server.rosapi import RosApi
-from tests.helpers.figures import percentiles, print_table
 
 TOPICS = 100
 CALLS = 200

@@ -21,6 +21,11 @@ import psutil
 import uvloop
 
 from benchmarks.planning import blocked_problem
+from harness.clients import ArmClient, arm_client, values_of
+from harness.emulator import RunningEmulator
+from harness.figures import percentiles, print_table
+from harness.server import RunningServer
+from harness.write_log import Entry, read_entries
 from planners.pool import PlannerPool
 from robot.arm import Arm
 from robot.calibration import Calibration
@@ -30,11 +35,6 @@ from robot.description.robot_folder import built_in
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
 from robot.trajectory import rest_to_rest
-from tests.helpers.clients import ArmClient, arm_client, values_of
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import RunningServer
-from tests.helpers.terminal_servos import RunningEmulator
-from tests.helpers.write_log import Entry, read_entries
 
 CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)
 ROBOT = within_calibration(built_in("so101").model, CALIBRATION)

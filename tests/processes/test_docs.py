@@ -11,7 +11,7 @@ import sys
 import pytest
 from websockets.sync.client import connect
 
-from tests.helpers.server import ROOT, RunningServer
+from harness.server import ROOT, RunningServer
 from tests.test_docs import EXAMPLES, PAGES
 from tests.test_readme import blocks
 

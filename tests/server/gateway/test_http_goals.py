@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from pydantic import SecretStr
 
+from harness.waiting import until
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
@@ -21,7 +22,6 @@ from server.graph.permissions import ANYONE, CALLED_GOAL, GOAL, STOPPING
 from server.graph.services import Call, Response
 from server.graph.topics import Graph
 from tests.helpers.gateway import REGISTRY, TIMEOUT_S, listening, until_empty
-from tests.helpers.waiting import until
 
 OPERATOR, VIEWER = "operator-0123456789", "viewer-0123456789ab"
 READY = {"named": "ready"}

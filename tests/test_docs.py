@@ -33,6 +33,7 @@ TOP = ("README.md", "CONTRIBUTING.md", "SECURITY.md")
 
 # Beginnings of commands of other programs, which are not run.
 FOREIGN = (
+    "curl --json ",
     "pipx install ",
     "python3 -m http.server ",
     "python3 -m venv ",

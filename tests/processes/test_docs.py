@@ -57,6 +57,25 @@ def test_a_command_with_an_example_succeeds(command: str, simulated_server: Runn
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+CURL = [line for line in "".join(blocks(ROOT / "docs" / "http.md", "sh")).splitlines() if line.startswith("curl ")]
+
+
+@pytest.mark.parametrize("command", CURL)
+def test_a_goal_of_the_page_about_http_is_carried_out(command: str, simulated_server: RunningServer) -> None:
+    token = "the-token-of-the-controller"
+    words = shlex.split(command.replace(SERVER_PORT, str(simulated_server.port)).replace("$TOKEN", token))
+    assert words[0] == "curl"
+    done = subprocess.run(
+        [*words, "--silent", "--show-error", "--fail-with-body"],
+        capture_output=True,
+        text=True,
+        timeout=RUN_TIMEOUT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads(done.stdout)["success"]
+
+
 def messages_in_code(page: str) -> list[str]:
     """Operations that the code on a page (C++, C# or JavaScript) sends after connecting."""
     text = (ROOT / "docs" / page).read_text()

@@ -7,9 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+from harness.server import ROOT, RunningServer
 from server.config import Settings
 from server.config_keys import template
-from tests.helpers.server import ROOT, RunningServer
 
 
 def blocks(path: Path, language: str) -> list[str]:

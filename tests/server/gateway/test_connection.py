@@ -11,6 +11,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
+from harness.waiting import until
 from protocol.limits import Limits
 from protocol.registry import Registry
 from server.access.authorization import Access
@@ -22,7 +23,6 @@ from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import TIMEOUT_S, listening, warnings_of
-from tests.helpers.waiting import until
 
 TALKER = Node("talker")
 

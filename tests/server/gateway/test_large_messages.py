@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
+from harness.waiting import until
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage
 from protocol.registry import Registry
@@ -19,7 +20,6 @@ from server.gateway.transport import Transport
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import listening
-from tests.helpers.waiting import until
 
 TALKER = Node("talker")
 TIMEOUT_S = 60.0

@@ -6,9 +6,9 @@ import asyncio
 
 import pytest
 
+from harness.waiting import until
 from protocol.limits import Limits
 from server.gateway import connection
-from tests.helpers.waiting import until
 from tests.server.gateway.test_large_messages import TALKER, numbers, world_with
 
 

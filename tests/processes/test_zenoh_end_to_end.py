@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 from websockets.asyncio.client import connect
 
+from harness.clients import arm_client, frame_client
+from harness.server import RunningServer
+from harness.waiting import until, wait_until
 from protocol.codecs import json
-from tests.helpers.clients import arm_client, frame_client
-from tests.helpers.server import RunningServer
-from tests.helpers.waiting import until, wait_until
 from tests.helpers.zenoh_network import RosMachine, free_port
 
 STRING, JOINT_STATE = "std_msgs/msg/String", "sensor_msgs/msg/JointState"

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from harness.waiting import until
 from planners.problem import MoveItErrorCode
 from robot.faults import Fault, FaultCode
 from robot.messages import Mode
@@ -21,7 +22,6 @@ from server.config import ArmSettings
 from server.execution.goal import Answer, Goal
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.robots import so101
-from tests.helpers.waiting import until
 
 pytestmark = pytest.mark.stepped_time
 

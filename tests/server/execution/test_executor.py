@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import pytest_asyncio
 
+from harness.waiting import until
 from planners.goals import JointGoal
 from planners.interface import Planners
 from planners.pool import PlannerPool
@@ -48,7 +49,6 @@ from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm, settle
 from tests.helpers.motions import LONG, smooth_move
 from tests.helpers.robots import nominal_calibration, so101
-from tests.helpers.waiting import until
 
 TIMEOUT_S = 30.0
 

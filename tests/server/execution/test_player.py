@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from harness.waiting import until
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE
 from robot.messages import Outcome, Pace, PlaybackDirection
@@ -21,7 +22,6 @@ from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, FakeArm, StubbornArm, settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101
-from tests.helpers.waiting import until
 
 pytestmark = pytest.mark.stepped_time
 

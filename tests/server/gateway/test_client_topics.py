@@ -18,7 +18,7 @@ from tests.helpers.gateway import InProcess
 
 @pytest.fixture
 def world() -> InProcess:
-    return InProcess(Limits(max_subscriptions=2, max_publications=2))
+    return InProcess(Limits.model_construct(max_subscriptions=2, max_publications=2))
 
 
 @pytest.mark.parametrize("op", ["subscribe", "advertise"])

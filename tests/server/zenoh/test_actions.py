@@ -11,6 +11,7 @@ import pytest
 import zenoh
 from rosbags.typesys import get_types_from_msg
 
+from harness.waiting import until
 from protocol.type_descriptions import message_hash, service_hash
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.settings import AccessSettings
@@ -19,7 +20,6 @@ from server.graph.actions import Goal, GoalStatus, Result
 from server.graph.permissions import GOAL
 from server.graph.topics import Subscriber
 from server.zenoh import network, offered_goals
-from tests.helpers.waiting import until
 from tests.helpers.zenoh_network import REGISTRY, STORE, RosMachine, Site, attached, networked
 
 GRIPPER, GRIP = "control_msgs/action/GripperCommand", "/grip"

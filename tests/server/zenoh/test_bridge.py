@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from harness.server import ROOT
+from harness.waiting import TIMEOUT_S, until
 from server.access.authorization import unlimited
 from server.graph.topics import Graph
 from server.zenoh import bridge
@@ -15,8 +17,6 @@ from server.zenoh.rmw import Endpoint, Entity, EntityKind, LivelinessTokens
 from server.zenoh.settings import ZenohSettings
 from server.zenoh.topics import OutgoingTopics
 from tests.helpers.resources import Pair, make_pair, make_signed_pair
-from tests.helpers.server import ROOT
-from tests.helpers.waiting import TIMEOUT_S, until
 from tests.helpers.zenoh_network import REGISTRY, RosMachine, Site, free_port, networked
 from tests.test_readme import blocks
 

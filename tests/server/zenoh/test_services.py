@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 import zenoh
 
+from harness.waiting import until
 from server.access.settings import AccessSettings
 from server.errors import ServiceError
 from server.zenoh import called_services, offered_services
-from tests.helpers.waiting import until
 from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, free_port, networked
 
 TRIGGER = "std_srvs/srv/Trigger"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.clients import ArmClient, values_of
 from planners.goals import JointGoal
 from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
@@ -21,7 +22,6 @@ from server.execution.motions import Performed, PlannedMotion
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.goals.goal_history import GoalHistory
-from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import REGISTRY, ROBOT
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from harness.clients import values_of
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
@@ -25,7 +26,6 @@ from server.moveit.goals.goal_topics import (
     GoalStatusTopics,
     GoalTopics,
 )
-from tests.helpers.clients import values_of
 from tests.helpers.goal_runner import GoalRunner
 from tests.helpers.moveit import translator
 from tests.helpers.robots import so101

@@ -16,10 +16,10 @@ from typing import Any
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.diagnostic_values import key_values
 from server.errors import RefusedError
-from server.execution.goal import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.goal import Goal as QueuedGoal
 from server.execution.motions import Performed, PlannedMotion
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.graph import services
 from server.graph.actions import Goal
 from server.graph.list_limits import ListLimits
@@ -145,7 +145,7 @@ class GoalCalls:
             message, translate = self._goal_of(request)
             motion = translate(message, self._translator.options(request))
         except RefusedError as error:
-            rejected = self._queue.reject(self._name, error.failure, message)
+            rejected = self._queue.reject(GoalRequest(self._name, message=message), error.failure)
             end(self._result(message, Answer.of(error.failure), rejected.goal_id))
             return None
         for warning in motion.warnings:
@@ -177,7 +177,7 @@ class GoalCalls:
         # A proposal neither preempts a motion nor is refused for one.
         policy = GoalPolicy.QUEUE if goal.motion.proposed else None
         queued = self._queue.submit(
-            self._name, goal.motion, policy=policy, on_progress=report, message=goal.message, client=client
+            GoalRequest(self._name, goal.motion, goal.message, client, policy=policy, on_progress=report)
         )
         if goal.motion.proposed:
             self._confirmation.propose(queued)

@@ -9,9 +9,8 @@ import pytest
 
 from harness.waiting import until
 from planners.problem import MoveItErrorCode, PlanningProblem
-from server.execution.goal import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalState, Progress
 from server.execution.motions import PlannedMotion
-from server.execution.queue import GoalPolicy
 from server.graph.actions import GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node

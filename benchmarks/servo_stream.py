@@ -24,11 +24,11 @@ from planners.servo.question import ServoAnswer, ServoQuestion, TipTwist
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
-from robot.control.streaming import TIME_TO_FULL_ACCELERATION_S
 from robot.description.limits import JointBounds, within_calibration
 from robot.description.robot_folder import built_in
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, Commanded
+from robot.trajectory import TIME_TO_FULL_ACCELERATION_S
 from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.figures import percentiles, print_table
 from tests.helpers.server import RunningServer

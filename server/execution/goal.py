@@ -114,6 +114,8 @@ class Goal(CancelScope):
         motion: None when the goal was rejected before it was queued.
         message: the message of its client; empty when there is none, or none that can be read.
         only_for: the one client that is informed; None for all.
+        streamed: True for one of many in a row.
+        repeated: True where the one before it in the row was refused.
         progress: the latest; None before the first.
         answered: its answer, once there is one.
     """
@@ -126,6 +128,10 @@ class Goal(CancelScope):
     message: Mapping[str, Any] = field(default_factory=dict)
     client: str = ""
     only_for: Node | None = None
+    streamed: bool = False
+    repeated: bool = False
+    _deferring: bool = field(init=False, default=False)
+    _successor: str = field(init=False, default="")
     progress: Progress | None = field(init=False, default=None)
     answered: asyncio.Future[Answer] = field(init=False, default_factory=_future)
 
@@ -133,6 +139,32 @@ class Goal(CancelScope):
     def joints(self) -> Joints:
         """Joints that it moves."""
         return frozenset() if self.motion is None else self.motion.joints
+
+    @property
+    def unlogged(self) -> bool:
+        """True for a goal of a stream whose end is no news: it was replaced, or refused as the one before it."""
+        return self.streamed and (self.replaced or self.repeated)
+
+    def cancel(self, reason: str, *, replaced: bool = False) -> None:
+        """End the work; a replacement is deferred between the two calls below."""
+        if replaced and self._deferring:
+            self._successor = reason
+        else:
+            super().cancel(reason, replaced=replaced)
+
+    def defer_replacement(self) -> None:
+        """Have no other goal replace it until its motion has begun.
+
+        Else none of a stream of trajectories would begin where it takes longer to check one than the next takes to
+        come.
+        """
+        self._deferring = True
+
+    def allow_replacement(self) -> None:
+        """Have other goals replace it from now on, also those that came meanwhile."""
+        self._deferring = False
+        if self._successor:
+            super().cancel(self._successor, replaced=True)
 
     @property
     def title(self) -> str:

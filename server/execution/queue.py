@@ -142,6 +142,8 @@ class GoalQueue:
         message: Mapping[str, Any] = NO_MESSAGE,
         client: object = None,
         epoch: int | None = None,
+        streamed: bool = False,
+        repeated: bool = False,
     ) -> Goal:
         """Queue a goal. A goal that arrived before the arm's last stop is answered PREEMPTED at once.
 
@@ -151,6 +153,7 @@ class GoalQueue:
             on_answer: called once, likewise, perhaps before this returns.
             client: its client, who is named to those who wait for the goal's end; None when it is unknown.
             epoch: stop epoch in which it was requested; None for the epoch of the request in progress.
+            streamed: True for one of many in a row; `repeated` for one after another that was refused.
         """
         name = "" if client is None else str(client)
         epoch = arrival_epoch() if epoch is None else epoch
@@ -158,7 +161,18 @@ class GoalQueue:
         def report(progress: Progress) -> None:
             self._report(goal, progress, on_progress)
 
-        goal = Goal(epoch, next(self._ids), source, motion, report, on_answer, message, name)
+        goal = Goal(
+            epoch,
+            next(self._ids),
+            source,
+            motion,
+            report,
+            on_answer,
+            message,
+            name,
+            streamed=streamed,
+            repeated=repeated,
+        )
         policy = policy or self._policy
         in_the_way = self._moving(motion.joints)
         if epoch < self._executors.last_stop(motion.joints):
@@ -168,7 +182,7 @@ class GoalQueue:
             self._finish(goal, Answer(MoveItErrorCode.FAILURE, text))
         elif policy is GoalPolicy.PREEMPT:
             reason = f"preempted by goal {goal.goal_id} from {source}"
-            self._clear(reason, motion.joints)
+            self._clear(reason, motion.joints, replaced=True)
             for active in in_the_way:
                 active.cancel(reason, replaced=True)
             self._enqueue(goal)
@@ -228,11 +242,12 @@ class GoalQueue:
     def _moving(self, joints: Joints) -> list[Goal]:
         return [goal for goal in self._active if goal.joints & joints]
 
-    def _clear(self, reason: str, joints: Joints | None = None) -> None:
+    def _clear(self, reason: str, joints: Joints | None = None, *, replaced: bool = False) -> None:
         """Answer the waiting goals that move any of some joints; None for all."""
         cleared = [goal for goal in self._waiting if joints is None or goal.joints & joints]
         self._waiting = deque(goal for goal in self._waiting if goal not in cleared)
         for goal in cleared:
+            goal.replaced = replaced
             self._leave(goal, reason)
 
     def _leave(self, goal: Goal, reason: str) -> None:

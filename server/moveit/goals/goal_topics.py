@@ -124,7 +124,7 @@ class GoalStatusTopics:
         status = final_status(goal, answer, self._robot)
         level = logging.INFO if answer.code is MoveItErrorCode.SUCCESS else logging.WARNING
         # A goal without permission is logged where the permission is checked.
-        if goal.only_for is None and not logged:
+        if goal.only_for is None and not logged and not goal.unlogged:
             fields = {"goal": goal.goal_id, "client": goal.client, "code": answer.code.name}
             sentence = "goal %s from %s: %s: %s"
             log.log(level, sentence, goal.goal_id, goal.source, answer.code.name, status["message"], extra=fields)

@@ -21,11 +21,11 @@ from robot.arm_group import AnyArm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
-from server.arrival import arrival_epoch
+from server.arrival import arrival_epoch, is_stopped
 from server.errors import GraphError, RefusedError
-from server.execution.goal import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import ExternalTrajectory, Positions
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.local_graph import LocalGraph
@@ -186,7 +186,7 @@ class JointTrajectoryController:
             tolerances = read_segment_tolerances(goal.request, self._group)
             motion = self._motion(goal.request["trajectory"], streamed=False)
         except RefusedError as error:
-            self._queue.reject(goal.action, error.failure)
+            self._queue.reject(GoalRequest(goal.action), error.failure)
             goal.finish(GoalStatus.ABORTED, result(rejection_code(error), error.failure.message))
             return
         trajectory_goal = TrajectoryGoal(goal, self._group.joints, tolerances, self._robot)
@@ -198,12 +198,14 @@ class JointTrajectoryController:
                 goal.feedback(feedback)
 
         queued = self._queue.submit(
-            goal.action,
-            motion,
-            policy=GoalPolicy.PREEMPT,
-            on_progress=send_feedback,
-            on_answer=lambda answer: trajectory_goal.take_answer(answer, self._arm.state),
-            client=goal.sender,
+            GoalRequest(
+                goal.action,
+                motion,
+                client=goal.sender,
+                policy=GoalPolicy.PREEMPT,
+                on_progress=send_feedback,
+                on_answer=lambda answer: trajectory_goal.take_answer(answer, self._arm.state),
+            )
         )
         number = queued.goal_id
         self._goals[number] = trajectory_goal
@@ -223,8 +225,8 @@ class JointTrajectoryController:
             self._check_not_stopped()
             motion = self._motion(trajectory, streamed=True)
         except RefusedError as error:
-            if self._refused is not publisher:
-                self._queue.reject(self._topic, error.failure)
+            if publisher is not self._refused:
+                self._queue.reject(GoalRequest(self._topic), error.failure)
             self._refused = publisher
             raise GraphError("topic", self._topic, error.failure.message) from error
         self._refused = None
@@ -233,15 +235,16 @@ class JointTrajectoryController:
             if answer.code is not MoveItErrorCode.PREEMPTED:
                 self._failed = None if answer.code is MoveItErrorCode.SUCCESS else publisher
 
-        repeated = self._failed is publisher
         self._queue.submit(
-            self._topic,
-            motion,
-            policy=GoalPolicy.PREEMPT,
-            on_answer=take_answer,
-            client=publisher,
-            streamed=True,
-            repeated=repeated,
+            GoalRequest(
+                self._topic,
+                motion,
+                client=publisher,
+                policy=GoalPolicy.PREEMPT,
+                on_answer=take_answer,
+                streamed=True,
+                repeated=self._failed is publisher,
+            )
         )
 
     def _check_not_stopped(self) -> None:
@@ -250,7 +253,7 @@ class JointTrajectoryController:
         silence_s, self._heard_s = now_s - self._heard_s, now_s
         if silence_s > STREAM_PAUSE_S:
             self._stream_epoch = arrival_epoch()
-        elif self._stream_epoch < self._arm.part(self._group.joints).last_stop:
+        elif is_stopped(self._arm.part(self._group.joints).last_stop, self._stream_epoch):
             text = f"the arm was stopped: publish nothing on {self._topic} for {STREAM_PAUSE_S:g} s to move it again"
             raise refused(MoveItErrorCode.PREEMPTED, text)
 

@@ -8,9 +8,9 @@ import threading
 from types import FrameType
 
 import pytest
-from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect
-
 from tests.helpers.server import RunningServer
+
+from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect
 
 PREEMPTED = -7
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.helpers.server import FAST, RunningServer
 
 from armbridge_client import Arm, connect
+from harness.server import FAST, RunningServer
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ import threading
 from types import FrameType
 
 import pytest
-from tests.helpers.server import RunningServer
 
 from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect
+from harness.server import RunningServer
 
 PREEMPTED = -7
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from tests.helpers.server import ROOT
+from harness.server import ROOT
 
 CLIENT = ROOT / "clients" / "python"
 

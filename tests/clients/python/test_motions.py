@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
-from tests.helpers.server import RunningServer
 
 from armbridge_client import Arm, GoalRefused, RequestRefused, connect_async, pose
+from harness.server import RunningServer
 
 
 def test_the_tip_moves_to_a_position(arm: Arm) -> None:

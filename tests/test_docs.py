@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 import yaml
 
+from harness.page import page_digest
+from harness.server import ROOT
 from protocol.registry import Registry
 from robot.description.limits import END_STOP_MARGIN_RAD
 from robot.description.robot_folder import built_in_names
 from robot.faults import REMEDIES, FaultCode
 from server import cli
 from server.config_loader import load
-from tests.helpers.page import page_digest
-from tests.helpers.server import ROOT
 from tests.helpers.source import ROOMS, paths, sentences
 from tests.test_readme import blocks
 
@@ -33,6 +33,7 @@ TOP = ("README.md", "CONTRIBUTING.md", "SECURITY.md")
 
 # Beginnings of commands of other programs, which are not run.
 FOREIGN = (
+    "curl --json ",
     "pipx install ",
     "python3 -m http.server ",
     "python3 -m venv ",

@@ -10,7 +10,7 @@ from graphlib import TopologicalSorter
 
 import pytest
 
-from tests.helpers.server import ROOT
+from harness.server import ROOT
 from tests.helpers.source import ROOMS, imports, name_of, paths
 
 # What each room may import of ours; a name with a dot is one module of a room. docs/architecture.md shows it.

@@ -158,16 +158,16 @@ class Authorizer:
             case SendActionGoal():
                 name = qualify(operation.action)
                 rule = rule_of_action(name, self._graph)
-                return self._name_refusal(rule, "action", name) or self._drive(rule, name, operation.args)
+                return self.name_refusal(rule, "action", name) or self._drive(rule, name, operation.args)
             case Subscribe():
-                return self._name_refusal(LOOKING, "topic", qualify(operation.topic))
+                return self.name_refusal(LOOKING, "topic", qualify(operation.topic))
             case Advertise():
                 name = qualify(operation.topic)
-                return self._name_refusal(self._rule_of_publishing(name), "topic", name)
+                return self.name_refusal(self._rule_of_publishing(name), "topic", name)
             case AdvertiseService():
-                return self._name_refusal(WORKING, "service", qualify(operation.service))
+                return self.name_refusal(WORKING, "service", qualify(operation.service))
             case AdvertiseAction():
-                return self._name_refusal(WORKING, "action", qualify(operation.action))
+                return self.name_refusal(WORKING, "action", qualify(operation.action))
             case _:
                 return None
 
@@ -188,7 +188,7 @@ class Authorizer:
         """Check a message on a topic, as :meth:`refusal`."""
         name = qualify(topic)
         rule = self._rule_of_publishing(name)
-        refusal = self._name_refusal(rule, "topic", name)
+        refusal = self.name_refusal(rule, "topic", name)
         if refusal is None and name.endswith(ACTIONLIB_GOAL) and rule.goal:
             # The other way to an action must not be the one past its filter.
             refusal = self._access.services.refusal("action", name.removesuffix(ACTIONLIB_GOAL))
@@ -204,7 +204,7 @@ class Authorizer:
         if name.endswith(CANCEL_SERVICE) and self._graph.actions.provider(name.removesuffix(CANCEL_SERVICE)) is None:
             # It belongs to no action, so it stops nothing.
             rule = WORKING
-        return self._name_refusal(rule, "service", name) or self._drive(rule, name, arguments)
+        return self.name_refusal(rule, "service", name) or self._drive(rule, name, arguments)
 
     def _rule_of_publishing(self, name: str) -> Rule:
         """Return the rule of a topic; a topic that would stop nothing has the rule of any other topic.
@@ -221,7 +221,8 @@ class Authorizer:
             stops = any(not node.remote for node in self._graph.subscribers(name))
         return rule if stops else WORKING
 
-    def _name_refusal(self, rule: Rule, kind: Literal["topic", "service", "action"], name: str) -> str | None:
+    def name_refusal(self, rule: Rule, kind: Literal["topic", "service", "action"], name: str) -> str | None:
+        """Return the reason why the client's role, or a setting, never allows a name; None when both allow it."""
         identity = self._node.identity
         if identity is None or identity.role < rule.role:
             has = "none" if identity is None else identity.role.name.lower()

@@ -147,10 +147,9 @@ class GoalExecutor:
         self._show = context.show
         self._confirm = context.confirm
         self._current = context.current
-        self._time_limits = context.time_limits
         self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
-        self._player = Player(arm, self._robot, self._scene_monitor, self._time_limits, in_progress, self._clock)
+        self._player = Player(arm, self._robot, self._scene_monitor, in_progress, self._clock)
         self._goal: Goal | None = None
         self._ahead = PlannedAhead(context.pool)
         # Where the joints of the active goal will be at its end [rad]; None before its motion is known.
@@ -163,10 +162,10 @@ class GoalExecutor:
         self._goal = goal
         goal.cancelled.add_done_callback(lambda _reason: self._ahead.cancel())
         try:
-            if isinstance(goal.motion, PlannedMotion):
-                answer = await self._plan_and_play(goal, goal.motion)
-            elif goal.motion is not None:
-                answer = await _answered(self._play_external(goal, goal.motion))
+            if isinstance(goal.request.motion, PlannedMotion):
+                answer = await self._plan_and_play(goal, goal.request.motion)
+            elif goal.request.motion is not None:
+                answer = await _answered(self._play_external(goal, goal.request.motion))
             else:
                 raise AssertionError("a rejected goal was queued")
             if answer.code is not MoveItErrorCode.SUCCESS:
@@ -182,13 +181,13 @@ class GoalExecutor:
         if self._goal is None or self._goal.reason or self._end_rad is None or held_rad is None:
             return
         # Beside motions of other joints it is not known where those are when the goal's turn comes.
-        if following.motion is not None and not self._in_progress.beside(following.joints):
-            self._ahead.begin(following.motion, held_rad, self._end_rad, self._scene.scene, left_s)
+        if following.request.motion is not None and not self._in_progress.beside(following.request.joints):
+            self._ahead.begin(following.request.motion, held_rad, self._end_rad, self._scene.scene, left_s)
 
     def forget(self, goal: Goal) -> None:
         """Drop the plan that was made in advance for a goal whose turn will not come."""
-        if goal.motion is not None:
-            self._ahead.forget(goal.motion)
+        if goal.request.motion is not None:
+            self._ahead.forget(goal.request.motion)
 
     # Attempts: from a motion to an answer.
 
@@ -223,7 +222,7 @@ class GoalExecutor:
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
         ask = functools.partial(self._pool.ask, moving, scene)
         plan = await goal.unless_cancelled(_in_time(ask, outgoing.until_s - self._clock()))
-        if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > self._time_limits.trajectory_s:
+        if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > goal.deadline.limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
         planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)
@@ -253,7 +252,7 @@ class GoalExecutor:
         planned = await self._plan(goal, request)
         if planned.failure is not None:
             return Answer.of(planned.failure, planned.performed)
-        self._time_limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
+        goal.deadline.limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
         self._show_soon(planned)
         discarded = await self._confirmed(goal, planned) if request.confirm else None
         return discarded or await self._play(goal, planned, version)
@@ -262,7 +261,7 @@ class GoalExecutor:
         await self._until_ready(goal)
         held_rad = self._held_rad()
         motion = request.trajectory(held_rad)
-        self._time_limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
+        goal.deadline.limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         planned = PlannedSequence(Performed(held_rad, (motion,)))
         self._show_soon(planned)
         return await self._play(goal, planned, UNCHECKED)
@@ -273,7 +272,7 @@ class GoalExecutor:
         """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal."""
         await self._player.stop_outgoing()
         # Motions of preempted goals of other groups with some of the same joints.
-        preempted = [motion.ended for motion in self._in_progress.of(goal.joints)]
+        preempted = [motion.ended for motion in self._in_progress.of(goal.request.joints)]
         for ended in preempted:
             self._arm.stop(ended)
         await self._arm.wait(preempted, BRAKING_TIMEOUT_S)
@@ -448,6 +447,7 @@ class GoalExecutors:
         self._arm = arm
         self._context = context
         self._kind = kind
+        self.time_limits = context.time_limits
         self.in_progress = MotionsInProgress()
         self._executors: dict[Joints, GoalExecutor] = {}
 

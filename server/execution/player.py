@@ -23,7 +23,7 @@ from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
 from server.execution.motions import HORIZON_S, SENDING_S, STATE_AGE_S, Positions, SplicePoint, splice_point_of
 from server.execution.motions_in_progress import MotionsInProgress
-from server.execution.time_limits import ArmClock, ExecutionDeadline, TimeLimits
+from server.execution.time_limits import ArmClock
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.
 BRAKING_TIMEOUT_S = 2.0
@@ -85,14 +85,12 @@ class Player:
         arm: AnyArm,
         robot: RobotModel,
         scene_monitor: SceneMonitor,
-        time_limits: TimeLimits,
         in_progress: MotionsInProgress,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
         self._robot = robot
         self._scene_monitor = scene_monitor
-        self._time_limits = time_limits
         self._in_progress = in_progress
         self._clock = clock
         self._motion: asyncio.Future[MotionEnded] | None = None
@@ -167,10 +165,10 @@ class Player:
     async def _until_ended(
         self, goal: Goal, ended: asyncio.Future[MotionEnded], motion: CheckedMotion, to_come_s: float
     ) -> Answer:
-        deadline = ExecutionDeadline(motion.trajectory.duration_s, self._time_limits)
+        goal.deadline.begin(motion.trajectory.duration_s)
         arm_clock = ArmClock(self._arm, self._clock)
         awaited: tuple[asyncio.Future[Any], ...] = (ended, goal.cancelled)
-        while not ended.done() and deadline.exceeded is None:
+        while not ended.done() and goal.deadline.exceeded is None:
             await asyncio.wait(awaited, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
             if goal.reason and not ended.done():
                 if goal.replaced and self._end is None:
@@ -181,16 +179,16 @@ class Player:
             progress, pace = self._arm.progress(ended), self._arm.state.pace
             # A motion that the speed limit slows down uses its time up as slowly.
             pace = pace if progress is None else replace(pace, speed_factor=min(pace.speed_factor, progress.rate))
-            deadline.pass_time(arm_clock.elapsed_s(), pace)
+            goal.deadline.pass_time(arm_clock.elapsed_s(), pace)
             if not ended.done() and progress is not None:
                 left_s = progress.remaining_s + to_come_s
                 goal.report(Progress(GoalState.EXECUTING, motion.summary, progress.fraction, left_s))
         if not ended.done():
             lag = _greatest_lag(self._arm.state, motion.trajectory.joint_names, self._robot)
-            self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{deadline.exceeded}; {lag}"))
+            self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{goal.deadline.exceeded}; {lag}"))
             await self._arm.wait((ended,), BRAKING_TIMEOUT_S)
         if not ended.done():
-            return Answer(CODE_OF_OUTCOME[Outcome.PROCESS_LOST], f"{deadline.exceeded}, and does not brake either")
+            return Answer(CODE_OF_OUTCOME[Outcome.PROCESS_LOST], f"{goal.deadline.exceeded}, and does not brake either")
         return self._answer(ended.result())
 
     def _hand_over(self, goal: Goal, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:

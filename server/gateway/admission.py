@@ -181,7 +181,7 @@ class ConnectionLimiter:
 
 
 # Paths that need the right to view. The page itself does not: it is the same everywhere, and asks for a token itself.
-GUARDED = ("metrics", "robot")
+GUARDED = ("armbridge", "goal", "metrics", "robot")
 
 # Any page may read the robot's files, as Foxglove's does: a description and its meshes. Where there are tokens, it has
 # to know one.

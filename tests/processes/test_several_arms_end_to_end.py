@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.clients import ArmClient, arm_client, values_of
+from harness.clients import ArmClient, arm_client, values_of
+from harness.server import EmulatorControl, RunningServer
 from tests.helpers.robots import so101
-from tests.helpers.server import EmulatorControl, RunningServer
 
 RESULT, ERROR_CODES = "/moveit_goal_result", "moveit_msgs/MoveItErrorCodes"
 JOINTS = tuple(joint.name for joint in so101().movable_joints)

@@ -22,9 +22,9 @@ from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Vector
 from server.errors import GraphError, RefusedError
-from server.execution.goal import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Positions
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.local_graph import LocalGraph
@@ -172,7 +172,7 @@ class JointTrajectoryController:
             tolerances = read_segment_tolerances(goal.request, self._group)
             self._check(goal.request["trajectory"])
         except RefusedError as error:
-            self._queue.reject(goal.action, error.failure)
+            self._queue.reject(GoalRequest(goal.action), error.failure)
             goal.finish(GoalStatus.ABORTED, result(rejection_code(error), error.failure.message))
             return
         trajectory_goal = TrajectoryGoal(goal, self._group.joints, tolerances, self._robot)
@@ -184,12 +184,14 @@ class JointTrajectoryController:
                 goal.feedback(feedback)
 
         queued = self._queue.submit(
-            goal.action,
-            external_motion(goal.request["trajectory"], self._robot),
-            policy=GoalPolicy.PREEMPT,
-            on_progress=send_feedback,
-            on_answer=lambda answer: trajectory_goal.take_answer(answer, self._arm.state),
-            client=goal.sender,
+            GoalRequest(
+                goal.action,
+                external_motion(goal.request["trajectory"], self._robot),
+                client=goal.sender,
+                policy=GoalPolicy.PREEMPT,
+                on_progress=send_feedback,
+                on_answer=lambda answer: trajectory_goal.take_answer(answer, self._arm.state),
+            )
         )
         number = queued.goal_id
         self._goals[number] = trajectory_goal
@@ -209,12 +211,13 @@ class JointTrajectoryController:
             self._check(trajectory)
         except RefusedError as error:
             if published.publisher is not self._refused:
-                self._queue.reject(self._topic, error.failure)
+                self._queue.reject(GoalRequest(self._topic), error.failure)
             self._refused = published.publisher
             raise GraphError("topic", self._topic, error.failure.message) from error
         self._refused = None
         motion = external_motion(trajectory, self._robot)
-        self._queue.submit(self._topic, motion, policy=GoalPolicy.PREEMPT, client=published.publisher)
+        request = GoalRequest(self._topic, motion, client=published.publisher, policy=GoalPolicy.PREEMPT)
+        self._queue.submit(request)
 
     def _check(self, trajectory: Message) -> None:
         check_duration(trajectory, self._context.time_limits)

@@ -6,15 +6,15 @@ from typing import Any
 
 import pytest
 
+from harness.clients import ArmClient, arm_client, values_of
+from harness.server import ServerOnBus
 from server.access.control_lease import RESERVED_S, ControlLease, ControlServices
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
-from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.gateway import InProcess
-from tests.helpers.server import ServerOnBus
 
 GOAL = RunningGoal("goal 5 of a from /execute_trajectory", 33.2)
 

@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
 
+from harness.clients import arm_client
+from harness.server import ROOT, ServerOnBus, free_port
+from harness.waiting import until
 from server.datasets import camera_client
 from server.datasets.camera import NewestImage, TestPattern
 from server.datasets.camera_client import CameraClient, CameraOptions
-from tests.helpers.clients import arm_client
-from tests.helpers.server import ROOT, ServerOnBus, free_port
-from tests.helpers.waiting import until
 from tests.server.datasets.test_camera import Scripted, opened
 
 TOPIC = "/camera/image/compressed"

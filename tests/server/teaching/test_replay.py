@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.waiting import until
 from planners.goals import JointGoal
 from planners.problem import JointPathProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
 from server.execution.goal import Answer, GoalState, Progress
@@ -20,7 +21,6 @@ from server.teaching.replay import MAX_REPEAT, NAME, Replay, ReplayAction, group
 from server.teaching.taught_motion import TaughtMotion
 from tests.helpers.fake_arm import HOME, JOINTS
 from tests.helpers.moveit import FRAMES, ROBOT, SEVEN, ActionDesk, rejection
-from tests.helpers.waiting import until
 
 POINTS = np.linspace(0.1, 0.5, 11)[:, np.newaxis] * np.ones(len(JOINTS))
 WAVE = TaughtMotion(JOINTS, np.arange(11) * 0.3, POINTS)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from harness.waiting import until
 from planners.problem import MoveItErrorCode, PlanningProblem
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import PlannedMotion
@@ -19,7 +20,6 @@ from server.moveit.goals.goal_topics import Confirmation
 from tests.helpers.fake_arm import HOME, settle
 from tests.helpers.goal_runner import THERE
 from tests.helpers.moveit import ActionDesk, translator
-from tests.helpers.waiting import until
 
 OUT_OF_REACH = {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 2.0}}}
 POINT = {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 0.25, "y": 0.05, "z": 0.15}}}

@@ -1,20 +1,15 @@
-"""Clients of a running server: rosbridge clients with and without an event loop, and programs of other people."""
+"""Rosbridge clients of a running server, with and without an event loop."""
 
 from __future__ import annotations
 
 import asyncio
 import itertools
 import json
-import os
-import shutil
-import subprocess
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import Any
 
-import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.sync import client as blocking
 
@@ -238,35 +233,3 @@ def tip(url: str, link: str = "gripper_frame_link") -> tuple[float, float, float
     answer = call(url, "/compute_fk", {"fk_link_names": [link]})
     position = answer["pose_stamped"][0]["pose"]["position"]
     return float(position["x"]), float(position["y"]), float(position["z"])
-
-
-def install_with_npm(folder: Path) -> None:
-    """Install what the package.json of a folder names; skips the test where that cannot be had."""
-    if shutil.which("npm") is None or shutil.which("node") is None:
-        pytest.skip("node and npm are not installed")
-    command = ["npm", "install", "--no-audit", "--no-fund"]
-    installed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
-    if installed.returncode != 0:
-        pytest.skip(f"npm cannot be reached: {installed.stderr.strip().splitlines()[-1]}")
-
-
-def heard_by(python: str | Path, scenario: Path, *arguments: str, timeout_s: float = 120.0) -> dict[str, Any]:
-    """Return the messages that a scenario heard, step by step.
-
-    Args:
-        python: the interpreter with the client in it; this checkout is not on its path.
-        scenario: the program.
-        arguments: its arguments.
-        timeout_s: how long it may take [s].
-    """
-    done = subprocess.run(
-        [str(python), str(scenario), *arguments],
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-        check=False,
-        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
-    )
-    assert done.returncode == 0, done.stderr + done.stdout
-    heard: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return heard

@@ -16,8 +16,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from tests.helpers.clients import call, goal
-from tests.helpers.server import ROOT
+from harness.clients import call, goal
+from harness.server import ROOT
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page

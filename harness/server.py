@@ -19,9 +19,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tests.helpers.waiting import wait_until
+from harness.waiting import wait_until
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
+# Reference data beside the checkout; the meshes of the published SO-101 are part of it.
+REFERENCE = ROOT.parent / "shared" / "data"
 
 # The arm, or each of several, moves as fast as its limits allow; the settings of one arm are none of several.
 FAST_ARMS = {"ARMBRIDGE_MOVEIT__MAX_VELOCITY_SCALING": "1", "ARMBRIDGE_MOVEIT__MAX_ACCELERATION_SCALING": "1"}
@@ -75,7 +77,8 @@ class RunningServer:
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        assert self._ready.wait(START_TIMEOUT_S), "the server did not start:\n" + "\n".join(self.lines)
+        self._ready.wait(START_TIMEOUT_S)
+        assert self.port, "the server did not start:\n" + "\n".join(self.lines)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -117,6 +120,8 @@ class RunningServer:
             if found:
                 self.port = int(found[1])
                 self._ready.set()
+        # A server that has ended before it was ready is waited for no longer.
+        self._ready.set()
 
 
 def free_port() -> int:

@@ -1,4 +1,4 @@
-"""Fixtures of the arm's tests: emulated servos in the test's own time or as a process, and a peer that is scripted."""
+"""Fixtures: emulated servos in the test's own time or as a process, and a scripted peer."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from harness.emulator import RunningEmulator
 from robot.hardware.feetech.bus import Bus
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.scripted_servos import Script
-from tests.helpers.terminal_servos import RunningEmulator, ScriptedPeer
+from tests.helpers.terminal_servos import ScriptedPeer
 
 
 @pytest.fixture

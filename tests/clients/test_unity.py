@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import struct
@@ -17,8 +18,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from tests.helpers.server import ROOT, RunningServer
+from harness.server import ROOT, RunningServer
 from tests.test_docs import rotation
+from tests.test_readme import blocks
 
 PACKAGE = ROOT / "clients" / "unity"
 AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -177,6 +179,13 @@ def test_coordinates_are_the_mirrored_axes(numbers: Callable[..., list[str]]) ->
         turned = np.asarray(rotation(list(quaternion)))
         assert np.asarray(rotation(list(ros_q))) == pytest.approx(AXES @ turned @ AXES.T, abs=1e-9)
         assert np.asarray(rotation(list(unity_q))) == pytest.approx(AXES.T @ turned @ AXES, abs=1e-9)
+
+
+def test_a_connection_begins_with_messages_of_the_page_on_unreal(numbers: Callable[..., list[str]]) -> None:
+    page = [json.loads(line) for block in blocks(ROOT / "docs" / "unreal.md", "json") for line in block.splitlines()]
+    frames = [json.loads(line.removeprefix("send ")) for line in numbers("setup")]
+    assert len(frames) > 5
+    assert [frame for frame in frames if frame not in page] == []
 
 
 def test_delays_between_connections_double_up_to_ten_seconds(numbers: Callable[..., list[str]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -10,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
+from harness.server import ROOT, RunningServer
 from tests.clients.test_unity import floats, stl
-from tests.helpers.server import ROOT, RunningServer
 from tests.test_docs import rotation
+from tests.test_readme import blocks
 
 PLUGIN = ROOT / "clients" / "unreal" / "Armbridge"
 MODULE = PLUGIN / "Source" / "Armbridge"
@@ -49,8 +51,8 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Game:
     """The driver as a process, with its frames taken to a server and back."""
 
-    def __init__(self, driver: Path, port: int) -> None:
-        self.socket = connect(f"ws://127.0.0.1:{port}")
+    def __init__(self, driver: Path, socket: ClientConnection) -> None:
+        self.socket = socket
         self.process = subprocess.Popen(
             [str(driver)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
@@ -76,16 +78,13 @@ class Game:
                 if event.startswith(beginning):
                     return event.removeprefix(beginning).strip()
 
-    def end(self) -> None:
-        self.socket.close()
-        self.process.communicate(timeout=ANSWER_TIMEOUT_S)
-
 
 @pytest.fixture
 def arm(driver: Path, server: RunningServer) -> Iterator[Game]:
-    game = Game(driver, server.port)
-    yield game
-    game.end()
+    with connect(f"ws://127.0.0.1:{server.port}") as socket:
+        game = Game(driver, socket)
+        yield game
+        game.process.communicate(timeout=ANSWER_TIMEOUT_S)
 
 
 def test_the_arm_is_moved_by_name_by_joint_by_tip_and_stopped(arm: Game) -> None:
@@ -152,6 +151,13 @@ def test_a_goal_that_is_no_number_is_not_made(answers: Callable[..., list[str]])
         "error the pose of the tip holds what is no number",
         "error the gripper's position or effort is no number",
     ]
+
+
+def test_a_connection_begins_with_messages_of_the_page(answers: Callable[..., list[str]]) -> None:
+    page = [json.loads(line) for block in blocks(ROOT / "docs" / "unreal.md", "json") for line in block.splitlines()]
+    frames = [json.loads(line.removeprefix("send ")) for line in answers("setup")]
+    assert len(frames) > 5
+    assert [frame for frame in frames if frame not in page] == []
 
 
 def test_a_token_is_the_first_frame(answers: Callable[..., list[str]]) -> None:

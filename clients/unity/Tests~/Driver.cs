@@ -86,6 +86,12 @@ public static class Driver
                 case "rotation": Print(Coordinates.RosFromUnity(new Rotation(n[0], n[1], n[2], n[3]))); break;
                 case "rotation_back": Print(Coordinates.UnityFromRos(new Rotation(n[0], n[1], n[2], n[3]))); break;
                 case "rpy": Print(Rotation.FromRollPitchYaw(n[0], n[1], n[2])); break;
+                case "setup":
+                    foreach (string frame in Frames.Setup())
+                    {
+                        Print("send", frame);
+                    }
+                    break;
                 case "delays":
                     TimeSpan delay = Connection.FirstDelay;
                     for (int i = 0; i < 7; ++i, delay = Connection.NextDelay(delay))

@@ -183,7 +183,7 @@ class GoalStatusTopics:
         status = final_status(goal, answer, self._robot)
         level = logging.INFO if answer.code is MoveItErrorCode.SUCCESS else logging.WARNING
         # A goal without permission is logged where the permission is checked.
-        if goal.request.only_for is None and not logged:
+        if goal.request.only_for is None and not logged and not goal.unlogged:
             fields = {
                 "goal": goal.goal_id,
                 "client": str(goal.request.client),

@@ -133,20 +133,17 @@ class Confirmation:
             self._decision.set_result(True)
 
     def _publish_request(self, goal: Goal | None, summary: str, duration_s: float) -> None:
-        waits = goal is not None and _is_proposed(goal)
-        values = (
-            {}
-            if goal is None
-            else {"client": str(goal.request.client), "proposed": str(waits).lower(), "summary": summary}
-        )
-        numbers = {} if goal is None else {"duration_s": f"{duration_s:.2f}", "timeout_s": f"{self._timeout_s:g}"}
-        status = {
-            "level": LEVEL_OK,
-            "name": "" if goal is None else goal.request.source,
-            "message": "no goal waits" if goal is None else f"{goal.title} waits: {summary}",
-            "hardware_id": "" if goal is None else goal.goal_id,
-            "values": key_values({**values, **numbers}),
-        }
+        status: dict[str, Any] = {"level": LEVEL_OK, "message": "no goal waits"}
+        if goal is not None:
+            values = {
+                "client": str(goal.request.client),
+                "proposed": str(_is_proposed(goal)).lower(),
+                "summary": summary,
+                "duration_s": f"{duration_s:.2f}",
+                "timeout_s": f"{self._timeout_s:g}",
+            }
+            status |= {"message": f"{goal.title} waits: {summary}", "values": key_values(values)}
+            status |= {"name": goal.request.source, "hardware_id": goal.goal_id}
         self._graph.publish(self._node, APPROVAL_TOPIC, status)
 
     def _set_mode(self, request: dict[str, Any]) -> dict[str, Any]:

@@ -207,7 +207,7 @@ async def test_tls_sends_nothing_to_a_server_whose_certificate_is_unknown(tmp_pa
     scripted = ScriptedServer(lambda _operation: identity("0.2.0"))
     async with serve(scripted.handle, "127.0.0.1", 0, ssl=context) as server:
         url = f"wss://127.0.0.1:{next(iter(server.sockets)).getsockname()[1]}"
-        with pytest.raises(ConnectError, match="TLS: .*pass tls= for a certificate of your own"):
+        with pytest.raises(ConnectError, match=r"TLS: .*pass tls= for a certificate of your own"):
             await connect_async(url, token="o" * 24)
         assert scripted.clients == []
         async with await connect_async(url, tls=ssl.create_default_context(cafile=files.authority)) as arm:

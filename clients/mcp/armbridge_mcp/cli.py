@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from armbridge_mcp.limits import Region
-from armbridge_mcp.tools import Options, make_server
+from armbridge_mcp.session import Options
+from armbridge_mcp.tools import make_server
 
 TOKEN_VARIABLE = "ARMBRIDGE_TOKEN"  # noqa: S105 - a name
 

@@ -35,7 +35,7 @@ class Region:
         values = tuple(float(each) for each in text.split(","))
         if len(values) != 6 or not all(low < high for low, high in zip(values[:3], values[3:])):
             raise ValueError(f"a region has six numbers, least x,y,z and greatest x,y,z, not {text!r}")
-        return cls(values[:3], values[3:])  # type: ignore[arg-type]
+        return cls(values[:3], values[3:])
 
     def check(self, point: Sequence[float], subject: str) -> None:
         """Check a position of the tip [m].

@@ -107,7 +107,7 @@ class TaughtMotion:
     def slowed(self, speed: float, replay: Trajectory, robot: RobotModel) -> str:
         """Describe where a replay, timed by planners, is slower than asked for; empty where it is not.
 
-        It names the second of the motion that takes longest, and the joint that uses most of its limits there.
+        It names the second of the motion that takes longest, and the joint that would need most of its limits there.
         """
         lost_s = replay.duration_s - self.duration_s / speed
         if lost_s < max(LEAST_LOST_S, LEAST_LOST * self.duration_s):
@@ -119,19 +119,19 @@ class TaughtMotion:
         window = max(1, round(BLEND_S / GRID_S))
         took_s = reached_s[window:] - reached_s[:-window] if len(grid_s) > window else reached_s[-1:] - reached_s[:1]
         slowest = int(np.argmax(took_s))
-        between = (replay.time_s >= reached_s[slowest]) & (replay.time_s <= reached_s[slowest] + took_s[slowest])
-        joints = [robot.joints[name] for name in replay.joint_names]
-        peaks = []
-        for values, limits in (
-            (replay.velocities_rad_s, [joint.max_velocity for joint in joints]),
-            (replay.accelerations_rad_s2, [joint.max_acceleration for joint in joints]),
-        ):
-            peaks.append((np.abs(values[between]) / np.array(limits)).max(axis=0, initial=0.0))
-        limit, joint = np.unravel_index(int(np.argmax(peaks)), (2, len(joints)))
-        name, what = replay.joint_names[joint], ("velocity", "acceleration")[limit]
+        path, at_s = NaturalSpline(self.time_s, self.positions_rad), grid_s[slowest : slowest + window + 1]
+        joints = [robot.joints[name] for name in self.joint_names]
+        # Velocity and acceleration at the speed that was asked for, as shares of the limits.
+        demands = (
+            speed * path(at_s, 1) / np.array([joint.max_velocity for joint in joints]),
+            speed**2 * path(at_s, 2) / np.array([joint.max_acceleration for joint in joints]),
+        )
+        peaks = np.abs(demands).max(axis=1)
+        kind, column = np.unravel_index(int(np.argmax(peaks)), peaks.shape)
         return (
-            f"{lost_s:.2f} s longer than asked for, most of all at {grid_s[slowest] + BLEND_S / 2.0:.2f} s of the motion, where joint "
-            f"{name} reaches its {what} limit"
+            f"{lost_s:.2f} s longer than asked for, most of all at {at_s.mean():.2f} s of the motion, where joint "
+            f"{self.joint_names[column]} would need {peaks[kind, column]:.1f} times its "
+            f"{('velocity', 'acceleration')[kind]} limit"
         )
 
     def problem(self, before_rad: Positions, speed: float, allowed_time_s: float) -> JointPathProblem:

@@ -137,7 +137,6 @@ async def test_a_replay_that_is_slower_says_where_in_its_result_and_in_the_log(
     await desk.send(NAME, name="wave")
     await until(lambda: desk.asked)
     slow = Trajectory(JOINTS, 2.0 * WAVE.time_s, POINTS, np.zeros_like(POINTS), np.zeros_like(POINTS))
-    slow.velocities_rad_s[5:, 1] = 1.0
     desk.finish(Answer(MoveItErrorCode.SUCCESS, "there", performed=Performed({}, (slow,))))
     await until(lambda: desk.results)
     words = "took 3.00 s longer than asked for, most of all at"

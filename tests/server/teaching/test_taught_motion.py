@@ -101,7 +101,7 @@ def test_a_replay_that_is_slower_names_the_time_and_the_joint(joint: int, at_s: 
     positions[time_s > at_s, joint] += 0.25
     made, _ = of_recording(NAMES, time_s, positions, ROBOT)
     found = re.fullmatch(
-        r"(.*) s longer than asked for, most of all at (.*) s of the motion, where joint (.*) reaches its .* limit",
+        r"(.*) s longer than asked for, most of all at (.*) s of the motion, where joint (.*) would need .* limit",
         made.slowed(1.0, replay(made), ROBOT),
     )
     assert found is not None

@@ -119,18 +119,18 @@ class TaughtMotion:
         window = max(1, round(BLEND_S / GRID_S))
         took_s = reached_s[window:] - reached_s[:-window] if len(grid_s) > window else reached_s[-1:] - reached_s[:1]
         slowest = int(np.argmax(took_s))
-        path, at_s = NaturalSpline(self.time_s, self.positions_rad), grid_s[slowest : slowest + window + 1]
+        # The replay brakes ahead of the place that the limits slow.
+        path, at_s = NaturalSpline(self.time_s, self.positions_rad), grid_s[max(slowest - window, 0) :][: 3 * window]
         joints = [robot.joints[name] for name in self.joint_names]
         # Velocity and acceleration at the speed that was asked for, as shares of the limits.
         demands = (
             speed * path(at_s, 1) / np.array([joint.max_velocity for joint in joints]),
             speed**2 * path(at_s, 2) / np.array([joint.max_acceleration for joint in joints]),
         )
-        peaks = np.abs(demands).max(axis=1)
-        kind, column = np.unravel_index(int(np.argmax(peaks)), peaks.shape)
+        kind, when, column = np.unravel_index(int(np.argmax(np.abs(demands))), np.shape(demands))
         return (
-            f"{lost_s:.2f} s longer than asked for, most of all at {at_s.mean():.2f} s of the motion, where joint "
-            f"{self.joint_names[column]} would need {peaks[kind, column]:.1f} times its "
+            f"{lost_s:.2f} s longer than asked for, most of all at {at_s[when]:.2f} s of the motion, where joint "
+            f"{self.joint_names[column]} would need {abs(demands[kind][when, column]):.1f} times its "
             f"{('velocity', 'acceleration')[kind]} limit"
         )
 

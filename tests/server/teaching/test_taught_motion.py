@@ -106,7 +106,7 @@ def test_a_replay_that_is_slower_names_the_time_and_the_joint(joint: int, at_s: 
     )
     assert found is not None
     assert float(found[1]) == pytest.approx(replay(made).duration_s - made.duration_s, abs=0.01)
-    assert float(found[2]) == pytest.approx(at_s - cut_s, abs=0.25)
+    assert float(found[2]) == pytest.approx(at_s - cut_s, abs=0.1)
     assert found[3] == NAMES[joint]
 
 

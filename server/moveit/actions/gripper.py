@@ -179,7 +179,7 @@ class Gripper:
             if claim.reason or is_stopped(self._arm.last_stop, claim.epoch):
                 return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
             check_ready(self._arm)
-            stream = self._arm.stream(self._names, claim.epoch, gripping=True)
+            stream = self._arm.stream(self._names, epoch=claim.epoch, gripping=True)
             awaited: tuple[asyncio.Future[Any], ...] = (stream.ended, claim.cancelled)
             try:
                 while not stream.ended.done() and not claim.reason:

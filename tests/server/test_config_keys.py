@@ -30,7 +30,7 @@ def test_a_setting_has_meaning_unit_range_and_default() -> None:
 def test_the_range_of_a_choice_is_its_values() -> None:
     assert SETTINGS["goals.policy"].range == "queue, reject, preempt"
     assert SETTINGS["goals.on_disconnect"].range == "finish, stop"
-    assert SETTINGS["goals.confirm"].range == "true, false"
+    assert SETTINGS["goals.confirm"].range == ""
 
 
 def test_defaults_do_not_depend_on_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,12 +24,14 @@ from armbridge_client.errors import (
     ServerUnreachable,
     WrongVersion,
 )
+from armbridge_client.interface import ArmInfo
 from armbridge_client.motion import AsyncPlan, Motion
 from armbridge_client.targets import State, Target, pose
 
 __all__ = [
     "Arm",
     "ArmError",
+    "ArmInfo",
     "AsyncArm",
     "AsyncGripper",
     "AsyncPlan",

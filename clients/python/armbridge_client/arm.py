@@ -16,6 +16,7 @@ from armbridge_client.async_steering import COMMAND_TIMEOUT_S, AsyncJog, AsyncTe
 from armbridge_client.blocking import Face, LoopThread, blocking, iterate, iterating
 from armbridge_client.connection import CALL_TIMEOUT_S, ServerInfo
 from armbridge_client.errors import ConnectionLost
+from armbridge_client.interface import ArmInfo
 from armbridge_client.messages import PoseStamped, RobotTrajectory
 from armbridge_client.motion import AsyncPlan
 from armbridge_client.targets import Target
@@ -46,6 +47,7 @@ def connect(
         ServerUnreachable: nothing listens at the address.
         NotArmbridge: the server is another program.
         WrongVersion: the server's message types differ from the client's.
+        ArmError: the server has no arm of this name.
         NotAuthenticated: the token is missing or wrong.
         DeadlineExceeded: the server does not answer in time.
     """
@@ -207,6 +209,16 @@ class Arm(Face[AsyncArm]):
         self.loop.end()
 
     @property
+    def name(self) -> str:
+        """Name of the arm, on a server with several."""
+        return self.asynchronous.name
+
+    @property
+    def info(self) -> ArmInfo:
+        """Groups, frame and links of the arm."""
+        return self.asynchronous.info
+
+    @property
     def server(self) -> ServerInfo:
         """This client as the server knows it, and the server's version."""
         return self.asynchronous.server
@@ -271,7 +283,6 @@ class Arm(Face[AsyncArm]):
     state = blocking(AsyncArm.state)
     link_poses = blocking(AsyncArm.link_poses)
     tip = blocking(AsyncArm.tip)
-    tip_link = blocking(AsyncArm.tip_link)
     stop = blocking(AsyncArm.stop)
     emergency_stop = blocking(AsyncArm.emergency_stop)
     enable = blocking(AsyncArm.enable)

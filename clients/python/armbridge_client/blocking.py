@@ -44,9 +44,19 @@ class LoopThread:
 
     def run(self, coroutine: Coroutine[Any, Any, T]) -> T:
         """Run a coroutine to its end; an exception here, such as KeyboardInterrupt, cancels it."""
+        ended = threading.Event()
+
+        async def tracked() -> T:
+            try:
+                return await coroutine
+            finally:
+                ended.set()
+
+        running = tracked()
         try:
-            future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+            future = asyncio.run_coroutine_threadsafe(running, self._loop)
         except RuntimeError as error:
+            running.close()
             coroutine.close()
             raise ConnectionLost(_CLOSED) from error
         try:
@@ -56,6 +66,11 @@ class LoopThread:
             return future.result()
         except concurrent.futures.CancelledError as error:
             raise ConnectionLost(_CLOSED) from error
+        except KeyboardInterrupt:
+            # Until the coroutine has ended, its objects are in use.
+            future.cancel()
+            ended.wait(END_TIMEOUT_S)
+            raise
         finally:
             future.cancel()
 

@@ -31,6 +31,7 @@ from armbridge_client.errors import (
     WrongVersion,
     refusal,
 )
+from armbridge_client.interface import ArmInfo, read_arms
 from armbridge_client.messages import TriggerRequest
 from armbridge_client.wire import Message, Response, Service, answer_class, from_wire, to_wire
 
@@ -157,6 +158,7 @@ class Connection:
         self._keeper: asyncio.Task[None] | None = None
         self._sending: set[asyncio.Task[None]] = set()
         self.server = ServerInfo("", "", "")
+        self.arms: dict[str, ArmInfo] = {}
 
     async def open(self) -> None:
         """Connect, and check that the server is an armbridge of this client's version.
@@ -165,8 +167,15 @@ class Connection:
             ConnectError: ServerUnreachable, NotArmbridge, WrongVersion or NotAuthenticated.
             DeadlineExceeded: the server does not answer in time.
         """
-        timeout_s = self._address.connect_timeout_s
-        await within(timeout_s, self._connect(), f"{self._address.url}: no answer to the connection")
+        address = self._address
+        timeout_s = address.connect_timeout_s
+        await within(timeout_s, self._connect(), f"{address.url}: no answer to the connection")
+        try:
+            reading = asyncio.to_thread(read_arms, address.url, address.token, address.tls, timeout_s)
+            self.arms = await within(timeout_s, reading, f"{address.url}: no description of the server")
+        except BaseException:
+            await self.close()
+            raise
         self._keeper = asyncio.create_task(self._keep(), name=f"connection to {self._address.url}")
 
     async def close(self) -> None:

@@ -17,7 +17,9 @@ TARGET_HELP = "a name (ready), a position of the tip in metres (0.25 0 0.12), or
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns 0, or 1 with a sentence on standard error."""
-    parser = argparse.ArgumentParser(prog="python -m armbridge_client", description=__doc__.partition(": ")[2])
+    parser = argparse.ArgumentParser(
+        prog="python -m armbridge_client", description="Shows, moves, watches and stops an arm."
+    )
     parser.add_argument("--url", default="ws://127.0.0.1:9090", help="the server (default: %(default)s)")
     parser.add_argument("--arm", default="", help="name of the arm, on a server with several")
     parser.epilog = "An authentication token is read from the environment variable ARMBRIDGE_TOKEN."

@@ -298,4 +298,7 @@ class Arm(Face[AsyncArm]):
     control = blocking(AsyncArm.control)
     publish = blocking(AsyncArm.publish)
     confirm = blocking(AsyncArm.confirm)
+    waiting_goal = blocking(AsyncArm.waiting_goal)
+    approve = blocking(AsyncArm.approve)
+    discard = blocking(AsyncArm.discard)
     set_confirm_mode = blocking(AsyncArm.set_confirm_mode)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ssl
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from types import TracebackType
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from armbridge_client.async_gripper import AsyncGripper
 from armbridge_client.async_library import AsyncEpisodes, AsyncNamedStates, AsyncTeaching
@@ -34,10 +34,11 @@ from armbridge_client.messages import (
     PoseStamped,
     SetBoolRequest,
     SetSpeedLimitRequest,
+    String,
     TriggerRequest,
 )
 from armbridge_client.motion import MOTION_TIMEOUT_S, AsyncPlan, Motion, check_code, motion_of
-from armbridge_client.targets import Control, State, Target, constraints, goal_target, pose, state_of
+from armbridge_client.targets import Control, State, Target, WaitingGoal, constraints, goal_target, pose, state_of
 from armbridge_client.wire import Message, Response, Service, from_wire
 
 M = TypeVar("M", bound=Message)
@@ -141,7 +142,7 @@ class AsyncArm:
         """Move the tip to a position [m] around the planning scene, and return when it is there.
 
         Args:
-            frame: link, object or subframe in whose axes the position is; empty for the planning frame.
+            frame: link, object or subframe in whose axes the position is; empty for the arm's base.
             orientation: unit quaternion x, y, z, w; only arms with six joints or more use it.
             speed: share of the velocity limits, above 0 to 1; 0 for the server's setting.
 
@@ -177,12 +178,16 @@ class AsyncArm:
             group: planning group; empty for the chosen one, or for joints the smallest group that has them.
             on_progress: called with each report, in the event loop's thread.
         """
-        goal = goal_target(target)
+        goal = self._qualified(goal_target(target))
         request = MoveitGoalGoal(
             goal.named, goal.joints, goal.pose, group, velocity_scaling=speed, acceleration_scaling=speed
         )
-        feedback = None if on_progress is None else lambda values: on_progress(from_wire(MoveitGoalFeedback, values))
-        values = await self.connection.perform(f"{self._prefix}/moveit_goal", request, timeout_s, feedback)
+
+        def on_feedback(values: Mapping[str, Any]) -> None:
+            if on_progress is not None:
+                on_progress(from_wire(MoveitGoalFeedback, values))
+
+        values = await self.connection.perform(f"{self._prefix}/moveit_goal", request, timeout_s, on_feedback)
         return motion_of(from_wire(MoveitGoalResult, values))
 
     async def plan(
@@ -193,9 +198,9 @@ class AsyncArm:
         Raises:
             GoalRefused: there is no such motion.
         """
-        goal = goal_target(target)
+        goal = self._qualified(goal_target(target))
         named = await self._named_rad(goal.named) if goal.named else {}
-        wanted = constraints(self._qualified(goal), named, self.info.tip)
+        wanted = constraints(goal, named, self.info.tip)
         group = group or self._group([each.joint_name for each in wanted.joint_constraints])
         request = MotionPlanRequest([wanted], group, speed, speed)
         answer = await self.connection.call("/plan_kinematic_path", GetMotionPlanRequest(request), timeout_s)
@@ -345,6 +350,28 @@ class AsyncArm:
         """Execute the goal that waits for its confirmation, or discard it."""
         await self.connection.publish(f"{self._prefix}/moveit_goal_confirm", Bool(execute))
 
+    async def waiting_goal(self, timeout_s: float = 5.0) -> WaitingGoal | None:
+        """Return the goal that waits for an approval or a confirmation; None without one (docs/goals.md)."""
+        async with self.connection.subscribe(
+            "/moveit_goal_approval", DiagnosticStatus, timeout_s=timeout_s
+        ) as requests:
+            request = await requests.__anext__()
+        values = {pair.key: pair.value for pair in request.values}
+        if not request.hardware_id:
+            return None
+        proposed, duration_s = values.get("proposed") != "false", float(values.get("duration_s") or 0.0)
+        return WaitingGoal(
+            request.hardware_id, values.get("client", ""), proposed, values.get("summary", ""), duration_s
+        )
+
+    async def approve(self, goal_id: str) -> None:
+        """Approve a proposed goal of another client, such as a language model's; needs the role operate."""
+        await self.connection.publish("/moveit_goal_approve", String(goal_id))
+
+    async def discard(self, goal_id: str) -> None:
+        """End a goal of any client, waiting or in progress."""
+        await self.connection.publish("/moveit_goal_cancel", String(goal_id))
+
     async def set_confirm_mode(self, *, on: bool) -> str:
         """Make every goal wait for a confirmation; needs the role admin."""
         return (await self.connection.carry_out("/moveit_goal_confirm_mode", SetBoolRequest(on))).message
@@ -422,14 +449,18 @@ class AsyncArm:
         states = await self.named_states.all()
         # The server ignores case and blanks as well; it refuses an unknown name with a suggestion.
         found = states.get(name) or states.get(name.strip().lower()) or {}
-        return dict(zip(map(self._joint, found), found.values()))
+        # The server lists the states of one group; other arms of this kind have the same joints under their names.
+        return {self._joint(self._shared_name(joint)): position for joint, position in found.items()}
 
     def _qualified(self, goal: GoalTarget) -> GoalTarget:
         """Return a goal for the names that all arms share: with this arm's joints and frame."""
         joints, at = goal.joints, goal.pose
+        if not self.name:
+            return goal
         names = [self._joint(name) for name in joints.name]
         header = Header(frame_id=at.header.frame_id or self.info.frame)
-        return GoalTarget(goal.named, JointState(name=names, position=joints.position), PoseStamped(header, at.pose))
+        pose = at if at == PoseStamped() else PoseStamped(header, at.pose)
+        return GoalTarget(goal.named, JointState(name=names, position=joints.position), pose)
 
     def _group(self, joints: Sequence[str]) -> str:
         """Return the smallest planning group of the arm that has joints; empty for the only arm, as the server does."""
@@ -439,8 +470,10 @@ class AsyncArm:
         return min(having, key=lambda name: len(self.info.groups[name]), default=self.info.group)
 
     def _joint(self, name: str) -> str:
-        """Return the full name of a joint of this arm, also for a joint of the same kind of another arm."""
-        if not self.name:
-            return name
-        others = (other for other in self.connection.arms if other and name.startswith(f"{other}_"))
-        return f"{self.name}_{name.removeprefix(f'{next(others, self.name)}_')}"
+        """Return the full name of a joint, which may be named without the arm's name."""
+        return name if not self.name or name != self._shared_name(name) else f"{self.name}_{name}"
+
+    def _shared_name(self, name: str) -> str:
+        """Return the name of a joint without the name of its arm."""
+        arms = (arm for arm in self.connection.arms if arm and name.startswith(f"{arm}_"))
+        return name.removeprefix(f"{next(arms, '')}_")

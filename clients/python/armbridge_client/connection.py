@@ -260,9 +260,11 @@ class Connection:
         finally:
             answering.cancel()
             self._feedback.pop(number, None)
-        if not isinstance(answer["values"], Mapping):
-            raise refusal(str(answer["values"]))
-        return answer["values"]
+        values: Any = answer["values"]
+        if isinstance(values, str):
+            raise refusal(values)
+        result: Mapping[str, Any] = values
+        return result
 
     async def publish(self, topic: str, message: Message) -> None:
         """Publish a message.

@@ -51,9 +51,10 @@ def read_arms(url: str, token: str | None, tls: ssl.SSLContext | None, timeout_s
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     request = urllib.request.Request(address, headers=headers)  # noqa: S310 - the line before names the scheme
     # No proxy of the environment, as for the WebSocket.
-    opener = urllib.request.build_opener(
-        urllib.request.ProxyHandler({}), urllib.request.HTTPSHandler(context=tls or ssl.create_default_context())
-    )
+    handlers: list[urllib.request.BaseHandler] = [urllib.request.ProxyHandler({})]
+    if parts.scheme == "wss":
+        handlers.append(urllib.request.HTTPSHandler(context=tls or ssl.create_default_context()))
+    opener = urllib.request.build_opener(*handlers)
     try:
         with opener.open(request, timeout=timeout_s) as answer:
             document = json.loads(answer.read(MAX_BYTES))

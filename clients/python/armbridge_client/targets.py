@@ -67,12 +67,29 @@ class Control:
     message: str
 
 
+@dataclass(frozen=True)
+class WaitingGoal:
+    """A goal that waits for a person's answer.
+
+    Attributes:
+        client: name of the client that sent the goal.
+        proposed: True for a goal that :meth:`AsyncArm.approve` approves, False for a goal of confirm mode.
+        summary: the planned motion in a sentence.
+    """
+
+    goal_id: str
+    client: str
+    proposed: bool
+    summary: str
+    duration_s: float
+
+
 def pose(x: float, y: float, z: float, *, frame: str = "", orientation: Sequence[float] | None = None) -> PoseStamped:
     """Return a pose of the tip.
 
     Args:
         x: position [m], as y and z.
-        frame: link, object or subframe in whose axes the pose is; empty for the planning frame.
+        frame: link, object or subframe in whose axes the pose is; empty for the base of the arm.
         orientation: unit quaternion x, y, z, w; only arms with six joints or more use it.
     """
     turn = Quaternion() if orientation is None else Quaternion(*orientation)

@@ -36,6 +36,7 @@ from server.access.certificates import CertificateFiles, ensure_certificate
 
 TOKENS = {
     "ARMBRIDGE_ACCESS__VIEW_TOKENS__SCREEN": "v" * 24,
+    "ARMBRIDGE_ACCESS__PROPOSE_TOKENS__MODEL": "p" * 24,
     "ARMBRIDGE_ACCESS__OPERATE_TOKENS__ADA": "o" * 24,
 }
 

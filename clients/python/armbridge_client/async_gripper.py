@@ -57,7 +57,7 @@ class AsyncGripper:
         Raises:
             RequestRefused: the position is beyond the limits, a fault or a stop ended the motion.
         """
-        goal = GripperCommandGoal(GripperCommand(position, force))
+        goal = GripperCommandGoal(GripperCommand(float(position), float(force)))
         values = await self._connection.perform(f"{self._prefix}/gripper_controller/gripper_cmd", goal, timeout_s)
         result = from_wire(GripperCommandResult, values)
         return Grip(result.position, result.stalled)

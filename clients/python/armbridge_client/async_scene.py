@@ -50,7 +50,7 @@ class AsyncScene:
 
     async def add_box(self, name: str, size_m: Sequence[float], at: PoseStamped) -> None:
         """Add a box, or replace the object of this name; ``size_m`` along x, y and z of the pose of its centre."""
-        await self._add(name, SolidPrimitive(BOX, list(size_m)), at)
+        await self._add(name, SolidPrimitive(BOX, [float(each) for each in size_m]), at)
 
     async def add_sphere(self, name: str, radius_m: float, at: PoseStamped) -> None:
         """Add a sphere, or replace the object of this name."""

@@ -65,6 +65,7 @@ def test_a_deadline_cancels_the_motion(arm: Arm) -> None:
     arm.move_named("home")
     with pytest.raises(DeadlineExceeded, match=r"not done within 0\.2 s"):
         arm.move_named("rest", speed=0.05, timeout_s=0.2)
+    arm.stop()
     assert arm.state().mode == "holding"
 
 

@@ -17,6 +17,8 @@ from typing import Any, Concatenate, Generic, Literal, ParamSpec, TypeVar
 from armbridge_client.errors import ConnectionLost
 
 A = TypeVar("A")
+B = TypeVar("B")
+F = TypeVar("F")
 T = TypeVar("T")
 P = ParamSpec("P")
 
@@ -109,6 +111,24 @@ class blocking(Generic[A, P, T]):  # noqa: N801 - used as a decorator
             return face.loop.run(self._method(face.asynchronous, *arguments, **named))
 
         return wait
+
+
+class making(Generic[A, P, B, F]):  # noqa: N801 - used as a decorator
+    """Method whose coroutine returns an asynchronous object; this method returns the object's face."""
+
+    def __init__(
+        self, method: Callable[Concatenate[A, P], Coroutine[Any, Any, B]], face: Callable[[B, LoopThread], F]
+    ) -> None:
+        self._method = method
+        self._face = face
+        self.__doc__ = method.__doc__
+
+    def __get__(self, face: Face[A], owner: type[Face[A]]) -> Callable[P, F]:
+        @functools.wraps(self._method)
+        def make(*arguments: P.args, **named: P.kwargs) -> F:
+            return self._face(face.loop.run(self._method(face.asynchronous, *arguments, **named)), face.loop)
+
+        return make
 
 
 class iterating(Generic[A, P, T]):  # noqa: N801 - used as a decorator

@@ -207,10 +207,10 @@ def test_checks_are_not_shown_as_plans_to_carry_out(page: OpenPage, server: Runn
     goal = {"joints": {"name": list(PLACES[0]), "position": list(PLACES[0].values())}, "plan_only": True}
     assert call(server.url, "/moveit_goal", goal)["success"]
     page.until_state("s.plan.trajectory !== null")
-    page.part("tab-move").click()
+    page.open_panel("move")
     page.part("forget-wish").click()
     page.until_state("s.plan.trajectory === null")
-    page.part("tab-sequence").click()
+    page.open_panel("sequence")
     load(page, waypoint(PLACES[0]), waypoint(PLACES[1]))
     until_checked(page, "possible", "possible")
     # What the server tells about the other topics after the checks comes after their plans, too.

@@ -38,7 +38,7 @@ def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
 def open_world(page: OpenPage, server: RunningServer) -> None:
     page.open(server.port)
     page.until_state("s.link.connected && s.identity !== null && s.editing.saved !== null")
-    page.part("tab-world").click()
+    page.open_panel("world")
 
 
 def add_by_click(page: OpenPage, kind: str, place_m: tuple[float, float, float]) -> None:

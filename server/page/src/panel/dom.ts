@@ -38,6 +38,21 @@ export function button(text: string, testid: string, press: () => void, title = 
   return el("button", title ? { ...options, title } : options);
 }
 
+const SVG = "http://www.w3.org/2000/svg";
+
+/** Create an element of a drawing. */
+export function svg(tag: string, attributes: Record<string, string | number>, ...children: (Node | string)[]): SVGElement {
+  const element = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
+  element.append(...children);
+  return element;
+}
+
+/** Create an icon from a path in a square of 24. */
+export function icon(path: string): SVGElement {
+  return svg("svg", { viewBox: "0 0 24 24", class: "icon", "aria-hidden": "true" }, svg("path", { d: path }));
+}
+
 /** Create an option of a choice. */
 export function option(value: string, text: string, attributes: Record<string, string> = {}): HTMLOptionElement {
   return el("option", { text, attributes: { value, ...attributes } });

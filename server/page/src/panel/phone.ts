@@ -4,10 +4,8 @@ import type { PhoneAccess } from "../link/phone";
 import { modulePath, phoneAddress, phoneUrls } from "../logic/phone-address";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, option, section, setText } from "./dom";
+import { button, el, option, section, setText, svg } from "./dom";
 import { phoneController } from "./phone-controller";
-
-const SVG = "http://www.w3.org/2000/svg";
 
 /** Light modules around a code, without which cameras do not find it (ISO/IEC 18004, section 5.3.8). */
 const QUIET_ZONE = 4;
@@ -81,18 +79,13 @@ function addressOf(urls: readonly string[], token: string): HTMLElement[] {
 }
 
 /** Draw a QR code. */
-function qrCode(text: string): SVGSVGElement {
+function qrCode(text: string): SVGElement {
   const code = qrcode(0, "M");
   code.addData(text);
   code.make();
   const count = code.getModuleCount();
-  const svg = document.createElementNS(SVG, "svg");
   const side = count + 2 * QUIET_ZONE;
-  const attributes = { viewBox: `${-QUIET_ZONE} ${-QUIET_ZONE} ${side} ${side}`, role: "img", "aria-label": t("phone.code") };
-  for (const [name, value] of Object.entries(attributes)) svg.setAttribute(name, value);
-  svg.dataset["testid"] = "phone-qr";
-  const path = document.createElementNS(SVG, "path");
-  path.setAttribute("d", modulePath(count, (row, column) => code.isDark(row, column)));
-  svg.append(path);
-  return svg;
+  const path = svg("path", { d: modulePath(count, (row, column) => code.isDark(row, column)) });
+  const viewBox = `${-QUIET_ZONE} ${-QUIET_ZONE} ${side} ${side}`;
+  return svg("svg", { viewBox, role: "img", "aria-label": t("phone.code"), "data-testid": "phone-qr" }, path);
 }

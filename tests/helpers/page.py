@@ -40,7 +40,7 @@ FLAGS = (
     "--disable-accelerated-2d-canvas",
 )
 
-PANELS = ("move", "drive", "sequence", "world", "plots", "goals", "arm", "log", "settings")
+PANELS = ("move", "drive", "sequence", "world", "plots", "goals", "arm", "cameras", "log", "settings")
 
 DESKTOP = (1280, 800)
 PHONE = (390, 844)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.helpers.clients import call, goal
-from tests.helpers.page import OpenPage, opened
+from tests.helpers.page import DESKTOP, OpenPage, opened
 from tests.helpers.server import ROOT, RunningServer
 
 if TYPE_CHECKING:
@@ -79,6 +79,20 @@ def test_plots_stand_still_are_zoomed_and_go_on_live(page: OpenPage) -> None:
     page.until(f"{plot('endS')} === ''")
 
 
+def test_charts_fill_their_panel(page: OpenPage) -> None:
+    page.open_panel("plots")
+    page.until("document.querySelectorAll('[data-testid=plot] canvas').length > 0")
+    for quantity in ("position", "goal", "error", "load", "temperature"):
+        page.part(f"plot-quantity-{quantity}").set_checked(quantity == "position")
+    page.part("plot-quantity-velocity").uncheck()
+    page.until("document.querySelectorAll('[data-testid=plot] canvas').length === 1")
+    # One chart takes what the choices leave, at any height of the window.
+    page.page.set_viewport_size({"width": DESKTOP[0], "height": 1300})
+    page.until("document.querySelector('[data-testid=plot] canvas').clientHeight > 500")
+    page.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
+    page.until("document.querySelector('[data-testid=plot] canvas').clientHeight < 300")
+
+
 def test_plots_that_are_not_shown_are_not_drawn(page: OpenPage) -> None:
     page.open_panel("plots")
     page.until(f"Number({plot('draws')}) > 3")
@@ -100,6 +114,7 @@ def test_the_timeline_has_goals_of_other_clients_also_of_before_the_page_was_ope
         page.open(server.port)
         page.open_panel("goals")
         page.part(f"goal-open-{failed}").click()
+        page.until_text(f"goal-open-{failed}", "shoulder_pan 515.7°: failed")
         page.until_text(f"goal-{failed}", "INVALID_GOAL_CONSTRAINTS")
         page.until_text(f"goal-{failed}", "shoulder_pan 515.7°")
         problem = page.download(f"goal-save-{failed}", tmp_path)

@@ -177,6 +177,7 @@ def test_a_saved_scene_comes_back_from_the_server_and_from_a_file(
         page.until_state("s.objects.length === 1")
         select(page, "box_1")
     page.part("delete-scene-Küche").click()
+    page.part("delete-scene-Küche").click()
     page.until_state("s.editing.saved.length === 0")
     assert call(server.url, "/arm/scenes/list", {})["names"] == []
 

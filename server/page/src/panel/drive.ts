@@ -31,7 +31,7 @@ export function driveSection(context: PanelContext): HTMLElement {
   const pads = padsSection(context, controls);
   const others = [keyboardSection(context, controls), gamepadSection(context, controls), phoneSection(context)];
   // On a touch screen the pads come first, where the thumbs are.
-  const rest = el("details", { class: "drive-rest" }, el("summary", { text: t("drive.more") }), settings, buttons, ...(isTouch() ? [] : [pads]), ...others);
+  const rest = el("details", { class: "drive-rest", testid: "drive-rest" }, el("summary", { text: t("drive.more") }), settings, buttons, ...(isTouch() ? [] : [pads]), ...others);
   const inputs = el("div", {}, ...(isTouch() ? [pads] : []), rest);
   // A phone on its side: the pads stand left and right of the picture, and the rest is folded (drive.css).
   const lying = matchMedia("(max-height: 500px) and (pointer: coarse)");

@@ -1,10 +1,9 @@
-import type { ArmCommands } from "../link/commands";
 import { DESCRIPTION, groupPoses } from "../logic/joints";
 import type { State } from "../state/state";
 import { selectGoal } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, section, setText } from "./dom";
+import { button, deleteButton, el, nameForm, section, setText } from "./dom";
 import { nextStep } from "./transport";
 
 /** Create the section that chooses where to go and how fast; the button at the picture plans and starts the motion. */
@@ -37,7 +36,7 @@ function namedPoses(context: PanelContext): HTMLElement {
       ...poses.map(([name, { saved }]) => {
         const chip = button(name, `named-${name}`, () => choose(name), t("move.pose.title", { name }));
         if (!saved) return chip;
-        const forget = button("×", `delete-${name}`, () => void commands.deletePose(name), t("move.forget", { name }));
+        const forget = deleteButton("×", `delete-${name}`, name, () => void commands.deletePose(name));
         return el("span", { class: "chip-pair" }, chip, permissionFieldset(context, "configure", forget));
       }),
     );
@@ -51,20 +50,9 @@ function namedPoses(context: PanelContext): HTMLElement {
       }
     },
   );
-  return el("div", {}, list, permissionFieldset(context, "configure", savePoseForm(commands)));
-}
-
-function savePoseForm(commands: ArmCommands): HTMLElement {
-  const attributes = { placeholder: t("move.save.name"), maxlength: "64", autocomplete: "off" };
-  const name = el("input", { type: "text", testid: "save-name", label: t("move.save.label"), attributes });
-  const save = async (): Promise<void> => {
-    const typed = name.value.trim();
-    if (typed === "") return name.focus();
-    if (await commands.savePose(typed)) name.value = "";
-  };
-  const press = button(t("move.save"), "save", () => void save());
-  name.addEventListener("keydown", (event) => event.key === "Enter" && void save());
-  return el("div", { class: "line" }, name, press);
+  const texts = { testid: "save-name", label: t("move.save.label"), button: t("move.save"), button_testid: "save" };
+  const form = nameForm(texts, (name) => name !== "" && commands.savePose(name));
+  return el("div", {}, list, permissionFieldset(context, "configure", form));
 }
 
 /** Least fraction of the joints' speed limits; below it a motion takes minutes. */

@@ -1,6 +1,7 @@
 import type { State } from "../state/state";
 import { chosenLanguage, t, useLanguage } from "../texts/texts";
 import { controlBar, tokenForm } from "./access";
+import { camerasSection } from "./cameras";
 import { commissioningSection, procedureBar } from "./commissioning";
 import { watchPermissions, type PanelContext } from "./context";
 import { createDock, type Panel } from "./dock";
@@ -20,12 +21,14 @@ import { savedScenesSection } from "./scene-saved";
 import { savedSequencesSection, sequenceSection } from "./sequence";
 import { servosSection } from "./servos";
 import { settingsSection } from "./settings";
+import { shareSection } from "./share";
 import { teachingSection } from "./teaching";
+import { createTour } from "./tour";
 import { connectionPill, noticeList, statusBar } from "./status";
 import { transportBar } from "./transport";
 
 /** Return every panel with its sections, in the order in which they are offered. */
-function allPanels(context: PanelContext): Panel[] {
+function allPanels(context: PanelContext, tour_start: HTMLElement): Panel[] {
   const panel = (id: PanelId, place: Panel["place"], icon: string, ...sections: ((context: PanelContext) => HTMLElement)[]): Panel => {
     return { id, title: t(`panel.${id}`), place, icon, sections: sections.map((section) => section(context)) };
   };
@@ -37,12 +40,13 @@ function allPanels(context: PanelContext): Panel[] {
     panel("plots", "more", "M3 3v18h18M7 15l4-5 3 3 5-7", plotsSection),
     panel("goals", "more", "M5 21V4h13l-3 4 3 4H5", activeGoalsSection, goalsSection),
     panel("arm", "more", "M4 21h9M8 21v-5L5 10l7-5 5 3M17 8l4-2M17 8l3 4", servosSection, healthSection, commissioningSection),
+    panel("cameras", "more", "M3 7h4l2-3h6l2 3h4v13H3zM12 9a4 4 0 1 0 0 8 4 4 0 1 0 0-8", camerasSection),
     panel("log", "more", "M5 4h14v16H5zM8 8h8M8 12h8M8 16h5", logSection),
-    panel("settings", "more", "M4 7h10M18 7h2M16 4v6M4 17h2M10 17h10M8 14v6", settingsSection),
+    panel("settings", "more", "M4 7h10M18 7h2M16 4v6M4 17h2M10 17h10M8 14v6", () => tour_start, settingsSection, shareSection),
   ];
 }
 
-type PanelId = "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "log" | "settings";
+type PanelId = "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "log" | "settings";
 
 /** Add bar, rail and panels to the page: STOP first, and outside of everything that can hide it. */
 export function createPanel(context: PanelContext): void {
@@ -53,9 +57,10 @@ export function createPanel(context: PanelContext): void {
   scene.querySelector("canvas")?.setAttribute("aria-label", t("picture.label"));
   document.body.append(stopButton(context));
   bar.append(...statusBar(context), controlBar(context), connectionPill(context));
+  const tour = createTour(context);
   const above = el("div", { class: "above" }, procedureBar(context), tokenForm(context), noticeList(context));
-  scene.append(above, el("div", { class: "below" }, firstMotion(context), transportBar(context)));
-  createDock(rail, dock, allPanels(context), context.store);
+  scene.append(above, el("div", { class: "below" }, tour.card, firstMotion(context), transportBar(context)));
+  createDock(rail, dock, allPanels(context, tour.start), context.store);
   watchPermissions(context);
 }
 

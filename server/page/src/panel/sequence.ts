@@ -20,7 +20,7 @@ import type { JointValues, State } from "../state/state";
 import { selectGoal, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, keyedList, loadPreference, numberField, option, section, setText, storePreference, type ListItem } from "./dom";
+import { button, deleteButton, el, keyedList, loadPreference, nameForm, numberField, option, section, setText, storePreference, type ListItem } from "./dom";
 import { fileInput, saveFile } from "./files";
 import { programButtons } from "./sequence-export";
 
@@ -280,30 +280,29 @@ function keep(store: PageStore, saved: Record<string, readonly Waypoint[]>): boo
 }
 
 function saveForm(store: PageStore): HTMLElement {
-  const name = el("input", { type: "text", testid: "sequence-name", attributes: { autocomplete: "off", maxlength: "50" } });
-  const submit = (): void => {
+  const texts = { testid: "sequence-name", label: t("sequence.saved.name"), button: t("sequence.saved.save"), button_testid: "save-sequence" };
+  return nameForm(texts, (wanted) => {
     const { saved, waypoints } = store.state.sequence;
-    const wanted = name.value.trim();
-    if (waypoints.length === 0 || wanted === "") return tell(store, t("sequence.saved.needs"));
     const names = Object.keys(saved);
-    if (!names.includes(wanted) && names.length >= MAX_SAVED) return tell(store, t("sequence.saved.full", { limit: MAX_SAVED }));
-    const is_kept = keep(store, { ...saved, [wanted]: waypoints });
-    tell(store, t(is_kept ? "sequence.saved.done" : "sequence.saved.refused", { name: wanted }));
-    name.value = "";
-  };
-  name.addEventListener("keydown", (event) => event.key === "Enter" && submit());
-  const save = button(t("sequence.saved.save"), "save-sequence", submit);
-  return el("div", { class: "save-scene" }, el("label", {}, t("sequence.saved.name"), name), save);
+    const full = !names.includes(wanted) && names.length >= MAX_SAVED;
+    if (waypoints.length === 0 || wanted === "") tell(store, t("sequence.saved.needs"));
+    else if (full) tell(store, t("sequence.saved.full", { limit: MAX_SAVED }));
+    else {
+      const is_kept = keep(store, { ...saved, [wanted]: waypoints });
+      tell(store, t(is_kept ? "sequence.saved.done" : "sequence.saved.refused", { name: wanted }));
+      return true;
+    }
+    return false;
+  });
 }
 
 function savedItem(store: PageStore, name: string): HTMLElement {
   const load = button(t("sequence.saved.load"), `load-sequence-${name}`, () => setWaypoints(store, store.state.sequence.saved[name] ?? []));
-  const remove = button(t("sequence.saved.delete"), `delete-sequence-${name}`, () => {
+  const remove = deleteButton(t("sequence.saved.delete"), `delete-sequence-${name}`, name, () => {
     const { [name]: _, ...others } = store.state.sequence.saved;
     keep(store, others);
   });
   load.setAttribute("aria-label", `${t("sequence.saved.load")}: ${name}`);
-  remove.setAttribute("aria-label", `${t("sequence.saved.delete")}: ${name}`);
   return el("li", {}, el("b", { text: name }), load, remove);
 }
 

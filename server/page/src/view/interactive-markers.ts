@@ -48,16 +48,15 @@ const GRIP_FROM = 0.75;
  */
 function offsetHandles(controls: TransformControls): Material[] {
   const materials: Material[] = [];
-  // The planes would cover the gripper.
-  controls.showXY = controls.showYZ = controls.showXZ = false;
   const start = (HANDLE_START / HANDLE_END) * ARROWS_END;
   controls.getHelper().traverse((node) => {
     const axis = AXES.indexOf(node.name as (typeof AXES)[number]);
     const part = node instanceof Mesh ? partOfTranslation(node) : null;
     if (!(node instanceof Mesh) || part === null) return;
-    if (node.name === "XYZ") node.geometry = part === "grip" ? new SphereGeometry(start * GRIP_FROM, 12, 8) : new BufferGeometry();
-    if (axis < 0) return;
     node.geometry.dispose();
+    // The planes would cover the gripper; the ball is drawn by the marker.
+    if (axis < 0) node.geometry = node.name === "XYZ" && part === "grip" ? new SphereGeometry(start * GRIP_FROM, 12, 8) : new BufferGeometry();
+    if (axis < 0) return;
     const is_first = node.parent?.children.find((other) => other.name === node.name) === node;
     node.geometry = !is_first ? new BufferGeometry() : part === "grip" ? grip(start) : arrow(start);
     if (part === "arrow") materials.push(node.material as Material);
